@@ -4,39 +4,43 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, cast
 from uuid import uuid4
 
-from planner_bridge.loading import load
+from planner_bridge.loading import bindings_for, load
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.result import PlanResult, Stopwatch, TaskResult
 from planner_bridge.tasks.scheduling.task_manager import TaskManager
 from planner_bridge.tasks.settings import Settings, TaskObserver
-from pnm.actions.backend import Backend, schedule
+from pnm.actions.backend import Backend, ClientBackend, schedule
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import run_async
 from pnm.core.logic.conditions import Condition
+from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import OnFailure
-from pnm.errors import InputError, Tolerated
+from pnm.core.machine.requests import ActionClient
+from pnm.errors import InputError, Tolerated, suggestion
+from pnm.knowledge.sensor_model import NO_SENSING
 from pnm.knowledge.sources.registry import Surroundings, open_sources
-from pnm.knowledge.sources.router import Sources
 from pnm.language.plan import HandWrittenPlan, called_plans, chosen_plan, merge_bindings, read_plans, sources_of
 from pnm.language.runner import PlanRunner, Program
 from pnm.ros.backend import Ros2Backend
 from pnm.tasks import Code, Wanted
 
-Where: TypeAlias = Literal["simulated", "ros2"]
+Actions: TypeAlias = Literal["simulated", "ros2"] | ActionClient
+"""What performs actions: simulated robots under virtual time, the action servers of ROS 2, or a client in Python."""
 
 
 def achieve(
     domain: Path | str | Domain | None,
     problem: Path | str | Problem | Any,
     *,
-    actions: Where = "simulated",
+    actions: Actions = "simulated",
     faults: Faults = NO_FAULTS,
     settings: Settings | None = None,
     observer: TaskObserver | None = None,
@@ -47,23 +51,23 @@ def achieve(
     Args:
         domain: a file or a Domain; not needed when `problem` is a Problem.
         problem: a file, a Problem, or a Problem of unified-planning.
-        actions: simulated robots under virtual time, or the action servers of ROS 2.
+        actions: simulated robots under virtual time, the action servers of ROS 2, or an action client.
         faults: what goes wrong in simulation.
-        settings: planner, bindings and limits.
+        settings: planner, bindings and limits; without bindings those of ``bindings.yaml`` beside the domain file.
         observer: notified of every event.
         stopwatch: measures the phases; one that has run before goes on.
 
     Raises:
         InputError: an input is wrong; nothing was started.
     """
-    chosen = settings or Settings()
-    seconds = stopwatch or Stopwatch()
+    settings, observer, seconds = settings or Settings(), observer or TaskObserver(), stopwatch or Stopwatch()
+    check_arguments(settings, observer, faults)
     with seconds.of("parse"):
         loaded = load(domain, problem)
-    backend: Backend = (
-        Ros2Backend(chosen.bindings, sensing=chosen.sensing) if actions == "ros2" else simulated_backend(loaded, chosen.bindings, faults)
-    )
-    task = achieve_at(backend, loaded, chosen, observer or TaskObserver(), seconds)
+        if settings.bindings == Bindings() and isinstance(domain, Path | str):
+            settings = replace(settings, bindings=bindings_for(Path(domain), None, loaded.vocabulary))
+    backend = backend_of(actions, loaded, settings, faults)
+    task = achieve_at(backend, loaded, settings, observer, seconds)
     return run_async(task, virtual=actions == "simulated")
 
 
@@ -92,7 +96,7 @@ def carry_out(
     name: str | None = None,
     parameters: Mapping[str, object] | None = None,
     *,
-    actions: Where = "simulated",
+    actions: Actions = "simulated",
     faults: Faults = NO_FAULTS,
     settings: Settings | None = None,
     observer: TaskObserver | None = None,
@@ -106,7 +110,7 @@ def carry_out(
         file: a plan file of the language.
         name: of the plan, if there are several.
         parameters: variables that the run knows from the beginning.
-        actions: simulated robots under virtual time, or the action servers of ROS 2.
+        actions: simulated robots under virtual time, the action servers of ROS 2, or an action client.
         faults: what goes wrong in simulation.
         settings: bindings that come before those of the files, limits, and the planner, for when the plan asks for one.
         observer: notified of every event.
@@ -117,32 +121,38 @@ def carry_out(
     Raises:
         InputError: an input is wrong; nothing was started.
     """
-    stopwatch = Stopwatch()
+    settings, observer, stopwatch = settings or Settings(), observer or TaskObserver(), Stopwatch()
+    check_arguments(settings, observer, faults)
     with stopwatch.of("parse"):
-        settings = settings or Settings()
         plans = {name: _with_settings(plan, settings, on_failure) for name, plan in read_plans(file).items()}
         chosen = chosen_plan(plans, name)
     if warn:
         warn(plans[chosen].warnings)
     with stopwatch.of("translate"):
         programs = {name: Program.of(plans[name]) for name in called_plans(plans, chosen)}
-    bindings = merge_bindings(plans.values())
-    backend: Backend = (
-        Ros2Backend(bindings, sensing=settings.sensing) if actions == "ros2" else simulated_backend(plans[chosen], bindings, faults)
-    )
+    bound = replace(settings, bindings=merge_bindings(plans.values()))
+    backend = backend_of(actions, plans[chosen], bound, faults)
 
     async def task() -> PlanResult:
-        plan = plans[chosen]
-        world = initial_knowledge(plan)
+        world, is_prepared = initial_knowledge(plans[chosen]), False
+        wanted = Wanted(uuid4(), chosen, parameters=parameters or {}, is_plan=True)
         try:
             await backend.open(world)
             sources = open_sources(sources_of(plans.values()), Surroundings(getattr(backend, "ros", None), file.parent), knowledge)
             try:
                 runner = PlanRunner(programs, backend, world, sources)
-                wanted = Wanted(uuid4(), chosen, parameters=parameters or {}, is_plan=True)
-                return await _carry_out_at(runner, wanted, replace(settings, bindings=bindings), observer or TaskObserver(), stopwatch)
+                await runner.check(runner.prepare_run(wanted.text, wanted.parameters))  # before anything is prepared
+                await backend.share(runner.prefix, runner.knowledge_of, sources)
+                await runner.prepare()
+                is_prepared = True
+                return await _carry_out_at(runner, wanted, bound, observer, stopwatch)
             finally:
                 await sources.close()
+        except asyncio.CancelledError:
+            if is_prepared:  # and has been cancelled twice
+                raise
+            cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
+            return PlanResult(Code.CANCELLED, "cancelled", 0, (), stopwatch.seconds)
         finally:
             await backend.close()
 
@@ -150,9 +160,6 @@ def carry_out(
 
 
 async def _carry_out_at(runner: PlanRunner, wanted: Wanted, settings: Settings, observer: TaskObserver, stopwatch: Stopwatch) -> PlanResult:
-    await runner.check(runner.prepare_run(wanted.text, wanted.parameters))  # before anything is prepared
-    await runner.backend.share(runner.prefix, runner.knowledge_of, runner.source or Sources())
-    await runner.prepare()
     nothing = Problem(wanted.text, Domain(wanted.text))
     manager = TaskManager(nothing, runner.world, runner.backend, settings, _no_goal, source=runner.source, runner=runner)
     stop_time = schedule(runner.world, runner.programs[wanted.text].plan.timed, asyncio.get_running_loop().time())
@@ -164,6 +171,38 @@ async def _carry_out_at(runner: PlanRunner, wanted: Wanted, settings: Settings, 
 
 def _no_goal(text: str) -> Condition:
     raise InputError(f"there are no goals here: {text}")
+
+
+def check_arguments(settings: Settings, observer: TaskObserver, faults: Faults) -> None:
+    """Raise an `InputError` if one of these is something else, the name of a file for instance, or if an event loop is running already."""
+    with suppress(RuntimeError):
+        asyncio.get_running_loop()
+        raise InputError("an event loop is running here, and this needs one of its own: call it by `await asyncio.to_thread(...)`")
+    for value, kind in ((settings, Settings), (observer, TaskObserver), (faults, Faults)):
+        if not isinstance(value, kind):
+            raise InputError(f"expected {kind.__name__}, found {value!r}")
+
+
+def backend_of(actions: Actions, described: Problem | HandWrittenPlan, settings: Settings, faults: Faults) -> Backend:
+    """Return the execution backend that performs the actions of the problem or plan.
+
+    Raises:
+        InputError: `actions` is nothing that performs actions, or there are faults or sensors that it would ignore.
+    """
+    if faults != NO_FAULTS and actions != "simulated":
+        raise InputError("faults belong to simulated robots; expected none with other actions")
+    if settings.sensing != NO_SENSING and actions != "ros2":
+        raise InputError("sensing is about topics and services of ROS 2; expected actions 'ros2'")
+    match actions:
+        case "simulated":
+            return simulated_backend(described, settings.bindings, faults)
+        case "ros2":
+            return Ros2Backend(settings.bindings, sensing=settings.sensing)
+        case ActionClient() if not isinstance(actions, type):
+            return ClientBackend(actions)
+        case _:
+            hint = suggestion(actions, ("simulated", "ros2")) if isinstance(actions, str) else ""
+            raise InputError(f"expected actions 'simulated', 'ros2' or an ActionClient, found {actions!r}{hint and f'; {hint}'}")
 
 
 def _with_settings(plan: HandWrittenPlan, settings: Settings, on_failure: OnFailure | None) -> HandWrittenPlan:

@@ -29,7 +29,7 @@ def robots_of(described: Problem | HandWrittenPlan, bindings: Bindings, faults: 
     else:
         calls = described.graph.calls
         changing = names_written(tuple(effect for call in calls for effect in (*call.action.start_effects, *call.action.end_effects)))
-        changing |= {fluent[0] for change in described.timed for fluent in change.changes}
+        changing |= dynamic_names(described.declared)  # a planner that takes over may use any action of the domain
         lasting = bool(described.timed) or any(call.action.duration is not None for call in calls)
     hidden = {fluent[0] for change in faults.changes for fluent in change.changes}
     return SimulatedRobots(

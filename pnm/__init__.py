@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from pnm.core.machine.requests import Outcome as Outcome
     from pnm.core.machine.requests import OutcomeKind as OutcomeKind
     from pnm.core.machine.requests import Request as Request
-    from pnm.core.machine.verification.explore import Unsound as Unsound
+    from pnm.core.machine.verification.part import Unsound as Unsound
     from pnm.core.machine.verification.verify import Proof as Proof
     from pnm.core.machine.verification.verify import explore as explore
     from pnm.core.machine.verification.verify import verify as verify

@@ -3,8 +3,8 @@
 Under virtual time a coroutine that sleeps for an hour returns at once: whenever nothing else
 can happen, the clock jumps to the next timer. Work in a thread holds the clock still.
 
-Time limits that stand still during pauses; cancellation in two steps; and short pauses for garbage collection: what was allocated
-at start-up is frozen, and the threshold of generation 0 is raised.
+Time limits that stand still during pauses; cancellation in two steps, by signals as well; and short pauses for garbage collection:
+what was allocated at start-up is frozen, and the threshold of generation 0 is raised.
 """
 
 from __future__ import annotations
@@ -12,10 +12,13 @@ from __future__ import annotations
 import asyncio
 import gc
 import selectors
+import signal
+import threading
 from collections.abc import Awaitable, Callable, Coroutine, Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager, nullcontext
-from math import isfinite, ulp
+from math import inf, isfinite, ulp
+from time import monotonic
 from typing import Any, Final, TypeVar, cast
 
 T = TypeVar("T")
@@ -156,23 +159,22 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
     """An event loop whose clock starts at zero and jumps."""
 
     _scheduled: list[asyncio.TimerHandle]
+    _clock_resolution: float
 
     def __init__(self) -> None:
-        self._jumping = _Jumping(lambda: self._scheduled[0].when())
+        self._jumping = _Jumping(self.next_timer)
         super().__init__(self._jumping)
 
     def time(self) -> float:
         """Return the virtual time in seconds."""
         return self._jumping.now
 
-    @property
-    def _clock_resolution(self) -> float:
-        """Seconds by which asyncio lets a timer come early: at least what can be told apart now, or a timer that is due never would be."""
-        return max(_RESOLUTION, ulp(self._jumping.now))
-
-    @_clock_resolution.setter
-    def _clock_resolution(self, _: float) -> None:
-        """Ignore the resolution of the real clock."""
+    def next_timer(self) -> float:
+        """Return the time of the next timer, to which the clock jumps."""
+        when = self._scheduled[0].when()
+        # asyncio takes timers of that many seconds later for due: if no less can be told apart then, none would ever be
+        self._clock_resolution = max(_RESOLUTION, ulp(when))
+        return when
 
     def run_in_executor(self, executor: Executor | None, func: Callable[..., T], *args: Any) -> asyncio.Future[T]:  # type: ignore[override]
         """Run the function in a thread; the clock stands still until it is done."""
@@ -185,7 +187,74 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
         self._jumping.held -= 1
 
 
-def run_async(main: Coroutine[Any, Any, T], *, virtual: bool) -> T:
-    """Run a coroutine to its end under virtual time, or under real time, in which robots wait: pauses are short then."""
+_ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+"""Signals that end a process unless it handles them: Ctrl-C, `kill` and supervisors, a terminal that is closed, Ctrl-\\."""
+_ONE_REQUEST: Final = 1.0
+"""Seconds in which signals count as one: some supervisors send theirs to a process and to its group as well."""
+
+
+class _StoppedBySignals:
+    """Work that signals cancel in place of killing the process, which could not cancel then what its robots do.
+
+    The first signal cancels the work, which then comes to its end in order; the next one cancels it again. A signal during which the
+    loop is too busy to hear even of the one before raises `KeyboardInterrupt`. Signals that the caller ignores or handles are left alone.
+
+    Args:
+        loop: runs the work.
+
+    The mutable state is the task of the work, and when the last signal came, and whether the loop has yet to hear of it.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._task: asyncio.Task[Any] | None = None
+        self._last = -inf
+        self._is_pending = False
+
+    async def run(self, main: Coroutine[Any, Any, T]) -> T:
+        """Run the work."""
+        self._task = asyncio.current_task()
+        return await main
+
+    @contextmanager
+    def handled(self) -> Iterator[None]:
+        """Handle the signals; only the main thread can."""
+        is_main = threading.current_thread() is threading.main_thread()
+        usual = {number: signal.getsignal(number) for number in _ENDING if is_main}
+        ours = [number for number, handler in usual.items() if handler in (signal.SIG_DFL, signal.default_int_handler)]
+        try:
+            for number in ours:
+                signal.signal(number, self._receive)
+            yield
+        finally:
+            for number in ours:
+                signal.signal(number, usual[number])
+
+    def _receive(self, number: int, frame: object) -> None:
+        now, before, self._last = monotonic(), self._last, monotonic()
+        if now - before < _ONE_REQUEST:
+            return
+        if self._is_pending:
+            raise KeyboardInterrupt
+        self._is_pending = True
+        self._loop.call_soon_threadsafe(self._cancel)
+
+    def _cancel(self) -> None:
+        self._is_pending = False
+        if self._task is not None:
+            self._task.cancel()
+
+
+def run_async(main: Coroutine[Any, Any, T], *, virtual: bool = False) -> T:
+    """Run a coroutine to its end under virtual time, or under real time, in which robots wait: pauses are short then.
+
+    Signals that would end the process cancel the coroutine: once, and a second time. `KeyboardInterrupt` is raised if that ends it
+    without a result.
+    """
     with nullcontext() if virtual else short_pauses(), asyncio.Runner(loop_factory=VirtualTimeLoop if virtual else None) as runner:
-        return runner.run(main)
+        work = _StoppedBySignals(runner.get_loop())
+        with work.handled():
+            try:
+                return runner.run(work.run(main))
+            except asyncio.CancelledError as error:
+                raise KeyboardInterrupt from error

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 from difflib import get_close_matches
+from math import inf
 
 
 class PnmError(Exception):
@@ -41,6 +42,13 @@ class Tolerated:
 
     def __str__(self) -> str:
         return f"{self.position}: warning: {self.message}"
+
+
+def check_seconds(what: str, *seconds: float | None) -> None:
+    """Refuse waits that never end, or that are no number; raise `InputError`. None stands for a default."""
+    for one in seconds:
+        if one is not None and not 0.0 <= one < inf:
+            raise InputError(f"{what} waits for {one} seconds; expected a number from 0")
 
 
 class NotEnabled(PnmError):

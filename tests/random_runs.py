@@ -1,9 +1,9 @@
-"""Long random runs: scenarios of many tasks in simulation, and visitors of the mall over ROS 2. The same number is the same run.
+"""Long random runs: scenarios of many tasks in simulation, broken machines, and visitors of the mall over ROS 2.
 
-usage: python -m tests.random_runs [--seeds 500] [--first 0] [--jobs 2] [--keep FOLDER] [scenarios] [visitors]
+usage: python -m tests.random_runs [--seeds 500] [--first 0] [--jobs 2] [--keep FOLDER] [scenarios] [mutants] [visitors]
 
-Without a kind, both are run: as many scenarios as there are seeds, and a visitor for every tenth. The exit status is 1 if anything is
-wrong, and every failure is printed with its number.
+The same number is the same run. Without a kind, all are run: as many scenarios and machines as there are seeds, six mutants of every
+machine, and a visitor for every tenth. The exit status is 1 if anything is wrong, and every failure is printed with its number.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 import traceback
+from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
@@ -20,12 +21,13 @@ from pathlib import Path
 
 from tests.support.e2e.mall.deployment import Mall
 from tests.support.ros.domains import ros_domain
+from tests.support.runs.mutation.gate import run_gate
 from tests.support.tasks.random_scenarios import run_scenario
 
-KINDS = ("scenarios", "visitors")
+KINDS = ("scenarios", "mutants", "visitors")
 
 
-def failure(number: int) -> str:
+def failure_of(number: int) -> str:
     """Run a scenario; return what was wrong, or nothing."""
     try:
         run_scenario(number)
@@ -37,7 +39,24 @@ def failure(number: int) -> str:
 def scenarios(numbers: range, jobs: int) -> Iterator[str]:
     """Run scenarios, several at a time; yield the failures."""
     with ProcessPoolExecutor(jobs) as pool:
-        yield from filter(None, pool.map(failure, numbers, chunksize=5))
+        yield from filter(None, pool.map(failure_of, numbers, chunksize=5))
+
+
+def false_accepts(numbers: range) -> tuple[Counter[str], list[str]]:
+    """Prove and execute a few machines and their mutants; return the verdicts, and what was accepted and went wrong."""
+    report = run_gate(numbers)
+    return report.verdicts, report.false_accepts
+
+
+def mutants(numbers: range, jobs: int) -> Iterator[str]:
+    """Put machines through the mutation gate, several at a time; yield what was accepted falsely."""
+    verdicts = Counter[str]()
+    with ProcessPoolExecutor(jobs) as pool:
+        parts = [numbers[first : first + 20] for first in range(0, len(numbers), 20)]
+        for counted, wrong in pool.map(false_accepts, parts):
+            verdicts += counted
+            yield from wrong
+    print(f"mutants: {', '.join(f'{count} {verdict}' for verdict, count in sorted(verdicts.items()))}")
 
 
 def visitors(numbers: range, keep: Path | None) -> Iterator[str]:
@@ -53,23 +72,33 @@ def visitors(numbers: range, keep: Path | None) -> Iterator[str]:
         yield f"visitors {numbers.start} to {numbers.stop - 1}: {len(verdict.wrong)} complaints"
 
 
+def failures_of(kind: str, numbers: range, jobs: int, keep: Path | None) -> Iterator[str]:
+    match kind:
+        case "scenarios":
+            return scenarios(numbers, jobs)
+        case "mutants":
+            return mutants(numbers, jobs)
+        case _:
+            return visitors(numbers, keep)
+
+
 def main() -> int:
     """Return 1 if anything was wrong."""
     parser = argparse.ArgumentParser(prog="python -m tests.random_runs", description=__doc__.partition("\n")[0])
-    parser.add_argument("kinds", nargs="*", choices=[*KINDS, []], metavar="KIND", help="scenarios or visitors; both if there is none")
-    parser.add_argument("--seeds", type=int, default=500, help="how many scenarios; visitors are a tenth unless they alone are run")
+    parser.add_argument("kinds", nargs="*", choices=[*KINDS, []], metavar="KIND", help="scenarios, mutants or visitors; all without one")
+    parser.add_argument("--seeds", type=int, default=500, help="how many scenarios and machines; visitors are a tenth if not alone")
     parser.add_argument("--first", type=int, default=0, help="the number of the first one")
-    parser.add_argument("--jobs", type=int, default=2, help="how many scenarios are run at the same time")
+    parser.add_argument("--jobs", type=int, default=2, help="how many are run at the same time")
     parser.add_argument("--keep", type=Path, help="a folder for what the processes of the mall print")
     given = parser.parse_args()
     kinds = given.kinds or KINDS
     wrong = 0
     for kind in kinds:
         began = time.monotonic()
-        count = given.seeds if kind == "scenarios" or len(kinds) == 1 else max(1, given.seeds // 10)
+        count = given.seeds if kind != "visitors" or len(kinds) == 1 else max(1, given.seeds // 10)
         numbers = range(given.first, given.first + count)
-        for found in scenarios(numbers, given.jobs) if kind == "scenarios" else visitors(numbers, given.keep):
-            print(found)
+        for failure in failures_of(kind, numbers, given.jobs, given.keep):
+            print(failure)
             wrong += 1
         print(f"{count} {kind}: {time.monotonic() - began:.0f} s")
     return 1 if wrong else 0

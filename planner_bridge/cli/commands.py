@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import signal
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,22 +19,27 @@ from planner_bridge.cli.options import (
     Seconds,
     as_json_option,
     bindings_option,
+    check_output,
     chosen_files,
     command,
     faults_option,
     files,
     files_or_plan,
+    force_option,
     knowledge_option,
+    output_options,
     planning,
     print_warnings,
     problem_in,
+    searching,
     sensing_option,
     write,
+    write_files,
 )
 from pnm.errors import InputError
 
 if TYPE_CHECKING:
-    from planner_bridge.pipeline import Where
+    from planner_bridge.pipeline import Actions
 
 
 class Commands(click.Group):
@@ -68,7 +74,9 @@ def plan(domain: Path, problem: Path, planner: str, timeout: float, as_json: boo
     from planner_bridge.model.plan import PlanningStatus
     from planner_bridge.planning.solve import solve
 
-    result = solve(problem_in(domain, problem), planner=planner, timeout=timeout)
+    loaded = problem_in(domain, problem)
+    with searching(planner):
+        result = solve(loaded, planner=planner, timeout=timeout)
     if as_json:
         steps = [
             {"action": step.action, "arguments": list(step.arguments), "start": step.start, "duration": step.duration}
@@ -90,7 +98,7 @@ def plan(domain: Path, problem: Path, planner: str, timeout: float, as_json: boo
 @app.command()
 @files_or_plan
 @click.option("--format", "written_as", type=click.Choice(["json", "dot"]), default="json", show_default=True, help="how it is written")
-@click.option("-o", "--output", type=FILE, help="a file; by default the terminal")
+@output_options
 @bindings_option
 @planning
 @command
@@ -102,6 +110,7 @@ def net(
     name: str | None,
     written_as: str,
     output: Path | None,
+    force: bool,
     bindings: Path | None,
     planner: str,
     timeout: float,
@@ -121,12 +130,13 @@ def net(
     else:
         loaded = problem_in(*chosen)
         bound = bindings_for(chosen[0], bindings, loaded.vocabulary)
-        result = solve(loaded, planner=planner, timeout=timeout)
+        with searching(planner):
+            result = solve(loaded, planner=planner, timeout=timeout)
         if result.plan is None:
             print(f"no plan: {result.reason}", file=sys.stderr)
             return 1
         machine = generate(plan_graph(loaded, result.plan), bound)
-    write(output, to_json(machine) if written_as == "json" else to_dot(machine))
+    write(output, to_json(machine) if written_as == "json" else to_dot(machine), force=force)
     return 0
 
 
@@ -157,7 +167,7 @@ def run(
     plan_file: Path | None,
     name: str | None,
     given: tuple[str, ...],
-    actions: Where,
+    actions: Actions,
     bindings: Path | None,
     faults: Path | None,
     knowledge: Path | None,
@@ -198,14 +208,19 @@ def run(
 @bindings_option
 @faults_option
 @click.option("--speed", type=Seconds(0.001), help="seconds simulated per real second; default 20, or 1 if facts change by themselves")
-@click.option("--log", type=FILE, help="write what truly happens, a JSON object per line")
+@click.option("--log", type=FILE, help="a new file for what truly happens, a JSON object per line")
+@force_option
 @command
-def simulate(domain: Path, problem: Path, bindings: Path | None, faults: Path | None, speed: float | None, log: Path | None) -> int:
+def simulate(
+    *, domain: Path, problem: Path, bindings: Path | None, faults: Path | None, speed: float | None, log: Path | None, force: bool
+) -> int:
     """Play the robots: offer a ROS 2 action server per action, and publish what sensors see."""
     from planner_bridge.cli.options import faults_for
     from planner_bridge.loading import bindings_for
     from planner_bridge.node.simulate import play
 
+    if log:
+        check_output(log, force=force)
     loaded = problem_in(domain, problem)
     bound = bindings_for(domain, bindings, loaded.vocabulary)
     return play(loaded, bound, faults_for(loaded, faults), speed or (1.0 if loaded.timed else 20.0), log)
@@ -214,49 +229,77 @@ def simulate(domain: Path, problem: Path, bindings: Path | None, faults: Path | 
 @app.command()
 @click.argument("domain", type=FILE)
 @click.argument("problem", type=FILE, required=False)
-@click.option("-o", "--output", type=FILE, help="a file; by default the terminal")
+@output_options
 @click.option("--plan", "with_plan", is_flag=True, help="find a plan for the problem, and write it as well")
 @click.option(
-    "--seed-compatible", "original", is_flag=True, help="write the plan as the first implementation of Petri Net Machines loads it"
+    "--seed-compatible",
+    "original",
+    is_flag=True,
+    help="write the plan as the first implementation of Petri Net Machines loads it, which knows no durations",
 )
+@bindings_option
 @planning
 @command
-def export(domain: Path, problem: Path | None, output: Path | None, with_plan: bool, original: bool, planner: str, timeout: float) -> int:
+def export(
+    *,
+    domain: Path,
+    problem: Path | None,
+    output: Path | None,
+    force: bool,
+    with_plan: bool,
+    original: bool,
+    bindings: Path | None,
+    planner: str,
+    timeout: float,
+) -> int:
     """Write a domain, a problem and a plan for it as YAML."""
+    from planner_bridge.loading import bindings_for
     from planner_bridge.yaml.convert import exported
+    from pnm.core.machine.bindings import Bindings
 
-    result = exported(domain, problem, with_plan=with_plan, original=original, planner=planner, timeout=timeout)
+    bound = bindings_for(domain, bindings, None)
+    with searching(planner) if with_plan or original else nullcontext():
+        result = exported(domain, problem, with_plan=with_plan, original=original, bindings=bound, planner=planner, timeout=timeout)
     print_warnings(result.warnings)
     if result.reason:
         print(f"no plan: {result.reason}", file=sys.stderr)
         return 1
-    write(output, result.text)
+    usual = Bindings()
+    left_out = ["'actions'"] if original and bound.actions else []
+    left_out += [f"{key!r}" for key in ("assumed", "lag") if getattr(bound, key) != getattr(usual, key)]
+    if left_out:
+        print(f"{' and '.join(left_out)} of the bindings are not in the text: give --bindings when it is run", file=sys.stderr)
+    write(output, result.text, force=force)
     return 0
 
 
 @app.command("import")
 @click.argument("file", type=FILE)
-@click.option("-o", "--output", type=FILE, required=True, help="a folder, for domain.pddl and problem.pddl")
+@click.option("-o", "--output", type=FILE, required=True, help="a folder, for domain.pddl and problem.pddl; made if it is not there")
+@force_option
 @command
-def from_yaml(file: Path, output: Path) -> int:
+def from_yaml(file: Path, output: Path, force: bool) -> int:
     """Write the domain of a YAML file, and its problem if there is one, as PDDL."""
     from planner_bridge.yaml.convert import imported
 
     result = imported(file)
     print_warnings(result.warnings)
-    for name, text in result.texts.items():
-        write(output / name, text)
+    try:
+        output.mkdir(exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{output}: not a folder, and none can be made there: {error.strerror}") from error
+    write_files({output / name: text for name, text in result.texts.items()}, force=force)
     return 0
 
 
 @app.command()
-@click.option("-o", "--output", type=FILE, help="a file; by default the terminal")
+@output_options
 @command
-def schema(output: Path | None) -> int:
+def schema(output: Path | None, force: bool) -> int:
     """Write the JSON Schema of the language's YAML files, for editors to complete and check them by."""
     from pnm.language.files import SCHEMA
 
-    write(output, SCHEMA.read_text(encoding="utf-8"))
+    write(output, SCHEMA.read_text(encoding="utf-8"), force=force)
     return 0
 
 

@@ -15,9 +15,9 @@ from planner_bridge.model.plan import Plan, PlanningResult
 from planner_bridge.tasks.replanning import PlanAgain, ResumePlan
 from planner_bridge.tasks.result import ConstraintResult, PreferenceResult, TaskResult, Violation
 from planner_bridge.tasks.settings import TaskObserver
-from pnm.core.execution.call_results import Failure, RunResult
+from pnm.core.execution.call_results import Explanation, Failure, RunResult
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import ActionCall
+from pnm.core.machine.plan_graph import ActionCall, Cause
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from pnm.core.machine.verification.verify import Proof
 from pnm.knowledge.sources.person_text import printable
@@ -59,13 +59,19 @@ class EventLines:
 class ConsoleObserver(TaskObserver):
     """Prints a line per event of a task; shows a spinner while it plans, when the output is a terminal.
 
-    The mutable state is the time of the first line, and the spinner.
+    The mutable state is the time from which seconds count, the spinner, and why calls are tried again, by number.
     """
 
     def __init__(self, console: Console) -> None:
         self._console = console
         self._lines = EventLines(console)
         self._waiting = ExitStack()
+        self._causes: dict[int, str] = {}
+
+    def began(self, now: float) -> None:
+        """Count seconds from the beginning of the task; a plan that goes on under a planner keeps its own."""
+        if self._lines.began is None:
+            self._lines.began = now
 
     def planning(self, planner: str) -> None:
         """Show that a planner is being asked."""
@@ -82,15 +88,25 @@ class ConsoleObserver(TaskObserver):
         self._waiting.close()
 
     def generated(self, machine: PetriNetMachine, proof: Proof) -> None:
-        """Print the size of the machine."""
+        """Print the size of the machine, in which calls have numbers of their own."""
+        self._causes.clear()
         net = machine.net
         size = f"{len(net.places)} places, {len(net.transitions)} transitions, {len(machine.orderings)} orderings"
         self._console.print(f"[bold]machine[/]  {size}; proved {proof}", highlight=False, soft_wrap=True)
 
     def sent(self, call: ActionCall, request: Request, now: float) -> None:
         """Print that a call starts."""
-        again = f" (attempt {request.attempt})" if request.attempt > 1 else ""
+        again = f" (attempt {request.attempt}, after {self._causes.pop(call.index, 'a pause')})" if request.attempt > 1 else ""
         self._lines.print(now, "[blue]start[/] ", f"{call.action}{again}")
+
+    def hindered(self, call: ActionCall, cause: Explanation, now: float) -> None:
+        """Keep the cause for when the call is tried again; what was expected besides, if no report has said it."""
+        is_found = cause.cause in (Cause.EFFECTS_MISSING, Cause.PRECONDITION_FALSE, Cause.INVARIANT_FALSE)
+        self._causes[call.index] = f"{cause.cause}: expected {cause.expected}" if is_found else str(cause.cause)
+
+    def spared(self, call: ActionCall, now: float) -> None:
+        """Print that a call is not needed."""
+        self._lines.print(now, "[green]spared[/]", f"{call.action}: its effects hold already")
 
     def ended(self, call: ActionCall, outcome: Outcome, now: float) -> None:
         """Print how a request ended."""

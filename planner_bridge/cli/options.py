@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import sys
 import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import wraps
 from math import isfinite
@@ -89,6 +90,8 @@ planning = options(
 )
 as_json_option = click.option("--json", "as_json", is_flag=True, help="print one JSON object as the last line, and nothing else")
 bindings_option = click.option("--bindings", type=FILE, help="how actions are bound to servers; by default bindings.yaml beside DOMAIN")
+force_option = click.option("--force", is_flag=True, help="replace files that exist")
+output_options = options(click.option("-o", "--output", type=FILE, help="a new file; by default the terminal"), force_option)
 knowledge_option = click.option("--knowledge", type=FILE, help="the SQLite file of the global knowledge, in place of what plans choose")
 sensing_option = click.option("--sensing", type=FILE, help="topics and services of ROS 2 that report the state of the world")
 faults_option = click.option("--faults", type=FILE, help="what goes wrong in simulation")
@@ -105,6 +108,17 @@ def chosen_files(domain: Path | None, problem: Path | None, plan_file: Path | No
     return domain, problem
 
 
+@contextmanager
+def searching(planner: str) -> Iterator[None]:
+    """Show on a terminal that a planner is being asked: it may take as long as its limit."""
+    with ExitStack() as shown:
+        if sys.stderr.isatty():
+            from rich.console import Console  # here, because most commands have no use for it
+
+            shown.enter_context(Console(stderr=True).status(f"{planner} is looking for a plan"))
+        yield
+
+
 def problem_in(domain: Path, problem: Path) -> Problem:
     """Read a problem; warnings about its files go to stderr."""
     loaded = load(domain, problem)
@@ -112,16 +126,41 @@ def problem_in(domain: Path, problem: Path) -> Problem:
     return loaded
 
 
-def write(path: Path | None, text: str) -> None:
-    """Write a text to a file, or to stdout without one; raise an `InputError` if it cannot be written."""
+def write(path: Path | None, text: str, *, force: bool) -> None:
+    """Write a text to a new file, or to stdout without one; as `write_files` does."""
     if path is None:
         print(text, end="")
-        return
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+    else:
+        write_files({path: text}, force=force)
+
+
+def check_output(path: Path, *, force: bool) -> None:
+    """Raise an `InputError` if a file exists that is not to be replaced, or its folder does not."""
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: cannot be written: there is no folder {path.parent}")
+    if path.is_file() and not force and not path.is_relative_to("/dev"):  # /dev/stdout may be redirected to a file
+        raise InputError(f"{path}: there is such a file already; --force replaces it")
+
+
+def write_files(texts: Mapping[Path, str], *, force: bool) -> None:
+    """Write texts to new files in folders that exist, and name them on stderr.
+
+    Args:
+        texts: by file.
+        force: whether files that exist are replaced.
+
+    Raises:
+        InputError: a file exists, unless they are replaced, or cannot be written. Nothing is written if that is known before.
+    """
+    for path in texts:
+        check_output(path, force=force)
+    for path, text in texts.items():
+        try:
+            with path.open("w" if force or path.exists() else "x", encoding="utf-8") as stream:
+                stream.write(text)
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+        print(f"wrote {path}", file=sys.stderr)
 
 
 def print_warnings(warnings: Iterable[Tolerated]) -> None:

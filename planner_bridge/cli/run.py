@@ -11,7 +11,7 @@ from rich.console import Console
 from planner_bridge.cli.console import ConsoleObserver, SafeConsole, print_result
 from planner_bridge.cli.options import Files, faults_for, print_warnings, problem_in
 from planner_bridge.loading import bindings_for
-from planner_bridge.pipeline import Where, achieve, carry_out
+from planner_bridge.pipeline import Actions, achieve, carry_out
 from planner_bridge.planning.solve import check_planner
 from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import Settings, TaskObserver
@@ -26,7 +26,7 @@ from pnm.knowledge.sensor_model import NO_SENSING
 from pnm.language.plan import chosen_plan, read_plans
 
 
-def run_problem(domain: Path, problem: Path, files: Files, *, actions: Where, settings: Settings, as_json: bool) -> int:
+def run_problem(domain: Path, problem: Path, files: Files, *, actions: Actions, settings: Settings, as_json: bool) -> int:
     """Plan, execute and replan, print the result, and return the exit status."""
     console, stopwatch = SafeConsole(), Stopwatch()
     with stopwatch.of("parse"):
@@ -62,7 +62,7 @@ def run_written(
     given: tuple[str, ...],
     files: Files,
     *,
-    actions: Where,
+    actions: Actions,
     settings: Settings,
     on_failure: OnFailure | None,
     as_json: bool,
@@ -96,10 +96,5 @@ def _parameters(given: tuple[str, ...]) -> dict[str, object]:
         name, equals, text = setting.partition("=")
         if not name or not equals:
             raise InputError(f"expected NAME=VALUE after --set, found {setting!r}")
-        value = parse_value(text, f"--set {name}")
-        try:
-            json.dumps(value, allow_nan=False)
-        except ValueError as error:
-            raise InputError(f"expected finite numbers after --set {name}, found {text!r}") from error
-        parameters[name] = value
+        parameters[name] = parse_value(text, f"--set {name}")
     return parameters

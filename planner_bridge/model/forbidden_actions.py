@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
 from string import Formatter
 from typing import Final
@@ -63,9 +63,18 @@ def forbid(problem: Problem, forbidden: frozenset[ForbiddenCall]) -> Problem:
 
 def calls_acquiring(domain: Domain, bindings: Bindings, names: Collection[str]) -> frozenset[ForbiddenCall]:
     """Return the calls that acquire one of these resources, by the patterns of the bindings."""
+    return _calls_naming(domain, names, lambda action: bindings.of(action).resources)
+
+
+def calls_served_by(domain: Domain, bindings: Bindings, servers: Collection[str]) -> frozenset[ForbiddenCall]:
+    """Return the calls that one of these action servers carries out, by the patterns of the bindings."""
+    return _calls_naming(domain, servers, lambda action: (bindings.of(action).server or action,))
+
+
+def _calls_naming(domain: Domain, names: Collection[str], patterns: Callable[[str], Iterable[str]]) -> frozenset[ForbiddenCall]:
     calls: set[ForbiddenCall] = set()
-    for schema in domain.actions.values():
-        for pattern in bindings.of(schema.name).resources:
+    for schema in domain.actions.values() if names else ():
+        for pattern in patterns(schema.name):
             for name in names:
                 if (values := _match_pattern(pattern, name)) is not None:
                     arguments = (values.get(variable.name.removeprefix("?"), ANY) for variable in schema.parameters)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from planner_bridge.model.problem import Domain, Problem
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.domain import ActionSchema, Types
+from pnm.core.logic.domain import ActionSchema, ProblemModel, Types
 from pnm.core.logic.effects import TimedChange, names_written
 from pnm.core.logic.expressions import UNKNOWN, Environment, Fluent, State, Unknown, Value, fluent_text, value_of
 from pnm.core.logic.rules import DerivationRule, Rules
@@ -69,7 +69,7 @@ def _beginning(source: Problem | HandWrittenPlan) -> tuple[str, Mapping[Fluent, 
     return source.name, source.facts, source.objects, source.rules
 
 
-def dynamic_names(problem: Problem) -> frozenset[str]:
+def dynamic_names(problem: ProblemModel) -> frozenset[str]:
     """Return the predicates and functions that actions or timed changes may alter."""
     actions = (names_written((*schema.start_effects, *schema.end_effects)) for schema in problem.domain.actions.values())
     timed = (frozenset(fluent[0] for fluent in change.changes) for change in problem.timed)

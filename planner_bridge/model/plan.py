@@ -31,7 +31,7 @@ class Plan:
 
     def __str__(self) -> str:
         if not self.steps:
-            return "nothing to do: the goal holds already"
+            return "nothing to do: the goal holds, or comes by itself"
         head = f"{len(self.steps)} calls" + (f", {self.makespan:.1f} s" if self.temporal else "")
         lines = (
             f"  {step.start:8.2f} s  {step}  [{step.duration:.2f} s]" if self.temporal else f"  {number:8d}.   {step}"

@@ -13,7 +13,7 @@ from pnm.core.execution.handover import UnderWay
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition
 from pnm.core.logic.effects import Changes, Effects, changes, decided
-from pnm.core.logic.evaluation import evaluate, failing, observed
+from pnm.core.logic.evaluation import evaluate, explanation
 from pnm.core.logic.expressions import Fluent, Value
 from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, progressed
 from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
@@ -40,12 +40,12 @@ def snapshot(knowledge: KnowledgeBase) -> KnowledgeBase:
 
 def observed_instead(condition: Condition, state: KnowledgeBase) -> str:
     """Describe the state in place of those parts of the condition that do not hold."""
-    return "; ".join(observed(part, state) for part in failing(condition, state))
+    return explanation(condition, state)[1]
 
 
 def expected_and_observed(condition: Condition, state: KnowledgeBase) -> str:
     """Describe the parts of the condition that do not hold, and the state in their place."""
-    return f"expected {' '.join(map(str, failing(condition, state)))}; observed {observed_instead(condition, state)}"
+    return "expected {}; observed {}".format(*explanation(condition, state))
 
 
 @dataclass

@@ -21,16 +21,20 @@ async def make_plan(world: SharedWorld, settings: Settings, goal: str, planner: 
 
     The settings have the planner and the time limit of requests that name none.
     """
-    problem = replace(world.current_problem(), goal=world.read_goal(goal))
-    cancel = threading.Event()
+    now, cancel = world.current_problem(), threading.Event()
     planner, timeout = planner or settings.planner, seconds or settings.planner_timeout
+
+    def search() -> MadePlan:
+        problem = replace(now, goal=world.read_goal(goal))
+        result = solve(problem, planner=planner, timeout=timeout, cancel=cancel, executor=settings.executor)
+        if result.plan is None:
+            return MadePlan(code_of_planning(result.status, ()), result.reason, str(problem.goal))
+        return MadePlan(Code.GOAL_REACHED, f"found by {result.planner}", str(problem.goal), _steps(problem, result.plan))
+
     try:
-        result = await asyncio.to_thread(solve, problem, planner=planner, timeout=timeout, cancel=cancel, executor=settings.executor)
+        return await asyncio.to_thread(search)
     finally:
         cancel.set()
-    if result.plan is None:
-        return MadePlan(code_of_planning(result.status, ()), result.reason, str(problem.goal))
-    return MadePlan(Code.GOAL_REACHED, f"found by {result.planner}", str(problem.goal), _steps(problem, result.plan))
 
 
 def _steps(problem: Problem, plan: Plan) -> tuple[TaskStep, ...]:

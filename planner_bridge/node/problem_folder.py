@@ -62,7 +62,10 @@ class ProblemFolder:
         """
         path = self.path_of(name)
         try:
-            self._check_replaceable(path)
+            if self.initial is not None and path.exists() and self.initial.exists() and path.samefile(self.initial):
+                raise InputError(f"{path}: cannot be written: the node begins with this problem; expected another name")
+            if path.exists() and _PROBLEM.match(read_any_text(path, MAX_BYTES)[0]) is None:
+                raise InputError(f"{path}: cannot be written: what is there is not a problem in PDDL; expected another name")
             handle, draft = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".tmp")
             try:
                 with open(handle, "w", encoding="utf-8") as file:
@@ -78,13 +81,3 @@ class ProblemFolder:
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror}") from error
         return path
-
-    def _check_replaceable(self, path: Path) -> None:
-        """Refuse to overwrite a file unless it holds a problem, and is not the one with which the node begins."""
-        if not path.exists():
-            return
-        if self.initial is not None and self.initial.exists() and path.samefile(self.initial):
-            raise InputError(f"{path}: cannot be written: the node begins with this problem; expected another name")
-        text, _ = read_any_text(path, MAX_BYTES)
-        if _PROBLEM.match(text) is None:
-            raise InputError(f"{path}: cannot be written: what is there is not a problem in PDDL; expected another name")

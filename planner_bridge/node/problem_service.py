@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Final
 
 from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.plan_simulation import snapshot
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.node.initial_world import with_names_of, world_of_plans
 from planner_bridge.node.plan_request import make_plan
@@ -85,11 +87,11 @@ class LoadedProblem:
             raise InputError("no domain and problem are loaded, only plans; expected them when the node starts, or by problem/load")
         return self.world
 
-    def world_of(self, texts: Sequence[str]) -> SharedWorld:
+    def world_of(self, texts: Sequence[str], known: KnowledgeBase) -> SharedWorld:
         """Return the world in which these texts are read: plans that declare no objects may be asked about any."""
         if self._is_loaded:
-            return self.world
-        return SharedWorld(with_names_of(self.world.problem, self._plans, texts), self.knowledge)
+            return self.world.over(known)
+        return SharedWorld(with_names_of(self.world.problem, self._plans, texts), known)
 
     def read_goal(self, text: str) -> Condition:
         """Return the goal that a text or a name stands for."""
@@ -103,6 +105,9 @@ class LoadedProblem:
 class ServedProblem:
     """The services about knowledge and problem of a node, as `pnm.tasks.ServedWorld`.
 
+    Requests take a while if they are large. So each is worked on in a thread, from a snapshot of what is known when its turn comes,
+    while the event loop goes on; and one at a time, because threads share the interpreter with it.
+
     Args:
         folder: where problems are saved, and loaded from.
         begin_anew: has the task manager take over another problem; raises an `InputError` if it cannot, and nothing changes.
@@ -112,33 +117,48 @@ class ServedProblem:
         self._loaded = loaded
         self._folder = folder
         self._begin_anew = begin_anew
+        self._turn = asyncio.Lock()
 
     async def query(self, questions: Sequence[str], /) -> list[tuple[str, str]]:
         """Return the answer to each question, in order; without questions, all facts."""
-        return self._loaded.world_of(questions).query(questions)
+        async with self._turn:
+            known = snapshot(self._loaded.knowledge)
+            return await asyncio.to_thread(lambda: self._loaded.world_of(questions, known).query(questions))
 
     async def update(self, add: Sequence[str], remove: Sequence[str], forget: Sequence[str], /) -> int:
         """Record all changes or none; return how many facts changed."""
-        return self._loaded.world_of((*add, *remove, *forget)).update(add, remove, forget)
+        async with self._turn:
+            world_of = partial(self._loaded.world_of, (*add, *remove, *forget), self._loaded.knowledge)
+            return self._loaded.world.record(await asyncio.to_thread(lambda: world_of().read_changes(add, remove, forget)))
 
     async def get(self) -> tuple[str, str]:
         """Return domain and problem in PDDL, the problem with the current state as its initial state."""
-        return self._loaded.problem_world.domain_text(), self._loaded.problem_world.problem_text()
+        async with self._turn:
+            world = self._loaded.problem_world.over(snapshot(self._loaded.knowledge))
+            return await asyncio.to_thread(lambda: (world.domain_text(), world.problem_text()))
 
     async def save(self, file: str, /) -> str:
         """Write the problem with the current state to a file in the folder; return its whole path."""
-        return str(await asyncio.to_thread(self._folder.write, file, self._loaded.problem_world.problem_text()))
+        async with self._turn:
+            world = self._loaded.problem_world.over(snapshot(self._loaded.knowledge))
+            return str(await asyncio.to_thread(lambda: self._folder.write(file, world.problem_text())))
 
     async def load(self, domain: str, problem: str, /) -> None:
         """Replace domain or problem, and the facts; goals with names must make sense in the new ones as well."""
         loaded = self._loaded
-        known = loaded.world.problem.domain if domain.strip() else loaded.problem_world.problem.domain
-        new = await asyncio.to_thread(load_texts, domain, problem, self._folder, known)
-        initial = initial_knowledge(new)
-        SharedWorld(new, initial, loaded.goals)  # raises what is wrong with the goals
-        self._begin_anew(new)  # may refuse, so it comes before the first change
-        loaded.knowledge.begin_anew(initial.facts(), initial.objects_by_type(), initial.rules)
-        loaded.begin(new)
+        async with self._turn:
+            known = loaded.world.problem.domain if domain.strip() else loaded.problem_world.problem.domain
+
+            def read() -> tuple[Problem, KnowledgeBase]:
+                new = load_texts(domain, problem, self._folder, known)
+                initial = initial_knowledge(new)
+                SharedWorld(new, initial, loaded.goals)  # raises what is wrong with the goals
+                return new, initial
+
+            new, initial = await asyncio.to_thread(read)
+            self._begin_anew(new)  # may refuse, so it comes before the first change
+            loaded.knowledge.begin_anew(initial.facts(), initial.objects_by_type(), initial.rules)
+            loaded.begin(new)
 
     def follow(self, listener: Callable[[Mapping[str, object]], None], /) -> Callable[[], None]:
         """Pass on every change from now on, as fields of a message; return a function that ends that."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import signal
 import threading
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack, suppress
@@ -24,7 +23,7 @@ from planner_bridge.planning.solve import check_planner
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.scheduling.task_manager import TaskLimits, TaskManager
 from planner_bridge.tasks.settings import Settings
-from pnm.clock import short_pauses
+from pnm.clock import run_async, short_pauses
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.verification.verify import Proof
@@ -130,12 +129,17 @@ async def make_task_manager(context: NodeContext) -> NodeApi:
         limits=TaskLimits(options.max_tasks, options.max_queue, options.on_conflict),
         runner=context.runner,
     )
-    world = ServedProblem(loaded, folder, manager.begin_anew)
+
+    def begin_anew(problem: Problem) -> None:
+        manager.begin_anew(problem)
+        context.backend.declare(problem.vocabulary)
+
+    world = ServedProblem(loaded, folder, begin_anew)
     return NodeApi(manager, loaded.make, world, manager.knowledge_of, manager.close)
 
 
 def serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], observer: NodeObserver) -> None:
-    """Serve until SIGINT or SIGTERM, or a transition that shuts the node down; the second signal leaves at once.
+    """Serve until a signal, or a transition that shuts the node down; the second signal leaves at once.
 
     Args:
         given: parameters that differ from their defaults; ROS arguments override them.
@@ -145,7 +149,7 @@ def serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], observe
         InputError: a parameter or a file is wrong; nothing was served.
         RosError: ROS 2 is missing, or another process serves under the same names.
     """
-    asyncio.run(_serve(given, arguments, observer))
+    run_async(_serve(given, arguments, observer))
 
 
 async def _serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], observer: NodeObserver) -> None:
@@ -153,8 +157,6 @@ async def _serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], 
 
     task = asyncio.current_task()
     assert task is not None
-    for number in (signal.SIGINT, signal.SIGTERM):
-        asyncio.get_running_loop().add_signal_handler(number, task.cancel)
     ros = RosThread(NODE, args=arguments, managed=True)
     try:
         await _run_lifecycle(ros, given, observer)
@@ -177,7 +179,7 @@ async def _run_lifecycle(ros: Any, given: Mapping[str, ParameterValue], observer
             await lifecycle.change("activate")
         else:
             observer.unconfigured()
-        with short_pauses():
+        with short_pauses():  # once more, with the files that have been read
             await lifecycle.finalized.wait()
     finally:
         await lifecycle.close()
@@ -236,7 +238,7 @@ class ServingNode:
         bindings = bindings_for(options.domain, options.bindings, problem.vocabulary if problem else None).before(merge_bindings(plans))
         knowledge = initial_knowledge(*((problem,) if problem else ()), *plans)
         sensing = read_sensing(options.sensing, problem.vocabulary if problem else None) if options.sensing else NO_SENSING
-        backend = Ros2Backend(bindings, sensing, self._ros)
+        backend = Ros2Backend(bindings, sensing, problem.vocabulary if problem else None, self._ros)
         stack.push_async_callback(backend.close)
         await backend.open(knowledge)
         folder = (options.world or options.domain or Path()).parent
@@ -245,7 +247,7 @@ class ServingNode:
         return NodeContext(options, problem, PlanRunner(programs, backend, knowledge, sources), bindings, backend, knowledge, sources)
 
     async def _open_node(self, context: NodeContext, stack: AsyncExitStack) -> None:
-        from pnm.ros.action_server.goal_server import check_alone  # here, because rclpy is an extra
+        from pnm.ros.node.alone import check_alone  # here, because rclpy is an extra
         from pnm.ros.tasks.task_node import TaskNode, action_names
 
         runner = context.runner

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import asyncio
 import json
-import signal
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import product, starmap
 from pathlib import Path
@@ -20,6 +20,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.simulation import robots_of
 from pnm.actions.faults import Faults
 from pnm.actions.simulated_robots import SimulatedRobots
+from pnm.clock import run_async
 from pnm.core.knowledge_base import statement_text
 from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.expressions import Fluent, Unknown, Value
@@ -32,13 +33,13 @@ DEFAULT_TYPE = "pnm_interfaces/action/GroundAction"
 
 
 def play(problem: Problem, bindings: Bindings, faults: Faults, speed: float, log: Path | None) -> int:
-    """Serve until SIGINT or SIGTERM; raise an `InputError`, before anything is started, if the log cannot be written."""
+    """Serve until a signal; raise an `InputError`, before anything is started, if the log cannot be written."""
     try:
         stream = log.open("w", encoding="utf-8") if log else None
     except OSError as error:
         raise InputError(f"{log}: cannot be written: {error.strerror}") from error
     try:
-        asyncio.run(_serve(problem, bindings, faults, speed, stream))
+        run_async(_serve(problem, bindings, faults, speed, stream))
     finally:
         if stream:
             stream.close()
@@ -48,10 +49,6 @@ def play(problem: Problem, bindings: Bindings, faults: Faults, speed: float, log
 async def _serve(problem: Problem, bindings: Bindings, faults: Faults, speed: float, log: TextIO | None) -> None:
     from pnm.ros.node.ros_thread import RosThread  # here, because rclpy is an extra
 
-    loop = asyncio.get_running_loop()
-    stopped = asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, stopped.set)
     robots = robots_of(problem, bindings, faults, speed=speed)
     ros = RosThread("robots")
     try:
@@ -63,8 +60,11 @@ async def _serve(problem: Problem, bindings: Bindings, faults: Faults, speed: fl
         await publish_state(ros, robots.world, robots.world.reported(bindings.assumed), robots.begin)
         await SimulatedServers(ros, logged, robots.progress).open([Offer(model.server, model.type, model.decode) for model in models])
         print(f"ready: {len(models)} action servers: {', '.join(model.server for model in models)}", flush=True)
-        await stopped.wait()
+        with suppress(asyncio.CancelledError):
+            await asyncio.Event().wait()
         logged.write("state", facts=sorted(starmap(statement_text, robots.world.truth.facts().items())))
+    except asyncio.CancelledError:  # before the servers were up
+        pass
     finally:
         await asyncio.to_thread(ros.close)  # not on this thread: the ROS thread may be waiting for this loop
 

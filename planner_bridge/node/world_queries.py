@@ -5,12 +5,15 @@ A text that is wrong is refused with the line and column in it, and the nearest 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.problem import Problem
+from planner_bridge.node.timed_state import TimedState
 from planner_bridge.pddl import write_domain, write_problem
 from planner_bridge.pddl.read.formulas import condition
 from planner_bridge.pddl.read.requirements import Requirements
@@ -20,9 +23,9 @@ from planner_bridge.pddl.syntax.expressions import Group, Node, parse, where, wr
 from planner_bridge.pddl.syntax.words import number, number_text, operands
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
 from pnm.core.logic.conditions import Condition, choices_in
-from pnm.core.logic.domain import check_choices
+from pnm.core.logic.domain import MAX_CHOICES, check_choices
 from pnm.core.logic.evaluation import evaluate
-from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Unknown, Value, fluent_text
+from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, State, Unknown, Value, fluent_text, same_value
 from pnm.errors import InputError, Position, suggestion
 from pnm.files.yaml_nodes import load_yaml
 
@@ -30,6 +33,21 @@ MAX_TEXTS: Final = 10_000
 """Questions or changes at once."""
 MAX_LENGTH: Final = 100_000
 """Characters of a question, a change or a goal."""
+MAX_CHARACTERS: Final = 1_000_000
+"""Of all questions or changes at once."""
+MAX_GOAL_CHOICES: Final = 10_000
+"""Choices of objects that the quantifiers of a goal may range over: it is looked at whenever anything changes."""
+
+
+@dataclass(frozen=True, slots=True)
+class WantedChange:
+    """A change of a fact as a client wants it."""
+
+    node: Node
+    """Where it says so."""
+    fluent: Fluent
+    value: Value | Unknown
+    is_removed: bool
 
 
 class SharedWorld:
@@ -68,30 +86,56 @@ class SharedWorld:
         _bounded(questions, "questions")
         if not questions:
             return [(fluent_text(fluent), _value_text(value)) for fluent, value in self._knowledge.facts().items()]
-        return [(text, _value_text(self._answer(_single(text, f"questions[{index}]")))) for index, text in enumerate(questions)]
+        state, answers = TimedState.begin(self._knowledge), []
+        for index, text in enumerate(questions):
+            answers.append((text, _value_text(self._answer(_single(text, f"questions[{index}]"), state))))
+            state.check()
+        return answers
 
-    def update(self, add: Sequence[str] = (), remove: Sequence[str] = (), forget: Sequence[str] = ()) -> int:
-        """Record facts as true, as false, and as unknown; return how many have changed.
+    def read_changes(self, add: Sequence[str] = (), remove: Sequence[str] = (), forget: Sequence[str] = ()) -> list[WantedChange]:
+        """Read what shall be recorded: facts as true, as false, and as unknown.
 
         Functions are written with their value: ``(= (battery r1) 0.8)``; to remove ``(= (location r1) hall)`` changes
         nothing while the location is another one.
 
         Raises:
-            InputError: a text is malformed, a fact is derived, or two texts contradict each other; nothing is recorded.
+            InputError: a text is malformed, or a fact is derived.
         """
         _bounded((*add, *remove, *forget), "changes")
-        changes: dict[Fluent, Value | Unknown] = {}
+        wanted: list[WantedChange] = []
         for kind, texts, read in (("add", add, self._added), ("forget", forget, self._forgotten), ("remove", remove, self._removed)):
             for index, text in enumerate(texts):
                 node = _single(text, f"{kind}[{index}]")
                 fluent, value = read(node)
-                if kind == "remove" and isinstance(value, str):  # the object that the function no longer has
-                    if changes.get(fluent, self._knowledge.value(fluent)) != value:
-                        continue
-                    value = UNDEFINED
-                if changes.setdefault(fluent, value) != value:
-                    raise wrong(node, f"another one of the changes says something else of {fluent_text(fluent)}")
+                wanted.append(WantedChange(node, fluent, value, kind == "remove"))
+        return wanted
+
+    def record(self, wanted: Iterable[WantedChange]) -> int:
+        """Record changes at once; return how many facts have changed.
+
+        Raises:
+            InputError: two of them contradict each other, or one contradicts a sensor; nothing is recorded.
+        """
+        changes: dict[Fluent, Value | Unknown] = {}
+        for change in wanted:
+            fluent, value = change.fluent, change.value
+            known = self._knowledge.value(fluent)
+            if change.is_removed and isinstance(value, str):  # the object that the function no longer has
+                if changes.get(fluent, known) != value:
+                    continue
+                value = UNDEFINED
+            if self._knowledge.is_sensed(fluent) and known is not UNKNOWN and not same_value(known, value):
+                what = statement_text(fluent, False if known is None else known)
+                raise wrong(change.node, f"a sensor reports {what}; only what no sensor reports, or is unknown, can be updated")
+            if changes.setdefault(fluent, value) != value:
+                raise wrong(change.node, f"another one of the changes says something else of {fluent_text(fluent)}")
         return len(self._knowledge.update(changes))
+
+    def over(self, knowledge: KnowledgeBase) -> SharedWorld:
+        """Return the same world with other knowledge of it, such as a snapshot for another thread."""
+        world = copy(self)
+        world._knowledge = knowledge
+        return world
 
     def attend(self) -> None:
         """Note the object values of all functions, which the next batch of `changes` is compared with."""
@@ -157,19 +201,19 @@ class SharedWorld:
     # --- reading ---------------------------------------------------------------------------------
 
     def _condition(self, text: str, origin: str) -> Condition:
-        return self._checked(_single(text, origin))
+        return self._checked(_single(text, origin), MAX_GOAL_CHOICES)
 
-    def _answer(self, node: Node) -> Value | Unknown:
+    def _answer(self, node: Node, state: State) -> Value | Unknown:
         """Return whether a condition holds, or the value of a function."""
         declared = self._scope.symbols.find_function(node)
         if declared is None:
-            return evaluate(self._checked(node), self._knowledge)
-        value = self._knowledge.value(self._scope.function(node))
+            return evaluate(self._checked(node), state)
+        value = state.value(self._scope.function(node))
         return (UNDEFINED if declared.values else UNKNOWN) if value is None else value
 
-    def _checked(self, node: Node) -> Condition:
+    def _checked(self, node: Node, limit: int = MAX_CHOICES) -> Condition:
         checked = condition(node, self._scope)
-        check_choices(choices_in(checked, self.problem.count), where(node))
+        check_choices(choices_in(checked, self.problem.count), where(node), limit=limit)
         return checked
 
     def _added(self, node: Node) -> tuple[Fluent, Value]:
@@ -223,6 +267,8 @@ def read_goals(path: Path) -> dict[str, str]:
 def _bounded(texts: Sequence[str], what: str) -> None:
     if len(texts) > MAX_TEXTS:
         raise InputError(f"{len(texts)} {what} at once; expected {MAX_TEXTS} at most")
+    if (characters := sum(map(len, texts))) > MAX_CHARACTERS:
+        raise InputError(f"{characters} characters at once; expected {MAX_CHARACTERS} at most")
 
 
 def _single(text: str, origin: str) -> Node:

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from math import inf
 
+from planner_bridge.ordering.enclosing_actions import SLACK
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import All, Condition, conjuncts, fluents
 from pnm.core.logic.effects import Effects, read, read_early, written
@@ -82,6 +83,7 @@ class CausalLinks:
     orderings: dict[tuple[PlanEvent, PlanEvent], list[Fluent]] = field(default_factory=dict)
     releases: dict[int, float] = field(default_factory=dict)
     deadlines: dict[int, float] = field(default_factory=dict)
+    latest_starts: dict[int, float] = field(default_factory=dict)
     actions: dict[int, GroundAction] = field(default_factory=dict)
     lasting: dict[int, frozenset[Fluent]] = field(default_factory=dict)
     """For every call, the start effects that nothing overwrites before its end."""
@@ -89,7 +91,10 @@ class CausalLinks:
     """The calls that must not start before their planned time."""
 
     def add_timed_change(self, time: float, changed: Mapping[Fluent, Value]) -> None:
-        """Add a change of fluents by themselves; calls that end before it and could not have gone on get a deadline."""
+        """Add a change of fluents by themselves; calls that end before it and could not have gone on get a deadline.
+
+        Calls that start before it and could not have started then get a latest start.
+        """
         tokens = [kept.token for kept in self.kept if kept.fluents is not None and kept.fluents & changed.keys()]
         self.changed_at.update(dict.fromkeys((*changed, *tokens), time))
         for token in tokens:  # the change must not come before the last event that the same constraint is about
@@ -102,6 +107,8 @@ class CausalLinks:
                 # Only a condition that the change surely makes false ends before it; one that may survive needs no deadline.
                 if action.duration is not None and evaluate(All((action.invariant, action.end_condition)), after) is False:
                     self.deadlines.setdefault(reader.call, time)
+                if evaluate(action.precondition, after) is False:
+                    self.latest_starts.setdefault(reader.call, time)
 
     def add_happening(self, kind: HappeningKind, called: ActionCall, end: float, now: float) -> None:
         """Add the reads and writes of one happening of a call, which ends at `end`."""
@@ -120,7 +127,7 @@ class CausalLinks:
                 self._add_point(start_event, start_event, reads, written(start, self.knowledge), now)
             case HappeningKind.OPEN:
                 for fluent in self._relevant(self._reads(action.invariant)):
-                    self._after_writer(fluent, start_event)
+                    self._after_writer(fluent, start_event, now)
                     self.readers.setdefault(fluent, []).append(_FluentReader(call, end_event, end))
                 for part in conjuncts(action.invariant):
                     group = frozenset(self._relevant(self._reads(part)))
@@ -145,14 +152,14 @@ class CausalLinks:
         relied = [group - writes for call, group, until in self.open_conditions if until > now and call != waits.call and group & writes]
         # Reads before writes: an event that does both waits for others and not for itself.
         for fluent in self._relevant(reads.union(*relied)):
-            self._after_writer(fluent, waits)
+            self._after_writer(fluent, waits, now)
             self.readers.setdefault(fluent, []).append(_FluentReader(releases.call, releases, now))
         concerned = [kept for kept in self.kept if kept.fluents is None or kept.fluents & writes]
         if any(kept.timed for kept in concerned):
             self.clocked.add(waits.call)
         # A write comes after the last write and after every read of that value since: else it would break a causal link.
         for fluent in (*self._relevant(writes), *(kept.token for kept in concerned)):
-            self._after_writer(fluent, waits)
+            self._after_writer(fluent, waits, now)
             still_open = []
             for reader in self.readers.get(fluent, ()):
                 if reader.until > now:  # an over-all condition that this write leaves true
@@ -164,12 +171,15 @@ class CausalLinks:
             self.writer[fluent] = releases
             self.changed_at.pop(fluent, None)  # who reads it from now on reads what this event has written, and no longer the timed change
 
-    def _after_writer(self, fluent: Fluent, waits: PlanEvent) -> None:
+    def _after_writer(self, fluent: Fluent, waits: PlanEvent, now: float) -> None:
         if fluent in self.writer:
             self._order(self.writer[fluent], waits, fluent)
-        if fluent in self.changed_at:  # an end comes when its time is up, so its start must not be too early
-            lead = self.actions[waits.call].duration or 0.0 if waits.moment is Moment.END else 0.0
-            self.releases[waits.call] = max(self.changed_at[fluent] - lead, self.releases.get(waits.call, 0.0))
+        if fluent in self.changed_at:
+            release = self.changed_at[fluent]
+            if waits.moment is Moment.END:  # it comes when its time is up, so its start must be late enough, but no later than planned
+                duration = self.actions[waits.call].duration or 0.0
+                release = min(release - duration * (1.0 - SLACK), max(release, now) - duration)
+            self.releases[waits.call] = max(release, self.releases.get(waits.call, 0.0))
 
     def _order(self, before: PlanEvent, after: PlanEvent, fluent: Fluent) -> None:
         if before.call != after.call:
@@ -183,6 +193,7 @@ class CausalLinks:
             replace(
                 call,
                 release=max(call.release, self.releases.get(call.index, 0.0), call.planned if call.index in self.clocked else 0.0),
+                latest_start=min(call.latest_start, self.latest_starts.get(call.index, inf)),
                 deadline=min(call.deadline, self.deadlines.get(call.index, inf)),
                 lasting=self.lasting.get(call.index, frozenset()),
             )

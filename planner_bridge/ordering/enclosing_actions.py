@@ -19,7 +19,7 @@ from pnm.core.logic.expressions import Fluent
 from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
 
 SLACK: Final = 0.01
-"""The share of its duration by which an enclosing action that is not itself enclosed starts later than planned."""
+"""The share of its duration by which an action starts later than it could, if its end must come late enough for others or for time."""
 
 
 def delay_enclosing_starts(plan: PlanGraph) -> PlanGraph:

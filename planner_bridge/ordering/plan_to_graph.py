@@ -15,12 +15,13 @@ from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.causal_links import CausalLinks, HappeningKind, OrderKept
 from planner_bridge.ordering.enclosing_actions import delay_enclosing_starts
+from planner_bridge.ordering.threats import threats
 from pnm.core.logic.conditions import fluents, names
 from pnm.core.logic.effects import Set, When, every_effect, written
 from pnm.core.logic.expressions import UNKNOWN, Fluent, expression_fluents
 from pnm.core.logic.rules import Rules
 from pnm.core.logic.trajectory import instances, names_in
-from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph, PlanGraphError
 
 _DIGITS: Final = 5
 """Times are compared at this many decimals: planners separate events by 0.001 and compute in floats."""
@@ -41,7 +42,7 @@ def plan_graph(problem: Problem, plan: Plan, under_way: Sequence[ActionCall] = (
     running = [replace(call, index=index, planned=0.0, under_way=True) for index, call in enumerate(under_way)]
     steps = calls_of(problem, plan, len(running))
     calls = [*running, *steps]
-    links = _causal_links(problem, [call.action for call in calls])
+    links = causal_links(problem, [call.action for call in calls])
     # Running calls come first, as if they ended just before the plan begins: its calls then wait for what they write.
     for kind in (HappeningKind.START, HappeningKind.OPEN, HappeningKind.END):
         for call in running:
@@ -52,13 +53,15 @@ def plan_graph(problem: Problem, plan: Plan, under_way: Sequence[ActionCall] = (
             links.add_timed_change(time, problem.timed[index].changes)
         else:
             links.add_happening(kind, steps[index], round(plan.steps[index].start + plan.steps[index].duration, _DIGITS), time)
-    return delay_enclosing_starts(links.plan_graph(calls, problem.goal))
+    graph = delay_enclosing_starts(links.plan_graph(calls, problem.goal))
+    check_order(problem, graph, links, projected=True)
+    return graph
 
 
 def deordered(problem: Problem, calls: tuple[ActionCall, ...], order: Iterable[PlanEvent]) -> PlanGraph:
     """Return the calls with the orderings that their causal links demand, given one executable order of their events."""
     positions = {event: float(position) for position, event in enumerate(order)}
-    links = _causal_links(problem, [call.action for call in calls])
+    links = causal_links(problem, [call.action for call in calls])
     for event, now in positions.items():
         call = calls[event.call]
         end = positions[PlanEvent(event.call, Moment.END)]
@@ -68,7 +71,26 @@ def deordered(problem: Problem, calls: tuple[ActionCall, ...], order: Iterable[P
             links.add_happening(HappeningKind.OPEN, call, end, now)
         else:
             links.add_happening(HappeningKind.END, call, end, now)
-    return delay_enclosing_starts(links.plan_graph(calls, problem.goal))
+    graph = delay_enclosing_starts(links.plan_graph(calls, problem.goal))
+    check_order(problem, graph, links)
+    return graph
+
+
+def check_order(problem: Problem, graph: PlanGraph, links: CausalLinks | None = None, *, projected: bool = False) -> None:
+    """Check that every order which the graph allows is as good as the plan.
+
+    Args:
+        problem: its initial state is the one that the plan starts from.
+        graph: the plan.
+        links: of the plan, for what counts as read; made anew if not given.
+        projected: whether the initial state is the one after all calls that are under way, and not the one before their ends.
+
+    Raises:
+        PlanGraphError: some order brings a wrong value to a reader.
+    """
+    links = links or causal_links(problem, [call.action for call in graph.calls])
+    for threat in threats(graph, problem, links, projected=projected):
+        raise PlanGraphError(f"an ordering is missing: {threat}")
 
 
 def calls_of(problem: Problem, plan: Plan, first: int = 0) -> list[ActionCall]:
@@ -103,7 +125,8 @@ def _happenings(problem: Problem, plan: Plan) -> list[tuple[float, HappeningKind
     return happenings
 
 
-def _causal_links(problem: Problem, actions: Iterable[GroundAction]) -> CausalLinks:
+def causal_links(problem: Problem, actions: Iterable[GroundAction]) -> CausalLinks:
+    """Return the causal links of a plan without any happening."""
     knowledge, relevant = initial_knowledge(problem), _relevant(problem)
     # Facts that stay as they are may be evaluated away, so that a derived fact orders less.
     if knowledge.rules.rules:  # what they read is known only as far as neither the plan nor time may change it

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -19,6 +20,8 @@ from pnm.errors import InputError
 DEFAULT_PLANNER: Final = "kairos"
 _POLL: Final = 0.05
 """Seconds between two looks at the cancel token."""
+_ADVICE: Final = re.compile(r"\s[^.()]*\(SolveOptions::\w+\)\.")
+"""A sentence of Kairos about one of its options."""
 _PATIENCE: Final = 1.0
 """Seconds without a better plan after which the best one is taken, where preferences are weighed."""
 _THREADS: Final = 1
@@ -84,12 +87,18 @@ def search_with_kairos(problem: Problem, parsed: kairos.Problem, timeout: float,
     if status is PlanningStatus.UNSOLVABLE and any(function.values for function in problem.domain.functions.values()):
         status = PlanningStatus.NO_PLAN  # Kairos 1.0.6 calls some such problems unsolvable although its validator accepts a plan
     message = "" if status is PlanningStatus.CANCELLED else _joined(result.diagnostics)
+    if status is PlanningStatus.TIMED_OUT:
+        message = f"{message.removesuffix('.')}; a longer limit, or another planner, may find one"
     return PlanningResult(status, message=message, planner=DEFAULT_PLANNER)
 
 
 def _joined(diagnostics: Iterable[kairos.Diagnostic]) -> str:
-    """Return the messages of the diagnostics on one line."""
-    lines = (" ".join(line.split()).removeprefix("no plan: ") for diagnostic in diagnostics for line in diagnostic.message.splitlines())
+    """Return the messages of the diagnostics on one line, without advice about options of Kairos that are not ours."""
+    lines = (
+        " ".join(_ADVICE.sub("", line).split()).removeprefix("no plan: ")
+        for diagnostic in diagnostics
+        for line in diagnostic.message.splitlines()
+    )
     return "; ".join(filter(None, lines))
 
 

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from typing import Final
 
@@ -39,6 +39,8 @@ from planner_bridge.model.plan_simulation import ConstraintProgression, NotAppli
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.plan_text import plan_text
+from planner_bridge.planning.unreachable import why_unreachable
+from planner_bridge.planning.whole_numbers import calculates_with_whole_numbers
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import assignments, possible_assignments
@@ -245,15 +247,27 @@ def _kind_of_change(operation: str, value: Expression) -> str:
 
 
 def validated(problem: Problem, result: PlanningResult, parsed: kairos.Problem | None = None) -> PlanningResult:
-    """Return the result if it has no plan or both validators, Kairos' and ours, accept the plan; else one without a plan.
+    """Return the result if both validators, Kairos' and ours, accept its plan; else one without a plan, with the reason that there is none.
 
     `parsed` is the problem as Kairos reads it, if that is there already.
     """
     if result.plan is None:
-        return result
+        return explained(problem, result)
     verdicts = {"Kairos' validator": validate(problem, result.plan, parsed), "our own": why_invalid(problem, result.plan)}
     if not any(verdicts.values()):
         return result
     status = PlanningStatus.INVALID_PLAN if all(verdicts.values()) else PlanningStatus.DISAGREEMENT
     reasons = "; ".join(f"{validator} says: {why or 'valid'}" for validator, why in verdicts.items())
     return PlanningResult(status, message=f"{reasons}; the plan: {' '.join(plan_text(result.plan).split())}", planner=result.planner)
+
+
+def explained(problem: Problem, result: PlanningResult) -> PlanningResult:
+    """Return a result without a plan with our own reason, if there is one; else nothing is proved but with whole numbers."""
+    if result.status not in (PlanningStatus.UNSOLVABLE, PlanningStatus.NO_PLAN):
+        return result
+    if reason := why_unreachable(problem):
+        return replace(result, message=reason)
+    if result.status is PlanningStatus.UNSOLVABLE and not calculates_with_whole_numbers(problem):
+        message = f"{result.planner} says that there is none, which is not taken for proved: with decimals it calculates differently"
+        return replace(result, status=PlanningStatus.NO_PLAN, message=message)
+    return result

@@ -180,6 +180,7 @@ class TaskMonitor:
     def begin(self, cleanup: ExitStack) -> None:
         """Begin: schedule the timed facts that nothing reports, and look at the constraints at every change and when their time comes."""
         self.began = asyncio.get_running_loop().time()
+        self._context.observer.began(self.began)
         world = self._context.world
         cleanup.callback(schedule(world, self._context.problem.timed, self.began))
         cleanup.callback(self._end_looking)

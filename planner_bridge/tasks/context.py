@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 from uuid import UUID
 
-from planner_bridge.model.forbidden_actions import ForbiddenCall, calls_acquiring
+from planner_bridge.model.forbidden_actions import ForbiddenCall, calls_acquiring, calls_served_by
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.interference import ReadWriteSets
 from planner_bridge.tasks.control import TaskControl
@@ -129,11 +129,13 @@ class TaskContext:
         """The knowledge that all tasks share."""
         return self.knowledge.world
 
-    def withheld(self, history: History) -> frozenset[ForbiddenCall]:
-        """Return the calls that need a resource that was waited for in vain and is still withheld."""
+    def unusable(self, history: History) -> frozenset[ForbiddenCall]:
+        """Return the calls whose action server was not there too often, or that need a resource that is withheld after a vain wait."""
+        domain, bindings = self.problem.domain, self.settings.bindings
         names = self.resources.withheld_from(history.lacking)
-        return calls_acquiring(self.problem.domain, self.settings.bindings, names.keys())
+        served = calls_served_by(domain, bindings, history.absent_servers(self.settings.limits))
+        return served | calls_acquiring(domain, bindings, names.keys())
 
     def forbidden(self, history: History) -> frozenset[ForbiddenCall]:
         """Return the calls that no plan may use now."""
-        return history.forbidden(self.settings.limits) | self.withheld(history)
+        return history.forbidden(self.settings.limits) | self.unusable(history)

@@ -90,7 +90,7 @@ class TaskControl:
 
     @property
     def footprint(self) -> ReadWriteSets | None:
-        """What the rest of the plan needs and changes; None while there is no plan."""
+        """What the rest of the plan needs and changes, or during a pause what is still under way; None while there is no plan."""
         if self.execution:
             return self.execution.footprint
         return self.reserved() if self.reserved else None
@@ -122,7 +122,7 @@ class TaskControl:
             if self._time_limit:
                 self._time_limit.pause()
             self._is_unpaused.clear()
-            if self.has_begun:
+            if self.has_begun and self.state is not TaskState.PAUSED:
                 self.enter(TaskState.PAUSING, reason)
             if self.execution:
                 self.execution.executor.pause(at_once=at_once)

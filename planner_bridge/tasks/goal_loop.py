@@ -22,7 +22,7 @@ from pnm.core.execution.resources import who_keeps
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import PlanGraph, PlanGraphError
-from pnm.core.machine.verification.explore import Unsound
+from pnm.core.machine.verification.part import Unsound
 from pnm.tasks import Code, TaskState
 
 
@@ -181,7 +181,7 @@ class GoalLoop:
         result, history = execution.result, self._log.history
         if not (result.failures or execution.is_over):
             return history.changed()
-        after = history.after(result.calls, result.failures)
+        after = history.after(result.calls, result.failures, self._context.settings.bindings)
         if execution.is_blocked and not result.failures:  # which says nothing about the plan
             return replace(history, failed=after.failed)
         return after
@@ -205,8 +205,8 @@ class GoalLoop:
         context, progress = self._context, execution.progress
         if not (execution.is_over or execution.result.failures):
             progress = shortened(progress, context.world)
-        limits, withheld = context.settings.limits, context.withheld(history)
-        return decide(self._monitor.now(), progress, context.world, history, limits, withheld)
+        limits, unusable = context.settings.limits, context.unusable(history)
+        return decide(self._monitor.now(), progress, context.world, history, limits, unusable)
 
     async def _follower(self, execution: PlanExecution, decision: ResumePlan | PlanAgain) -> PlanGraph:
         if isinstance(decision, ResumePlan) and not execution.is_blocked:

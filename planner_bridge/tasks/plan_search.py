@@ -28,8 +28,6 @@ from pnm.errors import InputError
 from pnm.tasks import Code, OnConflict, TaskState
 
 _NO_PLAN: Final = frozenset({PlanningStatus.UNSOLVABLE, PlanningStatus.NO_PLAN})
-MAX_SHORTENED: Final = 100
-"""Calls of the longest plan that needless calls are removed from."""
 
 P = TypeVar("P", Plan, PlanGraph)
 Attempt: TypeAlias = Callable[[], Awaitable[tuple[P | None, tuple[Conflict, ...]]]]
@@ -44,7 +42,7 @@ class NoPlan(Exception):
         lacking = sorted(str(call) for call in forbidden if ANY in call.arguments)
         without = [
             *([f" without {', '.join(failed)}, not to be tried again"] if failed else []),
-            *([f" without {', '.join(lacking)}, for which others keep what is needed"] if lacking else []),
+            *([f" without {', '.join(lacking)}, whose servers or resources are not to be had"] if lacking else []),
         ]
         super().__init__(f"no plan{' and'.join(without)}: {result.reason}")
         self.status = result.status
@@ -193,10 +191,14 @@ class PlanSearch:
         settings, stop = self._context.settings, self._control.planner_stop
         # The planner may not take longer than the task has left.
         timeout = max(0.01, min(settings.planner_timeout, self._monitor.limit.left))
-        search = partial(solve, problem, planner=settings.planner, timeout=timeout, cancel=stop, executor=settings.executor)
+
+        def search() -> PlanningResult:
+            result = solve(problem, planner=settings.planner, timeout=timeout, cancel=stop, executor=settings.executor)
+            return result if result.plan is None else replace(result, plan=without_needless_calls(problem, result.plan))
+
         try:
             with self._context.task.stopwatch.of("plan"):
-                result = await asyncio.to_thread(search)
+                return await asyncio.to_thread(search)
         except asyncio.CancelledError:
             stop.set()
             if cast("asyncio.Task[object]", asyncio.current_task()).cancelling():
@@ -206,7 +208,6 @@ class PlanSearch:
             if not self._has_found:
                 raise
             return PlanningResult(PlanningStatus.INVALID, message=str(error))
-        return result if result.plan is None else replace(result, plan=without_needless_calls(problem, result.plan))
 
 
 def without_needless_calls(problem: Problem, plan: Plan) -> Plan:
@@ -223,7 +224,7 @@ def without_needless_calls(problem: Problem, plan: Plan) -> Plan:
         *(preference for schema in domain.actions.values() for preference in schema.preferences),
     )
     asks_for_more = problem.network or problem.constraints or domain.constraints or preferences or not is_short
-    if plan.temporal or len(plan.steps) > MAX_SHORTENED or asks_for_more:
+    if plan.temporal or asks_for_more:
         return plan
     progress, world = Progress.beginning(total_order(problem, plan)), initial_knowledge(problem)
     if why_not(progress, world):

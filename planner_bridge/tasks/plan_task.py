@@ -60,6 +60,7 @@ class PlanTask:
             context.observer.generated(program.machine, program.proof)
             context.control.enter(TaskState.RUNNING)
             began = asyncio.get_running_loop().time()
+            context.observer.began(began)
             with context.task.stopwatch.of("execute"):
                 run = await self._runner.execute(plan_run)
         stopped = self._context.control.stopped
@@ -82,8 +83,10 @@ class PlanTask:
 
     @property
     def footprint(self) -> ReadWriteSets:
-        """What the plan needs and changes: all calls that it may still reach."""
+        """What the plan needs and changes: all calls that it may still reach; during a pause, those that are still under way."""
         run = self.executor.run
+        if self._context.control.is_paused:
+            return read_write_sets((*run.open_calls.values(), *run.settling), TRUE, self._context.world)
         plan, calls = run.machine.plan, run.interim_result().calls
         is_flat = len(plan.every_step) == len(plan.calls)
         ended = {result.call.index for result in calls if result.ended is not None} if is_flat else set()

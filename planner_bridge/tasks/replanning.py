@@ -5,7 +5,7 @@ Pure: decides from what is known; `planner_bridge.tasks.goal_loop` acts on it. A
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
@@ -18,11 +18,20 @@ from pnm.core.execution.call_results import CallResult, Failure
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.trajectory import Constraint
+from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, Cause, Moment, PlanEvent, PlanGraph
 
-_WORLD: Final = frozenset({Cause.PRECONDITION_FALSE, Cause.INVARIANT_FALSE, Cause.DATA_MISSING, Cause.WITHHELD})
-"""Causes that speak against the state of the world, of knowledge or of resources, not against the action."""
+MAX_SHORTENED: Final = 100
+"""Calls of the longest rest of a plan that needless calls are removed from."""
+_WORLD: Final = frozenset({Cause.PRECONDITION_FALSE, Cause.WITHHELD})
+"""Causes that speak against the state of the world or of resources, not against the action.
+
+A condition over all that breaks is none of them: the action was under way, as when its robot notices that itself and aborts.
+"""
+_SERVER: Final = frozenset({Cause.UNAVAILABLE, Cause.LOST})
+"""Causes that speak against the action server: for whatever it is called, it would not be there."""
+_UNBOUND: Final = Bindings()
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,22 +62,28 @@ class History:
     """Calls whose server has not confirmed that it stopped: it may still be at work."""
     lacking: frozenset[str] = frozenset()
     """Resources that were waited for in vain."""
+    absent: Mapping[str, int] = field(default_factory=dict)
+    """Action servers that were not there, and how often they were not since they last carried something out."""
     replans: int = 0
     fruitless: int = 0
     """Runs in a row in which no call succeeded."""
 
-    def after(self, calls: Iterable[CallResult], failures: Iterable[Failure]) -> History:
+    def after(self, calls: Iterable[CallResult], failures: Iterable[Failure], bindings: Bindings = _UNBOUND) -> History:
         """Return the history with one more failed run."""
         calls, failures = tuple(calls), tuple(failures)
-        failed = dict(self.failed)
+        failed, absent = dict(self.failed), dict(self.absent)
         of_calls = [(failure, failure.call) for failure in failures if isinstance(failure.call, ActionCall)]
         for failure, failed_call in of_calls:
             if failure.cause not in _WORLD:
                 call = ForbiddenCall.of(failed_call.action)
                 failed[call] = failed.get(call, 0) + 1
+            if failure.cause in _SERVER:
+                server = bindings.server(failed_call.action)
+                absent[server] = absent.get(server, 0) + 1
         for result in calls:
             if result.kind is CallOutcome.SUCCEEDED:
                 failed.pop(ForbiddenCall.of(result.call.action), None)
+                absent.pop(bindings.server(result.call.action), None)
         at_work = [call for failure, call in of_calls if failure.unconfirmed]
         at_work += [result.call for result in calls if result.kind is CallOutcome.UNCONFIRMED]
         progress = any(result.kind is CallOutcome.SUCCEEDED for result in calls)
@@ -76,6 +91,7 @@ class History:
             failed,
             self.unconfirmed | {ForbiddenCall.of(call.action) for call in at_work},
             self.lacking.union(*(failure.lacking for failure in failures)),
+            absent,
             self.replans + 1,
             0 if progress else self.fruitless + 1,
         )
@@ -91,6 +107,10 @@ class History:
     def forbidden(self, limits: Limits) -> frozenset[ForbiddenCall]:
         """Return the calls that failed too often, or whose servers may still be at work."""
         return self.unconfirmed | {call for call, times in self.failed.items() if times >= limits.forbid_after}
+
+    def absent_servers(self, limits: Limits) -> frozenset[str]:
+        """Return the action servers that were not there too often."""
+        return frozenset(server for server, times in self.absent.items() if times >= limits.forbid_after)
 
     def backoff(self, limits: Limits) -> float:
         """Return the back-off: the seconds to wait before the next attempt."""
@@ -177,7 +197,7 @@ def decide(
     knowledge: KnowledgeBase,
     history: History,
     limits: Limits,
-    withheld: frozenset[ForbiddenCall] = frozenset(),
+    unusable: frozenset[ForbiddenCall] = frozenset(),
 ) -> Decision:
     """Decide what follows a run that does not lead to the goal any more, whether or not it has ended.
 
@@ -187,11 +207,11 @@ def decide(
         knowledge: what is known.
         history: of all failures, those of this run included.
         limits: how long to go on.
-        withheld: calls that need a resource that is withheld.
+        unusable: calls whose action server is not there, or that need a resource that is withheld.
     """
     if given_up := history.given_up(limits):
         return given_up
-    forbidden = history.forbidden(limits) | withheld
+    forbidden = history.forbidden(limits) | unusable
     whole = "; the whole network of tasks is planned for once more" if now.network else ""
     if by_the_clock := times_that_matter(now):
         return PlanAgain(forbidden, by_the_clock + whole)
@@ -247,8 +267,11 @@ def why_not(
 
 
 def shortened(progress: Progress, knowledge: KnowledgeBase) -> Progress:
-    """Return the plan without those calls that are needless from here: the rest leads to its goal all the same."""
-    for call in progress.rest:
+    """Return the plan without those calls that are needless from here: the rest leads to its goal all the same.
+
+    A rest of more than `MAX_SHORTENED` calls is left as it is: the work grows with the square of their number, and the event loop waits.
+    """
+    for call in progress.rest if len(progress.rest) <= MAX_SHORTENED else ():
         if call.index not in progress.under_way and not why_not(shorter := progress.without(call.index), knowledge):
             progress = shorter
     return progress

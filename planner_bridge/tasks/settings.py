@@ -15,6 +15,7 @@ from pnm.core.execution.events import Observer
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.verification.verify import Proof
+from pnm.errors import InputError
 from pnm.knowledge.sensor_model import NO_SENSING, Sensing
 from pnm.tasks import TaskState
 
@@ -24,6 +25,9 @@ if TYPE_CHECKING:
 
 class TaskObserver(Observer):
     """Listens to a whole task: one more empty method per moment."""
+
+    def began(self, now: float) -> None:
+        """Note the time from which the seconds of the task count."""
 
     def planning(self, planner: str) -> None:
         """Note that a planner is being asked."""
@@ -73,3 +77,8 @@ class Settings:
     """Runs the planners when they race; a process for each by default."""
     sensing: Sensing = NO_SENSING
     """Which topics and services of ROS 2 speak of what."""
+
+    def __post_init__(self) -> None:
+        """Refuse the name of a file in place of its bindings."""
+        if not isinstance(self.bindings, Bindings):
+            raise InputError(f"expected Bindings, found {self.bindings!r}; `pnm.read_bindings` reads a file")

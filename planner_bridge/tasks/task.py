@@ -114,10 +114,11 @@ class Task(TaskObserver):
         return self.control.has_begun and self.ending is None and not self.control.is_paused
 
     @property
-    def goes_on(self) -> bool:
-        """Whether the task is active and does not only wait for answers."""
+    def wants_to_go_on(self) -> bool:
+        """Whether the task has something to do: it has begun, no operator has paused it, and it does not only wait for answers."""
         execution = self.control.execution
-        return self.is_active and not (execution is not None and execution.awaits_answers)
+        has_work = self.control.has_begun and self.ending is None and not self.is_held
+        return has_work and not (execution is not None and execution.awaits_answers)
 
     @property
     def status(self) -> TaskStatus:

@@ -17,9 +17,11 @@ from planner_bridge.pddl.write.writer import write_problem as problem_text
 from planner_bridge.planning.solve import solve
 from planner_bridge.yaml.first_implementation import write_original
 from planner_bridge.yaml.reader import read
-from planner_bridge.yaml.write_domain import write_domain, write_problem
+from planner_bridge.yaml.write_bindings import write_bindings
+from planner_bridge.yaml.write_domain import NO_BINDINGS, write_domain, write_problem
 from planner_bridge.yaml.write_plan import plan_entries
-from pnm.errors import InputError, Tolerated
+from pnm.core.machine.bindings import Bindings
+from pnm.errors import InputError, Tolerated, suggestion
 from pnm.files.text import read_any_text
 
 
@@ -35,39 +37,52 @@ class Exported:
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """PDDL texts by the names of their files."""
+    """PDDL texts, and that of a bindings file, by the names of their files."""
 
     texts: Mapping[str, str]
     warnings: tuple[Tolerated, ...] = ()
 
 
 def exported(
-    domain: Path, problem: Path | None, *, with_plan: bool = False, original: bool = False, planner: str = "kairos", timeout: float = 30.0
+    domain: Path,
+    problem: Path | None,
+    *,
+    with_plan: bool = False,
+    original: bool = False,
+    bindings: Bindings = NO_BINDINGS,
+    planner: str = "kairos",
+    timeout: float = 30.0,
 ) -> Exported:
     """Return a PDDL domain as YAML: alone, with a problem for it, or with a plan besides, which the planner has `timeout` seconds to find.
 
     The plan can be written for the `original`, the first implementation. Raises `InputError` if a file is wrong, or has what cannot
-    be written.
+    be written. Bindings are written beside the actions; the first implementation has no place for them.
     """
     model = read_domain(domain)
+    for name in bindings.actions.keys() - model.actions.keys():
+        hint = suggestion(name, model.actions.keys())
+        raise InputError(f"the bindings have an action {name!r}, which is not in {domain}{hint and f'; {hint}'}")
     if problem is None:
         if with_plan or original:
             raise InputError(f"a plan is for a problem; expected its file after {domain}")
-        return Exported(write_domain(model, _comments(domain, "domain")), model.warnings)
+        return Exported(write_domain(model, _comments(domain, "domain"), bindings), model.warnings)
     whole = read_problem(problem, model)
     if not with_plan and not original:
-        return Exported(write_problem(whole, _both(domain, problem)), whole.warnings)
+        return Exported(write_problem(whole, _both(domain, problem), bindings=bindings), whole.warnings)
     result = solve(whole, planner=planner, timeout=timeout)
     if result.plan is None:
         return Exported(warnings=whole.warnings, reason=result.reason)
     if original:
         return Exported(write_original(whole, result.plan), whole.warnings)
     graph = plan_graph(whole, result.plan)
-    return Exported(write_problem(whole, _both(domain, problem), plan_entries(graph, whole.domain)), whole.warnings)
+    return Exported(write_problem(whole, _both(domain, problem), plan_entries(graph, whole.domain), bindings), whole.warnings)
 
 
 def imported(file: Path) -> Imported:
-    """Return the domain of a YAML file, and its problem, as PDDL; raise `InputError` if the file is wrong, or has what PDDL has not."""
+    """Return the domain of a YAML file, and its problem, as PDDL, and how its actions are bound as a bindings file.
+
+    Raises `InputError` if the file is wrong, or has what PDDL has not.
+    """
     contents = read(file)
     texts = {"domain.pddl": domain_text(contents.domain, contents.of("domain"))}
     domain = parse_domain(texts["domain.pddl"], "domain.pddl")  # which warns of requirements that other planners will miss
@@ -75,6 +90,8 @@ def imported(file: Path) -> Imported:
     if contents.problem:
         texts["problem.pddl"] = problem_text(contents.problem, contents.of("problem"))
         warnings = (*contents.domain.warnings, *parse_problem(texts["problem.pddl"], domain, "problem.pddl").warnings)
+    if text := write_bindings(contents.bindings):
+        texts["bindings.yaml"] = text
     return Imported(texts, warnings)
 
 

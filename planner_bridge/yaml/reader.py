@@ -21,10 +21,12 @@ from planner_bridge.yaml.read_comments import comments
 from planner_bridge.yaml.read_constraints import is_about_states, read_constraint, read_metric, read_preference
 from pnm.core.logic.domain import ActionSchema, DomainModel, Preference, ProblemModel
 from pnm.core.logic.expressions import DURATION, Variable
+from pnm.core.machine.bindings import Bindings
 from pnm.errors import InputError, Position, Tolerated
 from pnm.files.text import read_text
 from pnm.files.yaml_loader import compose
 from pnm.files.yaml_nodes import MAX_BYTES, Mapped, Node
+from pnm.language.actions import BINDING_KEYS, read_own_binding
 from pnm.language.domain import DOMAIN_KEYS, read_model
 from pnm.language.files import ANCHORS, PLAN_KEYS, domain_document
 from pnm.language.formulas.scope import FormulaScope, shown
@@ -42,6 +44,8 @@ class Contents:
     domain: Domain
     problem: Problem | None
     comments: Table
+    bindings: Bindings
+    """How its actions are bound to servers."""
 
     def of(self, kind: str) -> Table:
         """Return the comments of the domain, or of the problem."""
@@ -67,7 +71,10 @@ def parse(text: str, file: str) -> Contents:
     domain = _domain(model, top)
     section = top.filled("problem")
     problem = None if section is None else _problem(model, domain, section.mapped())
-    return Contents(domain, problem, comments(text, nodes, top, domain) if "#" in text else {})
+    bound = {
+        name: read_own_binding(entry) for name, entry in top.mapping("actions").items() if not entry.nodes.keys().isdisjoint(BINDING_KEYS)
+    }
+    return Contents(domain, problem, comments(text, nodes, top, domain) if "#" in text else {}, Bindings(bound))
 
 
 def _domain(model: ProblemModel, top: Mapped) -> Domain:
@@ -85,7 +92,9 @@ def _domain(model: ProblemModel, top: Mapped) -> Domain:
         preference.mapped().needed("constraints")  # no state that could be preferred is known here
     left_out = [(f"{key!r}", top.nodes[key][0]) for key in _LEFT_OUT if key in top.nodes]
     for name, entry in top.mapping("actions").items():
-        left_out += [(f"{key!r} of {name}", position) for key, (position, _) in entry.nodes.items() if key not in _PDDL_PARTS]
+        left_out += [
+            (f"{key!r} of {name}", position) for key, (position, _) in entry.nodes.items() if key not in (*_PDDL_PARTS, *BINDING_KEYS)
+        ]
     left_out.sort(key=lambda item: (item[1].line, item[1].column))
     return Domain(
         **{**_fields(model.domain), "actions": actions},

@@ -14,34 +14,38 @@ from planner_bridge.pddl.syntax.words import number_text
 from planner_bridge.pddl.write.forms import typed_lines, types_form, variables_form
 from planner_bridge.pddl.write.writer import NO_COMMENTS, change_form, rule_form
 from planner_bridge.yaml.emitter import Bare, Entry, Mapping, Sequence, Value, depth, document, items, single
+from planner_bridge.yaml.write_bindings import LANGUAGE_DEFAULT, binding_entries
 from planner_bridge.yaml.write_formulas import conditions, constraints, duration, effects, expression, preferences, typed
 from pnm.core.logic.conditions import TRUE
 from pnm.core.logic.domain import ActionSchema, Declaration
 from pnm.core.logic.rules import DerivationRule
+from pnm.core.machine.bindings import Bindings
 from pnm.errors import InputError
 from pnm.files.yaml_loader import MAX_DEPTH
+from pnm.language.actions import RESERVED
 
+NO_BINDINGS: Final = Bindings()
 SCHEMA_MARK: Final = "# yaml-language-server:"
 """Begins a comment that is for editors."""
 SCHEMA: Final = ""
 """Where editors find the JSON Schema of these files; empty as long as there is none."""
 
 
-def write_domain(domain: Domain, table: Table = NO_COMMENTS) -> str:
-    """Write a domain as YAML, with the comments of the table."""
-    return write_with_notes(table, lambda notes: written(domain_entries(domain, notes)))
+def write_domain(domain: Domain, table: Table = NO_COMMENTS, bindings: Bindings = NO_BINDINGS) -> str:
+    """Write a domain as YAML, with the comments of the table, and with how its actions are bound to servers.
 
-
-def write_problem(problem: Problem, table: Table = NO_COMMENTS, plan: Iterable[Entry] = ()) -> str:
-    """Write a domain and a problem as one YAML file, with the comments of the table, and a plan for the problem.
-
-    Raises `InputError` if something is nested deeper than the language allows.
+    Raises `InputError` if something is nested deeper than the language allows, or an action has the name of a word of the language.
     """
+    return write_with_notes(table, lambda notes: written(domain_entries(domain, notes, bindings)))
+
+
+def write_problem(problem: Problem, table: Table = NO_COMMENTS, plan: Iterable[Entry] = (), bindings: Bindings = NO_BINDINGS) -> str:
+    """Write a domain and a problem as one YAML file, with the comments of the table, and a plan for the problem; else as `write_domain`."""
 
     def write(notes: Notes) -> str:
         own = notes.at("problem")
         entry = Entry(Mapping(tuple(_problem(problem, own))), "problem", own.take(), apart=True)
-        return written([*domain_entries(problem.domain, notes), entry, *plan])
+        return written([*domain_entries(problem.domain, notes, bindings), entry, *plan])
 
     return write_with_notes(table, write)
 
@@ -54,8 +58,11 @@ def written(entries: Iterable[Entry]) -> str:
     return (f"{SCHEMA_MARK} $schema={SCHEMA}\n" if SCHEMA else "") + document(whole)
 
 
-def domain_entries(domain: Domain, notes: Notes) -> list[Entry]:
+def domain_entries(domain: Domain, notes: Notes, bindings: Bindings) -> list[Entry]:
     """Return the keys of a file with a domain."""
+    for name in domain.actions:
+        if name in RESERVED:
+            raise InputError(f"{name!r} is a word of the language; an action cannot be called so, expected another name in the domain")
     own = notes.at("domain")
     root = own.take().joined(notes.take())
     lines = [("types", ((name, above or ("object",)) for name, above in domain.types.items())), ("constants", domain.constants.items())]
@@ -72,7 +79,8 @@ def domain_entries(domain: Domain, notes: Notes) -> list[Entry]:
     actions: list[Entry] = []
     for schema in domain.actions.values():
         inner = own.at(ACTION, schema.name.lower())
-        actions.append(Entry(Mapping(tuple(_parts(schema, inner))), schema.name, inner.take(), apart=bool(actions)))
+        bound = binding_entries(bindings.actions.get(schema.name, LANGUAGE_DEFAULT), LANGUAGE_DEFAULT, type_key="ros_type")
+        actions.append(Entry(Mapping((*_parts(schema, inner), *bound)), schema.name, inner.take(), apart=bool(actions)))
     entries.append(Entry(Mapping(tuple(actions)), "actions"))
     return [
         Entry(domain.name, "name", root),

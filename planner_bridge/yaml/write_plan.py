@@ -45,7 +45,7 @@ class _StepWriter:
         simple = all(
             ordering.before.moment is Moment.END and ordering.after.moment is Moment.START and not ordering.delay for ordering in orderings
         )
-        if simple and not any(call.release or call.deadline < inf for call in self.graph.calls):
+        if simple and not any(call.release or min(call.latest_start, call.deadline) < inf for call in self.graph.calls):
             return self._in_blocks(orderings)
         return self._explicit(orderings)
 
@@ -105,6 +105,7 @@ class _StepWriter:
             times = [
                 ("duration", None if fixed else call.action.duration),
                 ("release", call.release or None),
+                ("latest_start", call.latest_start if call.latest_start < inf else None),
                 ("deadline", call.deadline if call.deadline < inf else None),
             ]
             options += [Entry(Bare(number_text(seconds)), key) for key, seconds in times if seconds is not None]

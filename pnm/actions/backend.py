@@ -60,32 +60,46 @@ def schedule(knowledge: KnowledgeBase, timed: Iterable[TimedChange], began: floa
     return stop
 
 
-class SimulatedBackend:
-    """The backend of simulated robots in this process; under virtual time a run takes no time at all."""
+class ClientBackend:
+    """The backend of one action client in this process: nothing reports on the world, so all effects are assumed."""
 
-    def __init__(self, robots: SimulatedRobots, assumed: frozenset[str] = frozenset()) -> None:
-        self.robots = robots
-        self._assumed = assumed
+    def __init__(self, client: ActionClient) -> None:
+        self._client = client
 
     @property
     def client(self) -> ActionClient:
-        """The robots."""
-        return self.robots
+        """The client."""
+        return self._client
 
     async def open(self, knowledge: KnowledgeBase) -> None:
-        """Start the world's clock and its state reports."""
-        report_changes(self.robots.world, knowledge, self._assumed)
-        self.robots.begin()
+        """Do nothing: the client is ready."""
 
     async def share(self, mark: bytes, find: FindKnowledge, source: Source) -> None:
-        """Do nothing: simulated robots query nothing."""
+        """Do nothing: what the client carries out queries nothing."""
 
     def over(self, request: UUID, /) -> None:
         """Do nothing."""
 
     async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
-        """Do nothing: simulated robots are always ready."""
+        """Do nothing: the client finds its servers itself."""
         return ()
+
+    async def close(self) -> None:
+        """Do nothing: the client belongs to the caller."""
+
+
+class SimulatedBackend(ClientBackend):
+    """The backend of simulated robots in this process; under virtual time a run takes no time at all."""
+
+    def __init__(self, robots: SimulatedRobots, assumed: frozenset[str] = frozenset()) -> None:
+        super().__init__(robots)
+        self.robots = robots
+        self._assumed = assumed
+
+    async def open(self, knowledge: KnowledgeBase) -> None:
+        """Start the world's clock and its state reports."""
+        report_changes(self.robots.world, knowledge, self._assumed)
+        self.robots.begin()
 
     async def close(self) -> None:
         """Stop the world."""

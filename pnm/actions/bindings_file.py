@@ -19,7 +19,7 @@ def read_bindings(path: Path, known: Vocabulary | None = None) -> Bindings:
     entries = top.mapping("actions")
     actions: dict[str, Binding] = {}
     for name, entry in entries.items():
-        entry.only("server", "type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask", "resources")
+        entry.only("server", "several_servers", "type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask", "resources")
         actions[name] = read_binding(entry)
     if known is not None:
         for name, entry in entries.items():
@@ -58,6 +58,7 @@ def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAUL
         check_pattern(server, entry.position("server"), "/{robot}/navigate")
     return Binding(
         server=server,
+        several_servers=entry.flag("several_servers"),
         type=entry.string(type_key),
         goal=goal,
         store=read_texts(entry, "store", "expected result fields and the variables to store them in"),

@@ -12,7 +12,7 @@ from typing import Final
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import TRUE, Condition, data_in
 from pnm.core.logic.effects import Changes, changes, decided, undo, values_before
-from pnm.core.logic.evaluation import evaluate, failing
+from pnm.core.logic.evaluation import evaluate, unmet
 from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError
@@ -86,7 +86,7 @@ class Activity:
 
 def _denied(condition: Condition, truth: KnowledgeBase) -> str:
     """Return the conjuncts that do not hold. The world has no variables: conditions on these are left to the run."""
-    parts = () if condition == TRUE else failing(condition, truth)
+    parts = () if condition == TRUE else unmet(condition, truth)
     return " ".join(str(part) for part in parts if evaluate(part, truth) is False or not any(data_in(part)))
 
 

@@ -22,7 +22,7 @@ from pnm.core.logic.derived_facts import DerivedFacts
 from pnm.core.logic.effects import Changes
 from pnm.core.logic.expressions import UNKNOWN, Constant, Fluent, Unknown, Value, absent_value, fluent_text, same_value
 from pnm.core.logic.rules import NO_RULES, Rules
-from pnm.errors import InputError
+from pnm.errors import InputError, check_seconds
 
 Listener = Callable[[Mapping[Fluent, Value | Unknown]], None]
 
@@ -163,7 +163,8 @@ class KnowledgeBase:
     # sensing
 
     def sense(self, names: Iterable[str], *, lag: float = 0.0) -> None:
-        """Mark predicates and functions as sensed: reported, at most `lag` seconds late."""
+        """Mark predicates and functions as sensed: reported, at most `lag` seconds late; raise `InputError` if that is not finite."""
+        check_seconds("a report", lag)
         self._sensed.update((name, lag) for name in names if name not in self._derived)
 
     def is_sensed(self, fluent: Fluent) -> bool:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from sys import float_info
 from typing import Final, TypeVar
@@ -67,11 +68,13 @@ def _plain(node: yaml.Node, file: str) -> object:
     try:
         value = constructor.construct_object(node)
         str(value)  # no message and no JSON could name a number of more than 4300 digits, which hexadecimal ones may have
-        return value
     except (yaml.YAMLError, ValueError, LookupError) as error:
         raise InputError(f"cannot be read as {kind(node)}: {node.value[:40]!r}", position(node, file)) from error
     finally:
         constructor.dispose()
+    if isinstance(value, float) and not isfinite(value):
+        raise InputError(f"expected a finite number, found {node.value}", position(node, file))
+    return value
 
 
 @dataclass(frozen=True, slots=True)

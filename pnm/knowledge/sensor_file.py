@@ -47,7 +47,7 @@ def read_sensing(path: Path, known: Vocabulary | None = None) -> Sensing:
     top.only("sensors", "stale")
     stale = _seconds(top, "stale")
     sensors = tuple(_Reader(entry, known, stale).sensor() for entry in top.sequence("sensors"))
-    return Sensing(sensors, stale, known.signatures if known else {})
+    return Sensing(sensors, stale)
 
 
 def _seconds(entry: Mapped, key: str, default: float | None = None) -> float | None:

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from itertools import product
 from typing import Final, TypeAlias, assert_never
 
-from pnm.core.logic.declared_names import Signature
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Value, Variable, bind, fluent_text
 from pnm.errors import InputError, Position
 from pnm.knowledge.message_fields import FieldValue, Look, Test, Unreadable, shown, succeeds, without_nan
@@ -118,8 +117,6 @@ class Sensing:
     sensors: tuple[Sensor, ...] = ()
     stale: float | None = None
     """Seconds after which names that are no longer reported on ``knowledge/sensed`` become unknown."""
-    signatures: Mapping[str, Signature] = field(default_factory=dict)
-    """The known signatures of predicates and functions."""
 
     @property
     def names(self) -> frozenset[str]:

@@ -1,4 +1,8 @@
-"""State reports → knowledge: complete reports about predicates and functions are recorded, and names become unknown when stale."""
+"""State reports → knowledge: complete reports about predicates and functions are recorded, and names become unknown when stale.
+
+What cannot be so, because it does not fit the domain or cannot be read, makes the names of the report unknown: there is a sensor for
+them, so nothing about them is assumed, but what it sees is not known.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +14,11 @@ from itertools import product
 from math import prod
 from typing import Final
 
-from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.declared_names import FluentKind, Signature
+from pnm.core.knowledge_base import KnowledgeBase, statement_text
+from pnm.core.logic.declared_names import FluentKind, Vocabulary
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Value, absent_value
+from pnm.errors import InputError, suggestion
+from pnm.knowledge.complaints import Complaints
 
 
 class Watchdog:
@@ -56,17 +62,18 @@ _log = logging.getLogger(__name__)
 
 
 class StateReports:
-    """Records reports that are complete about the names they give, and makes names unknown that become stale.
+    """Records reports that are complete about the names they give, and makes names unknown that become stale or are reported wrongly.
 
-    The mutable state is the watchdog of every name reported so far, the values that stale names had before, and
-    the warnings given.
+    The mutable state is what is declared, the watchdog of every name reported so far, the values that unknown names had before, the
+    statements that were found to be right, and the warnings given.
 
     Args:
         knowledge: records the reports.
         ignored: names whose reports are not recorded, with the reason for a warning; empty for no warning.
         lag: seconds that reports may be late.
         stale: seconds without a report after which a name becomes unknown; None for never.
-        signatures: the known signatures of the names.
+        known: the declared names, which reports are checked against; None if nothing is declared.
+        source: what people know the source of the reports by.
     """
 
     def __init__(
@@ -75,23 +82,27 @@ class StateReports:
         ignored: Mapping[str, str],
         lag: float,
         stale: float | None = None,
-        signatures: Mapping[str, Signature] | None = None,
+        known: Vocabulary | None = None,
+        source: str = "the state topic",
     ) -> None:
         self._knowledge = knowledge
         self._ignored = dict(ignored)
         self._lag = lag
         self._stale = stale
-        self._signatures = signatures or {}
+        self._complaints = Complaints(source, _log)
+        self.declare(known)
         self._watchdogs: dict[str, Watchdog] = {}
         self._before: dict[str, dict[Fluent, Value | Unknown]] = {}
 
+    def declare(self, known: Vocabulary | None) -> None:
+        """Check reports against these names from now on."""
+        self._known = known
+        self._right: dict[Fluent, Value | Unknown] = {}
+
     def record(self, names: Collection[str], facts: Mapping[Fluent, Value | Unknown], _sequence: int = 0) -> None:
-        """Record a report that is complete about the names."""
-        for name in sorted(set(names) & self._ignored.keys()):
-            if self._ignored[name]:
-                _log.warning("reports about %s are ignored: %s", name, self._ignored[name])
-                self._ignored[name] = ""
-        watched = set(names) - self._ignored.keys()
+        """Record a report that is complete about the names; those of which it says what cannot be so become unknown."""
+        wrong = self._wrong(names, facts)
+        watched = self._watched(names) - wrong
         self._knowledge.sense(watched, lag=self._lag)
         returned = {fluent: value for name in watched for fluent, value in self._before.pop(name, {}).items()}
         reported = {fluent: value for fluent, value in facts.items() if fluent[0] in watched}
@@ -100,18 +111,66 @@ class StateReports:
             if name in self._watchdogs:
                 self._watchdogs[name].reset()
             else:
-                self._watchdogs[name] = Watchdog(self._stale, partial(self._forget, name))
+                silence = f"nothing was reported about {name} for {self._stale:g} s; it is unknown now" if self._stale else ""
+                self._watchdogs[name] = Watchdog(self._stale, partial(self._forget, name, silence))
+        self._distrust(wrong & self._watched(names))
+
+    def refuse(self, names: Collection[str], reason: str) -> None:
+        """Refuse a report about these names that cannot be read: they become unknown."""
+        self._complaints.note(reason)
+        self._distrust(self._watched(names))
+
+    def _watched(self, names: Collection[str]) -> frozenset[str]:
+        """Return the names that are recorded; there is a warning about those that are not."""
+        for name in sorted(set(names) & self._ignored.keys()):
+            if self._ignored[name]:
+                _log.warning("reports about %s are ignored: %s", name, self._ignored[name])
+                self._ignored[name] = ""
+        declared = names if self._known is None else self._known.fluents.intersection(names)
+        return frozenset(declared) - self._ignored.keys()
+
+    def _wrong(self, names: Collection[str], facts: Mapping[Fluent, Value | Unknown]) -> frozenset[str]:
+        """Return the names of which the report says what cannot be so; the first reason is told."""
+        wrong: dict[str, str] = {}
+        if self._known is not None:
+            for name in sorted(frozenset(names) - self._known.fluents - self._ignored.keys()):
+                wrong[name] = f"{name} is not declared; {suggestion(name, self._known.fluents) or 'nothing it says of that is recorded'}"
+        for fluent, value in facts.items():
+            name = fluent[0]
+            if name in wrong or name in self._ignored or (isinstance(value, bool | str) and self._right.get(fluent) == value):
+                continue
+            try:
+                if name not in names:
+                    raise InputError(f"it says {statement_text(fluent, value)}, but does not name {name} among what it is complete about")
+                if self._known is not None:
+                    self._known.check_report(fluent, value)
+                if isinstance(value, bool | str):  # numbers are new every time
+                    self._right[fluent] = value
+            except InputError as error:
+                wrong[name] = error.message
+        if wrong:
+            self._complaints.note(next(iter(wrong.values())))
+        return frozenset(wrong)
 
     def close(self) -> None:
-        """Cancel the watchdogs."""
+        """Cancel the watchdogs, and log the complaints that are left."""
         for watchdog in self._watchdogs.values():
             watchdog.close()
+        self._complaints.close()
 
-    def _forget(self, name: str) -> None:
-        _log.warning("nothing was reported about %s for %g s; it is unknown now", name, self._stale)
+    def _distrust(self, names: Collection[str]) -> None:
+        """Note that there is a sensor for the names, and that what it sees is not known."""
+        self._knowledge.sense(names, lag=self._lag)
+        for name in names:
+            if name not in self._before:
+                self._forget(name)
+
+    def _forget(self, name: str, warning: str = "") -> None:
+        if warning:
+            _log.warning(warning)
         before: dict[Fluent, Value | Unknown] = {}
-        if name in self._signatures:
-            signature = self._signatures[name]
+        signature = self._known.signatures.get(name) if self._known else None
+        if signature is not None:
             objects = [self._knowledge.objects(types) for types in signature.parameters]
             if prod(map(len, objects)) <= MAX_INSTANCES:
                 before = {(name, *arguments): _ABSENT[signature.kind] for arguments in product(*objects)}

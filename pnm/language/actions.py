@@ -40,8 +40,10 @@ OPERATION: Final = "operation"
 """The parameter of an `ActionKind.KB` action that has the operation on knowledge."""
 ACTION_KEYS: Final = (
     *("instances", "type", "params", "preconditions", "effects", "duration", "preferences", "recoveries", "resources"),
-    *("server", "ros_type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask", "simulated"),
+    *("server", "several_servers", "ros_type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask", "simulated"),
 )
+BINDING_KEYS: Final = ("server", "ros_type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask", "resources")
+"""Those of them that bind the action to its server."""
 RESERVED: Final = frozenset({"while", "if", "then", "else", "concurrent_actions", "sequence"})
 """Words that steps begin with."""
 
@@ -138,6 +140,11 @@ def read_schema(name: str, entry: Mapped, scope: FormulaScope) -> ActionSchema:
     return schema
 
 
+def read_own_binding(entry: Mapped) -> Binding:
+    """Read how the action is bound to its server."""
+    return read_binding(entry, type_key="ros_type", retries=0)
+
+
 def read_action(schema: ActionSchema, entry: Mapped, scope: FormulaScope) -> LanguageAction:
     """Read how an action is executed."""
     if schema.name in RESERVED:
@@ -155,7 +162,7 @@ def read_action(schema: ActionSchema, entry: Mapped, scope: FormulaScope) -> Lan
         _kind(entry),
         entry.start,
         is_open,
-        binding=read_binding(entry, type_key="ros_type", retries=0),
+        binding=read_own_binding(entry),
         resources=tuple(entry.strings("resources")),
         returns=tuple(returns),
         recoveries=entry.node("recoveries"),

@@ -166,14 +166,12 @@ def _entries(document: Mapped) -> list[tuple[str, Mapped]]:
     if "plan" in document.nodes:
         document.only(*PLAN_KEYS, *DOMAIN_KEYS)
         return [(document.string("name") or Path(document.file).stem, document)]
-    if "plans" in document.nodes:
-        raise InputError("this is a world; expected a plan", document.nodes["plans"][0])
+    if is_world(document):
+        raise InputError("this is a world; expected a plan", document.start)
     recipes: list[tuple[str, Mapped]] = []
     for key, where, node in document.entries():
         if key in DOMAIN_KEYS:
             continue
-        if node.is_mapping and "recipes" in node.mapped().nodes:
-            raise node.wrong("this is a world; expected a plan")
         recipe = node.mapped() if node.is_mapping and key not in PLAN_KEYS else None
         if recipe is None or recipe.nodes.keys().isdisjoint(RECIPE_KEYS):
             if key in PLAN_KEYS:
@@ -184,6 +182,12 @@ def _entries(document: Mapped) -> list[tuple[str, Mapped]]:
         recipe.needed("plan")
         recipes.append((key, recipe))
     return recipes
+
+
+def is_world(document: Mapped) -> bool:
+    """Return whether the document lists the files of plans, or has worlds that do."""
+    worlds = (node.mapped() for _, _, node in document.entries() if node.is_mapping)
+    return "plan" not in document.nodes and ("plans" in document.nodes or any("recipes" in world.nodes for world in worlds))
 
 
 def domain_document(documents: Iterable[Mapped]) -> Mapped | None:

@@ -6,12 +6,13 @@ A world is a domain and the plans that are served together, each as an action se
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
-from pnm.core.logic.conditions import TRUE, Condition
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import TRUE, Condition, fluents
 from pnm.core.logic.domain import ProblemModel
 from pnm.core.logic.effects import TimedChange
 from pnm.core.logic.expressions import Fluent, Value
@@ -25,7 +26,7 @@ from pnm.knowledge.sources.registry import SourceChoice
 from pnm.language.actions import LanguageAction
 from pnm.language.declarations import read_facts
 from pnm.language.domain import LanguageDomain, read_goal
-from pnm.language.files import PlanHead, beside, parse_documents, plan_heads, plan_heads_in, read_documents, read_domain
+from pnm.language.files import PlanHead, beside, is_world, parse_documents, plan_heads, plan_heads_in, read_documents, read_domain
 from pnm.language.formulas.scope import NOTHING_DECLARED, FormulaScope, unknown
 from pnm.language.formulas.values import read_literal
 from pnm.language.ground_calls import Facts
@@ -77,7 +78,7 @@ class HandWrittenPlan:
 
 
 def read_plans(path: Path, domain: Path | None = None) -> dict[str, HandWrittenPlan]:
-    """Read all plans of a file, by name.
+    """Read all plans of a file, or of the world in it, by name.
 
     Args:
         path: the file.
@@ -86,6 +87,9 @@ def read_plans(path: Path, domain: Path | None = None) -> dict[str, HandWrittenP
     Raises:
         InputError: there is none, something is malformed, or has names that are not there.
     """
+    documents, _ = read_documents(path)
+    if len(documents) == 1 and is_world(documents[0]):
+        return dict(read_world(path).plans)
     return finished(plan_heads(path, None if domain is None else read_domain(domain)))
 
 
@@ -133,6 +137,7 @@ def _plan(head: PlanHead, others: Mapping[str, PlanHead]) -> HandWrittenPlan:
     builder = PlanGraphBuilder(lambda action: recoveries.get(action.name, ()), Facts(facts), max(1, entry.whole("restarts", 1)))
     goal = read_goal(entry, scope)
     graph = builder.graph(steps, domain.model.goal if goal == TRUE else goal, domain.rules, _capacities(entry))
+    graph = replace(graph, due=_due(graph.goal, domain))
     _check_capacities(entry, graph, actions)
     return HandWrittenPlan(
         head.name,
@@ -152,6 +157,14 @@ def _plan(head: PlanHead, others: Mapping[str, PlanHead]) -> HandWrittenPlan:
         declared=domain.model,
         domain_file=domain.file,
     )
+
+
+def _due(goal: Condition, domain: LanguageDomain) -> float:
+    """Return when the last timed fact comes that the goal reads: the goal is not looked at before."""
+    asked = fluents(goal, KnowledgeBase(objects=domain.model.objects_by_type))
+    base = domain.rules.base(fluent[0] for fluent in asked if fluent[0] in domain.rules.derived)
+    late = (change.time for change in domain.model.timed for fluent in change.changes if fluent in asked or fluent[0] in base)
+    return max(late, default=0.0)
 
 
 def _capacities(entry: Mapped) -> dict[str, int]:

@@ -85,6 +85,8 @@ class CallStep:
     """Chosen within the bounds that the action gives."""
     release: float = 0.0
     """Seconds after the beginning of the plan before which it must not start."""
+    latest_start: float = inf
+    """Seconds after the beginning of the plan by which it must have been sent."""
     deadline: float = inf
     """Seconds after the beginning of the plan by which it must have ended."""
     resources: tuple[str, ...] = ()
@@ -161,7 +163,15 @@ def read_recoveries(node: Node, scope: FormulaScope, read_steps: ReadSteps) -> t
     outcomes.only(*_DURING)
     for outcome, _, chains in outcomes.entries():
         recoveries += [_recovery(long, frozenset({_DURING[outcome]}), None, scope, read_steps) for long in _each(chains)]
-    return (*recoveries, *(_recovery(long, _AFTER, Cause.AFTER, scope, read_steps) for long in _each(entry.filled("after"))))
+    recoveries += [_recovery(long, _AFTER, Cause.AFTER, scope, read_steps) for long in _each(entry.filled("after"))]
+    always = dict[Cause, Then]()
+    for recovery in recoveries:
+        if recovery.causes <= always.keys():
+            before = always[next(iter(recovery.causes))].value
+            raise InputError(f"this can never happen: the recovery before it ends with {before}, and is always possible", recovery.position)
+        if recovery.when is None and recovery.then.is_last(chain=bool(recovery.chain.steps)):
+            always |= dict.fromkeys(recovery.causes, recovery.then)
+    return tuple(recoveries)
 
 
 def _each(node: Node | None) -> tuple[Node, ...]:

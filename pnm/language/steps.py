@@ -36,7 +36,7 @@ DEFAULT_LIMIT: Final = 1000
 """How often a loop is repeated at most, without a limit in the plan."""
 MAX_LIMIT: Final = 1_000_000
 _PLACE: Final = ("id", "after")
-_CALL: Final = ("recoveries", "retries", "timeout", "resources", "store", "end_after", "duration", "release", "deadline")
+_CALL: Final = ("recoveries", "retries", "timeout", "resources", "store", "end_after", "duration", "release", "latest_start", "deadline")
 OPTIONS: Final = (*_PLACE, *_CALL)
 """The keys of a step beside the one that names its action or block."""
 
@@ -163,6 +163,7 @@ class StepReader:
             timeout=options.number("timeout", None),
             duration=options.number("duration", None),
             release=options.number("release", 0.0),
+            latest_start=options.number("latest_start", inf),
             deadline=options.number("deadline", inf),
             resources=resources,
             store=read_texts(options, "store", "expected result fields and the variables to store them in"),

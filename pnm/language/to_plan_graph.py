@@ -18,6 +18,7 @@ from pnm.core.logic.conditions import TRUE, Condition, ground
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.core.machine.plan_graph import (
     ActionCall,
+    Cause,
     Choice,
     Flow,
     Junction,
@@ -197,12 +198,15 @@ class PlanGraphBuilder:
         self._positions[number] = step.place.position
         if written:
             self._recovering.add(number)
+        handled = frozenset[Cause]().union(*(recovery.causes for recovery in written))
+        usual = (recovery for recovery in usual_recoveries(step.action) if handled.isdisjoint(recovery.causes))
         inner = _Region(outer_values(step.action, own), region.depth + 1, recovering)
         return ActionCall(
             number,
             action,
-            recoveries=(*(self._recovery(recovery, own, inner) for recovery in written), *usual_recoveries(step.action)),
+            recoveries=(*(self._recovery(recovery, own, inner) for recovery in written), *usual),
             release=step.release,
+            latest_start=step.latest_start,
             deadline=step.deadline,
             timeout=step.timeout,
             retries=step.action.binding.retries if step.retries is None else step.retries,

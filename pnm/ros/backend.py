@@ -9,6 +9,7 @@ from typing import Any, Final
 from uuid import UUID
 
 from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.declared_names import Vocabulary
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import ActionClient
@@ -21,7 +22,7 @@ from pnm.ros.knowledge.goal_ids import service_prefix
 from pnm.ros.knowledge.knowledge_services import KnowledgeServices
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.sensors.sensors import Sensors
-from pnm.ros.sensors.state_topic import SensedReports
+from pnm.ros.sensors.state_topic import TOPIC, SensedReports
 
 DISCOVERY: Final = 10.0
 """Seconds to wait for servers and reports of robots that are started together with this node."""
@@ -31,6 +32,7 @@ class Ros2Backend:
     """The action servers found in the ROS 2 graph, the facts published on `knowledge/sensed`, and sensors.
 
     Args:
+        known: the declared names, which reports are checked against; None if nothing is declared.
         ros: the thread of a node that goes on when the backend is closed; by default the backend has one of its own.
 
     The mutable state is what `open` and `share` make.
@@ -39,12 +41,15 @@ class Ros2Backend:
         InputError: a fluent has a sensor and is among the assumed ones of the bindings.
     """
 
-    def __init__(self, bindings: Bindings, sensing: Sensing = NO_SENSING, ros: RosThread | None = None) -> None:
+    def __init__(
+        self, bindings: Bindings, sensing: Sensing = NO_SENSING, known: Vocabulary | None = None, ros: RosThread | None = None
+    ) -> None:
         for name in sorted(sensing.names & bindings.assumed):
             raise InputError(f"there is a sensor for {name}, which is among the 'assumed' of the bindings; expected one of the two")
         self._bindings = bindings
         self._shared = ros
         self._sensing = sensing
+        self._known = known
         self._sensed: SensedReports | None = None
         self._reports: StateReports | None = None
         self._sensors: Sensors | None = None
@@ -70,10 +75,15 @@ class Ros2Backend:
             **dict.fromkeys(sensing.names, "there is a sensor for it"),
             **dict.fromkeys(self._bindings.assumed, ""),
         }
-        self._reports = StateReports(knowledge, ignored, lag, sensing.stale, sensing.signatures)
-        self._sensed = SensedReports(self.ros, loop, self._reports.record)
+        self._reports = StateReports(knowledge, ignored, lag, sensing.stale, self._known, TOPIC)
+        self._sensed = SensedReports(self.ros, loop, self._reports.record, self._reports.refuse)
         await self._sensors.open()
         await self._sensed.first(DISCOVERY)
+
+    def declare(self, known: Vocabulary) -> None:
+        """Check reports against these names from now on."""
+        if self._reports is not None:
+            self._reports.declare(known)
 
     async def share(self, mark: bytes, find: FindKnowledge, source: Source) -> None:
         """Offer the two services that action servers find by the identity of their goal."""

@@ -6,6 +6,7 @@ The unit is one turn of a plain Python loop over integers, measured in the same 
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from uuid import UUID
 
@@ -14,10 +15,23 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from pnm.core.execution.events import Begin, Send
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.generate import generate
-from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
+from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.machine.plan_graph import (
+    ActionCall,
+    Cause,
+    Flow,
+    GroundAction,
+    Moment,
+    Ordering,
+    PlanEvent,
+    PlanGraph,
+    Recovery,
+    Then,
+)
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
-from pnm.core.machine.verification.verify import verify
+from pnm.core.machine.verification.verify import forget_proofs, verify
 from pnm.core.net.firing_engine import CompiledNet, Engine
 from pnm.core.net.net import NetBuilder, PetriNet
 from tests.support.runs.timing import seconds
@@ -76,6 +90,35 @@ def no_ops(calls: int) -> PlanGraph:
     return PlanGraph(found, orderings)
 
 
+def side_by_side(calls: int) -> PlanGraph:
+    """Calls that have nothing to do with each other."""
+    return PlanGraph(tuple(ActionCall(index, GroundAction("no_op")) for index in range(calls)))
+
+
+def in_a_row(calls: int) -> PlanGraph:
+    """Calls that wait for each other."""
+    ends = (Ordering(PlanEvent(index, Moment.END), PlanEvent(index + 1, Moment.START)) for index in range(calls - 1))
+    return replace(side_by_side(calls), orderings=tuple(ends))
+
+
+def recovering(count: int) -> PlanGraph:
+    """One call with so many recoveries, each of which may be used three times."""
+    causes = [cause for cause in Cause if cause not in (Cause.INVARIANT_FALSE, Cause.TOO_LATE, Cause.DEADLINE_MISSED, Cause.LOOP_LIMIT)]
+    chains = (Flow((ActionCall(index + 1, GroundAction("wait")),)) for index in range(count))
+    recoveries = (Recovery(frozenset({cause}), Then.RETRY, chain, 3, TRUE) for cause, chain in zip(causes, chains, strict=False))
+    return PlanGraph((ActionCall(0, GroundAction("no_op"), recoveries=tuple(recoveries)),))
+
+
+def proof_seconds(machine: PetriNetMachine) -> float:
+    """The time of a proof that knows no shape yet."""
+
+    def prove() -> None:
+        forget_proofs()
+        verify(machine)
+
+    return seconds(prove)
+
+
 def inline(run: Run) -> int:
     """Answer every request at once; return how many there were."""
     waiting, answered = run.handle(Begin(), 0.0), 0
@@ -114,6 +157,23 @@ def main() -> None:
             f"generate {made / calls / unit:.0f}, prove {proved / calls / unit:.0f}, run inline {ran / calls / unit:.0f} units; "
             f"{made:.2f} + {proved:.2f} + {ran:.2f} s"
         )
+
+    proofs()
+
+
+def proofs() -> None:
+    """Ratios of proofs: the proof is linear in the width of a plan and in the recoveries of a call."""
+    for calls in (1_000, 10_000):
+        chain, wide = generate(in_a_row(calls)), generate(side_by_side(calls))
+        ratio = (proof_seconds(wide) / nodes(wide)) / (proof_seconds(chain) / nodes(chain))
+        print(f"{calls} calls: a node of a proof side by side / in a row = {ratio:.2f} (at most 2)")
+    few, many = generate(recovering(2)), generate(recovering(11))
+    ratio = proof_seconds(many) / proof_seconds(few)
+    print(f"recoveries of one call: 11 / 2 = {ratio:.1f} (at most 11); 11 take {proof_seconds(many) * 1000:.0f} ms")
+
+
+def nodes(machine: PetriNetMachine) -> int:
+    return len(machine.net.places) + len(machine.net.transitions)
 
 
 if __name__ == "__main__":

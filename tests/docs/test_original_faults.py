@@ -35,8 +35,12 @@ def test_b6_b10_a_condition_that_cannot_be_computed_does_not_hold(run: RunOrigin
     condition = "{Comparison: [lt, [LocalQuery: value, 3]]}"
     rest = f"  small: {{preconditions: {condition}}}\n"
     assert causes(run("[{small: {}}]", knowledge="{value: text}", rest=rest)) == ["precondition_false"]
-    plan = f"[{{if: {condition}, then: [{{a: {{}}}}], else: [{{b: {{}}}}]}}]"
-    assert run(plan, knowledge="{value: text}").actions == ["b"]
+    for step in (
+        f"if: {condition}, then: [{{a: {{}}}}], else: [{{b: {{}}}}]",
+        f"while: {{condition: {condition}, actions: [{{a: {{}}}}]}}",
+    ):
+        trace = run(f"[{{{step}}}]", knowledge="{value: text}")
+        assert (trace.actions, causes(trace)) == ([], ["condition_unknown"])
 
 
 def test_b7_b8_any_number_of_operands_and_operations_in_operations(run: RunOriginal) -> None:

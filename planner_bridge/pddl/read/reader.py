@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final, Literal
 
+from planner_bridge.model.missing_numbers import missing_numbers
 from planner_bridge.model.problem import Domain, Metric, Problem
 from planner_bridge.pddl.read import declarations
 from planner_bridge.pddl.read.actions import DURATIVE, INSTANTANEOUS, actions
@@ -27,6 +28,7 @@ from planner_bridge.pddl.read.terms import TermScope
 from planner_bridge.pddl.syntax.expressions import Atom, Group, text_of, where, wrong
 from pnm.core.logic.conditions import TRUE, Condition
 from pnm.core.logic.domain import Preference, check_choices
+from pnm.core.logic.expressions import fluent_text
 from pnm.errors import Tolerated
 from pnm.files.text import read_any_text
 
@@ -158,12 +160,13 @@ def _problem(definition: Definition, domain: Domain, warnings: tuple[Tolerated, 
         (*goals, *soft),
         network,
         words,
-        (*domain.warnings, *warnings, *definition.whole.source.tolerated),
     )
     objects = where((*definition.every(":objects"), definition.whole)[0])
     for what, choices in problem.ranges():
         check_choices(choices, objects, f"the quantifiers in {what}")
-    return problem
+    for fluent in missing_numbers(problem):
+        Leniency.NUMBER_MISSING.note(definition.one(":init") or definition.whole, fluent_text(fluent))
+    return replace(problem, warnings=(*domain.warnings, *warnings, *definition.whole.source.tolerated))
 
 
 def _check_domain_name(definition: Definition, domain: Domain) -> None:

@@ -91,6 +91,7 @@ class Leniency(Enum):
     ASSIGN_IN_INIT = "'{}' is read as '='"
     VALUE_UNDECLARED = "the function {} is not declared; its value is ignored"
     VALUE_TWICE = "{} has another value before; this one is used"
+    NUMBER_MISSING = "{} has no value at first; actions that need it cannot be applied"
     FACT_TWICE = "{} is there twice"
 
     def note(self, node: Node, *details: object) -> None:

@@ -6,7 +6,7 @@ It goes on by itself as soon as none of those goes on: they are over, are paused
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from uuid import UUID
 
 from planner_bridge.ordering.interference import ReadWriteSets, interference
@@ -37,7 +37,10 @@ class Preemption(TaskListener):
     # --- conflicts ------------------------------------------------------------------------------
 
     def conflicts(self, task: Task, footprint: Callable[[], ReadWriteSets]) -> tuple[Conflict, ...]:
-        """Return the active tasks that conflict with a plan of the task. `footprint` is called only if there are any."""
+        """Return the tasks that conflict with a plan of the task, because they are active or their pause has yet to take effect.
+
+        `footprint` is called only if there are any.
+        """
         others = self._others(task)
         if not others:  # the footprint is computed only when needed: it walks through the whole plan
             return ()
@@ -45,7 +48,8 @@ class Preemption(TaskListener):
         for other in others:
             its = other.control.footprint
             if its is not None and (why := interference(needed, its)):
-                conflicts.append(Conflict(other.id, other.name, its, why, other.wanted.priority < task.wanted.priority))
+                yields = other.is_active and other.wanted.priority < task.wanted.priority
+                conflicts.append(Conflict(other.id, other.name, its, why, yields))
         return tuple(conflicts)
 
     def new_conflicts(self, task: Task, footprint: Callable[[], ReadWriteSets]) -> tuple[Conflict, ...]:
@@ -65,7 +69,8 @@ class Preemption(TaskListener):
         return tuple(running)
 
     def _others(self, task: Task) -> list[Task]:
-        return [other for other in self._tasks.values() if other is not task and other.is_active]
+        begun = (other for other in self._tasks.values() if other is not task and other.control.has_begun and other.ending is None)
+        return [other for other in begun if other.control.state is not TaskState.PAUSED]
 
     async def begin_turn(self, task: Task) -> None:
         """Wait for the turn of the task to plan; one whose attempt failed waits for a change first."""
@@ -104,38 +109,60 @@ class Preemption(TaskListener):
         if other.id not in task.preempted_by and task.id in self._tasks:
             task.preempted_by.add(other.id)
             task.note("conflict", "", f"makes way for {other.name}")
-        self.update(task)
+        self._update(task)
 
     def changed(self, task: UUID) -> None:
-        """Update the tasks that are preempted for a task, which may have ceased to go on, or have begun again."""
-        for other in tuple(self._tasks.values()):
-            if task in other.preempted_by:
-                self.update(other)
+        """Decide again which tasks go on: this one may have ceased to, or have begun again."""
+        self.update_all()
 
-    def update(self, task: Task) -> None:
-        """Pause a task if it is preempted; resume it if it is not, and no operator has paused it."""
-        control = task.control
+    def update_all(self) -> None:
+        """Pause the tasks that are preempted, and resume those that are not any more; those that are served first come first."""
+        for task in sorted(self._tasks.values(), key=lambda task: task.rank):
+            if task.control.is_paused or any(self._opponents(task)):
+                self._update(task)
+
+    def _update(self, task: Task) -> None:
         # An operator's pause is stronger than preemption, and a task that is being cancelled is past both.
-        if task.is_held or task.id not in self._tasks or control.state is TaskState.CANCELLING:
+        if task.is_held or task.id not in self._tasks or task.control.state is TaskState.CANCELLING:
             return
-        if not (why := self._why_preempted(task)):
-            control.resume()
-        elif (task.is_active or control.reason != why) and task.id not in self._pausing:
+        if not (why := self._why_paused(task)):
+            task.control.resume()
+        elif (task.is_active or task.control.reason != why) and task.id not in self._pausing:
             self._pausing[task.id] = asyncio.get_running_loop().create_task(self._pause(task))
 
-    def _why_preempted(self, task: Task) -> str:
-        others = [self._tasks[identity] for identity in task.preempted_by if identity in self._tasks]
-        names = [other.name for other in sorted(others, key=lambda other: other.rank) if other.goes_on]
-        return f"makes way for {', '.join(names)}" if names else ""
+    def _goes_on(self, task: Task) -> bool:
+        """Return whether the task goes on, or is about to: it wants to, and makes way for none that does."""
+        return task.wants_to_go_on and not any(map(self._goes_on, self._superiors(task)))
+
+    def _why_paused(self, task: Task) -> str:
+        """Return why the task is not to go on now; empty when it is.
+
+        Of two opponents one goes on. The other one is at rest before: a robot that is still at work for one gets no command of the other.
+        """
+        if preempting := [other.name for other in self._superiors(task) if self._goes_on(other)]:
+            return f"makes way for {', '.join(preempting)}"
+        if not task.wants_to_go_on:
+            ahead = [other.name for other in self._opponents(task) if self._goes_on(other)]
+            return f"waits for an answer, and {', '.join(ahead)} goes on meanwhile" if ahead else ""
+        opponents = self._opponents(task) if task.control.is_paused else ()
+        working = [other.name for other in opponents if other.control.state is not TaskState.PAUSED]
+        return f"waits until {', '.join(working)} has stopped" if working else ""
+
+    def _superiors(self, task: Task) -> list[Task]:
+        """Return the tasks of higher priority for which the task is preempted."""
+        return sorted((self._tasks[other] for other in task.preempted_by if other in self._tasks), key=lambda other: other.rank)
+
+    def _opponents(self, task: Task) -> Iterator[Task]:
+        """Yield the tasks that do not go on together with this one: one of the two is preempted for the other."""
+        yield from self._superiors(task)
+        yield from (other for other in self._tasks.values() if task.id in other.preempted_by)
 
     async def _pause(self, task: Task) -> None:
         try:
-            # A turn of the event loop has passed since it was decided.
-            if (why := self._why_preempted(task)) and not task.is_held:  # still
+            if (why := self._why_paused(task)) and not task.is_held:  # still
                 self._queue.leave(task)
-                await task.control.pause(why, at_once=True)
+                await task.control.pause(why, at_once=any(map(self._goes_on, self._superiors(task))))
         finally:
             del self._pausing[task.id]
         self._queue.changed()  # what the paused task kept from others is free now, so those that failed may try again
-        if task.is_active:
-            self.update(task)  # another task may have preempted it meanwhile
+        self.update_all()  # another task may have preempted it meanwhile, or have waited for it

@@ -20,7 +20,7 @@ from planner_bridge.planning.plan_text import read_plan
 from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.goal_loop import GoalLoop
 from planner_bridge.tasks.plan_task import PlanTask
-from planner_bridge.tasks.result import Stopwatch, TaskResult
+from planner_bridge.tasks.result import Stopwatch, TaskResult, join_reasons
 from planner_bridge.tasks.scheduling.planning_queue import PlanningQueue
 from planner_bridge.tasks.scheduling.preemption import Preemption
 from planner_bridge.tasks.settings import OnChange, Settings, TaskObserver
@@ -38,6 +38,8 @@ from pnm.knowledge.sources.source import Asker, Source
 from pnm.language.runner import PlanRunner
 from pnm.tasks import Code, OnConflict, TaskEnding, TaskListener, TaskRefused, TaskState, TaskStatus, TaskStep, Wanted
 
+MAX_CALLS: Final = 1000
+"""Calls of a plan that is sent as a text: the event loop waits while its machine is made."""
 _REMEMBERED: Final = 20
 """Tasks that are over and still listed."""
 
@@ -166,7 +168,7 @@ class TaskManager:
             raise TaskRefused(f"the task {task} was not paused")
         for active_task in chosen:
             active_task.is_held = False
-            self._preemption.update(active_task)  # not resumed directly: another task may have preempted it meanwhile
+        self._preemption.update_all()  # not resumed directly, nor one after the other: which of them go on is decided for all at once
         self._admit()
 
     async def cancel(self, task: UUID | None, /, *, why: str = "cancelled on request") -> None:
@@ -270,6 +272,8 @@ class TaskManager:
         if task.wanted.parameters:
             raise InputError(f"a plan that is sent as a text has no parameters; found {', '.join(task.wanted.parameters)}")
         plan = read_plan(task.wanted.text, self._now())
+        if len(plan.steps) > MAX_CALLS:
+            raise InputError(f"the plan has {len(plan.steps)} calls; expected {MAX_CALLS} at most")
         return lambda: GoalLoop(self._context(task, TRUE, on_change=OnChange.LAZY), given=plan).pursue()
 
     def _now(self) -> Problem:
@@ -311,6 +315,11 @@ class TaskManager:
             task.error = error
             if not task.observers:  # which get the error themselves
                 _log.exception("%s cannot be done", task.name)
+        except asyncio.CancelledError:
+            stopped = task.control.stopped
+            reasons = join_reasons(stopped.reason if stopped else "", "what it runs is left alone")
+            ending = TaskEnding(stopped.code if stopped else Code.CANCELLED, reasons)
+            raise
         finally:
             del self._work[task.id]
             self._end(task, ending)
@@ -331,7 +340,7 @@ class TaskManager:
         self._past = [*self._past[1 - _REMEMBERED :], task]
         task.end(ending)  # listed as past before its listeners know, so that they find it when they ask
         self._queue.changed()
-        self._preemption.changed(task.id)
+        self._preemption.update_all()
         self._admit()
 
     def _chosen(self, task: UUID | None) -> list[Task]:

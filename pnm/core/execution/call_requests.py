@@ -11,7 +11,7 @@ from typing import Final, assert_never
 from uuid import UUID, uuid5
 
 from pnm.core.execution.call_results import CallResult
-from pnm.core.execution.effect_checks import Intention, finished, intention, lag_of_effects, unseen
+from pnm.core.execution.effect_checks import Intention, denied_at_end, finished, intention, lag_of_effects, unseen
 from pnm.core.execution.events import Cancel, Command, Send, Store
 from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.questions import EvaluationContext
@@ -74,6 +74,11 @@ class Calls:
         self._actions: dict[int, GroundAction] = {}
         self._intended: dict[int, Intention] = {}
         self._begun: dict[int, Changes] = {}
+        """Values before what a call has written."""
+        self._ended: dict[int, Changes] = {}
+        """What calls have written at their ends."""
+        self._denied: dict[int, tuple[str, ...]] = {}
+        """What of the end conditions was not so at the end, and is reported by nothing."""
         self.accepted: dict[int, float] = {}
         """Calls whose requests were accepted and are not being cancelled, and the times of acceptance."""
 
@@ -143,7 +148,8 @@ class Calls:
 
     def unseen(self, call: int, context: EvaluationContext) -> tuple[str, ...]:
         """Return what of the call's effects is not seen."""
-        return unseen(self._intended[call].expected, self.action(call), context)
+        missing = unseen(self._intended[call].expected, self.action(call), context)
+        return tuple(dict.fromkeys((*self._denied.get(call, ()), *missing)))
 
     def lag_of_effects(self, call: int, context: EvaluationContext) -> float:
         """Return how many seconds late the reports about its effects may come."""
@@ -186,11 +192,14 @@ class Calls:
                 self._begun[call] = values_before(start, context)
                 return self._write(start)
             case TransitionAction.FINISH:
-                return self._write(finished(self.action(call), self._intended[call], context))
+                self._denied[call] = denied_at_end(self.action(call), context)
+                end = self._ended[call] = finished(self.action(call), self._intended[call], context)
+                self._begun[call] = values_before(end, context) | self._begun.get(call, {})
+                return self._write(end)
             case TransitionAction.UNDO:
                 if call not in self._begun:  # it was never accepted, so nothing was written at its start
                     return _NOTHING
-                return self._write(undo(self._begun.pop(call), self._intended[call].start, context))
+                return self._write(undo(self._begun.pop(call), self._intended[call].start | self._ended.pop(call, {}), context))
             case _:
                 assert_never(action)
 
@@ -234,6 +243,8 @@ class Calls:
         self._actions[call] = action
         # What an earlier attempt had begun has been undone, or is kept on purpose: this attempt is not to undo it.
         self._begun.pop(call, None)
+        self._ended.pop(call, None)
+        self._denied.pop(call, None)
         self.accepted.pop(call, None)
         identity = self._next(call)
         self._sent[call] = self._sent.get(call, 0) + 1

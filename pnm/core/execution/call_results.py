@@ -6,7 +6,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from pnm.core.machine.machine import CallOutcome, EffectsMissing, Rule, TransitionAction, is_check
+from pnm.core.machine.machine import CallOutcome, EffectsMissing, Rule, is_check
 from pnm.core.machine.plan_graph import ActionCall, Cause, PlanGraph, Step
 from pnm.core.machine.requests import Outcome
 
@@ -91,7 +91,7 @@ class CallResults:
     """Results of the calls of a run, and its failures.
 
     The mutable state is `current`, what became of calls the last time they were reached, `rounds`, the same of all times
-    before, `failures` and, per call, the last message and the last cause.
+    before, `failures`, `last_check` and, per call, the last message and the last cause.
     """
 
     def __init__(self, plan: PlanGraph) -> None:
@@ -102,6 +102,8 @@ class CallResults:
         self.current = [CallResult(call) for call in plan.calls]
         self.rounds: list[CallResult] = []
         self.failures: list[Failure] = []
+        self.last_check: Explanation | None = None
+        """What the check of the transition that fired last has found, if it was a check."""
         self._messages: dict[int, str] = {}
         self._causes: dict[int, Explanation] = {}
 
@@ -128,8 +130,10 @@ class CallResults:
         """Keep the message of a request of the call that has ended."""
         self._messages[call] = outcome.message or outcome.kind.value
 
-    def fired(self, rule: Rule, call: int, now: float, check: Explanation | None, *, missing: tuple[str, ...], assumed: bool) -> None:
-        """Record the firing of a transition: it sets the outcome of its call and the cause of a recovery or failure.
+    def fired(
+        self, rule: Rule, call: int, now: float, check: Explanation | None, *, missing: tuple[str, ...], assumed: bool
+    ) -> Explanation | None:
+        """Record the firing of a transition: it sets the outcome of its call and the cause of a recovery or failure, which is returned.
 
         Args:
             rule: of the transition.
@@ -159,14 +163,16 @@ class CallResults:
                 if result.ended is None:
                     self.current[call] = replace(result, kind=rule.outcome, cause=self._causes[call].cause, ended=now)
             case _:
-                assumed = assumed and rule.action is TransitionAction.FINISH
                 self.current[call] = replace(result, kind=rule.outcome, cause=None, ended=now, assumed=assumed)
         if check is not None:
             self._causes[call] = check
-        elif rule.cause is not None and not is_check(rule.guard):
+            return check
+        if rule.cause is not None and not is_check(rule.guard):
             expected = " ".join(missing) if isinstance(rule.guard, EffectsMissing) else rule.expected or "success"
             message = self._messages.get(call, "")
             self._causes[call] = Explanation(rule.cause, expected, rule.observed.format(message=message) or message)
+            return self._causes[call]
+        return None
 
     def adopted(self, call: ActionCall, before: CallResult) -> None:
         """Record the result so far of a call that another run has sent."""

@@ -1,6 +1,7 @@
 """Effect checks of a call: pure functions of a ground action and of knowledge.
 
-Before: do its effects hold already? After: are its effects seen? An effect is *seen* when its
+Before: do its effects hold already? While it runs: may what is false of its over-all condition be a late report? After: are its
+effects seen? An effect is *seen* when its
 fluent is sensed and has the value; effects on assumed fluents cannot be checked.
 """
 
@@ -11,10 +12,10 @@ from dataclasses import dataclass, field
 
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import statement_text
-from pnm.core.logic.conditions import TRUE, conjuncts, names
-from pnm.core.logic.effects import Changes, Effects, changes, decided, facts, is_fixed, names_written
-from pnm.core.logic.evaluation import evaluate, failing
-from pnm.core.logic.expressions import Fluent, Value, same_value
+from pnm.core.logic.conditions import TRUE, Condition, conjuncts, fluents, names
+from pnm.core.logic.effects import Changes, Effects, changes, decided, facts, is_fixed, names_written, written
+from pnm.core.logic.evaluation import evaluate, unmet
+from pnm.core.logic.expressions import UNKNOWN, Fluent, Value, same_value
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 
 
@@ -74,12 +75,36 @@ def finished(action: GroundAction, intended: Intention, knowledge: EvaluationCon
 
 
 def unseen(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: EvaluationContext) -> tuple[str, ...]:
-    """Return, as PDDL, which expected facts are not reported and which end conditions and expectations do not hold."""
+    """Return, as PDDL, which expected facts are not reported and which end conditions and expectations do not hold.
+
+    Raises:
+        Unanswered: a question has to be asked first.
+    """
     missing = (statement_text(fluent, value) for fluent, value in wanted.items() if not same_value(knowledge.world.value(fluent), value))
     base, changed = knowledge.world.rules.base, names_written(action.end_effects)  # what the end itself changes cannot be checked any more
     checked = (part for part in conjuncts(action.end_condition) if not base(names(part)) & changed)
     denied = (part for part in checked if evaluate(part, knowledge) is not True)
-    return (*missing, *map(str, denied), *map(str, failing(action.expected, knowledge)))
+    return (*missing, *map(str, denied), *map(str, unmet(action.expected, knowledge)))
+
+
+def denied_at_end(action: GroundAction, knowledge: EvaluationContext) -> tuple[str, ...]:
+    """Return, as PDDL, which parts of the end condition do not hold at the end, of those that nothing reports: no report can come late."""
+    parts = unmet(action.end_condition, knowledge)
+    return tuple(str(part) for part in parts if not all(map(knowledge.world.is_sensed, fluents(part, knowledge))))
+
+
+def may_be_late(part: Condition, action: GroundAction, knowledge: EvaluationContext, *, has_held: bool) -> bool:
+    """Return whether a part of the over-all condition may look false, while the action is under way, for want of a report alone.
+
+    Either nothing is reported now; or its own start makes the part true, and that has not been seen yet; or its own end changes
+    it, which sensors may see before the robot reports the end. Any other report that it is false is news.
+    """
+    if evaluate(part, knowledge) is UNKNOWN:
+        return True
+    changed = written((*action.end_effects, *(() if has_held else action.start_effects)), knowledge)
+    asked, rules = fluents(part, knowledge), knowledge.world.rules
+    below = rules.base({fluent[0] for fluent in asked} & rules.derived)
+    return any(fluent in asked or fluent[0] in below for fluent in changed)
 
 
 def lag_of_effects(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: EvaluationContext) -> float:

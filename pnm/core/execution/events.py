@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 from uuid import UUID
 
-from pnm.core.execution.call_results import Failure
+from pnm.core.execution.call_results import Explanation, Failure
 from pnm.core.logic.computed_values import Question
 from pnm.core.machine.machine import Rule
 from pnm.core.machine.plan_graph import ActionCall
@@ -132,6 +132,12 @@ class Observer:
 
     def ended(self, call: ActionCall, outcome: Outcome, now: float) -> None:
         """Note that a request is over."""
+
+    def hindered(self, call: ActionCall, cause: Explanation, now: float) -> None:
+        """Note why a call does not go on as planned: it is tried again, recovers, or fails."""
+
+    def spared(self, call: ActionCall, now: float) -> None:
+        """Note that a call is not made, because its effects hold already."""
 
     def failed(self, failure: Failure, now: float) -> None:
         """Note that a failure place was marked."""

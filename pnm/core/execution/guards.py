@@ -12,12 +12,13 @@ from uuid import UUID
 
 from pnm.core.execution.call_requests import Calls
 from pnm.core.execution.call_results import Explanation
-from pnm.core.execution.effect_checks import already_true
+from pnm.core.execution.effect_checks import already_true, may_be_late
 from pnm.core.execution.questions import EvaluationContext, Questions
 from pnm.core.execution.resources import Claim, RunClaims, who_keeps
 from pnm.core.execution.run_state import RunState
-from pnm.core.logic.conditions import Condition, ground, names
-from pnm.core.logic.evaluation import evaluate, failing, observed
+from pnm.core.logic.conditions import All, Condition, conjuncts, ground, names
+from pnm.core.logic.evaluation import evaluate, explanation, observed
+from pnm.core.logic.expressions import UNKNOWN
 from pnm.core.machine.machine import (
     Accepts,
     Adopted,
@@ -27,6 +28,7 @@ from pnm.core.machine.machine import (
     CancelAsked,
     ConditionFalse,
     ConditionTrue,
+    ConditionUnknown,
     DataMissing,
     Due,
     EffectsMissing,
@@ -34,10 +36,12 @@ from pnm.core.machine.machine import (
     Ending,
     Ends,
     Failing,
+    InvariantFalse,
     PauseAsked,
     Rule,
     Withheld,
 )
+from pnm.core.machine.plan_graph import Cause
 
 NEVER: Final = float("inf")
 
@@ -45,7 +49,8 @@ NEVER: Final = float("inf")
 class Guards:
     """Evaluates the guards of a run. Questions may be asked for a guard at a place; without a place only what is known counts.
 
-    The mutable state is since when conditions have not been true, and since when resources have been withheld, by transition.
+    The mutable state is since when conditions have not been true, since when resources have been withheld, and which parts of an
+    over-all condition have held since the call began, by transition.
     """
 
     def __init__(self, state: RunState, calls: Calls, claims: RunClaims, questions: Questions) -> None:
@@ -55,6 +60,7 @@ class Guards:
         self._questions = questions
         self._false_since: dict[int, float] = {}
         self._withheld_since: dict[int, float] = {}
+        self._held: dict[int, list[Condition]] = {}
 
     def opens(self, transition: int, place: int) -> float:
         """Return when the guard opens as far as is known: now or earlier, at a later time, or never by itself.
@@ -81,6 +87,13 @@ class Guards:
                 # Not false until the report delay has passed: sensors may be about to report what has just happened.
                 context = self.context(rule.call, place)
                 return self._after(self._false_since, transition, not self._holds(condition, context), context.world.lag(names(condition)))
+            case InvariantFalse(condition):
+                return self._breaks(condition, rule.call, transition, place)
+            case ConditionUnknown(condition):
+                context = self.context(rule.call, place)
+                truth = evaluate(_grounded(condition, context), context)
+                opens = self._after(self._false_since, transition, truth is not True, context.world.lag(names(condition)))
+                return opens if truth is UNKNOWN else NEVER
             case AlreadyTrue(call):
                 context = self.context(call, place)
                 return _now_if(already_true(self._calls.ready(call, context), context))
@@ -115,12 +128,35 @@ class Guards:
         since.pop(transition, None)  # a condition that was true in between begins to be false anew
         return NEVER
 
+    def _breaks(self, condition: Condition, call: int | None, transition: int, place: int) -> float:
+        """Return when the over-all condition of the call counts as broken: at once, unless all that is false of it may be a late report."""
+        assert call is not None, "only calls have over-all conditions"
+        context, held = self.context(call, place), self._held.setdefault(transition, [])
+        false: list[Condition] = []
+        for part in conjuncts(_grounded(condition, context)):
+            if evaluate(part, context) is not True:
+                false.append(part)
+            elif part not in held:
+                held.append(part)
+        action = self._calls.action(call)
+        if not all(may_be_late(part, action, context, has_held=part in held) for part in false):
+            return -NEVER
+        return self._after(self._false_since, transition, bool(false), context.world.lag(names(All(tuple(false)))))
+
+    def postpone(self, call: int | None) -> None:
+        """Have the limit for the acceptance of a call's request begin anew."""
+        state = self._state
+        for transition in () if call is None else state.index.reported[call]:
+            if isinstance(state.index.rules[transition].guard, Accepts) and state.engine.is_enabled(transition):
+                state.marked_at.update({place: state.now for place, _ in state.engine.compiled.inputs[transition]})
+
     def forget(self, place: int) -> Iterator[UUID]:
         """Forget since when guards at the place have been waiting; yield its questions, whose answers are no longer needed."""
         # The next token at this place is a new decision, with delays that begin anew.
         for consumer, _ in self._state.engine.compiled.consumers[place]:
             self._false_since.pop(consumer, None)
             self._withheld_since.pop(consumer, None)
+            self._held.pop(consumer, None)
         return self._questions.left(place)
 
     def context(self, call: int | None, place: int | None) -> EvaluationContext:
@@ -163,17 +199,18 @@ class Guards:
     def explain(self, condition: Condition, call: int | None, place: int | None) -> tuple[str, str]:
         """Return which parts of the condition are expected and not so, and what was seen instead."""
         context = self.context(call, place)
-        missing = failing(_grounded(condition, context), context)
-        seen = (*(observed(part, context) for part in missing), *self._questions.silence_at(place))
-        return " ".join(map(str, missing)), "; ".join(seen)
+        expected, seen = explanation(_grounded(condition, context), context)
+        return expected, "; ".join(filter(None, (seen, *self._questions.silence_at(place))))
 
     def explain_check(self, rule: Rule, place: int | None) -> Explanation | None:
         """Return the cause that a check has found, with what was expected and what was seen; None if the rule has no cause or no check."""
         if rule.cause is None:
             return None
         match rule.guard:
-            case ConditionFalse(condition):
+            case ConditionFalse(condition) | InvariantFalse(condition):
                 return Explanation(rule.cause, *self.explain(condition, rule.call, place))
+            case ConditionUnknown(condition):
+                return Explanation(rule.cause, f"{condition} to be true or false", self.explain(condition, rule.call, place)[1])
             case ConditionTrue(condition):
                 return Explanation(rule.cause, rule.expected or f"(not {condition})", observed(condition, self.context(rule.call, place)))
             case DataMissing(call):
@@ -186,7 +223,8 @@ class Guards:
                 return Explanation(rule.cause, f"{', '.join(keepers)} within {seconds:g} s", who_keeps(keepers))
             case Due(seconds):
                 passed = f"{self._state.passed:g} s have passed"
-                return Explanation(rule.cause, f"an end within {seconds:g} s of the plan's start", passed)
+                what = "a start" if rule.cause is Cause.TOO_LATE else "an end"
+                return Explanation(rule.cause, f"{what} within {seconds:g} s of the plan's start", passed)
             case _:
                 return None
 

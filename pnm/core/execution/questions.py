@@ -7,10 +7,12 @@ token leaves the place at which it is being decided.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Final, NamedTuple
 from uuid import UUID
 
+from pnm.core.execution.events import Ask, Command, Withdraw
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import MISSING, Layer, Question, Unanswered, compute
 from pnm.core.logic.expressions import NOTHING, Environment, Fluent, Unknown, Value
@@ -125,13 +127,24 @@ class EvaluationContext:
             return MISSING
 
 
+LIMITS: Final = {layer: 3600.0 if layer is Layer.PERSON else 600.0 for layer in Layer}
+"""Seconds that a run waits for an answer, whatever its source does; sources have shorter limits of their own."""
+
+
+class Need(NamedTuple):
+    """What is done about a question: commands, and until when its answer is waited for, or at once when that is over."""
+
+    commands: tuple[Command, ...] = ()
+    until: float | None = None
+
+
 class Questions:
     """The questions that a run has asked outside, and their answers.
 
     Answers of people to a run are known to the one that succeeds it, once for every call of the same action that asks the
     same; knowledge bases are asked again, for what they know may have changed, and no person is troubled by that.
 
-    The mutable state is the dictionaries and the list.
+    The mutable state is what the constructor sets.
     """
 
     def __init__(self) -> None:
@@ -139,7 +152,10 @@ class Questions:
         """By place, what questions are asked for there."""
         self._answers: dict[int, dict[Question, object]] = {}
         self._silence: dict[int, list[str]] = {}
-        self._asked: dict[UUID, tuple[int, Question]] = {}
+        self._asked: dict[UUID, tuple[int, Question, float]] = {}
+        """Questions that are open: the place and the question, and until when an answer is waited for."""
+        self._closed = ""
+        """Why no question is asked any more."""
         self.count = 0
         """How many questions the run has asked itself."""
         self._inherited: list[tuple[str, Question, object]] = []
@@ -151,20 +167,42 @@ class Questions:
         """Return what is known for the decision at a place."""
         return self._answers.get(place, {})
 
-    def is_asked(self, place: int, question: Question) -> bool:
-        """Return whether the question has been asked for the decision at the place, and not been answered yet."""
-        return (place, question) in self._asked.values()
-
     @property
     def wait_for_people(self) -> bool:
         """Whether a person has been asked and has not answered yet."""
-        return any(question.layer is Layer.PERSON for _, question in self._asked.values())
+        return any(question.layer is Layer.PERSON for _, question, _ in self._asked.values())
 
-    def ask(self, identity: UUID, place: int, subject: str, question: Question) -> None:
-        """Record that the question is being asked, for the sake of the subject."""
+    def need(self, place: int, subject: str, question: Question, now: float, identity: Callable[[str], UUID]) -> Need:
+        """Return what is to be done about a question that the decision at a place depends on, for the sake of the subject.
+
+        It is asked once. When its limit has passed it counts as answered with nothing, whatever its source does; and at once if the run
+        asks no more.
+        """
+        for known, (where, asked, until) in self._asked.items():
+            if (where, asked) == (place, question):
+                if now < until:
+                    return Need((), until)
+                self.answered(known, MISSING, f"{question} was not answered within {LIMITS[question.layer]:g} s")
+                return Need((Withdraw(known),))
         self._subjects[place] = subject
+        # The run before may have asked the same person the same: that answer, or the open question, is used instead.
+        if self._take_up(place, subject, question, now):
+            return Need()
         self.count += 1
-        self._asked[identity] = (place, question)
+        new, until = identity(f"question {self.count}"), now + LIMITS[question.layer]
+        self._asked[new] = (place, question, until)
+        if self._closed:
+            self.answered(new, MISSING, self._closed)
+            return Need()
+        return Need((Ask(new, question),), until)
+
+    def close(self, why: str) -> tuple[Withdraw, ...]:
+        """Ask nothing any more, for that reason; what is asked counts as answered with nothing, and is withdrawn."""
+        self._closed = why
+        asked = tuple(self._asked)
+        for identity in asked:
+            self.answered(identity, MISSING, why)
+        return tuple(map(Withdraw, asked))
 
     def silence_at(self, place: int | None) -> Sequence[str]:
         """Return why questions for the decision at a place have no answers."""
@@ -174,7 +212,7 @@ class Questions:
         """Record an answer, or why there is none; return the place that waits for it, if any still does."""
         if identity in self._open:  # the run before has asked; this run may come to the same question later, so the answer is kept for it
             self._keep(*self._open.pop(identity), value)
-        place, question = self._asked.pop(identity, (None, None))
+        place, question, _ = self._asked.pop(identity, (None, None, 0.0))
         if place is not None and question is not None:
             self._answers.setdefault(place, {})[question] = value
             if message:
@@ -186,7 +224,7 @@ class Questions:
         self._answers.pop(place, None)
         self._silence.pop(place, None)
         # Answers that come later find no place, and are ignored.
-        for identity in [question for question, (where, _) in self._asked.items() if where == place]:
+        for identity in [question for question, (where, *_) in self._asked.items() if where == place]:
             del self._asked[identity]
             yield identity
 
@@ -198,26 +236,24 @@ class Questions:
         for subject, question, value in (*given, *old._inherited):
             if subject in subjects:
                 self._keep(subject, question, value)
-        asked = {identity: (old._subjects[place], question) for identity, (place, question) in old._asked.items()}
+        asked = {identity: (old._subjects[place], question) for identity, (place, question, _) in old._asked.items()}
         for identity, (subject, question) in {**old._open, **asked}.items():
             if subject in subjects and question.layer is Layer.PERSON:
                 self._open[identity] = subject, question
         return frozenset(self._open)
 
-    def take_up(self, place: int, subject: str, question: Question) -> bool:
+    def _take_up(self, place: int, subject: str, question: Question, now: float) -> bool:
         """Return whether the run before has asked the question; if so, its answer, or the open question, is taken over for the place."""
         # Each inherited answer is used once: the second call of an action asks again, as it would have without the change of runs.
         for number, (its, known, value) in enumerate(self._inherited):
             if (its, known) == (subject, question):
                 del self._inherited[number]
-                self._subjects[place] = subject
                 self._answers.setdefault(place, {})[question] = value
                 return True
         for identity, asked in self._open.items():
             if asked == (subject, question):
                 del self._open[identity]
-                self._subjects[place] = subject
-                self._asked[identity] = (place, question)
+                self._asked[identity] = (place, question, now + LIMITS[question.layer])
                 return True
         return False
 

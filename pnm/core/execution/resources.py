@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import Final
 from uuid import UUID
 
+from pnm.core.machine.plan_graph import check_capacity
 from pnm.errors import RunError
 
 _ONE_EACH: Final[Mapping[str, int]] = {}
@@ -41,10 +42,15 @@ class Resources:
         capacities: one for those not listed.
 
     The mutable state is what the constructor sets under "state".
+
+    Raises:
+        PlanGraphError: a resource is for no request at all.
     """
 
     def __init__(self, capacities: Mapping[str, int] = _ONE_EACH) -> None:
         self._capacities = dict(capacities)
+        for name, capacity in capacities.items():
+            check_capacity(name, capacity)
         # state
         self._held: dict[UUID, Claim] = {}
         self._withheld: dict[UUID, str] = {}

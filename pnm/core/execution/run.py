@@ -19,7 +19,6 @@ from pnm.core.execution.call_results import CallResults, Explanation
 from pnm.core.execution.effect_checks import is_assumed
 from pnm.core.execution.events import (
     Answered,
-    Ask,
     Begin,
     Command,
     Event,
@@ -38,21 +37,18 @@ from pnm.core.execution.guards import NEVER, Guards
 from pnm.core.execution.handover import UnderWay, check_adoption
 from pnm.core.execution.questions import Questions
 from pnm.core.execution.resources import Resources, RunClaims
-from pnm.core.execution.run_state import MachineIndex, RunState, Timers
+from pnm.core.execution.run_state import MachineIndex, RunState, Timers, admits
 from pnm.core.execution.run_view import RunView
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import Question, Unanswered
 from pnm.core.machine.bindings import Bindings
-from pnm.core.machine.machine import Accepts, EffectsMissing, Ends, PetriNetMachine, Rule, TransitionAction, Withheld
+from pnm.core.machine.machine import After, CallOutcome, Due, EffectsMissing, PetriNetMachine, Rule, TransitionAction, Withheld
 from pnm.core.machine.plan_graph import GroundAction, PlanGraph
-from pnm.core.machine.requests import Accepted, Ended, OutcomeKind, Report
+from pnm.core.machine.requests import BEFORE_ACCEPTANCE, Accepted, Ended, OutcomeKind, Postponed, Report
 from pnm.core.net.firing_engine import Engine
 from pnm.errors import RunError
 
 _NONE: Final[Mapping[int, UnderWay]] = {}
-
-_BEFORE_ACCEPTANCE: Final = frozenset({OutcomeKind.REJECTED, OutcomeKind.UNAVAILABLE, OutcomeKind.LOST})
-"""Ends that leave open whether the goal was accepted before."""
 
 
 def _unknown_fields(action: GroundAction) -> None:
@@ -163,6 +159,8 @@ class Run(RunView):
             case Stop():
                 if state.stop is None or event.cancel:  # a stop may become stricter, but never milder
                     state.stop = event
+                if event.cancel:  # nothing is asked any more, so that no answer holds up the end
+                    self._commands += self._questions.close("the run was stopped")
                 self._agenda.extend(self._undecided)
             case Pause(at_once):
                 state.pause = Pause(at_once or state.suspends)  # likewise a pause at once stays one when another pause is asked for
@@ -173,6 +171,8 @@ class Run(RunView):
             case Answered(identity, value, message):
                 place = self._questions.answered(identity, value, message)
                 self._agenda.extend([] if place is None else [place])
+            case Postponed(request):
+                self._guards.postpone(self._calls.open.get(request))
             case Accepted() | Ended():
                 # a request taken over may end before the run has begun: its place is not marked yet
                 (self._report if state.has_begun else self._early.append)(event)
@@ -205,7 +205,7 @@ class Run(RunView):
                 self._agenda.extend(self._claims.served())
             return
         if isinstance(report, Ended):
-            if report.outcome.kind not in _BEFORE_ACCEPTANCE:
+            if report.outcome.kind not in BEFORE_ACCEPTANCE:
                 self._take(call, Accepted(report.request))  # a client may leave out what goes without saying
             del self._calls.open[report.request]  # before the firing, so that observers and guards see the request as over
             # results are stored before the firing: effects and checks after it may read them
@@ -221,7 +221,7 @@ class Run(RunView):
         """Fire the transition of the call that the report opens, if there is one."""
         missing, rules = self._engine.missing, self._index.rules
         for transition in self._index.reported[call]:  # at most one fires: the request of a call is waited for at one place at a time
-            if not missing[transition] and _admits(rules[transition], report):
+            if not missing[transition] and admits(rules[transition], report):
                 self._fire(transition, None)
                 return True
         return False
@@ -248,12 +248,14 @@ class Run(RunView):
         """Fire the first open transition that takes from the place; if there is none, note when to ask again."""
         if not self._engine.tokens[place]:
             return  # the token has gone since the place was put on the agenda
-        again, waiting, takes, now = NEVER, False, self._index.takes, self._state.now
+        again, waiting, asking, takes, now = NEVER, False, False, self._index.takes, self._state.now
         for transition, _ in self._engine.compiled.consumers[place]:
             # a transition that lacks nothing but resources is asked all the same: its call has to stand in line for them
             if not self._engine.is_enabled(transition) and not (transition in takes and self._guards.lacks_resources(transition)):
                 continue
             rule = self._index.rules[transition]
+            if asking and not isinstance(rule.guard, After | Due):
+                continue
             try:
                 if (transition in takes or self._state.pause) and self._is_put_off(transition, place):
                     waiting = True
@@ -263,12 +265,12 @@ class Run(RunView):
                 if opens <= now and rule.call is not None:
                     self._calls.compute_intention(rule.action, rule.call, self._guards.context(rule.call, place))
             except Unanswered as needed:
-                # an earlier rule goes first as soon as its question is answered, so no later one may fire meanwhile;
-                # and nothing is claimed during that time, for answers of people may take long
+                # an earlier rule goes first as soon as its question is answered, so no later one may fire meanwhile but timers, which
+                # no question stops; and nothing is claimed during that time, for answers of people may take long
                 self._ask(place, rule.call, needed.question)
                 self._leave_line(place)
-                waiting = True
-                break
+                waiting = asking = True
+                continue
             if opens <= now:
                 self._fire(transition, place)
                 return
@@ -281,16 +283,12 @@ class Run(RunView):
             self._timers.set(place, again)
 
     def _ask(self, place: int, call: int | None, question: Question) -> None:
-        subject = _subject(self.machine.plan, call)
-        if self._questions.is_asked(place, question):
-            return
-        # The run before may have asked the same person the same: that answer, or the open question, is used instead.
-        if self._questions.take_up(place, subject, question):
+        needed = self._questions.need(place, _subject(self.machine.plan, call), question, self._state.now, self._calls.identity)
+        self._commands += needed.commands
+        if needed.until is None:  # it is answered, if only with nothing
             self._agenda.append(place)
-            return
-        identity = self._calls.identity(f"question {self._questions.count + 1}")
-        self._questions.ask(identity, place, subject, question)
-        self._commands.append(Ask(identity, question))
+        else:
+            self._timers.set(place, needed.until)
 
     # --- resources ----------------------------------------------------------------------------
 
@@ -325,6 +323,7 @@ class Run(RunView):
             self._note(rule, rule.call, place, None if fails else check)
             if rule.action is not None:
                 self._perform(rule.action, rule.call, place)
+        self._results.last_check = check
         was_ending, marked_at = state.ending, state.now
         if rule.action is TransitionAction.ADOPT and rule.call is not None:
             marked_at = state.adopted.pop(rule.call).accepted  # its limits count from there
@@ -350,9 +349,12 @@ class Run(RunView):
 
     def _note(self, rule: Rule, call: int, place: int | None, check: Explanation | None) -> None:
         missing = self._guards.unseen(call, place) if isinstance(rule.guard, EffectsMissing) else ()
-        finishes = rule.action is TransitionAction.FINISH
-        assumed = finishes and is_assumed(self._calls.action(call), self._guards.context(call, place))
-        self._results.fired(rule, call, self._state.now, check, missing=missing, assumed=assumed)
+        assumed = rule.outcome is CallOutcome.SUCCEEDED and is_assumed(self._calls.action(call), self._guards.context(call, place))
+        cause = self._results.fired(rule, call, self._state.now, check, missing=missing, assumed=assumed)
+        if cause is not None:
+            self._observer.hindered(self._calls.as_sent(call), cause, self._state.now)
+        if rule.outcome is CallOutcome.ALREADY_TRUE:
+            self._observer.spared(self._calls.as_sent(call), self._state.now)
         if rule.gives_up:
             self._calls.forget(call)
 
@@ -391,9 +393,3 @@ class Run(RunView):
 def _subject(plan: PlanGraph, call: int | None) -> str:
     """Return for whose sake a question is asked: the action as the plan has it."""
     return "" if call is None or call >= len(plan.calls) else str(plan.calls[call].action)
-
-
-def _admits(rule: Rule, report: Report) -> bool:
-    if isinstance(report, Accepted):
-        return isinstance(rule.guard, Accepts)
-    return isinstance(rule.guard, Ends) and report.outcome.kind in rule.guard.kinds

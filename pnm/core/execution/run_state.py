@@ -17,18 +17,21 @@ from pnm.core.machine.machine import (
     AlreadyTrue,
     ConditionFalse,
     ConditionTrue,
+    ConditionUnknown,
     DataMissing,
     EffectsMissing,
     EffectsSeen,
     Ends,
+    InvariantFalse,
     OnFailure,
     PetriNetMachine,
     Rule,
     TransitionAction,
 )
+from pnm.core.machine.requests import Ended, Report
 from pnm.core.net.firing_engine import Engine
 
-_KNOWING: Final = (ConditionTrue, ConditionFalse, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
+_KNOWING: Final = (ConditionTrue, ConditionFalse, ConditionUnknown, InvariantFalse, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
 """Guards whose answer may change when facts change."""
 
 
@@ -169,3 +172,10 @@ class RunState:
     def idle(self) -> bool:
         """Whether no call is under way."""
         return not any(self.engine.tokens[place] for place in self.index.alive)
+
+
+def admits(rule: Rule, report: Report) -> bool:
+    """Return whether the report opens the guard of the rule, which belongs to its call."""
+    if isinstance(report, Ended):
+        return isinstance(rule.guard, Ends) and report.outcome.kind in rule.guard.kinds
+    return isinstance(rule.guard, Accepts)

@@ -99,7 +99,7 @@ class RunView:
         elif self._results.failures:
             reason = str(self._results.failures[0])
         else:
-            expected, seen = self._guards.explain(self.machine.plan.goal, None, None)
+            _, expected, seen = self._results.last_check or ("", "", "")
             reason = f"every call is done but the goal does not hold: expected {expected}; observed {seen}"
         return RunResult(goal, reason, self._results.calls(), tuple(self._results.failures), self.stopped)
 

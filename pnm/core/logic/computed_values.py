@@ -249,6 +249,11 @@ def parts(data: Data) -> Iterator[Data]:
                 yield from parts(item)
 
 
+def may_ask(data: Data) -> bool:
+    """Return whether its value may have to be asked for outside of the run; a parameter may stand for anything."""
+    return any(isinstance(part, Parameter) or (isinstance(part, Query) and part.layer is not Layer.LOCAL) for part in parts(data))
+
+
 def fluents_in(data: Data, env: Environment = NOTHING) -> frozenset[Fluent]:
     """Return the fluents that the value depends on."""
     return frozenset(bind(part.fluent, env) for part in parts(data) if isinstance(part, ValueOf))

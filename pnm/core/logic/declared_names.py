@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from math import isfinite
 
-from pnm.core.logic.expressions import UNDEFINED, Fluent, Value
+from pnm.core.logic.expressions import UNDEFINED, Fluent, Unknown, Value, fluent_text
 from pnm.errors import InputError, Position, suggestion
 
 
@@ -68,7 +69,7 @@ class Vocabulary:
             for argument in arguments:
                 _check(argument, self.objects, "object", position)
 
-    def check_set(self, name: str, position: Position) -> None:
+    def check_set(self, name: str, position: Position | None) -> None:
         """Refuse a predicate or function that is not declared, or that is neither set nor reported."""
         _check(name, self.fluents, "predicate or function", position)
         if name in self.derived:
@@ -80,11 +81,30 @@ class Vocabulary:
         for argument in (*fluent[1:], *((value,) if isinstance(value, str) and value != UNDEFINED else ())):
             _check(argument, self.objects, "object", position)
 
+    def check_report(self, fluent: Fluent, value: Value | Unknown) -> None:
+        """Refuse a reported value of undeclared names, of another kind, or with other arguments than declared."""
+        name, text = fluent[0], fluent_text(fluent)
+        self.check_set(name, None)
+        signature = self.signatures.get(name)
+        if signature is None:
+            return
+        kind = FluentKind.FACT if isinstance(value, bool) else FluentKind.OBJECT if isinstance(value, str) else FluentKind.NUMBER
+        if kind is not signature.kind and not isinstance(value, Unknown):
+            raise InputError(f"{text} is reported as a {kind.value}; {name} is a {signature.kind.value}")
+        if len(fluent) - 1 != len(signature.parameters):
+            raise InputError(f"{text} has {len(fluent) - 1} arguments; expected {len(signature.parameters)}")
+        for argument, types in zip(fluent[1:], signature.parameters, strict=True):
+            self.check_object(argument, types, None)
+        if isinstance(value, str) and value != UNDEFINED:
+            self.check_object(value, signature.values, None)
+        if isinstance(value, float) and not isfinite(value):
+            raise InputError(f"{text} is reported as {value}; expected a finite number")
+
     def check_type(self, name: str, position: Position) -> None:
         """Refuse a type that is not declared."""
         _check(name, self.types, "type", position)
 
-    def check_object(self, name: str, types: Iterable[str], position: Position) -> None:
+    def check_object(self, name: str, types: Iterable[str], position: Position | None) -> None:
         """Refuse an object that is not declared, or that is of none of the types."""
         _check(name, self.objects, "object", position)
         if self.types_of[name].isdisjoint(types):
@@ -104,8 +124,8 @@ def _alternatives(types: Iterable[str]) -> str:
     return " or ".join(sorted(set(types) - {"object"})) or "object"
 
 
-def _check(name: str, known: Iterable[str], what: str, position: Position) -> None:
-    names = sorted(known)
-    if name not in names:
+def _check(name: str, known: Collection[str], what: str, position: Position | None) -> None:
+    if name not in known:
+        names = sorted(known)
         hint = suggestion(name, names) or f"expected one of {', '.join(names[:20])}"
         raise InputError(f"there is no {what} {name!r} in the domain; {hint}", position)

@@ -26,10 +26,10 @@ MAX_CHOICES: Final = 50_000
 """Choices of objects that the quantifiers of a condition, or of effects, may range over: all are looked at, again and again."""
 
 
-def check_choices(choices: int, position: Position, what: str = "the quantifiers") -> None:
-    """Refuse quantifiers that range over more choices of objects than `MAX_CHOICES`."""
-    if choices > MAX_CHOICES:
-        raise InputError(f"{what} range over {choices} choices of objects; expected {MAX_CHOICES} at most", position)
+def check_choices(choices: int, position: Position, what: str = "the quantifiers", limit: int = MAX_CHOICES) -> None:
+    """Refuse quantifiers that range over more choices of objects than the limit."""
+    if choices > limit:
+        raise InputError(f"{what} range over {choices} choices of objects; expected {limit} at most", position)
 
 
 @dataclass(frozen=True, slots=True)

@@ -54,13 +54,13 @@ def evaluate(condition: Condition, state: State, env: Environment = NOTHING) -> 
         case Compare(operation, left, right):
             return _compare(operation, _recorded(left, state, env), _recorded(right, state, env))
         case Any(operands):
-            return negate(_all(negate(evaluate(operand, state, env)) for operand in operands))
+            return _any(evaluate(operand, state, env) for operand in operands)
         case Implies(left, right):
-            return evaluate(Any((Not(left), right)), state, env)
+            return _any(evaluate(operand, state, env) for operand in (Not(left), right))
         case ForAll(variables, body):
             return _all(evaluate(body, state, inner) for inner in choices(variables, state, env))
         case Exists(variables, body):
-            return negate(evaluate(ForAll(variables, Not(body)), state, env))
+            return _any(evaluate(body, state, inner) for inner in choices(variables, state, env))
         case Computed(data):
             if not isinstance(state, Answers):
                 return UNKNOWN
@@ -70,6 +70,11 @@ def evaluate(condition: Condition, state: State, env: Environment = NOTHING) -> 
                 return UNKNOWN
         case _:
             assert_never(condition)
+
+
+def unmet(condition: Condition, state: State) -> tuple[Condition, ...]:
+    """Return the conjuncts that are not true in the state; raises `Unanswered` if one depends on a question that has to be asked first."""
+    return tuple(part for part in conjuncts(condition) if evaluate(part, state) is not True)
 
 
 def negate(truth: Truth) -> Truth:
@@ -82,6 +87,16 @@ def _all(truths: Iterator[Truth]) -> Truth:
     for truth in truths:
         if truth is False:
             return False
+        if truth is UNKNOWN:
+            result = UNKNOWN
+    return result
+
+
+def _any(truths: Iterator[Truth]) -> Truth:
+    result: Truth = False
+    for truth in truths:
+        if truth is True:
+            return True
         if truth is UNKNOWN:
             result = UNKNOWN
     return result
@@ -107,21 +122,25 @@ def _compare(operation: str, left: Value | Unknown | None, right: Value | Unknow
     return equal if equal and "=" in operation else not equal and _COMPARE[operation](left, right)
 
 
-def failing(condition: Condition, state: State) -> tuple[Condition, ...]:
-    """Return the conjuncts that do not hold in the state, without those that depend on a question that was never asked."""
-    failed = []
-    for part in conjuncts(condition):
-        with suppress(Unanswered):
-            if evaluate(part, state) is not True:
-                failed.append(part)
-    return tuple(failed)
-
-
 class Witness(State, Protocol):
     """A state that can explain its derived facts."""
 
     def because(self, fluent: Fluent, /) -> str:
         """Return why a derived fact has its truth, to be read after that; empty for a recorded fluent."""
+
+
+def explanation(condition: Condition, state: Witness) -> tuple[str, str]:
+    """Return which conjuncts are expected and not so, and what is observed instead: for people, never to decide, which is for `unmet`.
+
+    A conjunct that depends on a question that was never asked is no reason, unless there is no other.
+    """
+    whole = conjuncts(condition)
+    failed = []
+    for part in whole:
+        with suppress(Unanswered):
+            if evaluate(part, state) is not True:
+                failed.append(part)
+    return " ".join(map(str, failed or whole)), "; ".join(observed(part, state) for part in failed or whole)
 
 
 def observed(condition: Condition, state: Witness) -> str:

@@ -148,7 +148,9 @@ def choices(variables: tuple[Variable, ...], state: State, env: Environment) -> 
     """Yield the environment extended by every choice of objects for the variables."""
     names = [variable.name for variable in variables]
     for chosen in product(*(state.objects(variable.types) for variable in variables)):
-        yield {**env, **dict(zip(names, chosen, strict=True))}
+        inner = {**env}
+        inner.update(zip(names, chosen, strict=True))
+        yield inner
 
 
 def bind(fluent: Fluent, env: Environment) -> Fluent:

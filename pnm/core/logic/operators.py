@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Mapping
+from math import isnan
 from typing import Final
 
 from pnm.errors import PnmError
@@ -20,6 +21,8 @@ def operate(name: str, operands: list[object]) -> object:
     try:
         if name == "mod" and isinstance(operands[0], str):
             raise TypeError("the remainder of a text")  # in Python that is another operation, which makes texts of any size
+        if name in _ORDERING and any(isinstance(operand, float) and isnan(operand) for operand in operands):
+            raise ValueError("NaN is neither less nor more than a number")  # in Python every such comparison is false
         result = OPERATORS[name](*operands)
         if isinstance(result, complex) or (isinstance(result, int) and result.bit_length() > MAX_BITS):
             raise ValueError("the result is no number that JSON can say")
@@ -89,4 +92,5 @@ OPERATORS: Final[Mapping[str, Callable[..., object]]] = {
 """Python's operators by the names of its module `operator`; ``setitem`` and ``delitem`` give a changed copy."""
 CHANGING: Final = frozenset({"setitem", "delitem"})
 """Operators that, as a step of a plan, store their result as their first operand, which is then a query."""
+_ORDERING: Final = frozenset({"lt", "le", "gt", "ge"})
 _GROWING: Final = frozenset({"concat", "add", "mul", "pow", "lshift"})

@@ -20,7 +20,7 @@ from math import inf
 from typing import Final
 
 from pnm.core.logic.conditions import Any, Condition, Not, conjuncts, ground, names
-from pnm.core.logic.evaluation import TOLERANCE, Witness, evaluate, failing, observed
+from pnm.core.logic.evaluation import TOLERANCE, Witness, evaluate, observed, unmet
 from pnm.core.logic.expressions import NOTHING, Environment, State, Variable, choices
 
 
@@ -185,5 +185,5 @@ def names_in(constraint: Constraint) -> frozenset[str]:
 
 def observed_of(constraint: Constraint, state: Witness) -> str:
     """Return the observed values of the fluents in a ground constraint that is not fulfilled."""
-    parts = [part for condition in constraint.conditions for part in failing(condition, state) or conjuncts(condition)]
+    parts = [part for condition in constraint.conditions for part in unmet(condition, state) or conjuncts(condition)]
     return "; ".join(dict.fromkeys(observed(part, state) for part in parts))

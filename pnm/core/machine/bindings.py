@@ -18,7 +18,7 @@ from pnm.core.knowledge_base import parse_fluent
 from pnm.core.logic.computed_values import MISSING
 from pnm.core.logic.expressions import UNDEFINED, Fluent, Unknown, Value, bind
 from pnm.core.machine.plan_graph import GroundAction
-from pnm.errors import InputError
+from pnm.errors import InputError, check_seconds
 
 ABOUT_THE_CALL: Final = frozenset({"action", "arguments", "duration"})
 """Goal fields about the call itself; they are filled as long as the fields of the goal are not known."""
@@ -30,6 +30,8 @@ class Binding:
 
     server: str | None = None
     """Name of the action server; ``{robot}`` stands for the argument of parameter ``?robot``."""
+    several_servers: bool = False
+    """Whether there may be several servers of this name; all of them carry out every goal."""
     type: str | None = None
     """Such as ``nav2_msgs/action/NavigateToPose``; taken from the ROS graph when not given."""
     goal: Mapping[str, object] | None = None
@@ -49,6 +51,9 @@ class Binding:
     resources: tuple[str, ...] = ()
     """Resources that the action has for itself while it runs, such as ``{robot}/base``."""
 
+    def __post_init__(self) -> None:
+        check_seconds(f"the binding of {self.server or 'an action'}", self.timeout, self.accept, self.cancel)
+
 
 DEFAULT = Binding()
 _NAME = re.compile(r"[A-Za-z][\w-]*\Z")
@@ -63,6 +68,9 @@ class Bindings:
     """Predicates and functions that no sensor reports, even in simulation."""
     lag: float = 1.0
     """Seconds that reports about sensed fluents may be late."""
+
+    def __post_init__(self) -> None:
+        check_seconds("a report", self.lag)
 
     def of(self, action: str) -> Binding:
         """Return the binding of the action, or the default one."""

@@ -6,7 +6,8 @@ A call whose start others wait for *announces* it once: when the first request i
 replaces that (skip, already true, failure). Therefore such a call has its places up to acceptance twice: for the
 attempts before its start was announced and for those after.
 
-An end that must wait for other events (`awaited`) is reached by the robot when it likes; its checks and its `fork`
+An end that must wait for other events (`awaited`) is reached by the robot when it likes. What nothing reports of it is
+believed then, so that a match that went out too early is out for all who need its light; its checks and its `fork`
 wait. A retry moves a token from *budget* to *spent*; giving up takes all of *spent*, by an arc whose weight is the
 whole budget. A recovery that the plan gives for a cause replaces retrying.
 
@@ -27,8 +28,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from math import isfinite
 
-from pnm.core.logic.conditions import TRUE, All, Condition, conjunction, conjuncts, names
-from pnm.core.logic.effects import names_written
+from pnm.core.logic.computed_values import may_ask
+from pnm.core.logic.conditions import TRUE, All, Condition, conjunction, conjuncts, data_in, names
+from pnm.core.logic.effects import When, every_effect, names_written
 from pnm.core.logic.rules import Rules
 from pnm.core.machine.bindings import Binding
 from pnm.core.machine.machine import (
@@ -47,6 +49,7 @@ from pnm.core.machine.machine import (
     Ending,
     Ends,
     Guard,
+    InvariantFalse,
     PauseAsked,
     Rule,
     TransitionAction,
@@ -124,10 +127,9 @@ class CallBlock(Block[ActionCall]):
 
     def place(self, name: str) -> str:
         """Make a place of this block."""
-        # While other events are awaited the robot is at rest; its resources are free for others then.
-        if name in _ALIVE or (name == "finished" and not self.awaited):
+        if self.name(name) in self._alive:
             self.builder.alive_places.add(self.name(name))
-        if name in ("returned", "finished"):
+        if name in ("returned", "ended", "finished"):
             self.builder.settling_places[self.name(name)] = self.step.index
         return super().place(name)
 
@@ -137,8 +139,18 @@ class CallBlock(Block[ActionCall]):
 
     @cached_property
     def _alive(self) -> frozenset[str]:
-        """Places of a call that is under way; what waits for others before its effects are looked for is not."""
-        return frozenset(map(self.name, _ALIVE if self.awaited else (*_ALIVE, "finished")))
+        """Places of a call that is under way; what waits for others or for answers before its effects are looked for is not."""
+        # The robot is at rest then, and its resources are free for others: nothing is asked while resources are held.
+        return frozenset(map(self.name, _ALIVE if self.awaited or self._asks_at_its_end else (*_ALIVE, "finished")))
+
+    @property
+    def _asks_at_its_end(self) -> bool:
+        """Whether a check after success, or an effect, may have to ask what the run does not know."""
+        action = self.step.action
+        own = [recovery.when for recovery in self.step.recoveries if Cause.AFTER in recovery.causes]
+        effects = (effect.condition for effect in every_effect(action.end_effects) if isinstance(effect, When))
+        is_open = bool(own) and any(argument.startswith("?") for argument in action.arguments)
+        return is_open or any(may_ask(data) for part in (*own, *effects, action.end_condition, action.expected) for data in data_in(part))
 
     @cached_property
     def _resources(self) -> tuple[str, ...]:
@@ -180,8 +192,9 @@ class CallBlock(Block[ActionCall]):
         self._own_checks(Cause.BEFORE, "ready")
         # Before the precondition, which cannot be evaluated for parameters without a value.
         add(check_rule(Cause.DATA_MISSING, DataMissing(call), call), ready, self._after(Cause.DATA_MISSING, failed))
-        if isfinite(self.step.deadline):  # before `start`, which would begin something that cannot end in time
-            add(check_rule(Cause.TOO_LATE, Due(self.step.deadline), call), ready, failed)
+        latest = min(self.step.latest_start, self.step.deadline)
+        if isfinite(latest):  # before `start`, which would begin something that cannot end in time
+            add(check_rule(Cause.TOO_LATE, Due(latest), call), ready, failed)
         # The complement follows right after it: one of the two opens for every state of the world.
         add(Rule("start", ConditionTrue(may_start), call, action=_SEND, outcome=CallOutcome.RUNNING), ready, [requested])
         add(check_rule(Cause.PRECONDITION_FALSE, ConditionFalse(may_start), call), ready, self._after(Cause.PRECONDITION_FALSE, failed))
@@ -238,7 +251,7 @@ class CallBlock(Block[ActionCall]):
         self.fire(Rule("suspend", PauseAsked(), call, action=_CANCEL), "running", "suspending")
         if self.step.action.invariant != TRUE:
             # The failure is marked at once, with the cancellation still to be confirmed: it is the cause, whatever the server answers.
-            broken = check_rule(Cause.INVARIANT_FALSE, ConditionFalse(self.step.action.invariant), call, _CANCEL)
+            broken = check_rule(Cause.INVARIANT_FALSE, InvariantFalse(self.step.action.invariant), call, _CANCEL)
             self.fire(broken, "running", "stopping", "failed")
         if isfinite(self.step.deadline):
             missed = check_rule(Cause.DEADLINE_MISSED, Due(self.step.deadline), call, _CANCEL)
@@ -276,13 +289,17 @@ class CallBlock(Block[ActionCall]):
     def _finish(self, phase: str) -> None:
         """From success to done, once the effects are seen."""
         call = self.step.index
-        if self.awaited:  # the places are given back at once: here they are only looked at, and `fork` takes them in the end
-            self.add(Rule("await", call=call), [self.name("returned"), *self.awaited], [self.name("finished"), *self.awaited])
+        if self.awaited:
+            self.place("ended")
+            self.fire(Rule("end", call=call, action=TransitionAction.FINISH), "returned", "ended")
+            # The places are given back at once: here they are only looked at, and `fork` takes them in the end.
+            self.add(Rule("await", call=call), [self.name("ended"), *self.awaited], [self.name("finished"), *self.awaited])
         # Before the check of the effects: the plan may want to react to a success that only looks like one.
         self._own_checks(Cause.AFTER, "finished")
-        effects_hold = Rule("effects_hold", EffectsSeen(call), call, action=TransitionAction.FINISH, outcome=CallOutcome.SUCCEEDED)
+        finish = None if self.awaited else TransitionAction.FINISH
+        effects_hold = Rule("effects_hold", EffectsSeen(call), call, action=finish, outcome=CallOutcome.SUCCEEDED)
         self.fire(effects_hold, "finished", "done")
-        not_so, recover = "the action succeeded, but that is not so", [self.name(phase + "recover")]
+        not_so, recover = "the call is done, but that is not so", [self.name(phase + "recover")]
         self._outcome(Cause.EFFECTS_MISSING.value, EffectsMissing(call), "finished", Cause.EFFECTS_MISSING, recover, observed=not_so)
 
     # --- recovery -----------------------------------------------------------------------------

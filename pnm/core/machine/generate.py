@@ -13,7 +13,7 @@ from pnm.core.machine.bindings import Bindings, is_open
 from pnm.core.machine.builder import Builder, Context
 from pnm.core.machine.call_block import CallBlock
 from pnm.core.machine.machine import Always, ConditionFalse, ConditionTrue, Due, Ending, Failing, OnFailure, PetriNetMachine, Rule
-from pnm.core.machine.plan_graph import ActionCall, Choice, Junction, Loop, PlanGraph, Step
+from pnm.core.machine.plan_graph import ActionCall, Cause, Choice, Junction, Loop, PlanGraph, Step, check_capacity
 from pnm.core.machine.step_block import ChoiceBlock, JunctionBlock, LoopBlock
 
 
@@ -51,6 +51,7 @@ def generate(
         builder.resource_places[place] = name
         # calls may turn out to need different resources under an open name: the net must not be stricter than what runs share
         builder.initial[place] = count if is_open(name) else shared.get(name, 1)
+        check_capacity(name, builder.initial[place])
     # If the plan can begin anew, every block can be entered again, and must give back what it has spent.
     whole = builder.region(plan.flow, None, "begin", "finish", Context(repeated=builder.starts_anew))
     builder.transition("begin", Rule("begin"), [start], whole.first)
@@ -71,7 +72,7 @@ def generate(
         builder.transition("begin_anew", Rule("begin_anew", restarts=True), [restarting], [start])
     # The last two rules exclude each other, so that one of them opens whatever the world is like.
     builder.transition("goal_holds", Rule("goal_holds", ConditionTrue(plan.goal)), [end], [goal])
-    builder.transition("goal_missing", Rule("goal_missing", ConditionFalse(plan.goal)), [end], [failed])
+    builder.transition("goal_missing", Rule("goal_missing", ConditionFalse(plan.goal), cause=Cause.GOAL_FALSE), [end], [failed])
     return builder.machine(goal, failed, on_failure)
 
 

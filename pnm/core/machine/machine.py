@@ -67,6 +67,20 @@ class ConditionFalse:
 
 
 @dataclass(frozen=True, slots=True)
+class ConditionUnknown:
+    """Open when that is so and the condition is unknown: it cannot be computed, or nothing reports what it is about."""
+
+    condition: Condition
+
+
+@dataclass(frozen=True, slots=True)
+class InvariantFalse:
+    """Open when the over-all condition of a call under way is reported false; only what may not be reported yet gets the time for that."""
+
+    condition: Condition
+
+
+@dataclass(frozen=True, slots=True)
 class AlreadyTrue:
     """Open when all that the call would change is a plain fact and is so already."""
 
@@ -150,6 +164,8 @@ Guard: TypeAlias = (
     | PauseAsked
     | ConditionTrue
     | ConditionFalse
+    | ConditionUnknown
+    | InvariantFalse
     | AlreadyTrue
     | DataMissing
     | Withheld
@@ -165,7 +181,7 @@ Guard: TypeAlias = (
 
 def is_check(guard: Guard) -> bool:
     """Return whether the guard compares a condition, data, time or resources with what is known, and no end of a request."""
-    return isinstance(guard, (ConditionTrue, ConditionFalse, DataMissing, Withheld, Due))
+    return isinstance(guard, (ConditionTrue, ConditionFalse, ConditionUnknown, InvariantFalse, DataMissing, Withheld, Due))
 
 
 class TransitionAction(Enum):
@@ -177,6 +193,8 @@ class TransitionAction(Enum):
     BEGIN = "write the assumed start effects"
     FINISH = "write the assumed end effects"
     UNDO = "take the assumed start effects back"
+
+    __hash__ = object.__hash__  # each is there once; shapes of blocks are hashed for every call
 
 
 class CallOutcome(StrEnum):

@@ -84,12 +84,14 @@ class Cause(StrEnum):
     EFFECTS_MISSING = "effects_missing"
     INVARIANT_FALSE = "invariant_false"
     TOO_LATE = "too_late"
-    """Its deadline has passed before it was sent."""
+    """Its deadline, or the time of its latest start, has passed before it was sent."""
     DEADLINE_MISSED = "deadline_missed"
     WITHHELD = "withheld"
     """Its resources belong to requests that were given up."""
     LOOP_LIMIT = "loop_limit"
     """All rounds of a loop are spent."""
+    CONDITION_UNKNOWN = "condition_unknown"
+    """The condition of a loop or a choice is neither true nor false."""
     GOAL_FALSE = "goal_false"
     """Every step is done, and the goal of the plan does not hold."""
 
@@ -108,6 +110,10 @@ class Then(Enum):
     """The call fails, and a planner shall find another way."""
     RESTART_PLAN = "restart_plan"
     """Everything else is brought to an end, then the plan begins anew."""
+
+    def is_last(self, *, chain: bool) -> bool:
+        """Return whether no other recovery for its cause can come after one that ends so, with or without a chain."""
+        return self in (Then.SKIP, Then.FAIL, Then.REPLAN) or (self is Then.CONTINUE and not chain)
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,12 +139,14 @@ class ActionCall:
     """Seconds after the moment the plan starts from at which its planner had the call start."""
     release: float = 0.0
     """Seconds after that moment before which the call must not start."""
+    latest_start: float = inf
+    """Seconds after that moment by which the call must have been sent."""
     deadline: float = inf
     """Seconds after that moment by which the call must have ended."""
     lasting: frozenset[Fluent] = frozenset()
     """Fluents written at the start that are still the action's own doing when it ends."""
     recoveries: tuple[Recovery, ...] = ()
-    """The first for a cause counts; without any, the call is tried again as often as it may be."""
+    """Those for a cause are used in their order; without any, the call is tried again as often as it may be."""
     timeout: float | None = None
     """In place of the binding's."""
     retries: int | None = None
@@ -275,7 +283,8 @@ class PlanGraph:
 
     Raises:
         PlanGraphError: the numbers are not so, an ordering names a step that does not stand beside its own, the
-            orderings form a cycle, or what others wait for cannot be said of such a step.
+            orderings form a cycle, what others wait for cannot be said of such a step, a wait is not finite, or a resource is
+            for no call at all.
     """
 
     steps: tuple[Step, ...]
@@ -292,6 +301,12 @@ class PlanGraph:
         for position, call in enumerate(self.calls):
             if call.index != position:
                 raise PlanGraphError(f"{call} stands at position {position}")
+            if not (0.0 <= call.release < inf and 0.0 <= (call.timeout or 0.0) < inf):
+                raise PlanGraphError(f"{call} would wait for {call.release} or {call.timeout} seconds; expected numbers from 0")
+        if not 0.0 <= self.due < inf:
+            raise PlanGraphError(f"the goal would wait for {self.due} seconds; expected a number from 0")
+        for name, capacity in self.capacities.items():
+            check_capacity(name, capacity)
         others = [step.index for step in self.every_step if not isinstance(step, ActionCall)]
         if sorted(others) != [*range(len(self.calls), len(self.calls) + len(others))]:
             raise PlanGraphError("the steps that are not calls are numbered after the calls, each once")
@@ -346,6 +361,12 @@ class PlanGraph:
         return f"<PlanGraph {len(self.calls)} calls, {len(self.orderings)} orderings>"
 
 
+def check_capacity(name: str, capacity: int) -> None:
+    """Refuse a resource that no call could ever have; raise `PlanGraphError`."""
+    if capacity < 1:
+        raise PlanGraphError(f"{capacity} calls may have {name} at the same time; expected 1 at least")
+
+
 def _check_orderings(flow: Flow) -> None:
     beside = Counter(step.index for step in flow.steps)
     calls = {step.index: step for step in flow.steps if isinstance(step, ActionCall)}
@@ -353,6 +374,8 @@ def _check_orderings(flow: Flow) -> None:
         for event in (ordering.before, ordering.after):
             if event.call not in beside:
                 raise PlanGraphError(f"{ordering} names a step that is not in the plan, or not beside the other")
+        if not 0.0 <= ordering.delay < inf:
+            raise PlanGraphError(f"{ordering} would wait for {ordering.delay} seconds; expected a number from 0")
         if ordering.delay and ordering.after.moment is Moment.END:
             raise PlanGraphError(f"{ordering} would delay an end, which comes when the action's time is up")
         between = (ordering.before, Moment.START), (ordering.after, Moment.END)

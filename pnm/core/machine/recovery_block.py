@@ -1,8 +1,9 @@
 """Recoveries of a call that the plan itself gives: chains of steps, and how to go on after them.
 
-    recovering → (recover) → chain → recovered → ready, finished, done, or done and failed
+    recovering → (recover) → chain → recovered → ready, where a success leads, done, or done and failed
 
-Every use takes a token from *uses left* and gives one to *uses spent*; when all are spent, the call gives up.
+Every use takes a token from *uses left* and gives one to *uses spent*; when all are spent the next recovery for the same cause is
+used, and after the last the call gives up.
 """
 
 from __future__ import annotations
@@ -11,11 +12,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, assert_never
 
-from pnm.core.logic.conditions import Condition
-from pnm.core.machine.machine import Ending, Failing, Rule
+from pnm.core.logic.conditions import TRUE, Condition
+from pnm.core.machine.machine import Always, ConditionTrue, Ending, Failing, Rule, TransitionAction
 from pnm.core.machine.plan_graph import EMPTY, ActionCall, Cause, PlanGraphError, Recovery, Then
 from pnm.core.machine.step_block import Block
 
+_OWN: Final[frozenset[Cause]] = frozenset((Cause.BEFORE, Cause.AFTER))
+"""Causes that each recovery has a condition of its own for."""
 _UNSENT: Final = frozenset({Cause.BEFORE, Cause.DATA_MISSING, Cause.PRECONDITION_FALSE})
 
 
@@ -31,46 +34,93 @@ class Recoveries:
     """Checks of the plan's own, before or after: their names, conditions, and what is marked when they hold."""
 
 
-_DIRECT: Final = {Then.CONTINUE: ("finished",), Then.SKIP: ("done",), Then.FAIL: ("done", "failed")}
-"""Places that are marked by recoveries which have nothing to do first."""
+_LEAVING: Final = {Then.SKIP: ("done",), Then.FAIL: ("done", "failed"), Then.REPLAN: ("done", "failed")}
+"""Places that are marked by recoveries which leave the call: what comes after one in a list can never happen."""
 
 
 def build_recoveries(block: Block[ActionCall]) -> Recoveries:
-    """Add the plan's own recoveries to the block of a call."""
-    places: dict[Cause, list[str]] = {}
-    kept: set[Cause] = set()
-    checks: list[tuple[Cause, str, Condition, list[str]]] = []
+    """Add the plan's own recoveries to the block of a call; those for one cause are used in their order."""
+    lists: dict[Cause, list[int]] = {}
     for number, recovery in enumerate(block.step.recoveries):
-        # Without a chain and with nothing to repeat there is nothing to count: the token goes on directly.
-        if recovery.chain == EMPTY and recovery.then in _DIRECT:
-            entered = [block.name(place) for place in _DIRECT[recovery.then]]
-        else:
-            entered = _chained(block, recovery, number)
+        if not _is_direct(recovery):
+            _chained(block, recovery, number)
         for cause in recovery.causes:
             # CONTINUE leads to `finished`, where the effects of a request are looked for: it needs a request, and comes before that check.
             if recovery.then is Then.CONTINUE and cause in _UNSENT | {Cause.AFTER, Cause.EFFECTS_MISSING}:
                 raise PlanGraphError(
                     f"{block.step} cannot continue after {cause.value}: nothing has succeeded that effects could be seen of"
                 )
-            if cause in (Cause.BEFORE, Cause.AFTER):
-                checks.append((cause, f"{cause.value} {number}", recovery.when, entered))
-            elif cause not in places:
-                places[cause] = entered
-                kept |= {cause} if recovery.then is Then.CONTINUE else set()
-    return Recoveries(places, frozenset(kept), tuple(checks))
+            before = block.step.recoveries[lists[cause][-1]] if cause in lists else recovery
+            if before is not recovery and before.when == TRUE and before.then.is_last(chain=before.chain != EMPTY):
+                raise PlanGraphError(f"recovery {number} of {block.step} for {cause.value} can never happen: the one before it always can")
+            lists.setdefault(cause, []).append(number)
+    built: dict[tuple[int, ...], list[str]] = {}
+    places: dict[Cause, list[str]] = {cause: _in_turn(block, (*numbers,), built) for cause, numbers in lists.items() if cause not in _OWN}
+    kept = frozenset(cause for cause in places if any(block.step.recoveries[one].then is Then.CONTINUE for one in lists[cause]))
+    checks = [
+        (cause, f"{cause.value} {number}", block.step.recoveries[number].when, _in_turn(block, (*numbers[position:],), built))
+        for cause, numbers in lists.items()
+        if cause in _OWN
+        for position, number in enumerate(numbers)
+    ]
+    return Recoveries(places, kept, tuple(checks))
 
 
-def _chained(block: Block[ActionCall], recovery: Recovery, number: int) -> list[str]:
-    recovering, recovered = block.place(f"recovering {number}"), block.place(f"recovered {number}")
-    done, failed = block.name("done"), block.name("failed")
-    left, spent = f"uses left {number}", f"uses spent {number}"
+def _is_direct(recovery: Recovery) -> bool:
+    """Return whether there is nothing to do first and nothing to repeat, and so nothing to count: the token goes on directly."""
+    return recovery.chain == EMPTY and recovery.then in (Then.CONTINUE, Then.SKIP, Then.FAIL)
+
+
+def _in_turn(block: Block[ActionCall], numbers: tuple[int, ...], built: dict[tuple[int, ...], list[str]]) -> list[str]:
+    """Return the places that are marked to have the first of these recoveries used that has uses left.
+
+    The rules are asked in order, so that each is only used when those before it are used up; and only if its own condition holds,
+    but for the first, whose condition has been asked before.
+    """
+    first, recoveries = numbers[0], block.step.recoveries
+    if _is_direct(recoveries[first]):
+        return _direct(block, recoveries[first])
+    if numbers in built:
+        return built[numbers]
+    names = ", ".join(map(str, numbers))
+    recovering = block.place(f"recovering {names}")
+    # What was done at the start stays if one of them goes on as if the call had succeeded, so the others take it back here.
+    is_mixed = len({recoveries[number].then is Then.CONTINUE for number in numbers}) > 1
+    undo = TransitionAction.UNDO if is_mixed else None
+    abandon(block, f"recovering {names}", action=undo)  # before `recover`, for rules are asked in order: a run that is ending begins none
+    for number in numbers:
+        recovery = recoveries[number]
+        guard = Always() if number == first or recovery.when == TRUE else ConditionTrue(recovery.when)
+        rule = Rule("recover", guard, action=None if recovery.then is Then.CONTINUE else undo)
+        title = f"recover {number}" if len(numbers) == 1 else f"recover {number} of {names}"
+        if _is_direct(recovery):
+            block.add(rule, [recovering], _direct(block, recovery), title=title)
+        else:
+            entered = [*block.chains[number].first, block.name(f"uses spent {number}")]
+            block.add(rule, [recovering, block.name(f"uses left {number}")], entered, title=title)
+    last = recoveries[numbers[-1]]
+    if not (_is_direct(last) and last.when == TRUE):
+        # It takes all tokens of `uses spent`, so it is enabled only when none is left: no inhibitor arc is needed.
+        spent = {recovering: 1, block.name(f"uses spent {first}"): recoveries[first].times}
+        block.add(Rule("give_up", action=undo), spent, [block.name("done"), block.name("failed")], title=f"give_up {names}")
+    built[numbers] = [recovering]
+    return built[numbers]
+
+
+def _direct(block: Block[ActionCall], recovery: Recovery) -> list[str]:
+    if recovery.then is Then.CONTINUE:
+        return [_succeeded(block)]
+    return [block.name(place) for place in _LEAVING[recovery.then]]
+
+
+def _chained(block: Block[ActionCall], recovery: Recovery, number: int) -> None:
+    """Add the chain of a recovery, the counters of its uses, and how the call goes on after it."""
+    recovered = block.place(f"recovered {number}")
     # Uses of a restart are not given back when the plan begins anew, or it could do so for ever.
-    block.budget(left, spent, recovery.times, refilled=recovery.then is not Then.RESTART_PLAN)
+    restarts = recovery.then is Then.RESTART_PLAN
+    block.budget(f"uses left {number}", f"uses spent {number}", recovery.times, refilled=not restarts)
     chain = block.region(recovery.chain, f"recovery {number}", repeated=recovery.times > 1)
-    abandon(block, f"recovering {number}")  # added before `recover`, for rules are asked in order: a run that is ending begins no recovery
-    block.add(Rule("recover"), [recovering, block.name(left)], [*chain.first, block.name(spent)], title=f"recover {number}")
-    # It takes all tokens of `uses spent`, so it is enabled only when none is left: no inhibitor arc is needed.
-    block.add(Rule("give_up"), {recovering: 1, block.name(spent): recovery.times}, [done, failed], title=f"give_up {number}")
+    block.chains[number] = chain
     block.add(Rule("chain_done"), chain.last, [recovered], title=f"chain_done {number}")
     abandon(block, f"recovered {number}")  # the run may have begun to end while the chain was carried out
     then = recovery.then
@@ -79,32 +129,34 @@ def _chained(block: Block[ActionCall], recovery: Recovery, number: int) -> list[
         case Then.RETRY:
             goal = [block.name("ready")]
         case Then.CONTINUE:
-            goal = [block.name("finished")]
-        case Then.SKIP:
-            goal = [done]
-        # The call is done as well as failed: its successors get their tokens and skip, so that no token is left behind.
-        case Then.FAIL | Then.REPLAN:
-            goal = [done, failed]
+            goal = [_succeeded(block)]
+        # After a failure the call is done as well: its successors get their tokens and skip, so that no token is left behind.
+        case Then.SKIP | Then.FAIL | Then.REPLAN:
+            goal = [block.name(place) for place in _LEAVING[then]]
         case Then.RESTART_PLAN:
             asked = block.place(f"restart {number}")
             block.builder.restart_places[asked] = block.step.index
-            goal = [done, asked]
+            goal = [block.name("done"), asked]
         case _:
             assert_never(then)
     block.add(Rule(then.value, replans=then is Then.REPLAN), [recovered], goal, title=f"{then.value} {number}")
-    return [recovering]
 
 
-def abandon(block: Block[ActionCall], place: str, *announced: str, phase: str = "") -> None:
+def _succeeded(block: Block[ActionCall]) -> str:
+    """Return the place that is marked when the request has succeeded."""
+    return block.name("returned" if block.awaited else "finished")
+
+
+def abandon(block: Block[ActionCall], place: str, *announced: str, phase: str = "", action: TransitionAction | None = None) -> None:
     """Let the call fail when the run does; when the plan begins anew, it has not failed."""
     done, failed = block.name("done"), block.name("failed")
     starts_anew = block.builder.starts_anew
-    source, event = block.name(phase + place), place.rstrip(" 0123456789")
+    source, event = block.name(phase + place), place.rstrip(" ,0123456789")
     # Ending includes restarts, which are no failures; where no restart is possible both mean the same.
     guard = Failing() if starts_anew else Ending()
     if event == "recover":
         block.add(Rule("abandon", guard, block.step.index), [source], [done, *announced, failed], title=f"{phase}abandon")
     else:
-        block.add(Rule(f"abandon {event}", guard), [source], [done, *announced, failed], title=f"{phase}abandon {place}")
+        block.add(Rule(f"abandon {event}", guard, action=action), [source], [done, *announced, failed], title=f"{phase}abandon {place}")
     if starts_anew:  # asked after the rule above: what is left then is a restart of the plan, which takes the token out without a failure
-        block.add(Rule(f"drop {event}", Ending(), block.step.index), [source], [done, *announced], title=f"{phase}drop {place}")
+        block.add(Rule(f"drop {event}", Ending(), block.step.index, action), [source], [done, *announced], title=f"{phase}drop {place}")

@@ -2,8 +2,8 @@
 
 A *request* is one dispatch of a call to an action server, with a UUID chosen by us. It is
 answered by reports: at most one `Accepted`, then exactly one `Ended` with an `Outcome`. (An
-`Accepted` may be left out before an end that implies it.) A
-client that cannot keep that promise is still safe: the run gives every request a limit.
+`Accepted` may be left out before an end that implies it, and any number of `Postponed` may come
+before it.) A client that cannot keep that promise is still safe: the run gives every request a limit.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Protocol, TypeAlias
+from typing import Final, Protocol, TypeAlias, runtime_checkable
 from uuid import UUID
 
 from pnm.core.machine.plan_graph import GroundAction
@@ -29,6 +29,10 @@ class OutcomeKind(Enum):
     """No server was there, or it never answered the request."""
     LOST = "lost"
     """The server went away after it had accepted."""
+
+
+BEFORE_ACCEPTANCE: Final = frozenset({OutcomeKind.REJECTED, OutcomeKind.UNAVAILABLE, OutcomeKind.LOST})
+"""Ends that do not tell whether the goal was accepted before; any other implies that it was."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,10 +70,18 @@ class Ended:
     outcome: Outcome
 
 
-Report: TypeAlias = Accepted | Ended
+@dataclass(frozen=True, slots=True)
+class Postponed:
+    """The goal waits until its server has answered others, or has waited until now: the limit for its acceptance begins anew."""
+
+    request: UUID
+
+
+Report: TypeAlias = Accepted | Ended | Postponed
 Reporter: TypeAlias = Callable[[Report], None]
 
 
+@runtime_checkable
 class ActionClient(Protocol):
     """Carries out actions. Every method is called on the event loop's thread and returns at once."""
 

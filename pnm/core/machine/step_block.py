@@ -9,12 +9,23 @@ still holds, the loop has failed.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Generic, TypeVar
 
 from pnm.core.machine.builder import Builder, Context
-from pnm.core.machine.machine import Always, CallOutcome, ConditionFalse, ConditionTrue, Due, Ending, Region, Rule, check_rule
+from pnm.core.machine.machine import (
+    Always,
+    CallOutcome,
+    ConditionFalse,
+    ConditionTrue,
+    ConditionUnknown,
+    Due,
+    Ending,
+    Region,
+    Rule,
+    check_rule,
+)
 from pnm.core.machine.plan_graph import Cause, Choice, Flow, Junction, Loop, Moment, PlanEvent, Step
 
 AnyStep = TypeVar("AnyStep", bound=Step)
@@ -27,6 +38,8 @@ class Block(Generic[AnyStep]):
     builder: Builder
     step: AnyStep
     context: Context
+    chains: dict[int, Region] = field(default_factory=dict)
+    """The chains of its recoveries, by number."""
 
     @cached_property
     def title(self) -> str:
@@ -89,7 +102,7 @@ class Block(Generic[AnyStep]):
 
 
 class LoopBlock(Block[Loop]):
-    """``head → body → head``, and out of it when the condition is not true."""
+    """``head → body → head``, and out of it when the condition is false; the loop has failed when it is unknown."""
 
     def build(self) -> None:
         """Add the block to the machine."""
@@ -107,19 +120,22 @@ class LoopBlock(Block[Loop]):
         # Asked before `repeat`; it needs every token of `spent`, so it is enabled only when no round is left.
         self.add(exceeded, {head: 1, spent: self.step.limit}, [done, failed])
         self.add(Rule("repeat", ConditionTrue(condition)), [head, left], [*body.first, spent])
+        self.fire(check_rule(Cause.CONDITION_UNKNOWN, ConditionUnknown(condition)), "head", "done", "failed")
         self.fire(Rule("no_more", ConditionFalse(condition)), "head", "done")
         self.add(Rule("round_done"), body.last, [head])
         self.leave()
 
 
 class ChoiceBlock(Block[Choice]):
-    """One of two regions."""
+    """One of two regions; it has failed when the condition is unknown."""
 
     def build(self) -> None:
         """Add the block to the machine."""
-        head, done = self.place("head"), self.place("done")
+        head, done, failed = (self.place(name) for name in ("head", "done", "failed"))
+        self.builder.failure_places[failed] = self.step.index
         self.enter("head")
         self.fire(Rule("skip", Ending()), "head", "done")  # asked first: a run that is ending chooses no branch
+        self.fire(check_rule(Cause.CONDITION_UNKNOWN, ConditionUnknown(self.step.condition)), "head", "done", "failed")
         branches = (
             ("then", ConditionTrue(self.step.condition), self.step.then),
             ("else", ConditionFalse(self.step.condition), self.step.otherwise),

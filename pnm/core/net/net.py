@@ -5,6 +5,7 @@ Markings: sparse multisets of places.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -110,7 +111,7 @@ class NetBuilder:
         return name
 
     def transition(self, name: str, inputs: Weights | Iterable[str], outputs: Weights | Iterable[str]) -> str:
-        """Add a transition with its arcs and return its name; names alone mean weight one."""
+        """Add a transition with its arcs and return its name; each name alone is an arc, of weight one, and arcs of one place add up."""
         if name in self._places or name in self._inputs:
             raise NetError(f"the name {name!r} is used twice")
         # Both are checked before either is stored: a transition that is refused leaves no half of itself behind.
@@ -118,15 +119,18 @@ class NetBuilder:
         return name
 
     def _weights(self, name: str, connected: Weights | Iterable[str]) -> Weights:
-        if isinstance(connected, list):  # first: to ask whether something is a mapping takes long
-            weights = dict.fromkeys(connected, 1)
+        # lists first: to ask whether something is a mapping takes long, as does counting
+        if not isinstance(connected, list) and isinstance(connected, Mapping):
+            weights = dict(connected)
         else:
-            weights = dict(connected) if isinstance(connected, Mapping) else dict.fromkeys(connected, 1)
+            arcs = [*connected]
+            weights = dict.fromkeys(arcs, 1)
+            weights = weights if len(weights) == len(arcs) else dict(Counter(arcs))
         for place, weight in weights.items():
             if place not in self._places:
                 raise NetError(f"{name!r} is connected to {place!r}, which is not a place")
-            if weight < 1:
-                raise NetError(f"the arc between {name!r} and {place!r} weighs {weight}; at least 1 expected")
+            if not isinstance(weight, int) or weight < 1:
+                raise NetError(f"the arc between {name!r} and {place!r} weighs {weight}; a whole number of at least 1 expected")
         return weights
 
     def build(self) -> PetriNet:

@@ -6,7 +6,8 @@ Values on their way out of the process and back: JSON, bounded.
 from __future__ import annotations
 
 import json
-from typing import Final
+from math import isfinite
+from typing import Final, Never
 
 from pnm.core.logic.computed_values import MISSING, Question
 from pnm.core.logic.operators import MAX_SIZE
@@ -31,12 +32,14 @@ def read_value(text: str) -> object:
     if len(text) > MAX_SIZE:
         raise SourceError(f"{_short(text)} has {len(text)} characters; expected at most {MAX_SIZE}")
     try:
-        return json.loads(text, parse_constant=_refuse)
+        return json.loads(
+            text, parse_constant=_refuse, parse_float=lambda written: number if isfinite(number := float(written)) else _refuse(written)
+        )
     except (ValueError, RecursionError) as error:
         raise SourceError(f"{_short(text)!r} is not JSON: {error}") from error
 
 
-def _refuse(name: str) -> object:
+def _refuse(name: str) -> Never:
     raise ValueError(f"JSON has no {name}")
 
 

@@ -12,6 +12,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
+from pnm.core.execution.questions import LIMITS
 from pnm.core.logic.computed_values import Layer
 from pnm.errors import InputError, Position, suggestion
 from pnm.knowledge.sources import person_text as people
@@ -120,13 +121,20 @@ def open_sources(choices: Sequence[SourceChoice], surroundings: Surroundings, fi
     return Sources(
         [make_source(choice, surroundings) for choice in shared],
         make_source(people[0], surroundings),
-        limit=_patience(shared, LIMIT),
-        person_limit=_patience(people, PERSON_LIMIT),
+        limit=_patience(shared, LIMIT, LIMITS[Layer.GLOBAL]),
+        person_limit=_patience(people, PERSON_LIMIT, LIMITS[Layer.PERSON]),
     )
 
 
-def _patience(choices: Sequence[SourceChoice], default: float) -> float:
-    """Return the time limit in seconds for any of them; a source with a ``limit`` of its own keeps that itself, hence the grace."""
+def _patience(choices: Sequence[SourceChoice], default: float, most: float) -> float:
+    """Return the time limit in seconds for any of them; a source with a ``limit`` of its own keeps that itself, hence the grace.
+
+    No source may take longer than runs wait.
+    """
+    for choice in choices:
+        limit = choice.options.get("limit")
+        if isinstance(limit, int | float) and limit + GRACE > most:
+            raise InputError(f"{choice.name}: expected a limit of at most {most - GRACE:g} seconds, found {limit}", choice.position)
     limits = (choice.options.get("limit") for choice in choices)
     return max([default, *(limit + GRACE for limit in limits if isinstance(limit, int | float))])
 

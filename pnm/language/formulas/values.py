@@ -6,13 +6,12 @@ truth of a fact; any other text, number, list or mapping stands for itself, and 
 
 from __future__ import annotations
 
-import json
 from functools import reduce
 
 from pnm.core.logic.computed_values import Compound, Data, KnowledgeOperation, Literal, Operation, Parameter, Query, Update
 from pnm.core.logic.expressions import ValueOf
 from pnm.files.yaml_nodes import Node
-from pnm.language.formulas.scope import ANYTHING, FormulaScope, fluent_in, is_variable, read_fluent, shown
+from pnm.language.formulas.scope import ANYTHING, FormulaScope, fluent_in, is_variable, read_fluent
 from pnm.language.formulas.words import ARITHMETIC, QUERIES, UPDATES, VALUES, Form, form, needed_form, read_operator
 
 
@@ -49,12 +48,7 @@ def _whole(items: tuple[Data, ...], keys: tuple[str, ...] | None) -> Data:
 
 def read_literal(node: Node) -> Literal:
     """Read a value as it stands."""
-    value = node.plain()
-    try:
-        json.dumps(value, allow_nan=False)
-    except ValueError as error:
-        raise node.wrong(f"expected finite numbers, found {shown(node)}") from error
-    return Literal.of(value)
+    return Literal.of(node.plain())
 
 
 def read_form(construct: Form, scope: FormulaScope) -> Data:

@@ -26,7 +26,7 @@ _log = logging.getLogger(__name__)
 
 _CLOSED: Final = "the ROS 2 node was closed"
 
-_Key = tuple[str, str | None]
+_Key = tuple[str, str | None, bool]
 
 
 class Ros2ActionClient:
@@ -56,6 +56,8 @@ class Ros2ActionClient:
 
     async def prepare(self, actions: Iterable[GroundAction], limit: float = 5.0) -> tuple[str, ...]:
         """Connect to the servers of the actions; return the names of those not there within `limit` seconds.
+
+        Waits until a new node has discovered all others: there may be another server of the same name.
 
         It is no error when a server is missing: it is looked for again when a goal is sent to it.
         """
@@ -93,13 +95,15 @@ class Ros2ActionClient:
             self._ros.call(self._end)
 
     def _key(self, action: GroundAction) -> _Key:
-        return self._bindings.server(action), self._bindings.of(action.name).type
+        binding = self._bindings.of(action.name)
+        return self._bindings.server(action), binding.type, binding.several_servers
 
     # on the ROS thread
 
     def _link(self, key: _Key) -> ServerLink:
         if key not in self._links:
-            self._links[key] = ServerLink(self._ros.node, *key, self._ros.joined)
+            server, type_name, several = key
+            self._links[key] = ServerLink(self._ros.node, server, type_name, self._ros.joined, several=several)
         return self._links[key]
 
     def _send(self, request: Request, report: Reporter, is_blind: bool) -> None:

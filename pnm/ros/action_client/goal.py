@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Report, Request
+from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Postponed, Report, Request
 from pnm.ros.action_client.liveness import Liveness
 
 # action_msgs/msg/GoalStatus
@@ -23,13 +23,16 @@ class Goal:
 
     request: Request
     accept: float
-    """Seconds the server may take to accept the goal."""
+    """Seconds the server may take to answer the goal before it is cancelled."""
     report: Callable[[Report], None]
     mapped: Mapping[str, object] | None = None
     """The fields that the binding names, if it has a goal mapping."""
     is_blind: bool = False
     """Whether its values were collected before its type was known: for all fields that it may have."""
     sent: float = 0.0
+    """When it was sent, or when the server answered an earlier goal since then: until then this one could not be answered."""
+    postponed: float = 0.0
+    """When its run was told last that it waits for others."""
     handle: Any = None
     liveness: Liveness = field(default_factory=lambda: Liveness(frozenset()))
     cancel_asked: bool = False
@@ -37,9 +40,14 @@ class Goal:
     cancel_answered: bool = False
     results: list[Any] = field(default_factory=list)
     """The futures of the requests for the result."""
-    restarted: float | None = None
-    """When the server answered that it does not know the goal, so it was restarted."""
+    unknown_since: float | None = None
+    """When the server answered first that it does not know the goal: it was restarted, or has not taken it up yet."""
     ended: bool = False
+
+    def postpone(self, now: float) -> None:
+        """Report that the limit for its acceptance begins anew."""
+        self.postponed = now
+        self.report(Postponed(self.request.id))
 
     def end(self, kind: OutcomeKind, message: str = "", result: Mapping[str, object] | None = None) -> None:
         """Report the end, once."""

@@ -8,6 +8,10 @@ server that has matched it has matched all.
 Processes that leave the graph must be probed anew when they are back, because they have forgotten us as well: that is
 how a network link looks that was cut and has healed. So must all after a time in which the graph was not looked at.
 
+Two processes under one name are a server that was killed and is remembered until its lease ends, and another one, or two servers,
+both of which would carry out every goal. A probe tells them apart: two servers answer it twice. So when there are several processes
+there is some time for a second answer, and they are probed again and again.
+
 A goal is *abandoned* when its server is taken for lost: the server may only be cut off, and go on with it. When it is
 back it is asked to cancel the abandoned goals, and gets no new one until it has answered that they are over, or that it
 does not know them. Everything here runs on the ROS thread.
@@ -18,11 +22,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
+from time import monotonic
 from typing import Any, Final
 from uuid import UUID, uuid4
 
 from pnm.ros.action_client.liveness import AGAIN
 
+SECOND_ANSWER: Final = 2.0
+"""Seconds in which a second server answers a probe as well."""
+SUSPICION: Final = 5.0
+"""Seconds between two probes while there are several processes."""
 UNWATCHED: Final = 2.0
 """Seconds between two looks at the graph after which all probes are repeated: a cut that both ends notice lasts longer."""
 
@@ -30,8 +39,8 @@ UNWATCHED: Final = 2.0
 class Handshake:
     """The handshake with the processes that serve one action.
 
-    The mutable state is the processes that have answered a probe, when the graph was last looked at, when the last probe was
-    sent, the abandoned goals, and when they were last recalled.
+    The mutable state is the processes that have answered a probe and since when they have, when the graph was last looked at, when the
+    last probe was sent, the abandoned goals, and when they were last recalled.
 
     Args:
         changed: called when an answer has arrived, after which goals may be sent.
@@ -41,6 +50,7 @@ class Handshake:
         self._client = client
         self._changed = changed
         self._met: frozenset[bytes] | None = None
+        self._met_at = -math.inf
         self._looked = -math.inf
         self._probed = -math.inf
         self._abandoned: dict[UUID, Any] = {}
@@ -60,17 +70,19 @@ class Handshake:
         if self._met is not None:
             self._met = self._met & present if now - self._looked < UNWATCHED else None
         self._looked = now
-        return self._met is not None and present <= self._met and not self._abandoned
+        is_settled = len(present) < 2 or now - self._met_at >= SECOND_ANSWER
+        return self._met is not None and present <= self._met and is_settled and not self._abandoned
 
     def poll(self, present: frozenset[bytes], now: float) -> None:
         """Probe the present processes, or recall the abandoned goals; to be called when the server is ready."""
-        if self.is_done(present, now):
-            return
-        if self._met is None or not present <= self._met:
+        is_done = self.is_done(present, now)
+        is_met = self._met is not None and present <= self._met
+        if not is_met or (len(present) > 1 and now - self._probed >= SUSPICION):
             if now - self._probed >= AGAIN:  # probes are lost silently until the server has discovered us, so they are repeated
                 self._probed = now
-                self._handle(uuid4()).get_result_async().add_done_callback(partial(self._on_answer, present))
-        elif now - self._recalled >= AGAIN:  # only now: before the probes are answered, an answer about a goal would be lost
+                self.handle(uuid4()).get_result_async().add_done_callback(partial(self._on_answer, present))
+        elif not is_done and now - self._recalled >= AGAIN:
+            # only now: before the probes are answered, an answer about a goal would be lost
             self._recalled = now
             for goal, handle in tuple(self._abandoned.items()):
                 handle.cancel_goal_async()
@@ -78,10 +90,12 @@ class Handshake:
 
     def abandon(self, goal: UUID, handle: Any) -> None:
         """Note an abandoned goal, with its handle if it was ever accepted."""
-        self._abandoned[goal] = handle or self._handle(goal)
+        self._abandoned[goal] = handle or self.handle(goal)
 
     def _on_answer(self, present: frozenset[bytes], future: Any) -> None:
         if not future.cancelled():  # the processes present when the probe was sent: one that came later may not have discovered us yet
+            if self._met is None or not present <= self._met:
+                self._met_at = monotonic()
             self._met = present
             self._changed()
 
@@ -91,7 +105,7 @@ class Handshake:
         if not future.cancelled() and self._abandoned.pop(goal, None) is not None and not self._abandoned:
             self._changed()
 
-    def _handle(self, goal: UUID) -> Any:
+    def handle(self, goal: UUID) -> Any:
         """Return a handle of a goal that was never accepted: the only way to ask `rclpy` about it."""
         from rclpy.action.client import ClientGoalHandle  # here, because rclpy is an extra
 

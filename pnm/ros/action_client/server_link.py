@@ -1,7 +1,10 @@
 """The link to one action server: its queue of goals, the goals that are under way, and what happens when it goes away.
 
-A goal moves *queued* → *unanswered* → *accepted* → ended. Everything here runs on the ROS thread, which also spins: `rclpy`
-sends a request before it registers its future, so a response that another thread reads meanwhile is lost (ros2/rclpy#1123).
+A goal moves *queued* → *unanswered* → *accepted* → ended. One that is not answered in time is cancelled by its id, for its server may
+be at work on it all the same; it ends when the server says so, does not know it for as long again, or is gone.
+
+Everything here runs on the ROS thread, which also spins: `rclpy` sends a request before it registers its future, so a response that
+another thread reads meanwhile is lost (ros2/rclpy#1123).
 
 At most `IN_FLIGHT` goals are unanswered at a time: a server keeps the last 10 requests it has not yet read and silently
 drops older ones, for which no answer ever comes. Goals are sent only after the handshake, see `pnm.ros.action_client.handshake`.
@@ -15,6 +18,7 @@ from collections import deque
 from functools import partial
 from time import monotonic
 from typing import Any, Final
+from uuid import UUID
 
 from pnm.core.machine.requests import Accepted, OutcomeKind
 from pnm.errors import InputError, PnmError
@@ -43,18 +47,21 @@ _log = logging.getLogger(__name__)
 class ServerLink:
     """The link to one action server, of a type that is given or found in the graph.
 
-    The mutable state is the client and its handshake, once the type is known, until when a missing server is expected, and the
-    goals by how far they are.
+    The mutable state is the client and its handshake, once the type is known, until when a missing server is expected, whether
+    something was answered twice, and the goals by how far they are.
 
     Args:
+        several: whether there may be several servers of this name, all of which carry out every goal.
         joined: when the node joined the ROS graph, on the monotonic clock.
     """
 
-    def __init__(self, node: Any, server: str, type_name: str | None, joined: float) -> None:
+    def __init__(self, node: Any, server: str, type_name: str | None, joined: float, *, several: bool = False) -> None:
         self._node = node
         self.name = server_name(node, server)
         self.wanted_type = type_name
         self.type: Any = import_type(type_name) if type_name else None
+        self._several = several
+        self._answered_twice = False
         self._client: Any = None
         self._expected_until = max(joined + START, monotonic() + DISCOVERY)
         self._queued: deque[Goal] = deque()
@@ -90,23 +97,46 @@ class ServerLink:
         return self._client is not None and bool(self._client.server_is_ready())
 
     def _connect(self) -> None:
-        from rclpy.action import ActionClient  # here, because rclpy is an extra
-        from rclpy.qos import QoSProfile
+        from rclpy.qos import QoSProfile  # here, because rclpy is an extra
+
+        from pnm.ros.action_client.attentive_client import AttentiveClient
 
         deep = QoSProfile(depth=_DEPTH)  # the default keeps ten responses; more goals than that may end between two turns of the executor
-        self._client = ActionClient(
+        self._client = AttentiveClient(
             self._node,
             self.type,
             self.name,
             goal_service_qos_profile=deep,
             result_service_qos_profile=deep,
             cancel_service_qos_profile=deep,
+            answered_twice=self._note_second_answer,
         )
         self._handshake = Handshake(self._client, self._pump)
 
     def _may_send(self) -> bool:
-        """Return True if the handshake with the server, which is ready, is done."""
-        return bool(self._handshake.is_done(processes(self._node, self.name), monotonic()))
+        """Return True if the handshake with the server, which is ready, is done, and it is the only one of its name."""
+        present = processes(self._node, self.name)
+        return bool(self._handshake.is_done(present, monotonic())) and not self._rivals(present)
+
+    # several servers of one name
+
+    def _rivals(self, present: frozenset[bytes]) -> str:
+        """Return why nothing may be sent: other servers would carry it out as well; empty when there are none, or they are allowed."""
+        self._answered_twice = self._answered_twice and len(present) > 1
+        if self._several or not self._answered_twice:
+            return ""
+        return f"there are {len(present)} action servers {self.name}, all of which would carry out every goal (see `several_servers`)"
+
+    def _note_second_answer(self, identity: UUID | None) -> None:
+        """Note that two servers have answered one request; if it was a goal, have both of them cancel it."""
+        self._answered_twice = True
+        if identity is None or self._several:
+            return
+        goal = next((sent for sent in (*self._unanswered, *self._accepted) if sent.request.id == identity), None)
+        if goal is not None:
+            self.cancel(goal)
+        else:
+            self._handshake.handle(identity).cancel_goal_async()
 
     @property
     def is_busy(self) -> bool:
@@ -132,7 +162,7 @@ class ServerLink:
 
     def _pump(self) -> None:
         # Asked for each goal: a dispatch may fail at once, and the server may go away meanwhile.
-        while self._queued and len(self._unanswered) < IN_FLIGHT and self.ready() and self._may_send():
+        while self._queued and sum(not goal.cancel_asked for goal in self._unanswered) < IN_FLIGHT and self.ready() and self._may_send():
             self._dispatch(self._queued.popleft())
 
     def _dispatch(self, goal: Goal) -> None:
@@ -153,6 +183,8 @@ class ServerLink:
             goal.end(OutcomeKind.REJECTED, f"goal for {self.name} cannot be sent: {error}")
             return
         goal.sent = monotonic()
+        if goal.postponed:
+            goal.postpone(goal.sent)
         # The processes of this moment: one that appears later cannot have this goal.
         goal.liveness = Liveness(processes(self._node, self.name))
         self._unanswered.add(goal)
@@ -160,6 +192,11 @@ class ServerLink:
 
     def _answered(self, goal: Goal, future: Any) -> None:
         self._unanswered.discard(goal)
+        now = monotonic()
+        for later in self._unanswered:  # which a server that takes its time for each goal could not answer before
+            if later.sent >= goal.sent:
+                later.sent = now
+                later.postpone(now)
         handle = future.result()
         if not handle.accepted:  # first of all, since a refusal ends the goal whatever else has happened to it
             goal.end(OutcomeKind.REJECTED, f"{self.name} rejected the goal")
@@ -167,7 +204,7 @@ class ServerLink:
             # It was accepted after its time limit, when the run had already gone on without it.
             handle.cancel_goal_async()
         else:
-            goal.handle = handle  # kept by us, because `rclpy` refers to handles only weakly
+            goal.handle, goal.unknown_since = handle, None  # kept by us, because `rclpy` refers to handles only weakly
             goal.liveness = Liveness(processes(self._node, self.name), asked=monotonic())
             self._accepted.add(goal)
             goal.report(Accepted(goal.request.id))
@@ -178,8 +215,12 @@ class ServerLink:
 
     # the end
 
+    def _handle(self, goal: Goal) -> Any:
+        """Return a handle of the goal, by its id alone if it was not accepted."""
+        return goal.handle or self._handshake.handle(goal.request.id)
+
     def _ask_result(self, goal: Goal) -> None:
-        future = goal.handle.get_result_async()
+        future = self._handle(goal).get_result_async()
         goal.results.append(future)
         future.add_done_callback(partial(self._result, goal))
 
@@ -188,16 +229,17 @@ class ServerLink:
             return
         answer = future.result()
         if answer.status == UNKNOWN:
-            # Not lost at once: the delay lets sensors report the new state first (`RESENSED`).
-            goal.restarted = goal.restarted or monotonic()
+            # Not over at once: the delay lets sensors report the new state first (`RESENSED`), or the server take the goal up.
+            goal.unknown_since = goal.unknown_since or monotonic()
         elif answer.status in OVER:
             self._accepted.discard(goal)
+            self._unanswered.discard(goal)
             result = to_data(answer.result)
             goal.end(OVER[answer.status], message_in(result), result)
 
     def _lose(self, goal: Goal, message: str) -> None:
         self._accepted.discard(goal)
-        if not goal.restarted:  # a server that does not know the goal is not executing it
+        if not goal.unknown_since:  # a server that does not know the goal is not executing it
             self._handshake.abandon(goal.request.id, goal.handle)
         goal.end(OutcomeKind.LOST, message)
         for future in goal.results:  # their answers may still come when a link heals, for a goal that is over for us
@@ -211,16 +253,18 @@ class ServerLink:
         if goal in self._queued:
             self._queued.remove(goal)
             goal.end(OutcomeKind.CANCELED, "cancelled before it was sent")
-        elif goal in self._accepted:
+        elif goal in self._accepted or goal in self._unanswered:
             goal.cancel_answered = False  # a person may ask again after a refusal
             self._send_cancel(goal)
 
     def _send_cancel(self, goal: Goal) -> None:
         goal.cancel_sent = monotonic()
-        goal.handle.cancel_goal_async().add_done_callback(partial(self._cancel_answered, goal))
+        self._handle(goal).cancel_goal_async().add_done_callback(partial(self._cancel_answered, goal))
+        if goal in self._unanswered and all(future.done() for future in goal.results):
+            self._ask_result(goal)
 
     def _cancel_answered(self, goal: Goal, future: Any) -> None:
-        goal.cancel_answered = True
+        goal.cancel_answered = goal not in self._unanswered  # which the server may not have taken up yet
         if not future.result().goals_canceling and not goal.ended:
             _log.info("%s does not cancel %s", self.name, goal.request.action)
 
@@ -236,6 +280,10 @@ class ServerLink:
                 self._look_at_unanswered(goal, present, now)
             self._look_at_accepted(present, now)
         self._pump()
+        if self._queued and self.ready() and self._may_send():  # then only the answers to others are waited for
+            for goal in self._queued:
+                if now - goal.postponed >= goal.accept / 4.0:
+                    goal.postpone(now)
 
     def _look_at_queue(self, now: float) -> None:
         if not self.ready():
@@ -243,6 +291,9 @@ class ServerLink:
                 reason = absence(self._node, self.name, self.wanted_type)
                 while self._queued:
                     self._queued.popleft().end(OutcomeKind.UNAVAILABLE, reason)
+        elif self._queued and (rivals := self._rivals(processes(self._node, self.name))):
+            while self._queued:
+                self._queued.popleft().end(OutcomeKind.UNAVAILABLE, rivals)
         elif self._queued and not self._may_send():
             abandoned = self._handshake.abandoned
             for goal in tuple(self._queued):
@@ -257,11 +308,13 @@ class ServerLink:
         verdict = goal.liveness.check(present, False, now)
         if verdict is Verdict.LOST:
             reason = "went away before it answered"
-        elif verdict is Verdict.ASK and goal.liveness.asks == ASKS:
+        elif verdict is Verdict.ASK and goal.liveness.asks == ASKS and not self._answered_twice:
             reason = "was restarted before it answered"
-        elif now - goal.sent >= goal.accept:
-            reason = _silence(goal)
+        elif goal.unknown_since and now - max(goal.unknown_since, goal.sent + goal.accept) >= goal.accept:
+            reason = f"{_silence(goal)}, and does not know the goal"
         else:
+            if now - goal.sent >= goal.accept and (goal.cancel_sent is None or now - goal.cancel_sent >= AGAIN):
+                self.cancel(goal)
             return
         self._unanswered.discard(goal)
         # Gone from the graph, it may only be cut off and have the goal: it is recalled before the next one is sent.
@@ -285,7 +338,7 @@ class ServerLink:
                     goal.end(OVER[goal.handle.status], "its result never came")
                 case Verdict.FINE:
                     pass
-            if goal.restarted and now - goal.restarted >= RESENSED:
+            if goal.unknown_since and now - goal.unknown_since >= RESENSED:
                 self._lose(goal, f"{self.name} no longer knows the goal; it was restarted")
             # Requests may be lost like any other, and cancelling twice does no harm.
             if not goal.ended and goal.wants_cancel and goal.cancel_sent is not None and now - goal.cancel_sent >= AGAIN:

@@ -21,8 +21,7 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import GoalEvent
 from rclpy.qos import QoSProfile
 
-from pnm.errors import PnmError, RosError
-from pnm.ros.node.graph import processes
+from pnm.errors import PnmError
 from pnm.ros.node.messages import import_type, to_message
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.node.service_client import until_true
@@ -36,7 +35,6 @@ FEEDBACK: Final = 0.1
 """Seconds between two feedback messages."""
 _FAREWELL: Final = 2.0
 """Seconds to send the last results."""
-_ADVICE: Final = "(one that was killed is remembered for up to 20 s)"
 
 _log = logging.getLogger(__name__)
 
@@ -196,21 +194,6 @@ class GoalServer:
         if self._server is not None:
             self._server.destroy()
             self._server = None
-
-
-async def check_alone(ros: RosThread, servers: tuple[str, ...]) -> None:
-    """Check that no other process has the name of the node, or of one of these action servers."""
-
-    def check() -> None:
-        for name in servers:
-            if processes(ros.node, name):
-                raise RosError(f"there is an action server {name} already; another process offers it {_ADVICE}")
-        own = (ros.node.get_name(), ros.node.get_namespace())
-        if ros.node.get_node_names_and_namespaces().count(own) > 1:
-            raise RosError(f"there is a node {ros.node.get_fully_qualified_name()} already; is this being served? {_ADVICE}")
-
-    await ros.settled()
-    await ros.ask(check)
 
 
 def _id(handle: Any) -> UUID:

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from time import time_ns
 from typing import Any, Final
+from uuid import uuid4
 
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.lifecycle import LifecycleNodeMixin
 from rclpy.node import Node
 
 from pnm.errors import RosError
+from pnm.ros.node.messages import import_type
 
+STARTED: Final = "~/_started/t"
+"""How the names of the topics begin that show when nodes of this name were started; nothing is published there."""
 _ENDING: Final = "transition_"
 """The prefix of the labels of transitions that end another one; the node makes them, clients may not."""
 
@@ -23,6 +28,9 @@ class ManagedNode(LifecycleNodeMixin, Node):  # type: ignore[misc]
         # reentrant: other services answer while a transition takes its time
         LifecycleNodeMixin.__init__(self, callback_group=ReentrantCallbackGroup())
         self.set_change_state(refuse_transition)
+        self.start = f"{time_ns():020d}_{uuid4().hex}"
+        """When the node was started, and a random number: nodes of the same name are in this order."""
+        self.create_publisher(import_type("builtin_interfaces/msg/Time"), STARTED + self.start, 1)
 
     def set_change_state(self, callback: Callable[[Any, Any], Any]) -> None:
         """Set the callback of the service ``change_state``, in place of that of `rclpy`, which has no other hook."""

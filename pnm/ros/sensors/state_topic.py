@@ -19,6 +19,7 @@ TOPIC = "knowledge/sensed"
 
 Facts = dict[Fluent, Value | Unknown]
 Listener = Callable[[frozenset[str], Facts, int], None]
+Refuse = Callable[[frozenset[str], str], None]
 
 _log = logging.getLogger(__name__)
 
@@ -28,12 +29,16 @@ class SensedReports:
 
     A report is complete about the predicates and functions it names: it replaces all earlier reports about them, from any
     publisher. So several publishers need disjoint names.
+    What cannot be read goes to `refuse`, with the names of the report and the reason.
     """
 
-    def __init__(self, ros: RosThread, loop: asyncio.AbstractEventLoop, listener: Listener, topic: str = TOPIC) -> None:
+    def __init__(
+        self, ros: RosThread, loop: asyncio.AbstractEventLoop, listener: Listener, refuse: Refuse | None = None, topic: str = TOPIC
+    ) -> None:
         self._ros = ros
         self._loop = loop
         self._listener = listener
+        self._refuse = refuse or (lambda _names, reason: _log.warning("ignored a report on %s: %s", topic, reason))
         self._topic = topic
         self._heard = asyncio.Event()
         self._closed = False
@@ -71,10 +76,11 @@ class SensedReports:
             heard.cancel()
         return self._heard.is_set() or bool(await self._ros.ask(lambda: self._subscription.get_publisher_count()))
 
-    def _pass_on(self, names: frozenset[str], facts: Facts, sequence: int) -> None:
+    def _pass_on(self, pass_on: Callable[[], None], *, is_report: bool) -> None:
         if not self._closed:
-            self._listener(names, facts, sequence)
-            self._heard.set()
+            pass_on()
+            if is_report:
+                self._heard.set()
 
     # on the ROS thread
 
@@ -89,12 +95,12 @@ class SensedReports:
             self._ros.node.destroy_subscription(self._subscription)
 
     def _receive(self, message: Any) -> None:
+        names, is_report = frozenset(message.names), True
         try:
-            report = frozenset(message.names), read_state(message), int(message.sequence)
+            pass_on = partial(self._listener, names, read_state(message), int(message.sequence))
         except InputError as error:
-            _log.warning("ignored a report on %s: %s", self._topic, error)
-            return
-        call_on_loop(self._loop, self._pass_on, *report)
+            pass_on, is_report = partial(self._refuse, names, str(error)), False
+        call_on_loop(self._loop, partial(self._pass_on, pass_on, is_report=is_report))
 
 
 def read_state(message: Any) -> Facts:

@@ -50,6 +50,9 @@ _ACTIONS: Final = {
 }
 NAMES: Final = tuple(_ACTIONS)
 
+_SHORT: Final = 1000
+"""Characters of a goal that are read at once; longer ones are read in a thread, while the event loop goes on."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -78,7 +81,7 @@ class TaskServers(TaskListener):
         self._cancel_asked: set[UUID] = set()
         self._feedback_due: set[UUID] = set()
         self._feedback: Throttle[None] = Throttle(self._loop, FEEDBACK, self._feed)
-        self._cancelling: set[asyncio.Task[None]] = set()
+        self._work: set[asyncio.Task[Any]] = set()
         self._stop: Callable[[], None] = lambda: None
 
     def __repr__(self) -> str:
@@ -98,7 +101,7 @@ class TaskServers(TaskListener):
         self._stop()
         self._stop = lambda: None
         self._feedback.close()
-        for task in self._cancelling:
+        for task in self._work:
             task.cancel()
 
     def note_cancel(self, task: UUID | None) -> None:
@@ -111,26 +114,43 @@ class TaskServers(TaskListener):
         return self._closed() or partial(self._begin, name, request)
 
     def _begin(self, name: str, request: Any, id: UUID) -> None:
-        try:
-            if id in self._open or not id.int:
-                raise InputError(f"the id {id} is that of another task, or of none; expected a new one")
-            wanted = self._actions[name].read(id, request)
-        except InputError as error:
-            self._end(name, id, TaskEnding(Code.INVALID_GOAL, str(error)), is_cancel_asked=False)
+        if id in self._open or not id.int:
+            taken = f"the id {id} is that of another task, or of none; expected a new one"
+            self._end(name, id, TaskEnding(Code.INVALID_GOAL, taken), is_cancel_asked=False)
             return
         self._open[id] = name
+        read = partial(self._actions[name].read, id, request)
+        texts = (getattr(request, field) for field in ("goal", "plan", "parameters") if hasattr(request, field))
+        if sum(map(len, texts)) <= _SHORT:
+            self._start(id, read)
+        else:
+            reading = self._loop.create_task(asyncio.to_thread(read))
+            self._work.add(reading)
+            reading.add_done_callback(lambda _: self._start(id, reading.result))
+            reading.add_done_callback(self._work.discard)
+
+    def _start(self, goal: UUID, read: Callable[[], Wanted]) -> None:
+        """Begin the task of a goal, unless that was cancelled while it was read."""
+        if goal not in self._open:
+            return
         try:
-            self._tasks.begin(wanted)
+            wanted = read()
+            if goal in self._cancel_asked:
+                self.ended(goal, TaskEnding(Code.CANCELLED, "its client has cancelled it"))
+            else:
+                self._tasks.begin(wanted)
+        except InputError as error:
+            self.ended(goal, TaskEnding(Code.INVALID_GOAL, str(error)))
         except Exception as error:
             _log.exception("a task cannot begin")
-            self.ended(id, TaskEnding(Code.ERROR, f"{type(error).__name__}: {error}"))
+            self.ended(goal, TaskEnding(Code.ERROR, f"{type(error).__name__}: {error}"))
 
     def _cancel(self, goal: UUID) -> None:
         if goal in self._open:
             self._cancel_asked.add(goal)
             task = self._loop.create_task(self._cancel_task(goal))
-            self._cancelling.add(task)
-            task.add_done_callback(self._cancelling.discard)
+            self._work.add(task)
+            task.add_done_callback(self._work.discard)
 
     async def _cancel_task(self, goal: UUID) -> None:
         try:

@@ -22,7 +22,7 @@ from pnm.tasks import Code, MadePlan, OnConflict, StepState, TaskEnding, TaskSta
 TRACE: Final = 200
 """Trace events in a result: the last ones."""
 MAX_LENGTH: Final = 100_000
-"""Characters of a goal or a plan: it is part of every message about tasks, long after its end."""
+"""Characters of a goal, a plan or its parameters: it is part of every message about tasks, long after its end."""
 _POLICIES: Final = (None, OnConflict.PLAN_AROUND, OnConflict.QUEUE, OnConflict.REFUSE)
 """The conflict policies by their numbers in goals."""
 
@@ -44,13 +44,14 @@ def result_fields(success: bool, reason: str, message: str, results: Mapping[str
 
 
 def read_parameters(text: str) -> dict[str, object]:
-    """Read the parameters of a plan: a mapping as YAML or JSON, or nothing; raise an `InputError` if it is no mapping."""
+    """Read the parameters of a plan: a mapping as YAML or JSON, or nothing; raise an `InputError` if it is no mapping, or too long."""
+    text = _text("text of the parameters", text)
     try:
         parameters = read_value(text)  # JSON first: not all of it means the same in YAML, such as 1e3 and escaped emoji
     except SourceError:
-        parameters = parse_value(text, "parameters") if text.strip() else {}
+        parameters = parse_value(text, "parameters") if text else {}
     if not isinstance(parameters, dict):
-        raise InputError(f"expected a mapping such as {{shop: bakery}} as parameters, found {text.strip()[:40]!r}")
+        raise InputError(f"expected a mapping such as {{shop: bakery}} as parameters, found {text[:40]!r}")
     return parameters
 
 

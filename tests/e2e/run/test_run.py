@@ -36,13 +36,22 @@ def test_a_robot_patrols(deploy):
     at_first_attempt(*execute_together(deploy("patrol/p01"), deploy("patrol/p02")))
 
 
-@pytest.mark.parametrize("within", [(), ("sh", "-c", 'trap "" INT; exec "$@"', "sh")], ids=["foreground", "background"])
-def test_ctrl_c_cancels_what_runs_and_still_tells_how_it_went(deploy, within):
+IN_BACKGROUND = ("sh", "-c", 'trap "" INT; exec "$@"', "sh")
+TWICE = (signal.SIGTERM, signal.SIGTERM)  # as some supervisors send it: to the process and to its group
+
+
+@pytest.mark.parametrize(
+    ("signals", "within"),
+    [((signal.SIGINT,), IN_BACKGROUND), (TWICE, ()), ((signal.SIGHUP,), ())],
+    ids=["INT in the background", "TERM twice at once", "terminal closed"],
+)
+def test_every_signal_cancels_what_runs_and_still_tells_how_it_went(deploy, signals, within):
     deployment = deploy("delivery/p01", speed="0.1")
     simulation = deployment.simulate().ready()
     run = deployment.run(within=within)
     simulation.until(lambda: len([one for one in simulation.objects() if one["event"] == "start"]) == 2)
-    run.process.send_signal(signal.SIGINT)
+    for number in signals:
+        run.process.send_signal(number)
     finished = deployment.finish(run, simulation)
     assert (finished.status, finished.result["reason"]) == (1, "cancelled")
     assert [event["outcome"] for event in finished.events if event["event"] == "end"] == ["canceled", "canceled"]

@@ -72,14 +72,14 @@ def test_names_that_cannot_be_are_refused(deployment, files, said):
     assert (status, said in told) == (2, True), told
 
 
-def test_a_signal_cancels_what_runs_and_tells_the_clients(deployment):
+def test_a_terminal_that_is_closed_cancels_what_runs_and_tells_the_clients(deployment):
     deployment.write(FILES)
     workers = deployment.workers("wait").ready()
     serving = deployment.serve().ready()
     client = deployment.client("waits", {"time": 1000}, {"time": 2000})
     for time in (1000, 2000):
         workers.happens("start", "wait", time)
-    serving.stop()
+    serving.stop(signal.SIGHUP)
     assert [(result["status"], result["reason"]) for result in client.results()] == [(ABORTED, "cancelled")] * 2
     assert {one["value"] for one in workers.objects() if one["event"] == "cancelled"} == {1000, 2000}
     assert sum("cancelled the node is shut down" in line for line in serving.out) == 2

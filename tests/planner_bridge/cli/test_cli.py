@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pnm.core.machine.verification.explore import Unsound
+from pnm.core.machine.verification.part import Unsound
 from tests.support.files import ROOT
 from tests.support.processes import LIMIT, pnm, result
 
@@ -178,9 +178,10 @@ PATROL = (str(ROOT / "domains/patrol/domain.pddl"), str(ROOT / "problems/patrol/
 
 def test_what_is_exported_is_imported_again(tmp_path: Path) -> None:
     assert pnm("export", *PATROL, "-o", str(tmp_path / "x.yaml"), "--plan").returncode == 0
-    done = pnm("import", str(tmp_path / "x.yaml"), "-o", str(tmp_path / "new" / "folder"))
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-    again = pnm("export", *(str(tmp_path / "new" / "folder" / name) for name in ("domain.pddl", "problem.pddl")), "--plan")
+    done = pnm("import", str(tmp_path / "x.yaml"), "-o", str(tmp_path / "new"))
+    written = "".join(f"wrote {tmp_path / 'new' / name}\n" for name in ("domain.pddl", "problem.pddl", "bindings.yaml"))
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", written)
+    again = pnm("export", *(str(tmp_path / "new" / name) for name in ("domain.pddl", "problem.pddl")), "--plan")
     assert again.stdout == (tmp_path / "x.yaml").read_text(encoding="utf-8")
     assert "\nplan:\n  - move: {robot: r1, from: dock1, to: gate}\n" in again.stdout
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
-from pathlib import Path
 
 import pytest
 
 from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.node.problem_folder import ProblemFolder
 from planner_bridge.node.problem_service import NOTHING, LoadedProblem, ServedProblem
 from planner_bridge.tasks.settings import Settings
 from pnm.clock import run_async
@@ -64,7 +64,7 @@ def with_node_of(text: str, scene: Callable[[ServedProblem], Awaitable[None]]) -
     async def whole() -> None:
         plans = parse_plans(text).values()
         current = LoadedProblem(NOTHING, initial_knowledge(*plans), {}, Settings(), plans)
-        await scene(ServedProblem(current, Path(), lambda _: None))
+        await scene(ServedProblem(current, ProblemFolder(None), lambda _: None))
 
     run_async(whole(), virtual=True)
 

@@ -15,13 +15,13 @@ from planner_bridge.node.problem_service import load_texts
 from planner_bridge.node.world_queries import SharedWorld
 from planner_bridge.pddl import parse_domain, read_problem
 from pnm.errors import InputError
-from tests.support.tasks.world import DOMAIN, PROBLEM, world
+from tests.support.tasks.world import DOMAIN, PROBLEM, updated, world
 
 
 def test_a_problem_is_saved_as_it_is_now(tmp_path):
     knowledge, folder = initial_knowledge(PROBLEM), ProblemFolder(tmp_path)
     shared = SharedWorld(PROBLEM, knowledge, elapsed=lambda: 2.0)
-    shared.update(["(= (battery r2) 0.1)"], ["(at r1 kitchen)"], ["(charged r1)"])
+    updated(shared, ["(= (battery r2) 0.1)"], ["(at r1 kitchen)"], ["(charged r1)"])
     (tmp_path / "today").mkdir()
     path = folder.write("today/p.pddl", shared.problem_text())
     assert path == (tmp_path / "today" / "p.pddl").resolve()

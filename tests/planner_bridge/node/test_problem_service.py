@@ -16,7 +16,7 @@ from pnm.core.knowledge_base import statement_text
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, fluent_text
 from pnm.errors import InputError
 from tests.support.files import ROOT
-from tests.support.tasks.world import DOMAIN, PROBLEM, world
+from tests.support.tasks.world import DOMAIN, PROBLEM, updated, world
 
 ROBOTS, PLACES = ("r1", "R2", "a1"), ("kitchen", "hall", "dock")
 robots, places = st.sampled_from(ROBOTS), st.sampled_from(PLACES)
@@ -57,7 +57,8 @@ def test_the_problems_of_the_project_read_back_equal(name):
 def test_what_is_told_is_what_is_answered(truths, battery, location):
     shared = world()
     told = {**truths, **battery, **location}
-    shared.update(
+    updated(
+        shared,
         [as_text(fluent, value) for fluent, value in told.items() if value is not UNKNOWN and value is not False],
         [fluent_text(fluent) for fluent, value in told.items() if value is False],
         [fluent_text(fluent) for fluent, value in told.items() if value is UNKNOWN],
@@ -78,7 +79,7 @@ def as_text(fluent, value):
 def test_no_text_does_more_than_be_refused(texts):
     knowledge = initial_knowledge(PROBLEM)
     shared = SharedWorld(PROBLEM, knowledge)
-    for use in (lambda: shared.query(texts or ["x"]), lambda: shared.update(texts), lambda: shared.update([], texts, texts)):
+    for use in (lambda: shared.query(texts or ["x"]), lambda: updated(shared, texts), lambda: updated(shared, [], texts, texts)):
         before = knowledge.facts()
         try:
             use()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,7 @@ from pnm.clock import run_async
 from pnm.core.logic.conditions import TRUE
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN
 from pnm.errors import InputError
-from tests.support.tasks.world import PROBLEM, world
+from tests.support.tasks.world import PROBLEM, updated, world
 
 
 def answers(shared: SharedWorld, *questions: str) -> list[str]:
@@ -51,13 +52,13 @@ def answers(shared: SharedWorld, *questions: str) -> list[str]:
 )
 def test_a_question_has_an_answer(question, answer):
     shared = world()
-    shared.update(forget=["(charged a1)"])
+    updated(shared, forget=["(charged a1)"])
     assert shared.query([question]) == [(question, answer)]
 
 
 def test_without_a_question_everything_that_is_recorded_is_told():
     shared = world()
-    shared.update(add=["(dark)"], forget=["(at r1 kitchen)"])
+    updated(shared, add=["(dark)"], forget=["(at r1 kitchen)"])
     assert set(shared.query([])) == {
         ("(at r1 kitchen)", "unknown"),
         ("(charged r1)", "true"),
@@ -100,7 +101,7 @@ def test_too_much_at_once_is_refused():
     with pytest.raises(InputError, match="10001 questions at once; expected 10000 at most"):
         world().query(["(dark)"] * (MAX_TEXTS + 1))
     with pytest.raises(InputError, match="10002 changes at once"):
-        world().update(["(dark)"] * (MAX_TEXTS + 1), ["(dark)"])
+        updated(world(), ["(dark)"] * (MAX_TEXTS + 1), ["(dark)"])
 
 
 # --- changes ---
@@ -109,20 +110,35 @@ def test_too_much_at_once_is_refused():
 def test_changes_are_recorded_and_counted():
     shared = world()
     assert (
-        shared.update(["(dark)", "(charged R1)", "(= (battery r2) .5)", "(= (location r1) dock)"], ["(at r1 kitchen)"], ["(charged r2)"])
+        updated(shared, ["(dark)", "(charged R1)", "(= (battery r2) .5)", "(= (location r1) dock)"], ["(at r1 kitchen)"], ["(charged r2)"])
         == 5
     )
     questions = ("(dark)", "(battery r2)", "(location r1)", "(at r1 kitchen)", "(charged r2)", "(ready r1)")
     assert answers(shared, *questions) == ["true", "0.5", "dock", "false", "unknown", "false"]
-    assert shared.update(["(dark)"], ["(at r1 kitchen)"], ["(charged r2)"]) == 0
+    assert updated(shared, ["(dark)"], ["(at r1 kitchen)"], ["(charged r2)"]) == 0
+
+
+def test_what_a_sensor_reports_is_not_overruled():
+    knowledge = initial_knowledge(PROBLEM)
+    shared = SharedWorld(PROBLEM, knowledge)
+    knowledge.update({("at", "r1", "kitchen"): True})
+    knowledge.sense({"at"})
+    with pytest.raises(InputError, match=re.escape("a sensor reports (not (at r1 hall)); only what no sensor reports, or is unknown")):
+        shared.record(shared.read_changes(["(dark)", "(at r1 hall)"]))
+    with pytest.raises(InputError, match=re.escape("a sensor reports (at r1 kitchen)")):
+        shared.record(shared.read_changes(forget=["(at r1 kitchen)"]))
+    assert answers(shared, "(dark)", "(at r1 hall)", "(at r1 kitchen)") == ["false", "false", "true"]
+    assert shared.record(shared.read_changes(["(at r1 kitchen)"])) == 0
+    knowledge.update({("at", "r1", "kitchen"): UNKNOWN})  # as when the sensor has fallen silent
+    assert shared.record(shared.read_changes(["(at r1 kitchen)"])) == 1
 
 
 def test_a_function_loses_the_object_that_is_removed_and_no_other():
     shared = world()
-    assert shared.update(remove=["(= (location a1) kitchen)"]) == 0
-    assert shared.update(["(= (location a1) kitchen)"], ["(= (location a1) hall)"]) == 1
+    assert updated(shared, remove=["(= (location a1) kitchen)"]) == 0
+    assert updated(shared, ["(= (location a1) kitchen)"], ["(= (location a1) hall)"]) == 1
     assert answers(shared, "(location a1)") == ["kitchen"]
-    assert shared.update(remove=["(= (location a1) kitchen)"]) == 1
+    assert updated(shared, remove=["(= (location a1) kitchen)"]) == 1
     assert answers(shared, "(location a1)") == ["undefined"]
 
 
@@ -155,7 +171,7 @@ def test_a_change_that_is_refused_changes_nothing(kind, text, said):
     changes = {"add": ["(dark)", "(charged r1)", "(= (location r1) dock)"], "remove": ["(at r1 kitchen)"], "forget": ["(charged a1)"]}
     changes[kind].append(text)
     with pytest.raises(InputError) as caught:
-        shared.update(**changes)
+        updated(shared, **changes)
     assert said in str(caught.value)
     if "another" not in said:
         assert str(caught.value).startswith(f"{kind}[{len(changes[kind]) - 1}]:{said}")
@@ -167,11 +183,14 @@ def test_changes_are_told_as_texts():
     shared = SharedWorld(PROBLEM, knowledge)
     told = []
     knowledge.listen(lambda batch: told.append(shared.changes(batch)))
-    shared.update(
-        ["(dark)", "(= (battery r1) 3)", "(= (location a1) kitchen)", "(= (location r1) dock)"], ["(at r1 kitchen)"], ["(charged r1)"]
+    updated(
+        shared,
+        ["(dark)", "(= (battery r1) 3)", "(= (location a1) kitchen)", "(= (location r1) dock)"],
+        ["(at r1 kitchen)"],
+        ["(charged r1)"],
     )
-    shared.update(remove=["(= (location a1) kitchen)"], forget=["(location r1)", "(battery r1)"])
-    shared.update(["(= (location r1) dock)", "(= (location a1) dock)"])
+    updated(shared, remove=["(= (location a1) kitchen)"], forget=["(location r1)", "(battery r1)"])
+    updated(shared, ["(= (location r1) dock)", "(= (location a1) dock)"])
     knowledge.store({"x": 1})
     assert told == [
         {

@@ -167,8 +167,19 @@ TIMED = """(define (domain d) (:requirements :durative-actions :timed-initial-li
 
 def test_an_end_that_needs_a_timed_fact_is_not_reached_too_early() -> None:
     problem = parse_problem("(define (problem p) (:domain d) (:init (at 70 (open))) (:goal (done)))", parse_domain(TIMED))
-    plan = Plan((PlanStep("work", (), 70.0, 5.0),), temporal=True)
-    assert plan_graph(problem, plan).calls[0].release == 65.0
+    released = [plan_graph(problem, Plan((PlanStep("work", (), start, 5.0),), temporal=True)).calls[0].release for start in (70.0, 65.001)]
+    assert released == [65.05, 65.001], "a little after it could, but no later than planned"
+
+
+def test_a_start_that_a_timed_change_would_make_impossible_is_not_later() -> None:
+    text = """(define (domain d) (:requirements :durative-actions :timed-initial-literals) (:predicates (p) (done) (seen))
+      (:durative-action begin :parameters () :duration (= ?duration 5) :condition (at start (p)) :effect (at end (done)))
+      (:action look :parameters () :precondition (p) :effect (seen)))"""
+    problem = parse_problem(
+        "(define (problem p) (:domain d) (:init (p) (at 12 (not (p)))) (:goal (and (done) (seen))))", parse_domain(text)
+    )
+    plan = Plan((PlanStep("begin", (), 0.0, 5.0), PlanStep("look", (), 6.0, 0.0)), temporal=True)
+    assert [(call.latest_start, call.deadline) for call in plan_graph(problem, plan).calls] == [(12.0, inf), (12.0, inf)]
 
 
 def test_what_a_timed_change_would_break_must_end_before() -> None:

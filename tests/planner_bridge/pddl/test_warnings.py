@@ -256,3 +256,26 @@ def test_a_problem_tells_what_was_wrong_with_its_domain_first() -> None:
     problem = parse_problem(f"{DECLARING.problem} (:length) (:goal (idle)))", domain_with("(:requirements :foo)"))
     assert [one.position.file for one in problem.warnings] == ["domain.pddl", "domain.pddl", "problem.pddl"]
     assert problem.requirements == ()
+
+
+SPEEDS = """(define (domain d) (:requirements :typing :durative-actions :fluents) (:types robot place)
+(:predicates (at ?r - robot ?p - place)) (:functions (speed ?r - robot) (distance ?a ?b - place) (load ?r - robot) (toll))
+(:durative-action move :parameters (?r - robot ?a ?b - place) :duration (= ?duration (/ (distance ?a ?b) (speed ?r)))
+ :condition (and (at start (at ?r ?a)) (at start (> (load ?r) (toll)))) :effect (and (at start (not (at ?r ?a))) (at end (at ?r ?b))))
+(:action weigh :parameters (?r - robot) :effect (assign (load ?r) 3)))"""
+
+
+@pytest.mark.parametrize(
+    ("init", "missing"),
+    [
+        ("(= (speed r1) 1) (= (speed r2) 1) (= (toll) 2)", []),
+        ("(= (speed r2) 1) (= (toll) 2)", ["(speed r1)"]),
+        ("(= (speed r2) 0)", ["(speed r1)", "(toll)"]),
+        ("(= (speed r1) 1) (= (speed r2) 1) (at 3 (= (toll) 1))", []),
+    ],
+)
+def test_a_number_that_actions_need_and_nothing_gives_is_said(init: str, missing: list[str]) -> None:
+    text = f"(define (problem p) (:domain d) (:objects r1 r2 - robot a b - place)\n (:init (at r1 a) {init}) (:goal (at r1 b)))"
+    found = parse_problem(text, parse_domain(SPEEDS, "d"), "p").warnings
+    wanted = [f"p:2:2: warning: {fluent} has no value at first; actions that need it cannot be applied" for fluent in missing]
+    assert [str(warning) for warning in found if "requirements" not in str(warning)] == wanted

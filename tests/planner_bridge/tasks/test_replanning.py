@@ -131,6 +131,33 @@ def test_an_action_that_may_still_be_going_on_is_not_planned_with() -> None:
     assert "; no plan without move(r1, a, b)" in result.reason
 
 
+def test_a_server_that_is_not_there_is_planned_around_whatever_it_is_called_for() -> None:
+    problem = rooms(init="(at r1 h) (at r2 a)", goal="(clean t)", ways="hs st hu ut hv vt hw wt ab bc cd dt")
+    lost = Faults(tuple(Fault(f"move(r1, h, {place})", FaultKind.LOSE_SERVER) for place in "suvw"))
+    result, _ = pursued(problem, lost, bindings=Bindings({"move": Binding(server="/{r}/move")}))
+    assert result.goal_reached
+    assert result.replans == 2
+    assert {call.call.action.arguments[0] for call in result.calls if call.outcome == "succeeded"} == {"r2"}
+    assert decisions(result) == [ResumePlan, PlanAgain]
+
+
+def test_a_server_that_carried_something_out_since_is_there() -> None:
+    bindings = Bindings({"move": Binding(server="/{r}/move")})
+    failed, other = (ActionCall(0, GroundAction("move", ("r1", "a", place), ("r", "from", "to"))) for place in "bc")
+    gone, success = Failure(failed, Cause.LOST), CallResult(other, CallOutcome.SUCCEEDED)
+    history = History().after((), (gone,), bindings)
+    assert history.after((), (gone,), bindings).absent_servers(Limits()) == {"/r1/move"}
+    assert history.after((success,), (), bindings).after((), (gone,), bindings).absent_servers(Limits()) == frozenset()
+
+
+def test_a_call_that_lacks_a_value_twice_is_not_tried_for_ever() -> None:
+    bindings = Bindings({"move": Binding(goal={"speed": "$speed"})})
+    result, _ = pursued(rooms(init="(at r1 a)", goal="(at r1 b)"), bindings=bindings)
+    assert result.replans == 1
+    assert [failure.cause for failure in result.failures] == ["data_missing"] * 2
+    assert "move(r1, a, b)#0: data_missing: expected values for speed" in result.reason
+
+
 def test_a_fact_that_no_action_changes_may_change_all_the_same() -> None:
     gone = HiddenChange({("way", "b", "c"): False}, at=0.3)
     result, _ = pursued(rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc ba ad dc"), Faults(changes=(gone,)))
@@ -147,7 +174,7 @@ def test_a_goal_that_comes_true_in_another_way_is_reached() -> None:
 
 def test_an_action_that_has_succeeded_since_is_not_forbidden() -> None:
     call = ForbiddenCall("move", ("r1", "a", "b"))
-    action = GroundAction("move", ("r1", "a", "b"))
+    action = GroundAction("move", ("r1", "a", "b"), ("r", "from", "to"))
     failure, success = Failure(ActionCall(0, action), Cause.ABORTED), CallResult(ActionCall(0, action), CallOutcome.SUCCEEDED)
     history = History().after((), (failure,))
     assert history.after((), (failure,)).forbidden(Limits()) == {call}

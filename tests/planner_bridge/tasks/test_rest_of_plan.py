@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 
+from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Problem
-from planner_bridge.ordering.plan_to_graph import plan_graph
+from planner_bridge.ordering.plan_to_graph import plan_graph, total_order
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline import achieve, achieve_at
-from planner_bridge.tasks.replanning import Decision, History, Limits, PlanAgain, Progress, ResumePlan, decide
+from planner_bridge.tasks.replanning import MAX_SHORTENED, Decision, History, Limits, PlanAgain, Progress, ResumePlan, decide, shortened
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange
 from pnm.clock import run_async
@@ -158,3 +160,17 @@ def test_a_task_may_take_as_long_as_its_plan() -> None:
     problem = parse_problem("(define (problem p) (:domain d) (:init) (:goal (done)))", domain)
     assert achieve(None, problem).goal_reached
     assert not achieve(None, problem, settings=Settings(limits=Limits(seconds=3600.0))).goal_reached
+
+
+@pytest.mark.parametrize(("calls", "left_out"), [(MAX_SHORTENED, 1), (MAX_SHORTENED + 1, 0)])
+def test_calls_that_are_needless_are_left_out_of_what_is_not_too_long(calls: int, left_out: int) -> None:
+    domain = parse_domain(
+        """(define (domain d) (:types p) (:predicates (at ?x - p) (lit)) (:action light :effect (lit))
+        (:action go :parameters (?x ?y - p) :precondition (at ?x) :effect (and (at ?y) (not (at ?x)))))"""
+    )
+    places = [f"p{number}" for number in range(calls)]
+    text = f"(define (problem q) (:domain d) (:objects {' '.join(places)} - p) (:init (lit) (at p0)) (:goal (and (lit) (at {places[-1]}))))"
+    problem, ways = parse_problem(text, domain), pairwise(places)
+    plan = Plan((PlanStep("light"), *(PlanStep("go", way, float(number + 1)) for number, way in enumerate(ways))))
+    progress = Progress.beginning(total_order(problem, plan))
+    assert len(shortened(progress, initial_knowledge(problem)).rest) == calls - left_out

@@ -8,7 +8,9 @@ from typing import Final
 import pytest
 
 from planner_bridge.loading import load
+from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pipeline import achieve_at
+from planner_bridge.planning.solve import solve
 from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from planner_bridge.yaml.convert import exported
@@ -16,7 +18,7 @@ from pnm.clock import run_async
 from pnm.core.execution.call_results import CallResult
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.expressions import Fluent, Unknown, Value
-from pnm.language.plan import HandWrittenPlan, merge_bindings, read_plans
+from pnm.language.plan import HandWrittenPlan, merge_bindings, parse_plans, read_plans
 from pnm.language.runner import PlanRunner, Program
 from tests.support.files import ROOT
 
@@ -69,3 +71,41 @@ def test_the_exported_plan_does_the_same(pair: tuple[Path, Path], tmp_path: Path
     expected = planned(*pair)
     assert expected[0]
     assert run_exported(plan) == expected
+
+
+TIMED = """(define (domain d) (:requirements :durative-actions :timed-initial-literals) (:predicates (tide) (done))
+  (:durative-action dig :parameters () :duration (= ?duration 4) :condition {condition} :effect (at end (done))))"""
+
+
+@pytest.mark.parametrize(
+    ("condition", "init", "goal"),
+    [
+        ("()", "(at 7 (tide))", "(and (done) (tide))"),
+        ("()", "(tide) (at 7 (not (tide)))", "(and (done) (not (tide)))"),
+        ("(at end (tide))", "(at 7 (tide)) (at 9 (not (tide)))", "(done)"),
+        ("(at start (tide))", "(at 3 (tide)) (at 6 (not (tide)))", "(done)"),
+    ],
+)
+def test_time_is_waited_for_as_without_the_export(condition: str, init: str, goal: str, tmp_path: Path) -> None:
+    files = tmp_path / "domain.pddl", tmp_path / "problem.pddl"
+    files[0].write_text(TIMED.format(condition=condition))
+    files[1].write_text(f"(define (problem p) (:domain d) (:init {init}) (:goal {goal}))")
+    plan_file = tmp_path / "plan.yaml"
+    plan_file.write_text(exported(*files, with_plan=True).text)
+    (plan,) = read_plans(plan_file).values()
+    problem = load(*files)
+    found = solve(problem).plan
+    assert found
+    graph = plan_graph(problem, found)
+    assert plan.graph.due == graph.due
+    assert [(call.release, call.latest_start, call.deadline) for call in plan.graph.calls] == [
+        (call.release, call.latest_start, call.deadline) for call in graph.calls
+    ]
+    expected = planned(*files)
+    assert expected[0]
+    assert run_exported(plan) == expected
+
+
+def test_simulated_sensors_report_what_any_action_of_the_domain_changes() -> None:
+    (plan,) = parse_plans("predicates: [(a), (b)]\nactions: {x: {effects: [(a)]}, y: {effects: [(b)]}}\nplan: [x: ]").values()
+    assert simulated_backend(plan, merge_bindings([plan])).robots.world.reported() == {"a", "b"}

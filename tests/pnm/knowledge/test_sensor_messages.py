@@ -131,7 +131,7 @@ def test_what_nobody_reports_for_too_long_falls_silent_once_and_again():
 def test_what_is_no_longer_reported_is_unknown_until_it_is_reported_again(caplog):
     async def main():
         world = KnowledgeBase({("at", "r1", "hall"): True, ("dark",): True}, objects=PROBLEM.objects_by_type)
-        reports = StateReports(world, {"ready": "its facts follow from rules", "spam": ""}, 1.0, 5.0, KNOWN.signatures)
+        reports = StateReports(world, {"ready": "its facts follow from rules", "spam": ""}, 1.0, 5.0, KNOWN)
         names = {"at", "battery", "location", "ready", "spam"}
         report = {("at", "r1", "kitchen"): True, ("battery", "r1"): 3.0, ("location", "r1"): "hall", ("ready", "r1"): True}
         reports.record(names, report)

@@ -22,7 +22,7 @@ import pytest
 
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import GroundAction
-from pnm.core.machine.requests import Accepted, Ended, Outcome, Report, Request
+from pnm.core.machine.requests import Accepted, Ended, Outcome, Postponed, Report, Request
 from pnm.ros.action_client.client import Ros2ActionClient
 from pnm.ros.node.ros_thread import RosThread
 from tests.support.files import ROOT
@@ -76,7 +76,9 @@ class Sent:
         return self.request.id
 
     async def accepted(self, limit: float = LIMIT) -> None:
-        report = await asyncio.wait_for(self.reports.get(), limit)
+        async with asyncio.timeout(limit):
+            while isinstance(report := await self.reports.get(), Postponed):
+                assert report.request == self.id
         assert report == Accepted(self.id)
 
     async def ended(self, limit: float = LIMIT) -> Outcome:

@@ -46,9 +46,10 @@ TANKS = """
 
 
 def rooms(init: str = "(at r1 a) (at r2 a)", goal: str = "(and (at r1 c) (at r2 c))", ways: str = "ab bc ad dc") -> Problem:
-    """Rooms a, b, c, d; by default two ways from a to c, over b and over d."""
+    """Rooms a, b, c, d, and those that ways name besides; by default two ways from a to c, over b and over d."""
     links = " ".join(f"(way {way[0]} {way[1]})" for way in ways.split())
-    things = "(:objects r1 r2 - robot a b c d - room)"
+    names = sorted({*"abcd", *"".join(ways.split())})
+    things = f"(:objects r1 r2 - robot {' '.join(names)} - room)"
     text = f"(define (problem p) (:domain rooms) {things} (:init {init} {links} (= (total-cost) 0)) (:goal {goal}))"
     return parse_problem(text, parse_domain(ROOMS))
 

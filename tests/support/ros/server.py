@@ -6,7 +6,8 @@ Of a GroundAction goal the action says what to do and the first argument how lon
     slow (1)         works for a while, and lets itself be cancelled
     stubborn (1)     the same, but refuses to be cancelled
     hang             works until it is cancelled
-    hesitate (1)     takes that long to accept, then works until it is cancelled
+    hesitate (1)     takes that long to accept, one goal after the other, then works until it is cancelled
+    mute             works until it is cancelled, but its answer to the goal gets lost
     together (N)     waits until N goals are there, then all end at once
     block (1)        keeps its thread busy; with one thread the server answers nothing meanwhile
 
@@ -24,12 +25,15 @@ from contextlib import suppress
 from typing import Any
 
 import rclpy
+from action_msgs.msg import GoalInfo
 from pnm_interfaces.action import GroundAction
 from pnm_interfaces.msg import State
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor, await_or_execute
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.task import Future
 from test_msgs.action import Fibonacci
 
 from tests.support.processes import say
@@ -42,12 +46,14 @@ class Behaviour:
 
     def __init__(self) -> None:
         self.lock = threading.Lock()
+        self.answering = threading.Lock()
         self.arrived = 0
         self.complete = threading.Event()
 
     def accept(self, goal: Any) -> GoalResponse:
         if goal.action == "hesitate":
-            threading.Event().wait(first_number(goal))
+            with self.answering:
+                threading.Event().wait(first_number(goal))
         return GoalResponse.REJECT if goal.action == "reject" else GoalResponse.ACCEPT
 
     def cancel(self, handle: Any) -> CancelResponse:
@@ -69,7 +75,7 @@ class Behaviour:
                 threading.Event().wait(first_number(goal))
             case "slow" | "stubborn":
                 return self.work(handle, first_number(goal))
-            case "hang" | "hesitate":
+            case "hang" | "hesitate" | "mute":
                 return self.work(handle, NEVER)
         handle.succeed()
         return GroundAction.Result(message=f"did {' '.join([goal.action, *goal.arguments])}")
@@ -91,6 +97,23 @@ class Behaviour:
             pause.wait(0.05)
         handle.succeed()
         return GroundAction.Result(message="done")
+
+
+class LosingServer(ActionServer):  # type: ignore[misc]
+    """An action server that loses its answer to a mute goal."""
+
+    async def _execute_goal_request(self, received: Any) -> None:
+        _, request = received
+        if request.goal.action != "mute":
+            await super()._execute_goal_request(received)
+            return
+        with self._lock:
+            handle = ServerGoalHandle(self, GoalInfo(goal_id=request.goal_id, stamp=self._node.get_clock().now().to_msg()), request.goal)
+        identity = bytes(request.goal_id.uuid)
+        self._goal_handles[identity] = handle
+        self._result_futures[identity] = Future()
+        self.add_future(self._result_futures[identity])
+        await await_or_execute(self._handle_accepted_callback, handle)
 
 
 def first_number(goal: Any) -> float:
@@ -136,7 +159,7 @@ def main() -> None:
         if options.fibonacci:
             ActionServer(node, Fibonacci, name, guarded(fibonacci, Fibonacci.Result), callback_group=group)
         else:
-            ActionServer(
+            LosingServer(
                 node,
                 GroundAction,
                 name,

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from pnm.core.machine.machine import Always, PetriNetMachine, Rule
-from pnm.core.machine.verification.explore import Unsound
+from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, verify
 from pnm.core.net.net import PetriNet
 

@@ -39,9 +39,12 @@ _OFTEN: Final = 12
 
 
 def run_scenario(number: int, tell: Tell = lambda text: None) -> Counter[Code]:
-    """Run the scenario of this number to its end; return how many tasks have ended how."""
+    """Run the scenario of this number to its end; return how many tasks have ended how.
+
+    In two of five scenarios no binding says what robots have for themselves: there only facts keep two tasks from commanding one robot.
+    """
     rng = random.Random(number)
-    scenario = draw(rng)
+    scenario = draw(rng, is_exclusive=number % 5 not in (2, 3))
     codes: Counter[Code] = Counter()
 
     async def course(simulation: TaskSimulation) -> None:
@@ -109,9 +112,10 @@ class Scenario:
     person: RandomPerson | None
 
 
-def draw(rng: random.Random) -> Scenario:
+def draw(rng: random.Random, *, is_exclusive: bool = True) -> Scenario:
     """Draw all of a script but what people do."""
     world = rng.choice(scenario_worlds())
+    world = world if is_exclusive else replace(world, resources={})
     asks = rng.random() < 0.3
     settings = Settings(
         bindings=_bindings(rng, world, asks=asks),

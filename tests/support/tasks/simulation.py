@@ -25,6 +25,7 @@ from pnm.knowledge.sources.source import Source
 from pnm.language.runner import PlanRunner, Program
 from pnm.tasks import Code, TaskEnding, TaskListener, TaskState, TraceEvent, Wanted
 from tests.support.pddl.problems import fleet
+from tests.support.tasks.laws import contradictory_requests
 
 LIMIT = 20000.0
 """Virtual seconds within which everything must be over."""
@@ -79,6 +80,9 @@ class TaskSimulation(TaskListener):
         self._is_not_over(moment.task, str(moment))
         if moment.kind != "fired":
             self.moments.append(moment)
+        if moment.kind == "sent":
+            tasks = self.master._tasks
+            self.wrong += contradictory_requests(tasks[moment.task], moment.subject, tasks.values(), self.knowledge)
         self._stir()
 
     def ended(self, task: UUID, ending: TaskEnding) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.node.world_queries import SharedWorld
 from planner_bridge.pddl import parse_domain, parse_problem
@@ -25,3 +27,8 @@ GOALS = {"home": "(forall (?r - robot) (at ?r dock))", "dark": "(dark)"}
 
 def world() -> SharedWorld:
     return SharedWorld(PROBLEM, initial_knowledge(PROBLEM), GOALS)
+
+
+def updated(shared: SharedWorld, *changes: Sequence[str], **more: Sequence[str]) -> int:
+    """Record changes as a node does that is asked for it; return how many facts have changed."""
+    return shared.record(shared.read_changes(*changes, **more))

@@ -92,7 +92,9 @@ def _recoveries(draw: st.DrawFn, depth: int) -> Json:
         found[check] = {**one, "when": draw(CONDITIONS)} if isinstance(one, dict) else one
     during = draw(st.sets(st.sampled_from(OUTCOMES), max_size=2))
     if during:
-        found["during"] = {outcome: chain((*COMMANDS, "continue")) for outcome in during}
+        again, any_end = ("retry", "restart_action", "restart_plan"), (*COMMANDS, "continue")
+        listed = [one if isinstance(one, dict) else {"do": one} for one in (chain(again), chain(any_end))]
+        found["during"] = {outcome: listed if draw(st.booleans()) else chain(any_end) for outcome in during}
     return found
 
 

@@ -11,9 +11,11 @@ from functools import cached_property
 from itertools import chain
 from typing import Final, TypeAlias
 
-from pnm.core.machine.machine import OnFailure, PetriNetMachine, Region
+from pnm.core.machine.machine import Accepts, Ends, OnFailure, PetriNetMachine, Region
 from pnm.core.machine.plan_graph import Moment
-from pnm.core.machine.verification.explore import Inside, Part, Step, Unsound
+from pnm.core.machine.verification.counters import without_counts
+from pnm.core.machine.verification.part import Inside, Part, Step, Unsound
+from pnm.core.machine.verification.place_roles import check_roles
 from pnm.core.net.net import Weights
 
 Owner: TypeAlias = int | None
@@ -65,12 +67,14 @@ class Anatomy:
                 self.first |= dict.fromkeys(region.first, region)
                 self.last |= dict.fromkeys(region.last, region)
         self._check_nesting()  # the proof goes from the innermost steps outwards: owners in a circle would be left out of it
+        self._check_lasting(check_roles(machine))
         self.between = frozenset(filter(self._is_between, machine.net.places))
         """Places that connect blocks, or should."""
         for place in self.between:
             self._check_channel(place)
-        for region in (*self.first.values(), *self.last.values()):
-            self._check_entry(region)
+        for regions in self.regions.values():
+            for region in regions:
+                self._check_entry(region)
 
     def _owners(self, weights: Mapping[str, Weights]) -> dict[str, set[Owner]]:
         owners: dict[str, set[Owner]] = {place: set() for place in self.machine.net.places}
@@ -103,6 +107,21 @@ class Anatomy:
                 owner = self.region_of[owner].owner
             proved.update(chain)
 
+    def _check_lasting(self, start: str) -> None:
+        """Check that only the frame takes from the start, nothing from failures and final places, and that counters are of one block."""
+        machine = self.machine
+        if self.readers[start] != {None} or self.writers[start] - {None}:
+            raise Unsound(f"{start} is not where the frame begins")
+        for place in (machine.goal_place, machine.failed_place, *machine.failure_places):
+            if self.readers[place]:
+                raise Unsound(f"step {min(self.readers[place], key=str)} takes from {place}, which stays as it is")
+        for place, call in machine.failure_places.items():
+            if self.writers[place] - {call}:
+                raise Unsound(f"{place} marks the failure of another call than its own")
+        for place in machine.budget_places:
+            if len(self.readers[place] | self.writers[place]) > 1:
+                raise Unsound(f"{place} counts for more than one step")
+
     def _check_channel(self, place: str) -> None:
         """Check that the place connects two blocks at most: neighbours, or a step and what holds it."""
         readers, outside = self.readers[place], self.writers[place] - self.readers[place]
@@ -130,9 +149,10 @@ class Anatomy:
             raise Unsound(f"{place} connects steps that do not stand beside each other")
 
     def _check_entry(self, region: Region) -> None:
+        first, last = frozenset(region.first), frozenset(region.last)
         for name in self.transitions[region.owner]:
-            marked = self.machine.net.outputs[name].keys() & set(region.first)
-            taken = self.machine.net.inputs[name].keys() & set(region.last)
+            marked = first.intersection(self.machine.net.outputs[name])
+            taken = last.intersection(self.machine.net.inputs[name])
             # Entered or left in part, the block inside would not get all its inputs, as its exploration assumes.
             if 0 < len(marked) < len(region.first) or 0 < len(taken) < len(region.last):
                 raise Unsound(f"{name} enters or leaves only some of the steps it holds")
@@ -168,10 +188,13 @@ class Anatomy:
         )
         resources = frozenset(place for place in places if place in machine.resource_places)
         # The block is explored with exactly what it takes: that others give it back is proved for them, each on its own.
-        taken = _resources(steps, resources)
+        taken = _resources(steps, {place: machine.initial[place] for place in resources})
         initial = {place: machine.initial[place] for place in places if machine.initial[place] and place not in resources}
         counters = frozenset(place for place in places if place in machine.counter_places).union(map(_may_come, own_records))
-        steps, initial = _counted(steps, initial, counters)
+        budgets = counters & machine.budget_places
+        steps, initial, left = without_counts(steps, initial, budgets)
+        places = dict.fromkeys(place for place in places if place not in budgets or place in left)
+        counters = counters - budgets | left
         part = Part(
             places=tuple(places),
             steps=steps,
@@ -182,13 +205,17 @@ class Anatomy:
             counters=counters,
             cancels=machine.on_failure is OnFailure.CANCEL,
             outputs=frozenset(outputs),
+            ends=frozenset(outputs) - early,
             finals=finals,
+            goal=machine.goal_place if owner is None else "",
             early=early if rest else frozenset(),
             restarts=frozenset(own_records),
             # Any other step may ask for a restart at any moment; for the frame these are its own records.
             others_restart=bool(machine.restart_places) and owner is not None,
             repeats=owner is not None and (bool(machine.restart_places) or self.region_of[owner].owner is not None),
             resources=resources,
+            alive=machine.alive_places.intersection(places),
+            settling=frozenset(place for place in places if machine.settling_places.get(place, -1) == owner),
         )
         return Block(owner, part, first, rest, early)
 
@@ -239,8 +266,16 @@ class Anatomy:
 
 
 def step_of(machine: PetriNetMachine, name: str) -> Step:
-    """Return a transition with its guard."""
-    return Step(name, machine.rules[name].guard, machine.net.inputs[name], machine.net.outputs[name])
+    """Return a transition with its guard, and with its action if it belongs to a call."""
+    rule, inputs, outputs = machine.rules[name], machine.net.inputs[name], machine.net.outputs[name]
+    about = getattr(rule.guard, "call", rule.call)
+    if about != rule.call:
+        raise Unsound(f"{name} listens to another call")
+    if rule.call is None or rule.call >= len(machine.plan.calls):
+        if rule.action is not None or isinstance(rule.guard, Accepts | Ends):
+            raise Unsound(f"{name} is about a request, and belongs to no call")
+        return Step(name, rule.guard, inputs, outputs)
+    return Step(name, rule.guard, inputs, outputs, rule.call, rule.action, rule.gives_up)
 
 
 def _may_come(place: str) -> str:
@@ -256,7 +291,7 @@ def _check_together(supplies: Iterable[tuple[str, ...]], steps: Sequence[Step]) 
                     raise Unsound(f"{step.name} takes only some of the inputs {list(together)}")
 
 
-def _resources(steps: Iterable[Step], resources: frozenset[str]) -> dict[str, int]:
+def _resources(steps: Iterable[Step], resources: Mapping[str, int]) -> dict[str, int]:
     """Return what the block takes of resources; it must take all of it at once.
 
     That it has none of it when it does, is explored: there is only so much for it.
@@ -268,21 +303,8 @@ def _resources(steps: Iterable[Step], resources: frozenset[str]) -> dict[str, in
         wanted = {place: weight for place, weight in step.inputs.items() if place in resources}
         if wanted and taken not in ({}, wanted):
             raise Unsound(f"{step.name} waits for {', '.join(wanted)} while it may hold what others wait for")
+        for place, weight in wanted.items():
+            if weight > resources[place]:
+                raise Unsound(f"{step.name} takes {weight} of {place}, and there is {resources[place]}")
         taken |= wanted
     return taken
-
-
-def _counted(steps: tuple[Step, ...], initial: dict[str, int], counters: frozenset[str]) -> tuple[tuple[Step, ...], dict[str, int]]:
-    """Return steps and tokens with large counters made small, which changes nothing that can happen but how often.
-
-    A counter is a pair of places whose tokens move one at a time from one to the other and back; a guard that asks for more than one
-    asks for all of them.
-    """
-    large = {tokens for place, tokens in initial.items() if place in counters and tokens > ENOUGH}
-    if not large:
-        return steps, initial
-
-    def scaled(weights: Weights) -> dict[str, int]:
-        return {place: ENOUGH if weight in large and place in counters else weight for place, weight in weights.items()}
-
-    return tuple(Step(step.name, step.guard, scaled(step.inputs), scaled(step.outputs)) for step in steps), scaled(initial)

@@ -2,7 +2,9 @@
 
 *Sound* means: whatever its servers and the world answer, and whenever it is stopped, the
 machine ends, with exactly one token on its goal place or on its failed place and none elsewhere
-but on record places; no place ever holds two tokens, a budget never more than it began with. A run
+but on record places, and with no request alive; the goal is not reached once a step has failed or the run was stopped; nothing is
+sent once it is ending, and no second request of a call while one is alive; no place ever holds two tokens, a
+budget never more than it began with. A run
 that is paused goes on when it is resumed, and each pause may have calls begin anew: so it ends if it
 is paused finitely often.
 
@@ -13,7 +15,10 @@ what it holds taken as one step that comes to an end; at every place some exit o
 time for any answer; every place between blocks has one writing and one reading block, neighbours
 or a step and what holds it; and what neighbours wait for has no cycle. By induction along that
 order, and from the innermost steps outwards, each block gets its inputs once and gives its outputs
-once whenever it is entered.
+once whenever it is entered. Counters are explored as all, some or none left, and their moves end because they have one direction.
+
+The net is that of the plan: its regions are the flows, every ordering is a place that its two events keep in order, delays and
+releases are waited for, and a step fails only after some rule has found the cause.
 
 A block takes all of its resources at once, while it has none, gives them back whatever happens, and
 waits neither for other blocks nor for what it holds as long as it has them. So a call that has resources
@@ -23,32 +28,32 @@ keeps them, and for that case every wait for resources has another way out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 from math import isfinite
 from typing import Final
 
 from pnm.core.machine.machine import (
-    Accepts,
     Adopted,
     ConditionTrue,
-    Due,
     OnFailure,
     PetriNetMachine,
-    TransitionAction,
     Withheld,
 )
 from pnm.core.machine.verification.block_shape import shape_of
-from pnm.core.machine.verification.decompose import Anatomy, Event, step_of
-from pnm.core.machine.verification.explore import Part, Unsound, explore_part
+from pnm.core.machine.verification.decompose import Anatomy, Block, Event, step_of
+from pnm.core.machine.verification.explore import Exploration, explore_part
+from pnm.core.machine.verification.part import Inside, Part, Unsound
+from pnm.core.machine.verification.place_roles import check_causes, check_roles
+from pnm.core.machine.verification.plan_in_net import check_events, check_flows
+from pnm.core.machine.verification.unfired import NeverFires, never_fire
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Proved:
     """A shape of blocks that was found good."""
 
-    states: int
-    """How many it has."""
+    explored: Exploration
 
 
 _REMEMBERED: Final = 1000
@@ -65,6 +70,13 @@ class Proof:
     """Blocks that differ."""
     states: int
     """States explored in all of them."""
+    machine: PetriNetMachine = field(repr=False, compare=False)
+
+    @property
+    def never(self) -> tuple[NeverFires, ...]:
+        """Transitions that can never fire; every other one fires for some answers of servers and of the world."""
+        blocks = map(Anatomy(self.machine).block, dict.fromkeys(rule.call for rule in self.machine.rules.values()))
+        return tuple(never for block in blocks for never in never_fire(block.part, _proved(block.part).explored))
 
     def __str__(self) -> str:
         return f"sound: {self.calls} calls of {self.shapes} shapes, {self.states} states explored"
@@ -76,25 +88,41 @@ def verify(machine: PetriNetMachine) -> Proof:
     Raises:
         Unsound: it is not, or not of the form that `pnm.core.machine` makes.
     """
+    check_flows(machine)
     anatomy = Anatomy(machine)
     proved: set[_Proved] = set()
     waits: dict[Event, set[Event]] = {}
-    for place, call in anatomy.machine.failure_places.items():
-        # Blocks are explored one by one: a failure that another block marks would change this one behind its back.
-        if anatomy.writers[place] - {call}:
-            raise Unsound(f"{place} marks the failure of another call than its own")
-    for owner, names in anatomy.transitions.items():
-        # Before the block is cut out: the exploration takes it for granted that guards are about the block's own call.
-        _check_rules(anatomy, owner, names)
+    for owner in anatomy.writers[machine.goal_place]:
+        for name in anatomy.transitions[owner]:
+            if machine.goal_place in machine.net.outputs[name] and machine.rules[name].guard != ConditionTrue(machine.plan.goal):
+                raise Unsound(f"{name} marks the goal place without asking for the goal")
+    for owner in anatomy.transitions:
         block = anatomy.block(owner)
+        if owner is not None and not block.part.ends:
+            raise Unsound(f"nothing waits for the end of step {owner}")
+        check_events(machine, block, anatomy.transitions[owner])
+        check_causes(machine, block.first, anatomy.transitions[owner])
         anatomy.note_waits(block, waits)
-        proved.add(_proved(block.part))
+        shape = _proved(block.part)
+        proved.add(shape)
+        _check_reached(anatomy, block, shape.explored)
     try:
         # Each block gives its outputs once it has its inputs; without a cycle all get them, by induction.
         TopologicalSorter(waits).prepare()
     except CycleError as error:
         raise Unsound(f"blocks wait for each other: {error.args[1]}") from error
-    return Proof(len(machine.plan.calls), len(proved), sum(shape.states for shape in proved))
+    return Proof(len(machine.plan.calls), len(proved), sum(shape.explored.states for shape in proved), machine)
+
+
+def _check_reached(anatomy: Anatomy, block: Block, explored: Exploration) -> None:
+    """Refuse a plan with steps that can never begin."""
+    for region in anatomy.regions.get(block.owner, ()) if explored.unfired else ():
+        steps = enumerate(block.part.steps)
+        entering = [
+            number for number, step in steps if not isinstance(step.guard, Inside) and not step.outputs.keys().isdisjoint(region.first)
+        ]
+        if not set(entering).difference(explored.unfired):
+            raise Unsound(f"step {min(region.steps)} of the plan can never begin")
 
 
 def _proved(part: Part) -> _Proved:
@@ -119,13 +147,19 @@ def _proved(part: Part) -> _Proved:
     return proved
 
 
+def forget_proofs() -> None:
+    """Forget which shapes of blocks were found good."""
+    _FOUND_GOOD.clear()
+
+
 def explore(machine: PetriNetMachine) -> int:
     """Walk through every state of a small machine and return their number.
 
     Raises:
         Unsound: some state is wrong, or there are more than `MAX_STATES`.
     """
-    return explore_part(
+    check_roles(machine)
+    explored = explore_part(
         Part(
             places=machine.net.places,
             steps=tuple(step_of(machine, name) for name in machine.rules),
@@ -135,30 +169,11 @@ def explore(machine: PetriNetMachine) -> int:
             counters=machine.counter_places,
             cancels=machine.on_failure is OnFailure.CANCEL,
             finals=frozenset((machine.goal_place, machine.failed_place)),
+            goal=machine.goal_place,
             restarts=frozenset(machine.restart_places),
             resources=frozenset(machine.resource_places),
+            alive=machine.alive_places,
+            settling=frozenset(machine.settling_places),
         )
     )
-
-
-# --- checks --------------------------------------------------------------------------------
-
-
-def _check_rules(anatomy: Anatomy, call: int | None, names: list[str]) -> None:
-    """Check that the rules of a block speak of its own call, and that requests and the goal are what they seem."""
-    machine = anatomy.machine
-    rules, net, goal = machine.rules, machine.net, machine.goal_place
-    waiting = {place for name in names if isinstance(rules[name].guard, Accepts) for place in net.inputs[name]}
-    for name in names:
-        rule, outputs = rules[name], net.outputs[name]
-        if getattr(rule.guard, "call", call) != call:
-            raise Unsound(f"{name} listens to another call")
-        # The exploration takes it for granted that a block which waits for an answer has sent the request itself.
-        if (rule.action is TransitionAction.SEND) is waiting.isdisjoint(outputs):
-            raise Unsound(f"{name} does not send the request that is waited for, or sends one that is not")
-        if isinstance(rule.guard, Due):
-            # The time of marking is meaningful only while the place holds the token.
-            for place in dict(rule.guard.since).keys() - net.inputs[name].keys():
-                raise Unsound(f"{name} counts from the marking of {place}, which it does not take from")
-        if goal in outputs and rule.guard != ConditionTrue(machine.plan.goal):
-            raise Unsound(f"{name} marks the goal place without asking for the goal")
+    return explored.states

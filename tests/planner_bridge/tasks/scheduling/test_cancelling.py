@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from uuid import uuid4
 
 import pytest
@@ -42,6 +43,20 @@ async def test_a_server_that_does_not_confirm_is_given_up_after_its_limit(simula
     task = await simulation.begun("(at r0 a2)")
     await simulation.master.cancel(task)
     assert simulation.endings[task].code is Code.CANCELLED
+
+
+@simulated(faults=Faults((Fault("move", FaultKind.HANG, ignores_cancel=True, times=1),)))
+async def test_a_task_that_is_left_alone_when_the_process_ends_is_cancelled_and_no_error(simulation: TaskSimulation):
+    task = await simulation.begun("(at r0 a2)")
+    work, cancelling = simulation.master._work[task], asyncio.ensure_future(simulation.master.cancel(task, why="the node is shut down"))
+    for _ in range(2):  # the second time is what the end of the loop does
+        await asyncio.sleep(0.5)
+        work.cancel()
+    await cancelling
+    assert await simulation.ended_with(task) == [Code.CANCELLED]
+    assert simulation.endings[task].message == "the node is shut down; what it runs is left alone"
+    await asyncio.sleep(20.0)  # its executor gives the server up, here where the process goes on
+    simulation.wrong.clear()
 
 
 @simulated(faults=Faults((Fault("move(r0, a0, a1)", FaultKind.HANG, ignores_cancel=True),)))

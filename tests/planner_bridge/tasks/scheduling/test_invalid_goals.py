@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from planner_bridge.tasks.scheduling.task_manager import TaskLimits
+from planner_bridge.tasks.scheduling.task_manager import MAX_CALLS, TaskLimits
 from pnm.tasks import Code, TaskListener, TaskState, Wanted
 from tests.support.tasks.node import simulated
 from tests.support.tasks.simulation import TaskSimulation
@@ -24,10 +24,12 @@ async def test_the_goal_of_the_problem_is_told_in_pddl(simulation: TaskSimulatio
 
 
 @simulated()
-async def test_a_plan_as_a_text_takes_no_parameters_and_a_plan_that_nobody_has_is_refused(simulation: TaskSimulation):
+async def test_a_plan_as_a_text_that_has_parameters_or_too_many_calls_is_refused_and_one_that_is_not_there(simulation: TaskSimulation):
     with_parameters = simulation.want("(move r0 a0 a1)", is_plan=True, parameters={"speed": 1})
     unknown = simulation.want("tour", is_plan=True)
-    assert await simulation.ended_with(with_parameters, unknown) == [Code.INVALID_GOAL] * 2
+    long = simulation.want("(move r0 a0 a1)\n(move r0 a1 a0)\n" * (MAX_CALLS // 2 + 1), is_plan=True)
+    assert await simulation.ended_with(with_parameters, unknown, long) == [Code.INVALID_GOAL] * 3
+    assert simulation.endings[long].message == f"the plan has {MAX_CALLS + 2} calls; expected {MAX_CALLS} at most"
     assert simulation.endings[with_parameters].message == "a plan that is sent as a text has no parameters; found speed"
     assert "expected a call such as (move r1 hall kitchen), found 'tour'" in simulation.endings[unknown].message
 

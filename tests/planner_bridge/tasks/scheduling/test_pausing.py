@@ -13,7 +13,7 @@ from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.machine.bindings import Binding
 from pnm.tasks import Code, OnConflict, TaskState
 from tests.support.pddl.problems import fleet
-from tests.support.tasks.node import USUAL, carry, everything_needs, robots_of, simulated
+from tests.support.tasks.node import EAGER, USUAL, carry, everything_needs, robots_of, simulated
 from tests.support.tasks.simulation import TaskSimulation
 
 
@@ -107,7 +107,7 @@ async def test_a_plan_by_hand_that_was_to_make_room_goes_on_when_nobody_needs_th
     task = await simulation.begun("(move r0 a0 a1)\n(move r0 a1 a2)\n(move r0 a2 a3)", is_plan=True)
     first = asyncio.ensure_future(simulation.master.pause(task, at_once=False))
     await simulation.sees(task, "state", "pausing")
-    newcomer = simulation.want("(and (has r0 p1) (at r0 a1))")
+    newcomer = simulation.want("(and (at r1 a4) (not (at r0 a2)))")  # the call under way is not in its way, those after it are
     await simulation.sees(newcomer, "planned")
     await simulation.master.resume(task)
     await asyncio.sleep(0.1)
@@ -116,6 +116,20 @@ async def test_a_plan_by_hand_that_was_to_make_room_goes_on_when_nobody_needs_th
     assert not simulation.seen(task, "ended"), "its first call is still under way"
     await simulation.master.resume(task)
     await asyncio.gather(first, second)
+    await simulation.reaches(task)
+
+
+@simulated(fleet(places=8), chosen=EAGER)
+async def test_nobody_contradicts_what_a_pause_lets_come_to_its_end(simulation: TaskSimulation):
+    task = await simulation.begun("(at r0 a3)")
+    paused = asyncio.ensure_future(simulation.master.pause(task, at_once=False))
+    await simulation.sees(task, "state", "pausing")
+    newcomer = simulation.want("(and (has r0 p1) (at r0 a1))")
+    await simulation.sees(newcomer, "state", "queued: waits for")
+    await paused
+    await simulation.reaches(newcomer)
+    assert simulation.sent_at(newcomer) >= simulation.seen(task, "ended")[0].time
+    await simulation.master.resume(task)
     await simulation.reaches(task)
 
 

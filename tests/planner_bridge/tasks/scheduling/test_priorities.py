@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 
+from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.logic.computed_values import MISSING, Layer, Question
 from pnm.core.machine.bindings import Binding
 from pnm.knowledge.sources.source import Asker
 from pnm.tasks import TaskState
 from tests.support.pddl.problems import fleet
-from tests.support.tasks.node import everything_needs, simulated
+from tests.support.tasks.node import EAGER, everything_needs, simulated
 from tests.support.tasks.simulation import TaskSimulation
 
 
@@ -62,6 +63,33 @@ async def test_nobody_is_held_up_by_a_task_that_is_paused(simulation: TaskSimula
     await simulation.master.resume(high)
     await simulation.reaches(high)
     assert simulation.holds("(at r0 a3)")
+
+
+@simulated(chosen=EAGER)
+async def test_all_are_resumed_at_once_and_who_makes_way_still_does(simulation: TaskSimulation):
+    low = await simulation.begun("(at r0 a2)")
+    high = await simulation.begun("(at r0 a3)", priority=1)
+    await simulation.master.pause(None, at_once=True)
+    sent = len(simulation.sent(low))
+    await simulation.master.resume(None)
+    await simulation.reaches(high)
+    assert len(simulation.sent(low)) == sent, "it makes way until the other one is over"
+    await simulation.reaches(low)
+
+
+@simulated(chosen=EAGER, faults=Faults((Fault("move", FaultKind.HANG, after=2, times=1, ignores_cancel=True),)))
+async def test_who_is_resumed_waits_until_nothing_is_under_way_of_those_that_make_way(simulation: TaskSimulation):
+    low = await simulation.begun("(at r0 a1)")
+    high = await simulation.begun("(at r0 a3)", priority=1)
+    await simulation.master.pause(high, at_once=True)
+    await simulation.sees(low, "sent", times=2)
+    sent = len(simulation.sent(high))
+    await simulation.master.resume(high)
+    assert len(simulation.sent(high)) == sent
+    await simulation.sees(high, "state", "waits until (at r0 a1)")
+    await simulation.sees(low, "failed")
+    assert len(simulation.sent(high)) == sent, "a robot that has not confirmed that it has stopped gets no other command"
+    await simulation.ended_with(high, low)
 
 
 class SlowPerson:

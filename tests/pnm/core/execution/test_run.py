@@ -19,10 +19,10 @@ from pnm.core.logic.expressions import UNKNOWN, Constant, Unknown, Value
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
-from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
+from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Postponed
 from pnm.core.net.firing_rule import fire
 from pnm.errors import RunError
-from tests.support.runs.commands import RUN, begun, sent
+from tests.support.runs.commands import RUN, begun, cancelled, sent
 from tests.support.runs.plan_graphs import plan, plans
 from tests.support.runs.simulated import FiringLog
 
@@ -261,3 +261,22 @@ def test_what_guards_answer_does_not_depend_on_the_order_in_which_they_are_asked
         return {pair: guards.opens(*pair) for pair in order}
 
     assert answers(data.draw(st.permutations(pairs))) == answers(pairs)
+
+
+def test_the_limit_for_the_acceptance_of_a_request_begins_anew_when_it_is_postponed() -> None:
+    run, _ = begun(plan(2, "0e<1s"), Bindings({"a0": Binding(accept=15.0)}))
+    (request,) = run.open_requests
+    for now in (10.0, 20.0, 30.0):
+        assert not cancelled(run.handle(Postponed(request), now))
+        assert not cancelled(run.handle(Tick(), now + 5.0))
+    assert cancelled(run.handle(Tick(), 45.0)) == [request], "15 s after it was postponed last"
+    assert not run.handle(Postponed(request), 46.0), "it is given up"
+    assert not run.handle(Postponed(UUID(int=7)), 46.0), "of a request that is not there"
+
+
+def test_a_request_that_is_under_way_is_not_postponed() -> None:
+    run, _ = begun(plan(1), Bindings({"a0": Binding(timeout=20.0)}))
+    (request,) = run.open_requests
+    run.handle(Accepted(request), 1.0)
+    assert not cancelled(run.handle(Postponed(request), 15.0))
+    assert cancelled(run.handle(Tick(), 21.0)) == [request]

@@ -6,7 +6,7 @@ import pytest
 
 from pnm.core.logic.computed_values import Literal, Parameter
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, fluents, ground
-from pnm.core.logic.evaluation import evaluate, failing, observed
+from pnm.core.logic.evaluation import evaluate, explanation, observed
 from pnm.core.logic.expressions import (
     DURATION,
     UNDEFINED,
@@ -180,6 +180,6 @@ def test_conditions_are_written_as_pddl(condition: Condition, text: str) -> None
 def test_what_was_expected_and_what_is_so() -> None:
     state = GivenState({("p",): True, ("q", "a"): UNKNOWN, ("n",): 3.0, ("f",): False})
     wanted = All((Holds(("p",)), All((Holds(("q", "a")), Not(Holds(("f",))))), Compare(">", N, Constant(5.0)), Holds(("absent",))))
-    assert " ".join(map(str, failing(wanted, state))) == "(q a) (> (n) 5) (absent)"
+    assert explanation(wanted, state)[0] == "(q a) (> (n) 5) (absent)"
     assert observed(wanted, state) == "(absent) is false, (f) is false, (n) is 3.0 because it is 3, (p) is true, (q a) is unknown"
     assert observed(TRUE, state) == "no fluent involved"

@@ -25,7 +25,7 @@ from pnm.core.logic.conditions import (
     ground,
     names,
 )
-from pnm.core.logic.evaluation import evaluate, failing
+from pnm.core.logic.evaluation import evaluate, unmet
 from pnm.core.logic.expressions import (
     UNKNOWN,
     Arithmetic,
@@ -183,5 +183,5 @@ def test_grounding_first_gives_the_same(condition: Condition, state: GivenState,
 @given(CONDITIONS, PICTURES, ENVIRONMENTS)
 def test_failing_parts_are_why_a_condition_does_not_hold(condition: Condition, state: GivenState, env: Environment) -> None:
     grounded = ground(condition, env)
-    assert (failing(grounded, state) == ()) is (evaluate(grounded, state) is True)
-    assert set(failing(grounded, state)) <= set(conjuncts(grounded))
+    assert (unmet(grounded, state) == ()) is (evaluate(grounded, state) is True)
+    assert set(unmet(grounded, state)) <= set(conjuncts(grounded))

@@ -11,12 +11,13 @@ from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import Literal, Operation
 from pnm.core.logic.conditions import Computed
+from pnm.core.logic.expressions import UNKNOWN
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import ActionCall, Cause, Choice, Loop, PlanGraph, Recovery, Then
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind
-from pnm.core.machine.verification.explore import Unsound
+from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, verify
 from tests.support.runs.control_flow import LARGE, SHAPES, call_with, flow, local, ne, on, store
 from tests.support.runs.direct import RUN, answering_with, drive
@@ -71,6 +72,35 @@ def test_a_loop_whose_condition_never_becomes_false_fails_by_name() -> None:
     assert "after 3 rounds" in failure.expected
 
 
+@pytest.mark.parametrize(
+    ("value", "observed"),
+    [("abc", 'local[n] is 0, local[most] is "abc"'), (None, "local[n] is 0, local[most] is null")],
+)
+def test_a_loop_whose_condition_cannot_be_computed_fails_by_name(value: object, observed: str) -> None:
+    more = Operation("add", (local("n"), Literal.of(1)))
+    loop = Loop(2, Computed(Operation("lt", (local("n"), local("most")))), flow(call_with(0), store(1, "n", more), orders=("0e<1s",)), 9)
+    trace = drive(plan_of_steps(loop), variables={"n": 0, "most": value})
+    assert (trace.result.goal, trace.actions) == (False, [])
+    (failure,) = trace.result.failures
+    assert (failure.cause, failure.expected) == ("condition_unknown", "lt(local[n], local[most]) to be true or false")
+    assert failure.observed == observed
+
+
+def test_a_choice_whose_condition_cannot_be_computed_fails_by_name() -> None:
+    choice = Choice(2, Computed(Operation("lt", (local("n"), Literal.of(1)))), flow(call_with(0)), flow(call_with(1)))
+    trace = drive(plan_of_steps(choice), variables={"n": "abc"})
+    assert (trace.result.goal, trace.actions) == (False, [])
+    assert [failure.cause for failure in trace.result.failures] == ["condition_unknown"]
+
+
+def test_a_condition_that_nothing_reports_any_more_is_waited_for_and_fails_by_name() -> None:
+    world = KnowledgeBase({("ok",): UNKNOWN})
+    world.sense({"ok"}, lag=2.0)
+    trace = drive(SHAPES["choice"], world=world)
+    assert (trace.result.goal, trace.actions) == (False, [])
+    assert [(failure.cause, failure.observed) for failure in trace.result.failures] == [("condition_unknown", "(ok) is unknown")]
+
+
 def test_a_loop_counts_its_rounds_anew_each_time_it_is_reached() -> None:
     more = Operation("add", (local("n"), Literal.of(1)))
     inner = Loop(4, ne("n", 3), flow(store(1, "n", more)), 3)
@@ -84,11 +114,6 @@ def test_a_loop_counts_its_rounds_anew_each_time_it_is_reached() -> None:
 @pytest.mark.parametrize(("variables", "expected"), [({"n": 1}, ["a1"]), ({"n": 2}, ["a0"]), ({}, ["a0"])])
 def test_a_choice_takes_one_branch(variables: dict[str, object], expected: list[str]) -> None:
     assert drive(plan_of_steps(Choice(2, ne("n", 1), flow(call_with(0)), flow(call_with(1)))), variables=variables).actions == expected
-
-
-def test_a_condition_that_cannot_be_computed_is_not_true() -> None:
-    late = Computed(Operation("gt", (local("n"), Literal.of(1))))
-    assert drive(plan_of_steps(Choice(2, late, flow(call_with(0)), flow(call_with(1)))), variables={"n": "three"}).actions == ["a1"]
 
 
 def test_a_chain_recovers_and_the_call_begins_anew_until_that_is_used_up() -> None:

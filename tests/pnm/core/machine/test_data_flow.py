@@ -12,7 +12,7 @@ from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Loop
 from pnm.core.machine.requests import Outcome, OutcomeKind
-from pnm.core.machine.verification.explore import Unsound
+from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, verify
 from tests.support.runs.control_flow import LARGE, SHAPES, call_with, flow, local, ne, store
 from tests.support.runs.direct import drive

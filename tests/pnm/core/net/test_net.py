@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import FrozenInstanceError, fields
 
 import numpy as np
@@ -195,8 +196,9 @@ def test_a_name_is_used_once(name: str) -> None:
 BAD_ARCS = [
     ({"cellar": 1}, "'t' is connected to 'cellar', which is not a place"),
     ({"borrow": 1}, "'t' is connected to 'borrow', which is not a place"),
-    ({"home": 0}, "the arc between 't' and 'home' weighs 0; at least 1 expected"),
-    ({"home": -1}, "the arc between 't' and 'home' weighs -1; at least 1 expected"),
+    ({"home": 0}, "the arc between 't' and 'home' weighs 0; a whole number of at least 1 expected"),
+    ({"home": -1}, "the arc between 't' and 'home' weighs -1; a whole number of at least 1 expected"),
+    ({"home": 1.5}, "the arc between 't' and 'home' weighs 1.5; a whole number of at least 1 expected"),
 ]
 
 
@@ -273,3 +275,12 @@ def test_a_marking_is_no_dictionary() -> None:
 def test_covering_is_having_enough_of_everything(have: dict[str, int], need: dict[str, int], times: int) -> None:
     assert Marking(have).covers(need, times) is all(have.get(place, 0) >= times * count for place, count in need.items())
     assert Marking(need).covers(need)
+
+
+@pytest.mark.parametrize("twice", [["p", "q", "p"], ("p", "q", "p"), iter("pqp")])
+def test_a_place_that_is_named_twice_has_two_arcs(twice: Iterable[str]) -> None:
+    builder = NetBuilder()
+    p, q = builder.place("p"), builder.place("q")
+    builder.transition("t", twice, [p, q])
+    assert builder.build().inputs["t"] == {"p": 2, "q": 1}
+    assert builder.build().incidence() == ((-1, 0),)

@@ -207,5 +207,5 @@ def test_worlds_are_valid() -> None:
 def test_the_command_writes_it(tmp_path: Path) -> None:
     assert CliRunner().invoke(app, ["schema"]).output == TEXT
     done = CliRunner().invoke(app, ["schema", "-o", str(tmp_path / "pnm.json")])
-    assert (done.exit_code, done.output) == (0, "")
+    assert (done.exit_code, done.output) == (0, f"wrote {tmp_path / 'pnm.json'}\n")
     assert (tmp_path / "pnm.json").read_text(encoding="utf-8") == TEXT

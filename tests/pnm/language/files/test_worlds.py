@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from planner_bridge.pipeline import carry_out
 from pnm.errors import InputError
 from pnm.language import read_plans, read_world
 
@@ -96,8 +97,14 @@ def test_plans_that_call_each_other_in_a_circle_are_refused(folder: Path) -> Non
     assert "the plan would never end: " in why_no_world(folder, FILES["worlds.yaml"], "large")
 
 
-def test_a_world_is_no_plan(folder: Path) -> None:
-    with pytest.raises(InputError, match=r"worlds.yaml:1:8: this is a world; expected a plan"):
+def test_the_plans_of_a_world_can_be_run_without_serving_it(folder: Path) -> None:
+    assert list(read_plans(folder / "world.yaml")) == ["count", "first", "second"]
+    assert carry_out(folder / "world.yaml", "second").goal_reached
+    with pytest.raises(InputError, match=r"worlds.yaml:1:1: there are several worlds; expected the name of one: small, large"):
         read_plans(folder / "worlds.yaml")
-    with pytest.raises(InputError, match=r"world.yaml:3:1: this is a world; expected a plan"):
+
+
+def test_a_world_is_no_plan_of_another(folder: Path) -> None:
+    (folder / "world.yaml").write_text("domain: domains/one.yaml\nplans: [worlds.yaml]\n")
+    with pytest.raises(InputError, match=r"worlds.yaml:1:1: this is a world; expected a plan"):
         read_plans(folder / "world.yaml")

@@ -21,7 +21,7 @@ from pnm.knowledge.sources.memory import MemoryKnowledge
 from pnm.knowledge.sources.source import Asker
 from pnm.language.plan import chosen_plan, merge_bindings, read_plans
 from pnm.language.runner import PlanRunner, Program, check_values
-from tests.support.files import written
+from tests.support.files import ROOT, written
 from tests.support.yaml.run_plans import BLOCKED, GUIDE, PATROL
 
 
@@ -205,3 +205,12 @@ def test_bindings_of_a_file_come_before_those_of_the_domain(tmp_path: Path) -> N
     action = plan.graph.calls[0].action
     assert plan.bindings.server(action) == "drive"
     assert Bindings({"move": Binding(server="walk")}).before(plan.bindings).server(action) == "walk"
+
+
+@pytest.mark.parametrize("times", ["abc", "1e308", float("nan")])
+def test_a_parameter_of_another_kind_fails_the_loop_that_counts_with_it(times: object) -> None:
+    result = carry_out(ROOT / "domains/delivery/plans/errands.yaml", "round_trip", {"robot": "r1", "times": times})
+    assert not result.goal_reached
+    (failure,) = result.failures
+    assert failure.cause == "condition_unknown"
+    assert "local[times] is " in failure.observed

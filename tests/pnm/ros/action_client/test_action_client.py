@@ -165,3 +165,21 @@ def test_a_goal_that_was_filled_before_its_type_was_known_is_sent_if_it_has_all_
             assert outcome.message == f"/{name} came when the goal had been filled; nobody has looked for values for order"
 
     with_client(scenario)
+
+
+def test_goals_that_wait_for_the_answers_to_others_have_their_whole_time(with_client, start, names):
+    """The server answers one goal after the other: more goals than it answers within the limit of one of them all get an answer."""
+    server = names()
+    start(server)
+
+    async def scenario(client):
+        await client.send("act", action="succeed").ended()  # from now on goals are sent at once
+        goals = [client.send("act", action="hesitate", arguments=["0.5"]) for _ in range(12)]
+        for goal in goals:
+            await goal.accepted()
+        for goal in goals:
+            client.cancel(goal)
+        for goal in goals:
+            assert (await goal.ended()).kind is OutcomeKind.CANCELED
+
+    with_client(scenario, act=Binding(server=server, type=GROUND, accept=2.5))

@@ -61,20 +61,40 @@ def test_30_cancellations_at_once(with_client, shared):
     with_client(scenario, act=Binding(server=shared))
 
 
-def test_an_unanswered_goal_ends_and_is_cancelled_when_accepted_after_all(with_client, start, names):
+def test_a_goal_that_is_answered_late_is_cancelled_and_over_when_its_server_says_so(with_client, start, names):
     name = names()
     start(name, "--threads", "2")
 
     async def scenario(client):
-        late = client.send("act", action="hesitate", arguments=["2"])
-        outcome = await late.ended()
-        assert (outcome.kind, outcome.message) == (OutcomeKind.UNAVAILABLE, f"/{name} did not answer within 1 s")
-        # Both threads are kept busy by goals nobody waits for, unless these are cancelled.
-        await client.send("act", action="hesitate", arguments=["2"]).ended()
+        for _ in range(2):  # both threads are kept busy by goals that nobody waits for, unless these are cancelled
+            late = client.send("act", action="hesitate", arguments=["3"])
+            outcome = await late.ended()
+            assert (outcome.kind, outcome.message.partition(" after")[0]) == (OutcomeKind.CANCELED, "stopped")
         assert (await client.send("patient", action="succeed").ended()).kind is OutcomeKind.SUCCEEDED
-        assert late.reports.empty()
 
-    with_client(scenario, act=Binding(server=name, accept=1.0), patient=Binding(server=name))
+    with_client(scenario, act=Binding(server=name, accept=2.0), patient=Binding(server=name))
+
+
+def test_a_goal_whose_answer_gets_lost_is_cancelled_by_its_id(with_client, shared):
+    async def scenario(client):
+        outcome = await client.send("act", action="mute").ended()
+        assert (outcome.kind, outcome.message.partition(" after")[0]) == (OutcomeKind.CANCELED, "stopped")
+
+    with_client(scenario, act=Binding(server=shared, accept=1.0))
+
+
+def test_a_goal_that_is_never_taken_up_ends_when_its_server_does_not_know_it_for_as_long_again(with_client, start, names):
+    name = names()
+    start(name, "--threads", "3")
+
+    async def scenario(client):
+        outcome = await client.send("act", action="hesitate", arguments=["30"]).ended()
+        assert (outcome.kind, outcome.message) == (
+            OutcomeKind.UNAVAILABLE,
+            f"/{name} did not answer within 1 s, and does not know the goal",
+        )
+
+    with_client(scenario, act=Binding(server=name, accept=1.0))
 
 
 def test_a_server_that_shuts_down_is_lost(with_client, start, names):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from uuid import UUID, uuid4
 
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from pnm.tasks import Code
 from tests.support.ros.child_process import bounded
 from tests.support.ros.serving_node import serving_node
-from tests.support.ros.task_client import ABORTED, SUCCEEDED, TaskClient, uuid_data
+from tests.support.ros.task_client import ABORTED, CANCELED, SUCCEEDED, TaskClient, uuid_data
 
 
 @bounded
@@ -34,6 +35,11 @@ async def test_a_goal_while_the_node_is_inactive_is_rejected_and_a_later_one_is_
         ("execute_plan", {"plan": "running", "deadline": float("inf")}, "deadline is inf; expected a number of seconds"),
         ("achieve_goal", {"goal": "x" * 100_001}, "the goal has 100001 characters; expected 100000 at most"),
         ("execute_plan", {"plan": "x" * 100_001}, "the plan has 100001 characters; expected 100000 at most"),
+        (
+            "execute_plan",
+            {"plan": "running", "parameters": "x" * 100_001},
+            "the text of the parameters has 100001 characters; expected 100000 at most",
+        ),
         ("plan", {"goal": "wrong"}, "goal:1:1: expected a condition"),
         ("plan", {"goal": "running", "timeout": -3.0}, "timeout is -3; expected a number of seconds"),
     ],
@@ -45,6 +51,20 @@ async def test_what_is_wrong_with_a_goal_is_in_its_result(two, action, goal, sai
         assert (status, result["code"], result["reason"]) == (ABORTED, Code.INVALID_GOAL, "invalid_goal")
         assert said in result["message"]
         assert not one.tasks.open
+
+
+@bounded
+async def test_a_goal_that_takes_long_to_read_holds_up_no_other_and_can_be_cancelled(two):
+    async with serving_node(two) as one:
+        long = f"{{a: [{'1,' * 40_000}]}}"
+        given_up = await one.client.send("execute_plan", plan="running", parameters=long)
+        assert await one.client.cancel(given_up) == 1
+        slow = await one.client.send("execute_plan", plan="goal_reached", parameters=long)
+        quick = await one.goal("goal_reached")
+        await asyncio.gather(slow.result(), quick.result())
+        assert [wanted.id for wanted in one.tasks.wanted] == [quick.id, slow.id]
+        status, result = await given_up.result()
+        assert (status, result["reason"], result["message"]) == (CANCELED, "cancelled", "its client has cancelled it")
 
 
 @bounded

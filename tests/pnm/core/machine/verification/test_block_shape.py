@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.machine import After, Always, CancelAsked, ConditionFalse, ConditionTrue, Ending, Failing, Guard, PauseAsked
 from pnm.core.machine.verification.block_shape import shape_of
-from pnm.core.machine.verification.explore import Part, Step, Unsound, explore_part
+from pnm.core.machine.verification.explore import explore_part
+from pnm.core.machine.verification.part import Part, Step, Unsound
 
 GUARDS: tuple[Guard, ...] = (
     Always(),
@@ -80,7 +81,7 @@ def doubled(part: Part, place: str) -> Part:
 
 def is_sound(part: Part) -> bool:
     try:
-        return explore_part(part) > 0
+        return explore_part(part).states > 0
     except Unsound:
         return False
 

@@ -1,20 +1,113 @@
-"""What a person was asked is not asked again by the run that goes on."""
+"""Questions hold nothing up: timers behind them go on, nothing is asked while resources are held, and every wait has a limit."""
 
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Iterable
 from uuid import UUID
 
 import pytest
 
+from pnm.core.execution.events import Ask, Begin, Command, Send, Stop, Tick, Wake, Withdraw
+from pnm.core.execution.questions import LIMITS
 from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import Layer
 from pnm.core.machine.bindings import Binding, Bindings
-from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.machine.generate import generate
+from pnm.core.machine.plan_graph import Cause, GroundAction
+from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
+from pnm.core.machine.verification.verify import verify
+from pnm.errors import InputError
 from pnm.executor import Executor
+from pnm.knowledge.sources import SourceChoice, Surroundings, open_sources
 from pnm.knowledge.sources.person_text import question_text
 from tests.support.people import Person
+from tests.support.runs.direct import RUN
 from tests.support.runs.handover import ManualClient, carried, successor
+from tests.support.yaml.programs import only_plan
+
+TELLING = "actions: {tell: {params: [what], ask: {what: Which one}}}\nplan:\n  - tell:\n"
+
+
+def started(text: str) -> tuple[Run, list[Command]]:
+    """The run of a plan, begun, and its commands."""
+    plan = only_plan(text)
+    machine = generate(plan.graph, plan.bindings)
+    verify(machine)
+    run = Run(machine, Layered(KnowledgeBase(), KnowledgeBase(variables=plan.variables)), id=RUN, bindings=plan.bindings, asks=True)
+    return run, run.handle(Begin(), 0.0)
+
+
+def wait(run: Run, commands: list[Command]) -> tuple[float, list[Command]]:
+    """Let time pass, and nothing else happen, until the run is over; return when that is, and what it wanted done."""
+    done, now, left = [*commands], 0.0, [*commands]
+    while not run.over:
+        wakes = [command.at for command in left if isinstance(command, Wake)]
+        assert wakes, "it waits for ever"
+        now = wakes[-1]
+        left = run.handle(Tick(), now)
+        done += left
+    return now, done
+
+
+def of_type(commands: Iterable[Command], kind: type[Command]) -> list[Command]:
+    return [command for command in commands if isinstance(command, kind)]
+
+
+def test_a_deadline_passes_while_a_person_is_asked() -> None:
+    run, commands = started(f"{TELLING}    deadline: 5\n")
+    now, commands = wait(run, commands)
+    assert now == 5.0
+    assert run.result().failures[0].cause is Cause.TOO_LATE
+    assert [ask.id for ask in of_type(commands, Ask)][-1:] == [withdrawn.id for withdrawn in of_type(commands, Withdraw)]  # type: ignore[union-attr]
+
+
+def test_a_question_has_a_limit_in_the_run() -> None:
+    run, commands = started(TELLING)
+    now, commands = wait(run, commands)
+    assert now == LIMITS[Layer.GLOBAL] + LIMITS[Layer.PERSON]
+    failure = run.result().failures[0]
+    assert failure.cause is Cause.DATA_MISSING
+    assert "was not answered within 3600 s" in failure.observed
+    assert len(of_type(commands, Ask)) == len(of_type(commands, Withdraw)) == 2
+
+
+def test_nothing_is_asked_while_resources_are_held() -> None:
+    run, commands = started(
+        "actions:\n  grasp:\n    resources: [arm]\n    recoveries: {after: {when: {PersonQuery: dropped}, do: skip_action}}\n"
+        "plan: [concurrent_actions: [grasp: , grasp: ]]\n"
+    )
+    asked = 0
+    while sends := of_type(commands, Send):
+        assert len(sends) == 1
+        assert isinstance(sends[0], Send)
+        request = sends[0].request.id
+        assert len(run.resources.held) == 1
+        run.handle(Accepted(request), 1.0)
+        commands = run.handle(Ended(request, Outcome(OutcomeKind.SUCCEEDED)), 1.0)
+        asked += len(of_type(commands, Ask))
+        assert all(claim.request != request for claim in run.resources.held)
+    assert asked == 2
+    assert not run.resources.held
+
+
+def test_a_run_that_is_stopped_asks_nobody_any_more() -> None:
+    run, commands = started("actions:\n  look: {recoveries: {after: {when: {PersonQuery: wrong}, do: skip_action}}}\nplan: [look: ]\n")
+    request = next(command.request.id for command in commands if isinstance(command, Send))
+    run.handle(Accepted(request), 0.0)
+    assert of_type(run.handle(Ended(request, Outcome(OutcomeKind.SUCCEEDED)), 1.0), Ask)
+    assert of_type(run.handle(Stop(), 2.0), Withdraw)
+    assert run.over
+
+
+@pytest.mark.parametrize(("source", "limit"), [("person", 4000), ("terminal", 3600)])
+def test_a_source_cannot_be_more_patient_than_runs_are(source: str, limit: float) -> None:
+    with pytest.raises(InputError, match="at most 3599"):
+        open_sources([SourceChoice(source, {"limit": limit})], Surroundings())
+
+
+# --- what a person was asked is not asked again by the run that goes on ---
 
 ACT = GroundAction("act", resources=("arm",), duration=5.0)
 ASKING = Bindings({"greet": Binding(goal={"word": "$word"}, ask={"word": "What shall I say to {whom}?"})})

@@ -1,0 +1,240 @@
+"""Is a plan graph its causes? In every order that it allows, each reader finds the values that it finds in one of them.
+
+The plan is carried through once, in an order that the graph allows, and every value that a happening reads or writes is noted. A
+reader of a fluent is *threatened* if a writer of another value may come before it, and no writer of the value that it needs must
+lie between the two; the initial state is a writer before all others. A condition over a time is read just after its start, and no
+writer may lie within that makes it false. If nothing is threatened, every order reads the same and so writes the same, event by
+event: all orders are as good as the one that was carried through.
+
+For conjunctions of facts and unconditional effects that is exact: where a reader is threatened, some order that the graph allows
+brings the wrong value (Chapman 1987, *Planning for Conjunctive Goals*, on necessary truth). For numbers and other conditions it is
+on the safe side: another value counts as wrong even where it would do.
+
+What the plan has before a timed change is taken to come before it: being late is noticed in the run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Final, TypeAlias
+
+from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.problem import Problem
+from planner_bridge.ordering.causal_links import CausalLinks, OrderKept
+from planner_bridge.ordering.partial_order import NEAR, PartialOrder
+from pnm.core.knowledge_base import KnowledgeBase, statement_text
+from pnm.core.logic.conditions import Condition, conjuncts, fluents
+from pnm.core.logic.effects import Effects, TimedChange, changes, decided, read, read_early, written
+from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.expressions import UNKNOWN, Fluent, Unknown, Value, same_value
+from pnm.core.machine.plan_graph import Moment, PlanEvent, PlanGraph
+
+_Value: TypeAlias = Value | Unknown | None
+_Writers: TypeAlias = dict[_Value, int]
+"""The writers of every value of a fluent: a set of happenings."""
+
+_NO_WRITERS: Final[_Writers] = {}
+
+
+@dataclass(frozen=True, slots=True)
+class _Need:
+    """A happening needs a value: just before its own effects, or just after them."""
+
+    reader: int
+    fluent: Fluent
+    value: _Value
+    afterwards: bool = False
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Span:
+    """Part of a condition that must hold from just after one event until just before another."""
+
+    first: int
+    last: int
+    condition: Condition
+    fluents: frozenset[Fluent]
+
+
+@dataclass(frozen=True, slots=True)
+class _Intrusion:
+    """A write that some order has within a span."""
+
+    span: _Span
+    writer: int
+    changed: Mapping[Fluent, _Value]
+    others: tuple[_Need, ...]
+    """What else decides whether the condition holds."""
+    leaves_true: bool
+
+
+@dataclass
+class _Trace:
+    """All reads and writes of a plan, noted while its happenings are carried through. What has a default changes."""
+
+    graph: PlanGraph
+    order: PartialOrder
+    links: CausalLinks
+    state: KnowledgeBase
+    projected: bool
+    """Whether the state is the one after all calls that are under way, and not the one before their ends."""
+    needs: list[_Need] = field(default_factory=list)
+    intrusions: list[_Intrusion] = field(default_factory=list)
+    writers: dict[Fluent, _Writers] = field(default_factory=dict)
+    spans: dict[Fluent | int, list[_Span]] = field(default_factory=dict)
+    """By fluent, and by the happening with which they begin."""
+    begun: dict[_Span, tuple[_Need, ...]] = field(default_factory=dict)
+    """What each span needs when it begins."""
+    end_effects: dict[int, Effects] = field(default_factory=dict)
+    """Of calls that have started, with their early conditions decided."""
+
+    def __post_init__(self) -> None:
+        for call in self.graph.calls:
+            action = call.action
+            first, last = (self.order.number[PlanEvent(call.index, moment)] for moment in Moment)
+            # what an action without duration needs must be there as long as the robot takes for it
+            for part in conjuncts(action.precondition if action.duration is None else action.invariant):
+                if mentioned := self._relevant(fluents(part, self.links.knowledge)):
+                    span = _Span(first, last, part, mentioned)
+                    keys: tuple[Fluent | int, ...] = (*mentioned, first)
+                    for key in keys:
+                        self.spans.setdefault(key, []).append(span)
+            if call.under_way:
+                self.end_effects[call.index] = decided(action.end_effects, self.state)
+        for number, happening in enumerate(self.order.happenings):
+            match happening:
+                case PlanEvent(index, Moment.START):
+                    action = self.graph.calls[index].action
+                    early = read_early(action.end_effects, self.links.knowledge)
+                    self._read(number, action.precondition, read(action.start_effects, self.links.knowledge) | early)
+                    self.end_effects[index] = decided(action.end_effects, self.state)
+                    self._write(number, changes(action.start_effects, self.state))
+                case PlanEvent(index):
+                    call, effects = self.graph.calls[index], self.end_effects[index]
+                    self._read(number, call.action.end_condition, read(effects, self.links.knowledge))
+                    if self.projected and call.under_way:  # the state has these effects already
+                        seen = {fluent: self.state.value(fluent) for fluent in written(effects, self.links.knowledge)}
+                        self._write(number, seen, before=UNKNOWN)
+                    else:
+                        self._write(number, changes(effects, self.state))
+                case TimedChange(_, changed):
+                    self._write(number, changed)
+                case None if number:
+                    self._read(number, self.graph.goal)
+                case None:
+                    self._write(number, {})
+
+    def _relevant(self, mentioned: frozenset[Fluent]) -> frozenset[Fluent]:
+        return frozenset(fluent for fluent in self.links.knowledge.rests_on(mentioned) if fluent[0] in self.links.relevant)
+
+    def _reads(self, reader: int, mentioned: frozenset[Fluent], afterwards: bool = False) -> Iterator[_Need]:
+        return (_Need(reader, fluent, self.state.value(fluent), afterwards) for fluent in sorted(mentioned))
+
+    def _read(self, reader: int, condition: Condition, besides: frozenset[Fluent] = frozenset()) -> None:
+        self.needs += self._reads(reader, self._relevant(fluents(condition, self.links.knowledge) | besides))
+
+    def _write(self, writer: int, changed: Mapping[Fluent, _Value], before: _Value = None) -> None:
+        for fluent, value in changed.items():
+            writers = self.writers.setdefault(fluent, {self.state.value(fluent) if before is None else before: 1})
+            writers[value] = writers.get(value, 0) | 1 << writer
+        self.state.update({fluent: False if value is None else value for fluent, value in changed.items()})
+        for span in self.spans.get(writer, ()):
+            self.begun[span] = tuple(self._reads(writer, span.fluents, afterwards=True))
+            self.needs += self.begun[span] if writer else ()
+        for span in dict.fromkeys(span for fluent in changed for span in self.spans.get(fluent, ())):
+            if not (self.order.comes_before(writer, span.first) or self.order.comes_before(span.last, writer)):
+                others = tuple(self._reads(writer, span.fluents - changed.keys()))
+                self.intrusions.append(_Intrusion(span, writer, changed, others, evaluate(span.condition, self.state) is True))
+
+
+@dataclass(frozen=True)
+class _Judge:
+    """Decides whether every order brings the values that are needed."""
+
+    trace: _Trace
+
+    def wrong_writer(self, need: _Need) -> int | None:
+        """Return a writer of another value that some order has last before the reader; None if the need is met in every order."""
+        order, reader, right, wrong = self.trace.order, need.reader, 0, 0
+        for value, writers in self.trace.writers.get(need.fluent, _NO_WRITERS).items():
+            if same_value(value, need.value):
+                right |= writers
+            else:
+                wrong |= writers
+        if need.afterwards:  # its own effects count; what may come later is judged as an intrusion
+            earlier = order.before[reader] | 1 << reader
+            right, wrong = right & earlier, wrong & earlier
+        else:
+            right, wrong = right & order.before[reader], wrong & ~(order.after[reader] | 1 << reader)
+        while right and wrong:
+            last = right.bit_length() - 1
+            right ^= 1 << last
+            wrong &= ~(order.before[last] | order.ahead.get(last, 0))
+        for change, ahead in order.ahead.items():
+            if ahead >> reader & 1:
+                wrong &= ~(1 << change)
+        return wrong.bit_length() - 1 if wrong else None
+
+    def is_harmless(self, intrusion: _Intrusion) -> bool:
+        """Return whether the condition holds all the same, wherever in its span the write comes."""
+        span, writer, order = intrusion.span, intrusion.writer, self.trace.order
+        change = order.happenings[writer]
+        if isinstance(change, TimedChange) and order.time(order.happenings[span.last]) <= change.time + NEAR:
+            return True
+        begun, changed = self.trace.begun[span], intrusion.changed
+        if all(need.fluent in changed and same_value(changed[need.fluent], need.value) for need in begun):
+            return True
+        begins_before = order.comes_before(span.first, writer) or order.ahead.get(writer, 0) >> span.first & 1
+        return bool(begins_before) and intrusion.leaves_true and all(self.wrong_writer(need) is None for need in intrusion.others)
+
+
+def threats(graph: PlanGraph, problem: Problem, links: CausalLinks, *, projected: bool = False) -> Iterator[str]:
+    """Yield what may go wrong in some order that the graph allows.
+
+    Args:
+        graph: the plan.
+        problem: its initial state is the one that the plan starts from.
+        links: what counts as read: the objects, the rules, the fluents that can order anything, and orders that must be kept.
+        projected: whether the initial state is the one after all calls that are under way, and not the one before their ends.
+    """
+    order = PartialOrder(graph, problem.timed)
+    trace = _Trace(graph, order, links, initial_knowledge(problem), projected)
+    judge = _Judge(trace)
+
+    def named(number: int) -> str:
+        match order.happenings[number]:
+            case PlanEvent(index, moment):
+                return f"the {moment.value} of {graph.calls[index]}"
+            case TimedChange(time):
+                return f"the change at {time:g} s"
+            case None:
+                return "the goal" if number else "the initial state"
+
+    for intrusion in trace.intrusions:
+        if not judge.is_harmless(intrusion):
+            span = intrusion.span
+            yield f"{named(intrusion.writer)} may come between {named(span.first)} and {named(span.last)}, which needs {span.condition}"
+    for need in trace.needs:
+        if (writer := judge.wrong_writer(need)) is not None:
+            needed = "no value" if need.value is None else statement_text(need.fluent, need.value)
+            yield f"{named(need.reader)} needs {needed}, but {named(writer)} may be the last that writes it before"
+    for kept in links.kept:
+        points = sorted(points_kept(graph, order, kept, links.knowledge))
+        for (_, first), (second, _) in pairwise(points):
+            if not order.comes_before(first, second):
+                yield f"{named(second)} may come before {named(first)}, which does not keep {kept.token[0]}"
+
+
+def points_kept(graph: PlanGraph, order: PartialOrder, kept: OrderKept, state: KnowledgeBase) -> Iterator[tuple[int, int]]:
+    """Yield the events that must keep their order: what of each waits for others, and what others wait for."""
+    for call in graph.calls:
+        start, end = (order.number[PlanEvent(call.index, moment)] for moment in Moment)
+        if call.action.duration is None:
+            points = [(start, end, call.action.end_effects)]
+        else:
+            points = [(start, start, call.action.start_effects), (end, end, call.action.end_effects)]
+        for first, last, effects in points:
+            if first and (kept.fluents is None or kept.fluents & written(effects, state)):
+                yield first, last

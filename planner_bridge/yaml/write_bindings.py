@@ -1,0 +1,45 @@
+"""Bindings as YAML: beside the parts of an action in the language, or as a bindings file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
+from typing import Final
+
+from planner_bridge.pddl.syntax.words import number_text
+from planner_bridge.yaml import emitter
+from planner_bridge.yaml.emitter import Bare, Entry, Value, document, items
+from pnm.core.machine.bindings import DEFAULT, Binding, Bindings
+
+LANGUAGE_DEFAULT: Final = Binding(retries=0)
+"""What an action in the language has that says nothing."""
+
+
+def binding_entries(binding: Binding, usual: Binding, *, type_key: str) -> Iterator[Entry]:
+    """Yield a key for everything that is not as usual."""
+    for field in fields(binding):
+        value = getattr(binding, field.name)
+        if value != getattr(usual, field.name):
+            yield Entry(_value(value), type_key if field.name == "type" else field.name)
+
+
+def write_bindings(bindings: Bindings) -> str:
+    """Write a bindings file; an empty text if all is as usual."""
+    parts = {name: tuple(binding_entries(binding, DEFAULT, type_key="type")) for name, binding in bindings.actions.items()}
+    actions = tuple([Entry(emitter.Mapping(entries), name) for name, entries in parts.items() if entries])
+    return document(emitter.Mapping((Entry(emitter.Mapping(actions), "actions"),))) if actions else ""
+
+
+def _value(value: object) -> Value:
+    match value:
+        case str():
+            return value
+        case Mapping():
+            return emitter.Mapping(tuple([Entry(_value(inner), str(key)) for key, inner in value.items()]), short=True)
+        case list() | tuple():
+            return items(map(_value, value), short=True)
+        case float():
+            return Bare(number_text(value))
+        case _:
+            return Bare(json.dumps(value))

@@ -1,0 +1,82 @@
+"""Roles of places: does the net agree with what the machine says of its places, and begin as the proof takes it to begin?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from pnm.core.machine.machine import Accepts, Due, EffectsSeen, Ends, PetriNetMachine
+from pnm.core.machine.verification.part import Part, Unsound
+
+
+def check_roles(machine: PetriNetMachine) -> str:
+    """Check that every place has one role, and that at first the beginning is marked, budgets and resources, and nothing else.
+
+    Returns:
+        The place where the machine begins.
+
+    Raises:
+        Unsound: something of that is not so.
+    """
+    roles: tuple[Iterable[str], ...] = (
+        *((machine.goal_place,), (machine.failed_place,), machine.failure_places, machine.restart_places),
+        *(machine.budget_places, machine.resource_places, machine.orderings, machine.border_places),
+    )
+    places = set[str]()
+    for role in roles:
+        if not places.isdisjoint(role):
+            raise Unsound(f"{next(place for place in role if place in places)} has two roles")
+        places.update(role)
+    moving = machine.alive_places.union(machine.settling_places)
+    if not places.isdisjoint(moving):
+        raise Unsound(f"{min(places & moving)} is no place of a call that is under way")
+    if missing := (places | moving).difference(machine.net.places):
+        raise Unsound(f"{min(missing)} is no place of the net")
+    marked = [place for place in machine.initial if place not in machine.budget_places and place not in machine.resource_places]
+    if len(marked) != 1 or machine.initial[marked[0]] != 1 or marked[0] in places or marked[0] in moving:
+        raise Unsound(f"{', '.join(marked) or 'nothing'} is marked at first; expected one place without a role, and one token")
+    return marked[0]
+
+
+def check_steps(part: Part) -> None:
+    """Check what the exploration of a part takes for granted about its steps.
+
+    A report moves the one token of its call; what is marked as failed or as the end stays so; there is as much of every resource as
+    any step takes; delays count from what is taken.
+
+    Raises:
+        Unsound: something of that is not so.
+    """
+    for step in part.steps:
+        inputs, guard = step.inputs, step.guard
+        if isinstance(guard, Accepts | Ends) and (len(inputs) != 1 or set(inputs.values()) != {1} or not part.records.isdisjoint(inputs)):
+            raise Unsound(f"{step.name} is opened by a report, and does not take just the one token of its call")
+        if isinstance(guard, EffectsSeen) and not part.settling.issuperset(inputs):
+            raise Unsound(f"{step.name} looks for effects at a place that is not said to be one for that")
+        if isinstance(guard, Due) and not inputs.keys() >= dict(guard.since).keys():
+            raise Unsound(f"{step.name} counts from the marking of {', '.join(dict(guard.since))}, which it does not take from")
+        for place, weight in inputs.items():
+            if place in part.failures or place in part.finals:
+                raise Unsound(f"{step.name} takes from {place}, which stays as it is")
+            if place in part.resources and weight > part.initial.get(place, 0):
+                raise Unsound(f"{step.name} takes {weight} of {place}, and there is {part.initial.get(place, 0)}")
+
+
+def check_causes(machine: PetriNetMachine, entered: Iterable[str], transitions: Iterable[str]) -> None:
+    """Check that a step does not fail without a cause that a rule has found.
+
+    Args:
+        machine: that the step is part of.
+        entered: places that are marked when the step is entered.
+        transitions: those of the step.
+
+    Raises:
+        Unsound: a failure place may be marked although no cause was found since.
+    """
+    net, reached = machine.net, set(entered)
+    without = [name for name in transitions if machine.rules[name].cause is None]
+    while new := [name for name in without if not reached.isdisjoint(net.inputs[name])]:
+        for name in new:
+            if not net.outputs[name].keys().isdisjoint(machine.failure_places):
+                raise Unsound(f"{name} marks a failure, and no rule has found its cause")
+            reached |= net.outputs[name].keys() - machine.record_places
+        without = [name for name in without if name not in new]

@@ -1,0 +1,79 @@
+"""Life of a call's request, as far as the proof needs it: sent, alive until its end is reported or it is given up, and over."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from enum import Enum
+from typing import Final
+
+from pnm.core.machine.machine import Accepts, Adopted, EffectsMissing, EffectsSeen, Ends, TransitionAction
+from pnm.core.machine.requests import BEFORE_ACCEPTANCE, OutcomeKind
+from pnm.core.machine.verification.part import Step
+
+_ANY: Final = frozenset(OutcomeKind)
+
+
+class Life(Enum):
+    """Life of the last request of a call."""
+
+    NONE = "none was sent since the call was reached"
+    ADOPTABLE = "another run has sent it"
+    ALIVE = "it is alive"
+    OVER = "it is over, or given up"
+
+    __hash__ = object.__hash__  # each is there once; states are hashed all the time
+
+
+def following(step: Step, life: Life) -> Life:
+    """Return the life of the request once the step has happened."""
+    if step.action in (TransitionAction.SEND, TransitionAction.ADOPT):
+        return Life.ALIVE
+    return Life.OVER if step.gives_up or isinstance(step.guard, Ends) else life
+
+
+def misuse(step: Step, life: Life, *, ending: bool) -> str:
+    """Return what the step does that it must not do with the request of its call; empty when there is nothing."""
+    match step.action:
+        case TransitionAction.SEND if ending:
+            return f"{step.name} sends a request although the run is ending"
+        case TransitionAction.SEND if life in (Life.ADOPTABLE, Life.ALIVE):
+            return f"{step.name} sends a request while one of the call is alive"
+        case TransitionAction.ADOPT if life is not Life.ADOPTABLE:
+            return f"{step.name} takes over a request that no other run has sent"
+        case TransitionAction.CANCEL | TransitionAction.BEGIN if life is not Life.ALIVE:
+            return f"{step.name} is about a request, and none is alive"
+        case TransitionAction.FINISH | TransitionAction.UNDO if life in (Life.NONE, Life.ADOPTABLE):
+            return f"{step.name} is about the effects of a request that was not sent"
+        case _:
+            pass
+    if step.gives_up and life is not Life.ALIVE:
+        return f"{step.name} gives a request up, and none is alive"
+    if isinstance(step.guard, EffectsSeen | EffectsMissing) and life in (Life.NONE, Life.ADOPTABLE):
+        return f"{step.name} looks for the effects of a request that was not sent"
+    return ""
+
+
+def may_come(step: Step, life: Life, *, accepts: bool) -> bool:
+    """Return whether a report about the request, or its adoption, may come.
+
+    Where an acceptance is waited for (`accepts`), an end that implies one is taken as that first.
+    """
+    match step.guard:
+        case Adopted():
+            return life is Life.ADOPTABLE
+        case Ends(_, kinds):
+            return life is Life.ALIVE and not (accepts and kinds.isdisjoint(BEFORE_ACCEPTANCE))
+        case _:
+            return life is Life.ALIVE
+
+
+def untaken(steps: Iterable[Step]) -> frozenset[OutcomeKind]:
+    """Return the ends of a request that is alive which none of the enabled steps takes; such a report would be lost."""
+    taken = frozenset[OutcomeKind]()
+    expected = _ANY
+    for step in steps:
+        if isinstance(step.guard, Ends):
+            taken |= step.guard.kinds
+        elif isinstance(step.guard, Accepts):
+            expected = BEFORE_ACCEPTANCE  # any other is taken once the acceptance is
+    return expected - taken

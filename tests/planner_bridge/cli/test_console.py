@@ -1,0 +1,56 @@
+"""What `pnm run` prints while a task goes on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.support.processes import pnm
+
+SHOP = "(define (domain shop) (:requirements :typing :durative-actions :timed-initial-literals) (:predicates (open) (bought))\n"
+BUY = " (:durative-action buy :parameters () :duration (= ?duration 3) :condition (over all (open)) :effect (at end (bought))))"
+
+
+def test_seconds_count_from_the_beginning_of_the_task(tmp_path: Path) -> None:
+    (tmp_path / "d.pddl").write_text(SHOP + BUY)
+    (tmp_path / "p.pddl").write_text("(define (problem p) (:domain shop) (:init (at 5 (open))) (:goal (bought)))")
+    lines = pnm("run", str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl")).stdout.splitlines()
+    assert [line for line in lines if "buy()" in line] == [
+        "      5.00 s  buy()  [3.00 s]",
+        "      5.00 s  start  buy()",
+        "      8.00 s  done   buy()",
+    ]
+
+
+def test_seconds_of_a_hand_written_plan_count_from_its_beginning(tmp_path: Path) -> None:
+    (tmp_path / "p.yaml").write_text("actions: {look: {duration: 1}}\nplan: [{look: , release: 3}]\n")
+    lines = pnm("run", "--plan", str(tmp_path / "p.yaml")).stdout.splitlines()
+    assert "      3.00 s  start  look()" in lines
+
+
+TWICE = """(define (domain d) (:requirements :durative-actions) (:predicates (a) (b))
+ (:durative-action first :parameters () :duration (= ?duration 3) :condition () :effect (at end (a)))
+ (:durative-action second :parameters () :duration (= ?duration 3) :condition (at start (a)) :effect (at end (b))))"""
+
+
+@pytest.mark.parametrize(
+    ("fault", "start", "why"),
+    [
+        ("hang", "10.00", "timed_out"),
+        ("abort", " 1.50", "aborted"),
+        ("no_effect", " 3.01", "effects_missing: expected (a)"),
+    ],
+)
+def test_why_a_call_is_tried_again_stands_beside_the_attempt(tmp_path: Path, fault: str, start: str, why: str) -> None:
+    (tmp_path / "d.pddl").write_text(TWICE)
+    (tmp_path / "p.pddl").write_text("(define (problem p) (:domain d) (:init) (:goal (b)))")
+    (tmp_path / "f.yaml").write_text(f"faults: [{{action: first, do: {fault}, times: 1}}]")
+    done = pnm("run", str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl"), "--faults", str(tmp_path / "f.yaml"))
+    assert f"     {start} s  start  first() (attempt 2, after {why})" in done.stdout.splitlines()
+
+
+def test_a_call_that_is_not_needed_is_said(tmp_path: Path) -> None:
+    (tmp_path / "plan.yaml").write_text("facts: [(b)]\nactions: {go: {effects: [(b)]}}\nplan: [go:]\n")
+    lines = pnm("run", "--plan", str(tmp_path / "plan.yaml")).stdout.splitlines()
+    assert "      0.00 s  spared go(): its effects hold already" in lines

@@ -1,0 +1,60 @@
+"""`-o` and `--log`: what exists stays as it is, unless the user says otherwise; nothing is made that was not named."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.support.files import ROOT
+from tests.support.processes import pnm
+
+
+@pytest.fixture
+def domain(tmp_path: Path) -> Path:
+    (tmp_path / "domain.pddl").write_text((ROOT / "domains/patrol/domain.pddl").read_text())
+    (tmp_path / "problem.pddl").write_text((ROOT / "problems/patrol/p01.pddl").read_text())
+    return tmp_path / "domain.pddl"
+
+
+@pytest.mark.parametrize("command", ["export", "net", "simulate"])
+def test_a_file_that_exists_is_not_replaced(domain: Path, command: str) -> None:
+    before = domain.read_bytes()
+    done = pnm(command, str(domain), str(domain.parent / "problem.pddl"), "--log" if command == "simulate" else "-o", str(domain))
+    assert (done.returncode, done.stderr) == (2, f"{domain}: there is such a file already; --force replaces it\n")
+    assert domain.read_bytes() == before
+
+
+def test_the_output_may_be_a_device_that_is_redirected(domain: Path) -> None:
+    with (domain.parent / "out").open("w") as out:
+        command = [sys.executable, "-m", "planner_bridge", "export", str(domain), "-o", "/dev/stdout"]
+        assert subprocess.run(command, stdout=out, stderr=subprocess.DEVNULL, check=False, cwd=ROOT).returncode == 0
+    assert (domain.parent / "out").read_text().startswith("#")
+
+
+def test_nothing_is_imported_over_files_that_exist(domain: Path) -> None:
+    text, folder = domain.parent / "x.yaml", domain.parent
+    assert pnm("export", str(domain), str(folder / "problem.pddl"), "-o", str(text)).returncode == 0
+    domain.unlink()
+    before = (folder / "problem.pddl").read_bytes()
+    done = pnm("import", str(text), "-o", str(folder))
+    assert (done.returncode, done.stderr) == (2, f"{folder / 'problem.pddl'}: there is such a file already; --force replaces it\n")
+    assert not domain.exists()  # neither, if not both
+    assert (folder / "problem.pddl").read_bytes() == before
+    assert pnm("import", str(text), "-o", str(folder), "--force").returncode == 0
+    assert domain.exists()
+    assert (folder / "problem.pddl").read_bytes() != before
+
+
+def test_a_new_file_is_named_and_no_folder_is_made(domain: Path) -> None:
+    new = domain.parent / "x.yaml"
+    done = pnm("export", str(domain), "-o", str(new))
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", f"wrote {new}\n")
+    done = pnm("export", str(domain), "-o", str(domain.parent / "a" / "b.yaml"))
+    assert done.returncode == 2
+    assert done.stderr == f"{domain.parent}/a/b.yaml: cannot be written: there is no folder {domain.parent}/a\n"
+    done = pnm("import", str(new), "-o", str(domain.parent / "a" / "b"))
+    assert (done.returncode, (domain.parent / "a").exists()) == (2, False)
+    assert done.stderr == f"{domain.parent}/a/b: not a folder, and none can be made there: No such file or directory\n"

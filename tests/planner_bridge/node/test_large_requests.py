@@ -1,0 +1,128 @@
+"""Requests that take long: the event loop goes on meanwhile, their turns come in order, and there is an end to what they may take."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+import pytest
+
+from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.node import timed_state
+from planner_bridge.node.plan_request import make_plan
+from planner_bridge.node.problem_folder import ProblemFolder
+from planner_bridge.node.problem_service import LoadedProblem, ServedProblem
+from planner_bridge.node.world_queries import MAX_CHARACTERS, MAX_GOAL_CHOICES
+from planner_bridge.tasks.settings import Settings
+from pnm.clock import run_async
+from pnm.core.logic.domain import MAX_CHOICES
+from pnm.errors import InputError
+from pnm.tasks import Code
+from tests.support.tasks.world import DOMAIN, PROBLEM, world
+
+LONG = f"(and {'(not (dark)) ' * 5000}(charged r1))"
+
+
+def deep(variables: int) -> str:
+    """A condition about every choice of three robots for so many variables."""
+    return f"(forall ({' '.join(f'?x{number}' for number in range(variables))} - robot) (charged ?x0))"
+
+
+def serve(scene: Callable[[ServedProblem, LoadedProblem], Awaitable[None]], tmp_path) -> None:
+    async def whole() -> None:
+        loaded = LoadedProblem(PROBLEM, initial_knowledge(PROBLEM), {}, Settings())
+        await scene(ServedProblem(loaded, ProblemFolder(tmp_path), lambda _: None), loaded)
+
+    run_async(whole(), virtual=False)
+
+
+async def noop() -> None:
+    """Do nothing, at once."""
+
+
+async def turns_of(work: Awaitable[object]) -> int:
+    """How many turns the event loop has while the work is done."""
+    task, turns = asyncio.ensure_future(work), 0
+    while not task.done():
+        await asyncio.sleep(0)
+        turns += 1
+    task.result()
+    return turns
+
+
+@pytest.mark.parametrize("what", ["query", "update", "get", "save", "load"])
+def test_the_event_loop_goes_on_while_a_request_is_worked_on(tmp_path, what):
+    async def scene(served, loaded):
+        requests = {
+            "query": lambda: served.query([LONG] * 5),
+            "update": lambda: served.update(["(dark)"] * 10_000, [], []),
+            "get": served.get,
+            "save": lambda: served.save("p.pddl"),
+            "load": lambda: served.load("", f"(define (problem p) (:domain d) (:goal {LONG}) (:objects r1 - robot))"),
+        }
+        assert await turns_of(noop()) == 1
+        assert await turns_of(requests[what]()) > 1
+
+    serve(scene, tmp_path)
+
+
+def test_requests_have_their_turns_in_order_each_from_what_is_known_then(tmp_path):
+    async def scene(served, loaded):
+        ended = []
+
+        async def noted(name, work):
+            result = await work
+            ended.append(name)
+            return result
+
+        first, _, second = await asyncio.gather(
+            noted("first", served.query([LONG, "(dark)"])),
+            noted("update", served.update(["(dark)"], [], [])),
+            noted("second", served.query(["(dark)"])),
+        )
+        assert ended == ["first", "update", "second"]
+        assert (first[1][1], second[0][1]) == ("false", "true")
+        assert loaded.knowledge.value(("dark",)) is True
+
+    serve(scene, tmp_path)
+
+
+def test_a_request_has_a_budget(tmp_path, monkeypatch):
+    async def scene(served, loaded):
+        with pytest.raises(InputError, match=f"characters at once; expected {MAX_CHARACTERS} at most"):
+            await served.query([LONG] * 20)
+        with pytest.raises(InputError, match=f"characters at once; expected {MAX_CHARACTERS} at most"):
+            await served.update([LONG] * 10, [LONG] * 10, [])
+        monkeypatch.setattr(timed_state, "MAX_SECONDS", -1.0)
+        with pytest.raises(InputError, match="the answers have taken -1 s; expected fewer or simpler questions"):
+            await served.query(["(dark)"] * 3)
+
+    serve(scene, tmp_path)
+
+
+def test_goals_range_over_less_than_questions():
+    assert 3**8 < MAX_GOAL_CHOICES < 3**9 < MAX_CHOICES < 3**10
+    assert world().query([deep(9)]) == [(deep(9), "false")]
+    with pytest.raises(InputError, match=rf"questions\[0\]:1:1: the quantifiers range over {3**10} choices of objects"):
+        world().query([deep(10)])
+    assert world().read_goal(deep(8))
+    with pytest.raises(InputError, match=f"goal:1:1: the quantifiers range over {3**9} choices of objects; expected {MAX_GOAL_CHOICES}"):
+        world().read_goal(deep(9))
+
+
+def test_a_plan_request_whose_goal_cannot_be_read_raises_what_is_wrong():
+    async def scene():
+        with pytest.raises(InputError, match="goal:1:2: unknown predicate"):
+            await make_plan(world(), Settings(), "(flies r1)", "", 5.0)
+        assert (await make_plan(world(), Settings(), "(dark)", "", 5.0)).code is Code.GOAL_REACHED
+
+    assert DOMAIN.actions
+    run_async(scene(), virtual=False)
+
+
+def test_the_time_for_answers_is_over_in_the_middle_of_a_question(monkeypatch):
+    moments = iter([0.0, *[1.0] * 100, *[9.0] * 10])
+    monkeypatch.setattr(timed_state, "monotonic", lambda: next(moments))
+    with pytest.raises(InputError, match="the answers have taken 5 s"):
+        world().query([f"(or {'(dark) ' * 200})"])
+    assert len(list(moments)) == 9

@@ -1,0 +1,214 @@
+"""Every ordering that a plan needs is missed when it is not there, and none else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from planner_bridge.loading import load
+from planner_bridge.model.plan import Plan, PlanStep
+from planner_bridge.model.problem import Domain, Problem
+from planner_bridge.ordering.plan_to_graph import check_order, plan_graph
+from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.planning.solve import solve
+from planner_bridge.planning.validate import why_invalid
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import TRUE, All, Holds, Not, fluents
+from pnm.core.logic.domain import ActionSchema, Declaration
+from pnm.core.logic.effects import Effects, Set
+from pnm.core.logic.expressions import Constant
+from pnm.core.logic.trajectory import Constraint
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph, PlanGraphError
+from tests.support.files import ROOT, SHARED
+from tests.support.pddl.linearisations import how_it_ends
+from tests.support.pddl.problems import matches, rooms
+from tests.support.pddl.random_plans import apart, walks
+from tests.support.pddl.random_problems import Draw, Features, problems
+
+FACTS = ("p", "q", "r")
+STATE = KnowledgeBase()
+
+
+def is_noticed(problem: Problem, graph: PlanGraph) -> bool:
+    try:
+        check_order(problem, graph)
+    except PlanGraphError:
+        return True
+    return False
+
+
+def without(graph: PlanGraph, *gone: Ordering) -> PlanGraph:
+    return replace(graph, orderings=tuple(one for one in graph.orderings if one not in gone))
+
+
+def cuts(graph: PlanGraph) -> list[Ordering]:
+    """The orderings that no others imply."""
+    return [one for one in graph.orderings if not is_implied(without(graph, one), one)]
+
+
+def is_implied(graph: PlanGraph, wanted: Ordering) -> bool:
+    after: dict[PlanEvent, list[PlanEvent]] = {}
+    for ordering in graph.orderings:
+        after.setdefault(ordering.before, []).append(ordering.after)
+    reached, waiting = {wanted.before}, [wanted.before]
+    while waiting:
+        event = waiting.pop()
+        ends = [PlanEvent(event.call, Moment.END)] if event.moment is Moment.START else []
+        new = {*after.get(event, ()), *ends} - reached
+        reached |= new
+        waiting += new
+    return wanted.after in reached
+
+
+# --- the definition: all orders of small graphs --------------------------------------------
+
+
+def truth_values(draw: Draw) -> All:
+    return All(tuple(Holds((name,)) if wanted else Not(Holds((name,))) for name, wanted in assignments(draw)))
+
+
+def setting(draw: Draw) -> Effects:
+    return tuple(Set((name,), Constant(value)) for name, value in assignments(draw))
+
+
+def assignments(draw: Draw) -> list[tuple[str, bool]]:
+    return draw(st.lists(st.tuples(st.sampled_from(FACTS), st.booleans()), max_size=2, unique_by=lambda one: one[0]))
+
+
+@st.composite
+def graphs_of_facts(draw: Draw) -> tuple[Problem, PlanGraph]:
+    """Draw calls that need and change facts, with any orderings at all."""
+    calls = []
+    for index in range(draw(st.integers(1, 3))):
+        needs, writes, lasts = truth_values(draw), setting(draw), draw(st.booleans())
+        action = GroundAction(f"a{index}", precondition=needs, end_effects=writes)
+        if lasts:
+            within, ending, at_start = truth_values(draw), truth_values(draw), setting(draw)
+            action = replace(action, invariant=within, end_condition=ending, start_effects=at_start, duration=1.0)
+        calls.append(ActionCall(index, action))
+    events = [PlanEvent(call.index, moment) for call in calls for moment in Moment]
+    pairs = [(one, other) for one, other in combinations(events, 2) if one.call != other.call]
+    chosen = draw(st.lists(st.sampled_from(pairs), max_size=5, unique=True)) if pairs else []
+    schemas = {call.action.name: schema_of(call.action) for call in calls}
+    domain = Domain("d", predicates={name: Declaration(name) for name in FACTS}, actions=schemas)
+    init = {(name,): True for name in draw(st.sets(st.sampled_from(FACTS)))}
+    problem = Problem("p", domain, init=init, goal=truth_values(draw))
+    return problem, PlanGraph(tuple(calls), tuple(Ordering(*pair) for pair in chosen), problem.goal)
+
+
+def schema_of(action: GroundAction) -> ActionSchema:
+    parts: dict[str, Any] = {name: getattr(action, name) for name in ("name", "precondition", "invariant", "end_condition")}
+    return ActionSchema(**parts, start_effects=action.start_effects, end_effects=action.end_effects)
+
+
+@settings(max_examples=500, deadline=None)
+@given(graphs_of_facts())
+def test_of_facts_exactly_those_orders_are_refused_that_do_not_all_end_well(drawn: tuple[Problem, PlanGraph]) -> None:
+    problem, graph = drawn
+    ends = how_it_ends(problem, graph)
+    if ends != {False}:  # a plan that never works is for the validator
+        assert is_noticed(problem, graph) is (False in ends)
+
+
+@pytest.mark.parametrize("timed", [False, True])
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much])
+@given(st.data())
+def test_whatever_is_read_and_written_no_order_that_ends_otherwise_is_let_through(timed: bool, data: st.DataObject) -> None:
+    problem = replace(data.draw(problems(Features(timed=timed))), timed=(), goal=TRUE)
+    drawn = data.draw(walks(problem))
+    drawn = replace(drawn, steps=drawn.steps[:4])
+    plan = apart(drawn) if problem.is_timed and not why_invalid(problem, apart(drawn)) else drawn
+    whole = plan_graph(problem, plan)
+    assert not is_noticed(problem, whole)
+    gone = data.draw(st.lists(st.sampled_from(whole.orderings), max_size=2)) if whole.orderings else []
+    graph = without(whole, *gone)
+    if not is_noticed(problem, graph):
+        assert len(how_it_ends(problem, graph)) == 1
+
+
+# --- the orderings of real plans ------------------------------------------------------------
+
+FOLDERS = (SHARED / "pddl" / "robots", SHARED / "pddl" / "ipc")
+PAIRS = [
+    *((ROOT / "domains" / name / "domain.pddl", ROOT / "problems" / name / "p01.pddl") for name in ("delivery", "mall_guide")),
+    *((one / "domain.pddl", one / "problem.pddl") for folder in FOLDERS if folder.is_dir() for one in sorted(folder.glob("*_s"))),
+]
+
+
+@pytest.mark.parametrize(("domain", "file"), PAIRS, ids=lambda path: path.parent.name)
+def test_no_ordering_of_a_plan_can_be_cut_unless_it_protects_nothing(domain: Path, file: Path) -> None:
+    problem = load(domain, file)
+    plan = solve(problem, timeout=10.0).plan
+    if plan is None:
+        pytest.skip("Kairos needs longer for it")
+    graph = plan_graph(problem, plan)
+    assert graph.orderings
+    for ordering in graph.orderings:
+        left = without(graph, ordering)
+        if not is_noticed(problem, left) and not is_implied(left, ordering):
+            assert is_write_after_write(graph, ordering), f"{ordering} can be cut"
+
+
+def is_write_after_write(graph: PlanGraph, ordering: Ordering) -> bool:
+    """Whether the ordering is between writers that nothing reads between."""
+    first, second = (graph.calls[event.call].action for event in (ordering.before, ordering.after))
+    needed = fluents(second.precondition, STATE) | fluents(second.invariant, STATE) | fluents(second.end_condition, STATE)
+    needs = fluents(first.precondition, STATE) | fluents(first.invariant, STATE) | fluents(first.end_condition, STATE)
+    return not (set(ordering.protects) & needed and set(ordering.protects) & needs)
+
+
+MATCH = Plan((PlanStep("strike", ("m0",), 0.0, 8.0), PlanStep("mend", ("f0", "m0"), 0.0, 5.0)), temporal=True)
+
+
+def test_what_an_action_needs_all_the_time_is_protected_until_its_end() -> None:
+    problem = matches(1)
+    graph = plan_graph(problem, MATCH)
+    start, end = graph.orderings
+    with pytest.raises(PlanGraphError, match=r"end of strike\(m0\)#0 may come between .* mend\(f0, m0\)#1.* needs \(light m0\)"):
+        check_order(problem, without(graph, end))
+    with pytest.raises(PlanGraphError, match=r"start of mend\(f0, m0\)#1 needs \(light m0\), but the initial state"):
+        check_order(problem, without(graph, start))
+
+
+def test_the_message_names_the_reader_the_fact_and_the_writer() -> None:
+    problem = rooms(goal="(at r1 c)")
+    graph = plan_graph(problem, Plan((PlanStep("move", ("r1", "a", "b"), 0.0), PlanStep("move", ("r1", "b", "c"), 1.0))))
+    with pytest.raises(PlanGraphError) as refusal:
+        check_order(problem, without(graph, *graph.orderings))
+    assert str(refusal.value) == (
+        "an ordering is missing: the start of move(r1, b, c)#1 needs (at r1 b), but the initial state may be the last that writes it before"
+    )
+
+
+def test_an_order_that_a_constraint_asks_for_is_missed() -> None:
+    never_both = Constraint("always", (Not(All((Holds(("at", "r1", "b")), Holds(("at", "r2", "b"))))),))
+    problem = replace(rooms(goal="(and)"), constraints=(never_both,))
+    graph = plan_graph(problem, Plan((PlanStep("move", ("r1", "a", "b"), 0.0), PlanStep("move", ("r2", "a", "b"), 1.0))))
+    assert graph.orderings
+    with pytest.raises(PlanGraphError, match="does not keep"):
+        check_order(problem, without(graph, *graph.orderings))
+
+
+DOORS = """(define (domain d) (:requirements :durative-actions :timed-initial-literals) (:predicates (open) (in))
+  (:durative-action pass :parameters () :duration (= ?duration 5) :condition (over all (open)) :effect (at end (in))))"""
+
+
+def test_a_call_that_needs_a_timed_fact_may_not_come_before_it() -> None:
+    problem = parse_problem("(define (problem p) (:domain d) (:init (at 70 (open))) (:goal (in)))", parse_domain(DOORS))
+    graph = plan_graph(problem, Plan((PlanStep("pass", (), 70.0, 5.0),), temporal=True))
+    with pytest.raises(PlanGraphError, match="needs"):
+        check_order(problem, replace(graph, steps=tuple(replace(call, release=0.0) for call in graph.calls)))
+
+
+def test_calls_that_are_under_way_end_before_what_needs_them() -> None:
+    problem = rooms("(at r1 b) (at r2 a)", goal="(at r1 c)")
+    move = plan_graph(rooms(), Plan((PlanStep("move", ("r1", "a", "b"), 0.0),))).calls[0]
+    graph = plan_graph(problem, Plan((PlanStep("move", ("r1", "b", "c"), 0.0),)), [move])
+    with pytest.raises(PlanGraphError, match="the initial state"):
+        check_order(problem, without(graph, *graph.orderings), projected=True)

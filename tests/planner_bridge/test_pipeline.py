@@ -1,0 +1,122 @@
+"""`achieve` from Python: who performs the actions is what the caller said, or an error."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from uuid import UUID
+
+import pytest
+
+from planner_bridge.pipeline import achieve, carry_out
+from planner_bridge.tasks.settings import Settings
+from pnm.actions.faults import Fault, FaultKind, Faults
+from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.machine.requests import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Reporter, Request
+from pnm.errors import InputError
+from pnm.knowledge.sensor_model import Sensing
+from tests.support.files import ROOT
+from tests.support.tasks.rooms import ring
+
+TWO_STEPS = "actions: {go: {params: [place]}}\nplan: [{go: {place: a}}, {go: {place: b}}]\n"
+
+
+class Robot:
+    """An action client that notes what it is sent; the first request fails."""
+
+    def __init__(self) -> None:
+        self.sent: list[str] = []
+
+    def goal_fields(self, action: GroundAction, /) -> tuple[str, ...] | None:
+        return None
+
+    def send(self, request: Request, report: Reporter, /) -> None:
+        self.sent.append(str(request.action))
+        outcome = OutcomeKind.ABORTED if len(self.sent) == 1 else OutcomeKind.SUCCEEDED
+        loop = asyncio.get_running_loop()
+        loop.call_soon(report, Accepted(request.id))
+        loop.call_soon(report, Ended(request.id, Outcome(outcome)))
+
+    def cancel(self, request: UUID, /) -> None:
+        pass
+
+
+def test_an_action_client_carries_out_the_plan_and_what_follows_a_failure() -> None:
+    robot = Robot()
+    assert isinstance(robot, ActionClient)
+    result = achieve(None, ring(), actions=robot, settings=Settings())
+    assert result.goal_reached
+    assert robot.sent == ["move(r1, a, b)", "move(r1, a, b)", "move(r1, b, c)"]
+    assert result.as_json()["calls"][0]["assumed"]  # type: ignore[index]
+
+
+def test_an_action_client_carries_out_a_hand_written_plan(tmp_path: Path) -> None:
+    (tmp_path / "p.yaml").write_text(TWO_STEPS.replace("[place]}", "[place], retries: 1}"))
+    robot = Robot()
+    assert carry_out(tmp_path / "p.yaml", actions=robot).goal_reached
+    assert robot.sent == ["go(a)", "go(a)", "go(b)"]
+
+
+@pytest.mark.parametrize(
+    "run", [lambda actions, _: achieve(None, ring(), actions=actions), lambda actions, file: carry_out(file, actions=actions)]
+)
+@pytest.mark.parametrize(
+    ("actions", "message"),
+    [
+        ("ros", "expected actions 'simulated', 'ros2' or an ActionClient, found 'ros'; did you mean 'ros2'?"),
+        (None, "expected actions 'simulated', 'ros2' or an ActionClient, found None"),
+        (print, "expected actions 'simulated', 'ros2' or an ActionClient, found <built-in function print>"),
+        (Robot, "expected actions 'simulated', 'ros2' or an ActionClient, found <class 'tests.planner_bridge.test_pipeline.Robot'>"),
+    ],
+)
+def test_what_performs_no_actions_is_refused(tmp_path: Path, run: Callable[[Any, Path], object], actions: Any, message: str) -> None:
+    (tmp_path / "p.yaml").write_text(TWO_STEPS)
+    with pytest.raises(InputError) as error:
+        run(actions, tmp_path / "p.yaml")
+    assert str(error.value) == message
+
+
+def test_what_would_be_ignored_is_refused() -> None:
+    robot = Robot()
+    with pytest.raises(InputError, match="faults belong to simulated robots"):
+        achieve(None, ring(), actions=robot, faults=Faults((Fault("move", FaultKind.ABORT),)))
+    with pytest.raises(InputError, match="sensing is about topics and services of ROS 2"):
+        achieve(None, ring(), settings=Settings(sensing=Sensing(stale=1.0)))
+    assert robot.sent == []
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"settings": {"planner": "kairos"}}, "expected Settings, found {'planner': 'kairos'}"),
+        ({"observer": print}, "expected TaskObserver, found <built-in function print>"),
+        ({"faults": "faults.yaml"}, "expected Faults, found 'faults.yaml'"),
+    ],
+)
+def test_what_is_of_another_kind_is_refused(wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError) as error:
+        achieve(None, ring(), **wrong)
+    assert str(error.value) == message
+
+
+def test_the_name_of_a_file_is_no_bindings() -> None:
+    with pytest.raises(InputError, match=r"expected Bindings, found 'b\.yaml'; `pnm\.read_bindings` reads a file"):
+        Settings(bindings="b.yaml")  # type: ignore[arg-type]
+
+
+def test_bindings_beside_the_domain_are_read_as_the_command_reads_them(tmp_path: Path) -> None:
+    (tmp_path / "domain.pddl").write_text((ROOT / "domains/delivery/domain.pddl").read_text())
+    (tmp_path / "bindings.yaml").write_text("actions: {mvoe: {server: /x}}\n")
+    with pytest.raises(InputError, match=r"bindings.yaml:1:17: there is no action 'mvoe' in the domain"):
+        achieve(tmp_path / "domain.pddl", ROOT / "problems/delivery/p01.pddl")
+
+
+def test_inside_of_an_event_loop_it_is_said_how_to_call_it() -> None:
+    async def cell() -> None:
+        with pytest.raises(InputError, match=r"an event loop is running here, .* `await asyncio\.to_thread\(\.\.\.\)`"):
+            achieve(None, ring())
+        assert (await asyncio.to_thread(achieve, None, ring())).goal_reached
+
+    asyncio.run(cell())

@@ -1,0 +1,70 @@
+"""Bindings are part of what is exported and imported: a plan that is exported calls the servers that the goal would have called."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from planner_bridge.yaml.convert import exported, imported
+from pnm.actions.bindings_file import read_bindings
+from pnm.core.machine.bindings import DEFAULT, Binding, Bindings
+from pnm.errors import InputError
+from pnm.language.plan import read_plans
+from tests.support.files import ROOT
+from tests.support.processes import pnm
+
+DELIVERY = ROOT / "domains/delivery/domain.pddl", ROOT / "problems/delivery/p01.pddl"
+EVERYTHING = Binding(
+    server="/{robot}/move",
+    type="nav2_msgs/action/NavigateToPose",
+    goal={"pose": "$pose", "to": "?to", "deep": {"list": [1, 2.5, True, None, "on"], "x": "(distance ?from ?to)"}},
+    store={"time": "travel time"},
+    timeout=30.0,
+    accept=3.5,
+    cancel=1.0,
+    retries=2,
+    ask={"place": "Where to, {robot}?"},
+    resources=("{robot}/base", "lift"),
+)
+
+
+@pytest.mark.parametrize("binding", [EVERYTHING, Binding(retries=0), Binding(timeout=5.0)])
+def test_what_is_exported_is_bound_as_the_domain_was(tmp_path: Path, binding: Binding) -> None:
+    file = tmp_path / "x.yaml"
+    file.write_text(exported(*DELIVERY, with_plan=True, bindings=Bindings({"move": binding})).text, encoding="utf-8")
+    (plan,) = read_plans(file).values()
+    assert plan.bindings.of("move") == binding
+
+
+@pytest.mark.parametrize("binding", [EVERYTHING, Binding(retries=2), Binding(timeout=5.0)])
+def test_what_is_imported_is_bound_as_before(tmp_path: Path, binding: Binding) -> None:
+    file = tmp_path / "x.yaml"
+    file.write_text(exported(*DELIVERY, bindings=Bindings({"move": binding})).text, encoding="utf-8")
+    found = imported(file)
+    assert not found.warnings
+    (tmp_path / "bindings.yaml").write_text(found.texts["bindings.yaml"], encoding="utf-8")
+    assert read_bindings(tmp_path / "bindings.yaml").of("move") == binding
+    assert read_bindings(tmp_path / "bindings.yaml").of("load") == DEFAULT
+
+
+def test_the_command_exports_the_bindings_beside_the_domain_and_says_what_has_no_place(tmp_path: Path) -> None:
+    assert "    server: /{robot}/move\n    timeout: 30\n    retries: 1\n" in pnm("export", *map(str, DELIVERY)).stdout
+    (tmp_path / "b.yaml").write_text("actions: {load: {server: /lift}}\nassumed: [at]\nlag: 0.5\n")
+    done = pnm("export", *map(str, DELIVERY), "--bindings", str(tmp_path / "b.yaml"))
+    assert "    server: /lift\n    retries: 1\n" in done.stdout
+    assert "/{robot}/move" not in done.stdout
+    assert done.stderr == "'assumed' and 'lag' of the bindings are not in the text: give --bindings when it is run\n"
+
+
+def test_a_binding_of_an_action_that_is_not_there_is_refused() -> None:
+    with pytest.raises(InputError, match=r"the bindings have an action 'mvoe', which is not in .*; did you mean 'move'\?"):
+        exported(*DELIVERY, bindings=Bindings({"mvoe": Binding()}))
+
+
+@pytest.mark.parametrize("word", ["while", "if", "then", "else", "sequence", "concurrent_actions"])
+def test_an_action_that_is_called_as_a_word_of_the_language_is_not_exported(tmp_path: Path, word: str) -> None:
+    (tmp_path / "d.pddl").write_text(f"(define (domain d) (:predicates (p)) (:action {word} :effect (p)))")
+    done = pnm("export", str(tmp_path / "d.pddl"), "-o", str(tmp_path / "x.yaml"))
+    message = f"'{word}' is a word of the language; an action cannot be called so, expected another name in the domain\n"
+    assert (done.returncode, done.stderr, (tmp_path / "x.yaml").exists()) == (2, message, False)

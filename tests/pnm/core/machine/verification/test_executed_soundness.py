@@ -1,0 +1,198 @@
+"""The proof is of what is executed: machines that would hang, or be over too soon, or mix up requests, are refused in both ways."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from pnm.core.execution.resources import Resources
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import Always, ConditionTrue, PetriNetMachine, Rule, TransitionAction
+from pnm.core.machine.plan_graph import (
+    ActionCall,
+    Cause,
+    Flow,
+    GroundAction,
+    PlanGraph,
+    PlanGraphError,
+    Recovery,
+    Then,
+)
+from pnm.core.machine.verification.part import Unsound
+from pnm.core.machine.verification.verify import explore, verify
+from pnm.core.net.net import Marking, PetriNet, Weights
+from pnm.errors import InputError
+from tests.support.runs.mutants import _with_input, _with_output, _without
+from tests.support.runs.plan_graphs import plan
+
+ARM = generate(PlanGraph((ActionCall(0, GroundAction("a0", resources=("arm",))),)))
+CHAIN = generate(plan(2, "0e<1s"))
+WAY_OUT = GroundAction("help")
+COUNTING = generate(
+    PlanGraph(
+        (
+            ActionCall(
+                0,
+                GroundAction("a0"),
+                retries=3,
+                recoveries=(Recovery(frozenset({Cause.REJECTED}), Then.RETRY, Flow((ActionCall(1, WAY_OUT),)), times=5),),
+            ),
+        )
+    )
+)
+
+
+def marked(machine: PetriNetMachine, **tokens: int) -> PetriNetMachine:
+    named = {name.replace("_", " ") if name.startswith("resource") else name: count for name, count in tokens.items()}
+    return replace(machine, initial=Marking({**machine.initial, **named}))
+
+
+def without_place(machine: PetriNetMachine, place: str) -> PetriNetMachine:
+    def cut(arcs: Weights) -> Weights:
+        return {name: weight for name, weight in arcs.items() if name != place}
+
+    net = machine.net
+    places = tuple(name for name in net.places if name != place)
+    inputs, outputs = ({name: cut(arcs) for name, arcs in every.items()} for every in (net.inputs, net.outputs))
+    orderings = {name: ordering for name, ordering in machine.orderings.items() if name != place}
+    return replace(machine, orderings=orderings, net=PetriNet(places, inputs, outputs))
+
+
+def inputs_of(machine: PetriNetMachine, name: str, inputs: Weights) -> PetriNetMachine:
+    net = machine.net
+    return replace(machine, net=PetriNet(net.places, {**net.inputs, name: inputs}, net.outputs))
+
+
+def ruled(machine: PetriNetMachine, name: str, **changes: object) -> PetriNetMachine:
+    return replace(machine, rules={**machine.rules, name: machine.rules[name]._replace(**changes)})  # type: ignore[arg-type]
+
+
+def lost(machine: PetriNetMachine, name: str) -> PetriNetMachine:
+    rules = {other: rule for other, rule in machine.rules.items() if other != name}
+    return replace(machine, net=_without(machine.net, name), rules=rules)
+
+
+def one_place_more(machine: PetriNetMachine) -> PetriNetMachine:
+    return replace(machine, net=PetriNet((*machine.net.places, "elsewhere"), machine.net.inputs, machine.net.outputs))
+
+
+UNSOUND: dict[str, tuple[PetriNetMachine, str]] = {
+    "a resource without a token": (marked(ARM, resource_arm=0), "and there is 0"),
+    "a token outside": (marked(one_place_more(CHAIN), elsewhere=1), "marked at first"),
+    "a token in a final place": (marked(CHAIN, goal=1), "marked at first"),
+    "a failure place that is marked at first": (marked(CHAIN, **{"a0()#0 failed": 1}), "marked at first"),
+    "an end that nothing waits for": (
+        without_place(generate(plan(2, "0e<1e")), next(iter(generate(plan(2, "0e<1e")).orderings))),
+        "no place keeps|nothing waits for the end of step 0|goal is marked although|failed is marked although",
+    ),
+    "a report without input": (inputs_of(CHAIN, "a0()#0 withdrawn", {}), "does not take just the one token of its call"),
+    "a report with two inputs": (
+        replace(CHAIN, net=_with_input(CHAIN.net, "a0()#0 succeeded", "a0()#0 ready")),
+        "does not take just the one token of its call",
+    ),
+    "a place that is goal and budget": (replace(CHAIN, budget_places=CHAIN.budget_places | {"goal"}), "two roles"),
+    "a place that is failure and resource": (replace(CHAIN, resource_places={"a0()#0 failed": "arm"}), "two roles"),
+    "a goal after a failure": (lost(CHAIN, "ended_by_failure"), "goal is marked although the run is ending"),
+    "a request that is sent while ending": (lost(CHAIN, "a0()#0 skip"), "sends a request although the run is ending"),
+    "a second request": (ruled(CHAIN, "a0()#0 accepted", action=TransitionAction.SEND), "sends a request while one of the call is alive"),
+    "effects of what was not sent": (
+        ruled(CHAIN, "a0()#0 precondition_false", action=TransitionAction.FINISH),
+        "effects of a request that was not sent",
+    ),
+    "a cancellation of nothing": (ruled(CHAIN, "a0()#0 retry", action=TransitionAction.CANCEL), "about a request, and none is alive"),
+    "an end that is lost": (lost(CHAIN, "a0()#0 aborted"), "nothing takes the report that a request has aborted|has no exit for"),
+    "a call under way that does not say so": (
+        replace(CHAIN, alive_places=CHAIN.alive_places - {"a0()#0 running"}),
+        "no place is marked that says so",
+    ),
+    "a failure that is taken back": (
+        replace(CHAIN, net=_with_input(CHAIN.net, "a0()#0 fork", "a0()#0 failed")),
+        "which stays as it is",
+    ),
+    "an end before the request is over": (
+        ruled(CHAIN, "a0()#0 unconfirmed", gives_up=False),
+        "a request is alive, and no place is marked that says so",
+    ),
+}
+
+
+@pytest.mark.parametrize("prove", [verify, explore])
+@pytest.mark.parametrize("name", UNSOUND)
+def test_what_would_go_wrong_when_it_is_executed_is_refused(name: str, prove: Callable[[PetriNetMachine], object]) -> None:
+    broken, why = UNSOUND[name]
+    with pytest.raises(Unsound, match=why):
+        prove(broken)
+
+
+def test_counters_are_pairs_before_they_are_counted_as_some() -> None:
+    verify(COUNTING)
+    for transition, place, weight in (
+        ("a0()#0 give_up", "a0()#0 spent", 5),
+        ("a0()#0 give_up 0", "a0()#0 uses spent 0", 3),
+        ("a0()#0 give_up 0", "a0()#0 uses spent 0", 2),
+    ):
+        inputs = COUNTING.net.inputs[transition]
+        with pytest.raises(Unsound, match="neither one nor all"):
+            verify(inputs_of(COUNTING, transition, {**inputs, place: weight}))
+    mixed = replace(
+        COUNTING, net=_with_output(_with_input(COUNTING.net, "a0()#0 join", "a0()#0 spent"), "a0()#0 join", "a0()#0 uses left 0")
+    )
+    with pytest.raises(Unsound, match="mixes counters"):
+        verify(mixed)
+
+
+def test_a_goal_that_is_marked_early_is_refused() -> None:
+    early = replace(CHAIN, net=_with_output(CHAIN.net, "a0()#0 start", "goal"))
+    early = ruled(early, "a0()#0 start", guard=ConditionTrue(CHAIN.plan.goal))
+    for prove in (verify, explore):
+        with pytest.raises(Unsound):
+            prove(early)
+
+
+def test_an_extra_step_without_inputs_is_not_waited_for() -> None:
+    net = CHAIN.net
+    never = PetriNet(net.places, {**net.inputs, "spark": {}}, {**net.outputs, "spark": {"a0()#0 ready": 1}})
+    verify(replace(CHAIN, net=never, rules={**CHAIN.rules, "spark": Rule("spark", Always(), 0)}))
+
+
+@pytest.mark.parametrize("capacity", [0, -1])
+def test_nothing_has_a_capacity_below_one(capacity: int) -> None:
+    graph = PlanGraph((ActionCall(0, GroundAction("act", resources=("arm",))),))
+    with pytest.raises(PlanGraphError, match="arm"):
+        generate(graph, capacities={"arm": capacity})
+    with pytest.raises(PlanGraphError, match="arm"):
+        PlanGraph(graph.steps, capacities={"arm": capacity})
+    with pytest.raises(PlanGraphError, match="arm"):
+        Resources({"arm": capacity})
+
+
+@pytest.mark.parametrize("seconds", [float("inf"), float("nan"), -1.0])
+def test_no_limit_is_infinite(seconds: float) -> None:
+    call = ActionCall(0, GroundAction("act"))
+    for limits in ({"timeout": seconds}, {"release": seconds}):
+        with pytest.raises(PlanGraphError, match="seconds"):
+            PlanGraph((replace(call, **limits),))  # type: ignore[arg-type]
+    for binding in ({"accept": seconds}, {"cancel": seconds}, {"timeout": seconds}):
+        with pytest.raises(InputError, match="seconds"):
+            Bindings({"act": Binding(**binding)})  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="seconds"):
+        Bindings(lag=seconds)
+    with pytest.raises(InputError, match="seconds"):
+        KnowledgeBase().sense(("at",), lag=seconds)
+
+
+def test_transitions_that_can_never_fire_are_listed_with_the_reason() -> None:
+    never = {fired.transition: fired.reason for fired in verify(CHAIN).never}
+    implied = "such an end implies that the request was accepted, and a{0}()#{0} accepted goes first"
+    assert never == {f"a{number}()#{number} ended_early": implied.format(number) for number in (0, 1)}
+
+
+def test_a_step_that_can_never_begin_is_refused() -> None:
+    net = COUNTING.net
+    past_it = PetriNet(net.places, net.inputs, {**net.outputs, "a0()#0 rejected": {"a0()#0 recover": 1}})
+    with pytest.raises(Unsound, match="step 1 of the plan can never begin"):
+        verify(replace(COUNTING, net=past_it))

@@ -1,0 +1,65 @@
+"""Reports about the world that cannot be so, or cannot be read."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from pnm.clock import run_async
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.expressions import UNKNOWN
+from pnm.knowledge.state_reports import StateReports
+from tests.support.pddl.sensed_world import KNOWN, PROBLEM
+
+WRONG = {
+    "of an object that is not declared": ({("at", "R1", "kitchen"): True}, "there is no object 'R1' in the domain; "),
+    "with too many arguments": ({("at", "r1"): True}, "(at r1) has 1 arguments; expected 2"),
+    "of another type": ({("at", "kitchen", "r1"): True}, "kitchen is a place"),
+    "of another kind": ({("at", "r1", "kitchen"): 3.0}, "at is a predicate"),
+    "of a name that is not among those of the report": ({("open", "door1"): True}, "does not name open"),
+}
+
+
+@pytest.mark.parametrize(("facts", "said"), WRONG.values(), ids=WRONG)
+def test_a_report_that_cannot_be_so_makes_unknown_what_it_is_about_and_is_told_once_with_a_count(caplog, facts, said):
+    async def main():
+        world = KnowledgeBase({("at", "r1", "hall"): True}, objects=PROBLEM.objects_by_type)
+        reports = StateReports(world, {}, 1.0, None, KNOWN)
+        for _ in range(1000):
+            reports.record({"at"}, facts)
+        about = {fluent[0] for fluent in facts}
+        assert world.value(("at", "r1", "hall")) is (UNKNOWN if about == {"at"} else False)
+        assert world.is_sensed(("at", "r1", "hall")), "there is a sensor: nothing about it is assumed"
+        reports.record({"at"}, {("at", "r1", "kitchen"): True})
+        assert (world.value(("at", "r1", "kitchen")), world.value(("at", "r1", "hall"))) == (True, False)
+        reports.close()
+
+    run_async(main(), virtual=True)
+    first, last = [record.getMessage() for record in caplog.records]
+    assert said in first
+    assert last.startswith("999 more reports on the state topic were wrong")
+
+
+def test_reports_that_cannot_be_read_do_not_make_their_names_assumed(caplog):
+    async def main():
+        world = KnowledgeBase({("at", "r1", "hall"): True}, objects=PROBLEM.objects_by_type)
+        reports = StateReports(world, {}, 1.0, None, KNOWN)
+        reports.refuse({"at", "nonsense"}, "not a fact: 'at r1 hall'")
+        assert world.value(("at", "r1", "hall")) is UNKNOWN
+        assert (world.is_sensed(("at", "r1", "hall")), world.is_sensed(("nonsense",))) == (True, False)
+        reports.close()
+
+    run_async(main(), virtual=True)
+    assert "a report on the state topic is wrong: not a fact: 'at r1 hall'" in caplog.text
+
+
+def test_a_number_that_is_not_finite_is_not_recorded():
+    async def main():
+        world = KnowledgeBase(objects=PROBLEM.objects_by_type)
+        reports = StateReports(world, {}, 1.0, None, KNOWN)
+        reports.record({"battery"}, {("battery", "r1"): math.inf})
+        assert world.value(("battery", "r1")) is UNKNOWN
+        reports.close()
+
+    run_async(main(), virtual=True)

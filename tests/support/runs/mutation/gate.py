@@ -1,0 +1,58 @@
+"""The mutation gate: whatever the proof accepts must go well when it is executed, be it a machine or one that was broken."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from random import Random
+
+from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.machine.verification.part import Unsound
+from pnm.core.machine.verification.verify import verify
+from tests.support.runs.mutation.edits import mutant
+from tests.support.runs.mutation.machines import random_machine
+from tests.support.runs.mutation.oracle import fault_of
+
+
+@dataclass
+class GateReport:
+    """What became of the mutants. All fields change."""
+
+    machines: int = 0
+    verdicts: Counter[str] = field(default_factory=Counter)
+    false_accepts: list[str] = field(default_factory=list)
+
+
+def is_proved(machine: PetriNetMachine) -> bool:
+    try:
+        verify(machine)
+    except Unsound:
+        return False
+    return True
+
+
+def run_gate(numbers: range, mutants: int = 6, executions: int = 12) -> GateReport:
+    """Prove and execute random machines and mutants of them."""
+    report = GateReport()
+    for number in numbers:
+        machine = random_machine(number)
+        verify(machine)
+        report.machines += 1
+        if fault := fault_of(machine, range(executions)):
+            report.false_accepts.append(f"machine {number}: {fault}")
+        random = Random(number)
+        for count in range(mutants):
+            name, broken = mutant(machine, random)
+            try:
+                accepted = is_proved(broken)
+            except Exception as error:  # the proof must say what is wrong
+                report.false_accepts.append(f"machine {number}, mutant {count} ({name}): the proof raises {error!r}")
+                continue
+            if not accepted:
+                report.verdicts["refused"] += 1
+            elif fault := fault_of(broken, range(executions)):
+                report.verdicts["accepted falsely"] += 1
+                report.false_accepts.append(f"machine {number}, mutant {count} ({name}): {fault}")
+            else:
+                report.verdicts["accepted"] += 1
+    return report
