@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from planner_bridge.loading import load
@@ -123,7 +123,8 @@ def test_whatever_is_read_and_written_no_order_that_ends_otherwise_is_let_throug
     problem = replace(data.draw(problems(Features(timed=timed))), timed=(), goal=TRUE)
     drawn = data.draw(walks(problem))
     drawn = replace(drawn, steps=drawn.steps[:4])
-    plan = apart(drawn) if problem.is_timed and not why_invalid(problem, apart(drawn)) else drawn
+    plan = apart(drawn) if problem.is_timed else drawn
+    assume(not why_invalid(problem, plan))  # a plan may need two ends at the very same moment: no ordering can bring that about
     whole = plan_graph(problem, plan)
     assert not is_noticed(problem, whole)
     gone = data.draw(st.lists(st.sampled_from(whole.orderings), max_size=2)) if whole.orderings else []
