@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from pathlib import Path
+from typing import Final
 
 from pnm.core.knowledge_base import parse_fluent
 from pnm.core.logic.declared_names import Vocabulary
-from pnm.core.machine.bindings import _NAME, DEFAULT, Binding, Bindings, placeholders
-from pnm.errors import InputError, Position
-from pnm.files.yaml_nodes import Mapped, load_yaml, texts_in
+from pnm.core.machine.bindings import _NAME, DEFAULT, Binding, Bindings, Table, placeholders
+from pnm.errors import InputError, Position, suggestion
+from pnm.files.yaml_nodes import Mapped, Node, load_yaml
+from pnm.knowledge.field_reader import field_test, field_value
+
+
+KEYS: Final = ("server", "several_servers", "type", "goal", "success", "reason", "store", "timeout", "accept", "cancel", "retries", "ask", "resources")
 
 
 def read_bindings(path: Path, known: Vocabulary | None = None) -> Bindings:
@@ -19,21 +24,18 @@ def read_bindings(path: Path, known: Vocabulary | None = None) -> Bindings:
     entries = top.mapping("actions")
     actions: dict[str, Binding] = {}
     for name, entry in entries.items():
-        entry.only("server", "several_servers", "type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask", "resources")
+        entry.only(*KEYS)
         actions[name] = read_binding(entry)
     if known is not None:
         for name, entry in entries.items():
-            binding = actions[name]
             known.check_action(name, entry.start)
-            for parameter in placeholders(binding.server or ""):
+            for parameter in placeholders(actions[name].server or ""):
                 known.check_parameter(name, parameter, entry.position("server"))
             for pattern, position in _read_resources(entry):
                 for parameter in placeholders(pattern):
                     known.check_parameter(name, parameter, position)
-            for text in texts_in(binding.goal):  # a parameter, or a fluent with parameters
-                for term in parse_fluent(text) if text.startswith("(") else (text,):
-                    if term.startswith("?"):
-                        known.check_parameter(name, term[1:], entry.position("goal"))
+            if (goal := entry.filled("goal")) is not None:
+                _check_sources(goal, name, known)
         for name in top.strings("assumed"):
             known.check_set(name, top.position("assumed"))
     return Bindings(actions, frozenset(top.strings("assumed")), top.number("lag", 1.0))
@@ -44,15 +46,9 @@ def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAUL
 
     The type of the ROS action stands under `type_key`; `retries` is the number of an action that gives none.
     """
-    goal = entry.plain("goal")
-    if goal is not None and not isinstance(goal, dict):
-        raise InputError("expected goal fields and their values", entry.position("goal"))
-    for text in texts_in(goal):
-        if text.startswith("("):
-            try:
-                parse_fluent(text)
-            except InputError as error:
-                raise InputError(error.message, entry.position("goal")) from error
+    goal, success, reason = entry.filled("goal"), entry.filled("success"), entry.filled("reason")
+    if goal is not None and not goal.is_mapping:
+        raise goal.wrong("expected goal fields and their values")
     server = entry.string("server")
     if server is not None:
         check_pattern(server, entry.position("server"), "/{robot}/navigate")
@@ -60,7 +56,9 @@ def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAUL
         server=server,
         several_servers=entry.flag("several_servers"),
         type=entry.string(type_key),
-        goal=goal,
+        goal=goal and {name: _source(part) for name, _, part in goal.mapped().entries()},
+        success=success and field_test(success),
+        reason=reason and field_value(reason),
         store=read_texts(entry, "store", "expected result fields and the variables to store them in"),
         timeout=entry.number("timeout", None),
         accept=entry.number("accept", DEFAULT.accept),
@@ -69,6 +67,59 @@ def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAUL
         ask=read_texts(entry, "ask", "expected variables, and what a person is asked when nobody knows them"),
         resources=tuple(dict.fromkeys(name for name, _ in _read_resources(entry))),
     )
+
+
+def _source(node: Node) -> object:
+    """Return what a goal field is filled from; it may be inside of others."""
+    if (parts := _table(node)) is not None:
+        of, rows = parts
+        return Table(_source(of), {name: _source(row) for name, _, row in rows.entries()})
+    if node.is_mapping:
+        return {name: _source(part) for name, _, part in node.mapped().entries()}
+    if node.items is not None:
+        return [_source(item) for item in node.items]
+    if node.text is not None and node.text.startswith("("):
+        try:
+            parse_fluent(node.text)
+        except InputError as error:
+            raise node.wrong(error.message) from error
+    return node.plain()
+
+
+def _table(node: Node) -> tuple[Node, Mapped] | None:
+    """Return what a table looks at, and its rows; None for anything else."""
+    if not node.is_mapping or node.mapped().nodes.keys() != {"of", "table"}:
+        return None
+    of, rows = node.mapped().needed("of"), node.mapped().needed("table")
+    if (of.text or "")[:1] not in ("?", "$", "("):
+        raise of.wrong("expected a parameter such as ?to, a variable such as $place, or a function such as (home ?robot)")
+    if not rows.is_mapping or not rows.mapped().nodes:
+        raise rows.wrong(f"expected values of {of.text} and what they mean for the field")
+    return of, rows.mapped()
+
+
+def _check_sources(node: Node, action: str, known: Vocabulary) -> None:
+    """Refuse parameters that the action does not have, and tables without a row for some object that the parameter may be."""
+    if (parts := _table(node)) is not None:
+        of, rows = parts
+        _check_sources(of, action, known)
+        objects = known.arguments(action, of.text[1:]) if of.text and of.text[0] == "?" else ()
+        for name, where, _ in rows.entries():
+            if objects and name not in objects:
+                raise InputError(f"{of.text} of {action} cannot be {name}; {suggestion(name, objects) or alternatives(objects)}", where)
+        if absent := [name for name in objects if name not in rows.nodes]:
+            raise InputError(f"the table has no row for {', '.join(absent)}, which {of.text} of {action} may be", rows.start)
+        inner = [row for _, _, row in rows.entries()]
+    elif node.is_mapping:
+        inner = [part for _, _, part in node.mapped().entries()]
+    else:
+        inner = list(node.items or ())
+    for part in inner:
+        _check_sources(part, action, known)
+    if node.text is not None:  # a parameter, or a fluent with parameters
+        for term in parse_fluent(node.text) if node.text.startswith("(") else (node.text,):
+            if term.startswith("?"):
+                known.check_parameter(action, term[1:], node.position)
 
 
 def _read_resources(entry: Mapped) -> Iterator[tuple[str, Position]]:

@@ -9,7 +9,7 @@ from pnm.core.logic.declared_names import Vocabulary
 from pnm.core.logic.expressions import UNDEFINED, is_number
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import Mapped, Node
-from pnm.knowledge.message_fields import COMPARISONS, Comparison, Every, Field, FieldValue, Flag, Negation, Some, Test, parse_field
+from pnm.core.message_fields import COMPARISONS, Comparison, Every, Field, FieldValue, Flag, Negation, Some, Test, parse_field
 
 _TESTS: Final = ("not", "all", "any")
 
@@ -19,10 +19,23 @@ def read_field(entry: Mapped) -> Field:
     node = entry.node("field")
     if node is None:
         raise InputError("expected a field, such as pose.position.x", entry.start)
+    return _field(node)
+
+
+def _field(node: Node) -> Field:
     try:
         return parse_field(node.written)  # not the value of the YAML scalar, since `on` and `y` are true in YAML
     except InputError as error:
         raise node.wrong(error.message) from error
+
+
+def field_value(node: Node) -> FieldValue:
+    """Read a field, or a field and a table of what its values mean."""
+    if not node.is_mapping:
+        return FieldValue(_field(node))
+    entry = node.mapped()
+    entry.only("field", "table")
+    return FieldValue(read_field(entry), read_table(entry))
 
 
 def read_number(entry: Mapped) -> FieldValue:
@@ -63,10 +76,11 @@ def read_test(entry: Mapped) -> Test:
         return Flag(read_field(entry)) if "field" in entry.nodes else Every()
     if "field" in entry.nodes:
         raise InputError("expected either 'field', which is true or false, or 'when'", entry.position("field"))
-    return _test(test)
+    return field_test(test)
 
 
-def _test(node: Node) -> Test:
+def field_test(node: Node) -> Test:
+    """Read a comparison of a field, or several combined by ``not``, ``all`` and ``any``."""
     if not node.is_mapping or not node.mapped().nodes:
         raise InputError("expected a test such as {field: percentage, ge: 0.8}", node.position)
     entry = node.mapped()
@@ -79,10 +93,10 @@ def _test(node: Node) -> Test:
     if key not in _TESTS:
         raise InputError(f"expected the field that is compared by {key!r}", entry.start)
     if key == "not":
-        return Negation(_test(inner))
+        return Negation(field_test(inner))
     if inner.items is None:
         raise inner.wrong(f"expected a list of tests under {key!r}")
-    tests = tuple([_test(item) for item in inner.items])
+    tests = tuple([field_test(item) for item in inner.items])
     return Every(tests) if key == "all" else Some(tests)
 
 

@@ -14,7 +14,7 @@ from pnm.core.logic.expressions import Fluent, Variable
 from pnm.errors import InputError, Position, suggestion
 from pnm.files.yaml_nodes import Mapped, load_yaml, texts_in
 from pnm.knowledge.field_reader import read_field, read_number, read_object, read_table, read_test
-from pnm.knowledge.message_fields import FieldValue
+from pnm.core.message_fields import FieldValue
 from pnm.knowledge.sensor_model import (
     VALUE,
     ByService,

@@ -40,9 +40,9 @@ OPERATION: Final = "operation"
 """The parameter of an `ActionKind.KB` action that has the operation on knowledge."""
 ACTION_KEYS: Final = (
     *("instances", "type", "params", "preconditions", "effects", "duration", "preferences", "recoveries", "resources"),
-    *("server", "several_servers", "ros_type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask", "simulated"),
+    *("server", "several_servers", "ros_type", "goal", "success", "reason", "store", "timeout", "accept", "cancel", "retries", "ask", "simulated"),
 )
-BINDING_KEYS: Final = ("server", "ros_type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask", "resources")
+BINDING_KEYS: Final = ("server", "ros_type", "goal", "success", "reason", "store", "timeout", "accept", "cancel", "retries", "ask", "resources")
 """Those of them that bind the action to its server."""
 RESERVED: Final = frozenset({"while", "if", "then", "else", "concurrent_actions", "sequence"})
 """Words that steps begin with."""

@@ -34,8 +34,8 @@ class Signature:
 class Vocabulary:
     """The declared names of a domain and its problem. Checks raise InputError, with the position and the nearest name."""
 
-    actions: Mapping[str, tuple[str, ...]]
-    """For every action, the names of its parameters, without ``?``."""
+    actions: Mapping[str, Mapping[str, tuple[str, ...]]]
+    """For every action, its parameters without ``?``, and their types."""
     fluents: frozenset[str] = frozenset()
     """Predicates and functions."""
     objects: frozenset[str] = frozenset()
@@ -57,6 +57,11 @@ class Vocabulary:
         known = self.actions[action]
         if name not in known:
             raise InputError(f"{name} is not a parameter of {action} ({', '.join(known) or 'it has none'})", position)
+
+    def arguments(self, action: str, parameter: str) -> tuple[str, ...]:
+        """Return the objects that a parameter of an action may stand for, in the order of the alphabet."""
+        types = self.actions[action][parameter]
+        return tuple(sorted(name for name, kinds in self.types_of.items() if not kinds.isdisjoint(types)))
 
     def check_call(self, what: str, position: Position) -> None:
         """Refuse ``move(r1, hall)`` if the action or an object is not declared, or the number of arguments is wrong."""

@@ -119,9 +119,9 @@ class DomainModel:
         return {**self.predicates, **self.functions}
 
     @property
-    def parameters(self) -> dict[str, tuple[str, ...]]:
-        """For every action, the names of its parameters, without ``?``."""
-        return {name: tuple(variable.name[1:] for variable in schema.parameters) for name, schema in self.actions.items()}
+    def parameters(self) -> dict[str, dict[str, Types]]:
+        """For every action, its parameters without ``?``, and their types."""
+        return {name: {variable.name[1:]: variable.types for variable in schema.parameters} for name, schema in self.actions.items()}
 
     # --- types ---
 

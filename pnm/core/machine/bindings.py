@@ -11,17 +11,31 @@ from __future__ import annotations
 import re
 import string
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Final, Protocol
 
 from pnm.core.knowledge_base import parse_fluent
 from pnm.core.logic.computed_values import MISSING
 from pnm.core.logic.expressions import UNDEFINED, Fluent, Unknown, Value, bind
 from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.machine.requests import Outcome, OutcomeKind
+from pnm.core.message_fields import FieldValue, Test, Unreadable, succeeds, value_in, written
 from pnm.errors import InputError, check_seconds
 
 ABOUT_THE_CALL: Final = frozenset({"action", "arguments", "duration"})
 """Goal fields about the call itself; they are filled as long as the fields of the goal are not known."""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """The value of a goal field by the value of a source: ``{of: "?to", table: {kitchen: {x: 1.0, y: 2.0}}}``."""
+
+    of: object
+    """A parameter, a variable or a fluent."""
+    rows: Mapping[str, object]
+    """Values by the text of the source's value; they are filled like goal fields."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +49,11 @@ class Binding:
     type: str | None = None
     """Such as ``nav2_msgs/action/NavigateToPose``; taken from the ROS graph when not given."""
     goal: Mapping[str, object] | None = None
-    """Goal fields: ``?to`` a parameter, ``$name`` a variable, ``(pose ?to)`` a fluent, else a constant."""
+    """Goal fields: ``?to`` a parameter, ``$name`` a variable, ``(pose ?to)`` a fluent, a `Table`, else a constant."""
+    success: Test | None = None
+    """What the result must say besides: a server that reports success has failed where it does not."""
+    reason: FieldValue | None = None
+    """The result field that says why the action failed, with a table of words if it is a number."""
     store: Mapping[str, str] = field(default_factory=dict)
     """Result fields and the variables they are stored in; every other field is stored by its own name."""
     timeout: float | None = None
@@ -104,6 +122,21 @@ class Bindings:
     def names_server(self, action: GroundAction) -> bool:
         """Return whether the name of the server is known, or has a part that is only known when the call starts."""
         return not set(placeholders(self.of(action.name).server or "")) & set(open_parameters(action))
+
+    def judged(self, action: str, outcome: Outcome) -> Outcome:
+        """Return the outcome as the result's fields tell it: a success that they deny is an abort, and a failure has its reason."""
+        binding, message = self.of(action), outcome.message
+        look = partial(value_in, outcome.result)
+        kind = outcome.kind
+        if kind is OutcomeKind.SUCCEEDED and binding.success is not None:
+            try:
+                kind = kind if succeeds(binding.success, look) else OutcomeKind.ABORTED
+            except Unreadable as error:
+                kind, message = OutcomeKind.ABORTED, f"its result does not tell whether it succeeded: {error}"
+        if kind is not OutcomeKind.SUCCEEDED and binding.reason is not None:
+            with suppress(Unreadable):  # a server that was lost has no result
+                message = str(binding.reason.value(look)) or message
+        return replace(outcome, kind=kind, message=message)
 
     def timeout(self, action: GroundAction) -> float:
         """Return how many seconds the action may run."""
@@ -175,6 +208,9 @@ def open_parameters(action: GroundAction) -> tuple[str, ...]:
 
 
 def _resolve(source: object, own: Mapping[str, object], knowledge: Lookup, find: Callable[[str], object]) -> object:
+    if isinstance(source, Table):
+        key = _resolve(source.of, own, knowledge, find)
+        return MISSING if key is MISSING else _resolve(source.rows.get(written(key), MISSING), own, knowledge, find)
     if isinstance(source, Mapping):
         inner = {name: _resolve(part, own, knowledge, find) for name, part in source.items()}
         return MISSING if MISSING in inner.values() else inner

@@ -16,14 +16,15 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.computed_values import MISSING
 from pnm.core.logic.expressions import fluent_text
 from pnm.errors import InputError
-from pnm.knowledge.message_fields import Look
+from pnm.core.message_fields import Look
 from pnm.knowledge.sensor_model import ByService, Instance, Reading, read, unknown
 from pnm.knowledge.sources.source import SourceError
 from pnm.knowledge.state_reports import Watchdog
 from pnm.ros.node.messages import FieldError, import_type, to_message
 from pnm.ros.node.ros_thread import RosThread, call_on_loop
 from pnm.ros.node.service_client import ServiceClient
-from pnm.ros.sensors.fields import fitted, value_at
+from pnm.ros.node.typed_fields import value_at
+from pnm.ros.sensors.fitted import fitted
 
 _log = logging.getLogger(__name__)
 

@@ -13,7 +13,7 @@ from planner_bridge.model.grounding import initial_knowledge
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN
-from pnm.knowledge.message_fields import Comparison, parse_field, succeeds
+from pnm.core.message_fields import Comparison, parse_field, succeeds
 from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import Instance, instances, read
 from pnm.knowledge.state_reports import StateReports, Watchdog

@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 
 from planner_bridge.pddl import parse_domain, parse_problem
-from pnm.knowledge.message_fields import Field, Unreadable
+from pnm.core.message_fields import Field, Unreadable
 from pnm.knowledge.sensor_file import read_sensing
 from tests.support.files import written
 

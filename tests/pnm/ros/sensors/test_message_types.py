@@ -10,11 +10,12 @@ import pytest
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.rules import Rules
 from pnm.errors import InputError
-from pnm.knowledge.message_fields import parse_field
+from pnm.core.message_fields import parse_field
 from pnm.knowledge.sensor_model import Instance, read
 from pnm.ros.node.messages import import_type, to_message
 from pnm.ros.node.service_client import until_true
-from pnm.ros.sensors.fields import find_field, fitted, value_at
+from pnm.ros.node.typed_fields import find_field, value_at
+from pnm.ros.sensors.fitted import fitted
 from pnm.ros.sensors.sensors import Sensors
 from tests.support.pddl.sensed_world import DOMAIN, PROBLEM
 from tests.support.ros.child_process import bounded, run_bounded

@@ -1,4 +1,4 @@
-"""Fields of ROS 2 messages for sensors: checks against a type, and values in a message."""
+"""Fields of ROS 2 messages: where a type has them, whether tests and tables fit them, and their values in a message."""
 
 from __future__ import annotations
 
@@ -7,40 +7,18 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, assert_never
 
 from pnm.errors import InputError, suggestion
-from pnm.knowledge.message_fields import Comparison, Every, Field, FieldValue, Flag, Negation, Some, Test, Unreadable, written
-from pnm.knowledge.sensor_model import ExclusiveFact, Fact, Number, Object, Sensor, Statement, Stored
+from pnm.core.message_fields import Comparison, Every, Field, FieldValue, Flag, Negation, Some, Test, Unreadable, written
 from pnm.ros.node.messages import import_type, plain
 
 _LIST: Final = re.compile(r"(.+)\[(\d+)\]|sequence<(.+?)(?:, \d+)?>")
-_NUMBER: Final = re.compile(r"u?int\d+|float|double|octet")
+NUMBER: Final = re.compile(r"u?int\d+|float|double|octet")
 _WRITTEN: Final = re.compile(r"-?\d.*")
-_ANY: Final = re.compile(r".*")
-_TEXT: Final = re.compile(r"w?string(<\d+>)?")
+ANY: Final = re.compile(r".*")
+TEXT: Final = re.compile(r"w?string(<\d+>)?")
 
 
-def fitted(sensor: Sensor, message_type: Any) -> Sensor:
-    """Return a sensor with the values of the type's constants in the place of their names."""
-    return replace(sensor, statements=tuple([_fitted(statement, message_type) for statement in sensor.statements]))
-
-
-def _fitted(statement: Statement, message_type: Any) -> Statement:
-    try:
-        match statement:
-            case Fact(_, test):
-                return replace(statement, test=_test(test, message_type))
-            case Number(_, source):
-                return replace(statement, source=_source(source, message_type, _NUMBER, "a number"))
-            case ExclusiveFact(_, source) | Object(_, source):
-                return replace(statement, source=_source(source, message_type, _TEXT, "a text"))
-            case Stored(_, source):
-                return replace(statement, source=_source(source, message_type, _ANY, "a value"))
-            case _:
-                assert_never(statement)
-    except InputError as error:
-        raise InputError(error.message, statement.position) from error
-
-
-def _test(test: Test, message_type: Any) -> Test:
+def fitted_test(test: Test, message_type: Any) -> Test:
+    """Return a test with the values of the type's constants in the place of their names; raise `InputError` where it does not fit."""
     match test:
         case Flag(where):
             kind = find_field(message_type, where).kind
@@ -50,18 +28,18 @@ def _test(test: Test, message_type: Any) -> Test:
         case Comparison(where):
             return _comparison(test, find_field(message_type, where))
         case Negation(inner):
-            return Negation(_test(inner, message_type))
+            return Negation(fitted_test(inner, message_type))
         case Every(tests):
-            return Every(tuple([_test(part, message_type) for part in tests]))
+            return Every(tuple([fitted_test(part, message_type) for part in tests]))
         case Some(tests):
-            return Some(tuple([_test(part, message_type) for part in tests]))
+            return Some(tuple([fitted_test(part, message_type) for part in tests]))
         case _:
             assert_never(test)
 
 
 def _comparison(test: Comparison, field: MessageField) -> Comparison:
     kind, constant = field.kind, test.constant
-    if test.operation == "contains" and not (_TEXT.fullmatch(kind) and isinstance(constant, str)):
+    if test.operation == "contains" and not (TEXT.fullmatch(kind) and isinstance(constant, str)):
         inner = _item(kind)
         if inner is None:
             raise InputError(f"{test.field} is a {kind}, which contains nothing")
@@ -70,11 +48,11 @@ def _comparison(test: Comparison, field: MessageField) -> Comparison:
         case bool():
             fits = kind == "boolean"
         case int() | float():
-            fits = bool(_NUMBER.fullmatch(kind))
-        case str() if _NUMBER.fullmatch(kind):
+            fits = bool(NUMBER.fullmatch(kind))
+        case str() if NUMBER.fullmatch(kind):
             return replace(test, constant=field.constant(constant))
         case str():
-            fits = bool(_TEXT.fullmatch(kind))
+            fits = bool(TEXT.fullmatch(kind))
         case _:
             fits = True
     if not fits:
@@ -82,13 +60,14 @@ def _comparison(test: Comparison, field: MessageField) -> Comparison:
     return test
 
 
-def _source(source: FieldValue, message_type: Any, needed: re.Pattern[str], expected: str) -> FieldValue:
+def fitted_source(source: FieldValue, message_type: Any, needed: re.Pattern[str], expected: str) -> FieldValue:
+    """Return a source whose table has the values of the type's constants in the place of their names; raise `InputError` if it does not fit."""
     field = find_field(message_type, source.field)
     if source.table is None:
         if not needed.fullmatch(field.kind):
             raise InputError(f"{source.field} is a {field.kind}; expected {expected}, or a table")
         return source
-    if not _NUMBER.fullmatch(field.kind):
+    if not NUMBER.fullmatch(field.kind):
         return source
     keys = {key: key if _WRITTEN.fullmatch(key) else written(field.constant(key)) for key in source.table}
     return replace(source, table={keys[key]: value for key, value in source.table.items()})

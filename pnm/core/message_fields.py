@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeAlias, assert_never
 
@@ -142,6 +142,19 @@ class FieldValue:
         if key not in self.table:
             raise Unreadable(f"{self.field} is {shown(value)}, which is not in the table ({', '.join(self.table)})")
         return self.table[key]
+
+
+def value_in(data: object, where: Field) -> object:
+    """Return the value of a field of a message that is plain data; raise `Unreadable` if there is none."""
+    value = data
+    for step in where.steps:
+        if isinstance(step, str) and isinstance(value, Mapping) and step in value:
+            value = value[step]
+        elif isinstance(step, int) and isinstance(value, Sequence) and -len(value) <= step < len(value):
+            value = value[step]
+        else:
+            raise Unreadable(f"there is no {where}")
+    return value
 
 
 def written(value: object) -> str:
