@@ -10,7 +10,8 @@ from typing import Final
 from planner_bridge.pddl.syntax.words import number_text
 from planner_bridge.yaml import emitter
 from planner_bridge.yaml.emitter import Bare, Entry, Value, document, items
-from pnm.core.machine.bindings import DEFAULT, Binding, Bindings
+from pnm.core.machine.bindings import DEFAULT, Binding, Bindings, Table
+from pnm.core.message_fields import Comparison, Every, FieldValue, Flag, Negation, Some
 
 LANGUAGE_DEFAULT: Final = Binding(retries=0)
 """What an action in the language has that says nothing."""
@@ -35,6 +36,22 @@ def _value(value: object) -> Value:
     match value:
         case str():
             return value
+        case Table(of, rows):
+            return _value({"of": of, "table": rows})
+        case FieldValue(field, None):
+            return str(field)
+        case FieldValue(field, table):
+            return _value({"field": str(field), "table": table})
+        case Flag(field):
+            return _value({"field": str(field)})
+        case Comparison(field, operation, constant):
+            return _value({"field": str(field), operation: constant})
+        case Negation(test):
+            return _value({"not": test})
+        case Every(tests):
+            return _value({"all": tests})
+        case Some(tests):
+            return _value({"any": tests})
         case Mapping():
             return emitter.Mapping(tuple([Entry(_value(inner), str(key)) for key, inner in value.items()]), short=True)
         case list() | tuple():

@@ -13,8 +13,10 @@ from pnm.errors import InputError, Position, suggestion
 from pnm.files.yaml_nodes import Mapped, Node, load_yaml
 from pnm.knowledge.field_reader import field_test, field_value
 
-
-KEYS: Final = ("server", "several_servers", "type", "goal", "success", "reason", "store", "timeout", "accept", "cancel", "retries", "ask", "resources")
+KEYS: Final = (
+    *("server", "several_servers", "type", "goal", "success", "reason", "store"),
+    *("timeout", "accept", "cancel", "retries", "ask", "resources"),
+)
 
 
 def read_bindings(path: Path, known: Vocabulary | None = None) -> Bindings:
@@ -56,9 +58,9 @@ def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAUL
         server=server,
         several_servers=entry.flag("several_servers"),
         type=entry.string(type_key),
-        goal=goal and {name: _source(part) for name, _, part in goal.mapped().entries()},
-        success=success and field_test(success),
-        reason=reason and field_value(reason),
+        goal=None if goal is None else {name: _source(part) for name, _, part in goal.mapped().entries()},
+        success=None if success is None else field_test(success),
+        reason=None if reason is None else field_value(reason),
         store=read_texts(entry, "store", "expected result fields and the variables to store them in"),
         timeout=entry.number("timeout", None),
         accept=entry.number("accept", DEFAULT.accept),
@@ -106,7 +108,8 @@ def _check_sources(node: Node, action: str, known: Vocabulary) -> None:
         objects = known.arguments(action, of.text[1:]) if of.text and of.text[0] == "?" else ()
         for name, where, _ in rows.entries():
             if objects and name not in objects:
-                raise InputError(f"{of.text} of {action} cannot be {name}; {suggestion(name, objects) or alternatives(objects)}", where)
+                hint = suggestion(name, objects) or f"expected one of {', '.join(objects)}"
+                raise InputError(f"{of.text} of {action} cannot be {name}; {hint}", where)
         if absent := [name for name in objects if name not in rows.nodes]:
             raise InputError(f"the table has no row for {', '.join(absent)}, which {of.text} of {action} may be", rows.start)
         inner = [row for _, _, row in rows.entries()]

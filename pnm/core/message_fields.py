@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final, TypeAlias, assert_never
 
@@ -146,15 +146,15 @@ class FieldValue:
 
 def value_in(data: object, where: Field) -> object:
     """Return the value of a field of a message that is plain data; raise `Unreadable` if there is none."""
-    value = data
     for step in where.steps:
-        if isinstance(step, str) and isinstance(value, Mapping) and step in value:
-            value = value[step]
-        elif isinstance(step, int) and isinstance(value, Sequence) and -len(value) <= step < len(value):
-            value = value[step]
-        else:
-            raise Unreadable(f"there is no {where}")
-    return value
+        match data, step:
+            case dict(), str() if step in data:
+                data = data[step]
+            case list(), int() if -len(data) <= step < len(data):
+                data = data[step]
+            case _:
+                raise Unreadable(f"there is no {where}")
+    return data
 
 
 def written(value: object) -> str:

@@ -7,9 +7,9 @@ from typing import Final
 
 from pnm.core.logic.declared_names import Vocabulary
 from pnm.core.logic.expressions import UNDEFINED, is_number
+from pnm.core.message_fields import COMPARISONS, Comparison, Every, Field, FieldValue, Flag, Negation, Some, Test, parse_field
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import Mapped, Node
-from pnm.core.message_fields import COMPARISONS, Comparison, Every, Field, FieldValue, Flag, Negation, Some, Test, parse_field
 
 _TESTS: Final = ("not", "all", "any")
 

@@ -11,10 +11,10 @@ from typing import Final
 from pnm.core.knowledge_base import parse_fluent
 from pnm.core.logic.declared_names import FluentKind, Signature, Vocabulary
 from pnm.core.logic.expressions import Fluent, Variable
+from pnm.core.message_fields import FieldValue
 from pnm.errors import InputError, Position, suggestion
 from pnm.files.yaml_nodes import Mapped, load_yaml, texts_in
 from pnm.knowledge.field_reader import read_field, read_number, read_object, read_table, read_test
-from pnm.core.message_fields import FieldValue
 from pnm.knowledge.sensor_model import (
     VALUE,
     ByService,

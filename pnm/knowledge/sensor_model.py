@@ -14,8 +14,8 @@ from itertools import product
 from typing import Final, TypeAlias, assert_never
 
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Value, Variable, bind, fluent_text
-from pnm.errors import InputError, Position
 from pnm.core.message_fields import FieldValue, Look, Test, Unreadable, shown, succeeds, without_nan
+from pnm.errors import InputError, Position
 
 VALUE: Final = "?value"
 """In a fact: the object that the field names; the fact holds for this object and for no other."""

@@ -6,6 +6,7 @@ Decides nothing: `pnm.core.execution.run` decides when, and gets the commands th
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final, assert_never
 from uuid import UUID, uuid5
@@ -36,6 +37,7 @@ from pnm.core.machine.bindings import Binding, Bindings, goal_data, open_paramet
 from pnm.core.machine.machine import TransitionAction
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Report, Request
+from pnm.core.message_fields import Unreadable, parse_field, value_in
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,9 +236,13 @@ class Calls:
         self.open.pop(self._requests[call], None)
 
     def store(self, call: int, outcome: Outcome) -> None:
-        """Store the fields of the result, under their own names or those of the binding."""
+        """Store the fields of the result, under their own names or those of the binding, which may name fields inside of others."""
         store = {**self.binding(call).store, **dict(self._plan.calls[call].store)}
-        self._knowledge.local.store({store.get(name, name): value for name, value in outcome.result.items()})
+        values = {name: value for name, value in outcome.result.items() if name not in store}
+        for name, variable in store.items():
+            with suppress(Unreadable):  # simulated servers may have no result
+                values[variable] = value_in(outcome.result, parse_field(name))
+        self._knowledge.local.store(values)
 
     def _send(self, call: int, attempt: int, context: EvaluationContext) -> Performed:
         action = self.ready(call, context)

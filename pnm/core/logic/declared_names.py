@@ -113,7 +113,7 @@ class Vocabulary:
         """Refuse an object that is not declared, or that is of none of the types."""
         _check(name, self.objects, "object", position)
         if self.types_of[name].isdisjoint(types):
-            raise InputError(f"{name} is a {_alternatives(self.types_of[name])}; expected a {_alternatives(types)}", position)
+            raise InputError(f"{name} is a {alternatives(self.types_of[name])}; expected a {alternatives(types)}", position)
 
     def check_kind(self, name: str, kind: FluentKind, position: Position) -> Signature:
         """Return the signature of a predicate or function, which must be of this kind and not derived."""
@@ -125,7 +125,8 @@ class Vocabulary:
         return self.signatures[name]
 
 
-def _alternatives(types: Iterable[str]) -> str:
+def alternatives(types: Iterable[str]) -> str:
+    """Return the names of types, any of which would do."""
     return " or ".join(sorted(set(types) - {"object"})) or "object"
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import re
 import string
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Final, Protocol
@@ -72,6 +71,21 @@ class Binding:
     def __post_init__(self) -> None:
         check_seconds(f"the binding of {self.server or 'an action'}", self.timeout, self.accept, self.cancel)
 
+    def judged(self, outcome: Outcome) -> Outcome:
+        """Return the outcome as the result's fields tell it: a success that they deny is an abort, and a failure has its reason."""
+        look, kind, message = partial(value_in, outcome.result), outcome.kind, outcome.message
+        if kind is OutcomeKind.SUCCEEDED and self.success is not None:
+            try:
+                kind = kind if succeeds(self.success, look) else OutcomeKind.ABORTED
+            except Unreadable as error:
+                kind, message = OutcomeKind.ABORTED, f"its result does not tell whether it succeeded: {error}"
+        if kind is not OutcomeKind.SUCCEEDED and self.reason is not None and outcome.result:
+            try:
+                message = str(self.reason.value(look)) or message
+            except Unreadable as error:
+                message = message or str(error)
+        return replace(outcome, kind=kind, message=message)
+
 
 DEFAULT = Binding()
 _NAME = re.compile(r"[A-Za-z][\w-]*\Z")
@@ -122,21 +136,6 @@ class Bindings:
     def names_server(self, action: GroundAction) -> bool:
         """Return whether the name of the server is known, or has a part that is only known when the call starts."""
         return not set(placeholders(self.of(action.name).server or "")) & set(open_parameters(action))
-
-    def judged(self, action: str, outcome: Outcome) -> Outcome:
-        """Return the outcome as the result's fields tell it: a success that they deny is an abort, and a failure has its reason."""
-        binding, message = self.of(action), outcome.message
-        look = partial(value_in, outcome.result)
-        kind = outcome.kind
-        if kind is OutcomeKind.SUCCEEDED and binding.success is not None:
-            try:
-                kind = kind if succeeds(binding.success, look) else OutcomeKind.ABORTED
-            except Unreadable as error:
-                kind, message = OutcomeKind.ABORTED, f"its result does not tell whether it succeeded: {error}"
-        if kind is not OutcomeKind.SUCCEEDED and binding.reason is not None:
-            with suppress(Unreadable):  # a server that was lost has no result
-                message = str(binding.reason.value(look)) or message
-        return replace(outcome, kind=kind, message=message)
 
     def timeout(self, action: GroundAction) -> float:
         """Return how many seconds the action may run."""

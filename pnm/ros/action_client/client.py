@@ -108,7 +108,7 @@ class Ros2ActionClient:
 
     def _send(self, request: Request, report: Reporter, is_blind: bool) -> None:
         binding = self._bindings.of(request.action.name)
-        goal = Goal(request, binding.accept, partial(self._pass_on, report), binding.goal, is_blind)
+        goal = Goal(request, binding, partial(self._pass_on, report), is_blind)
         try:
             link = self._link(self._key(request.action))
             self._goals[request.id] = goal, link

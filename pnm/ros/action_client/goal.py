@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from pnm.core.machine.bindings import Binding
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Postponed, Report, Request
 from pnm.ros.action_client.liveness import Liveness
 
@@ -19,14 +20,12 @@ _MESSAGES: Final = ("message", "error_msg", "error_string")
 
 @dataclass(eq=False)
 class Goal:
-    """A request and its progress. Every field after the first five changes, on the ROS thread only."""
+    """A request and its progress. Every field but the request, the report and `is_blind` changes, on the ROS thread only."""
 
     request: Request
-    accept: float
-    """Seconds the server may take to answer the goal before it is cancelled."""
+    binding: Binding
+    """Of its action; fitted to the server's type before it is sent."""
     report: Callable[[Report], None]
-    mapped: Mapping[str, object] | None = None
-    """The fields that the binding names, if it has a goal mapping."""
     is_blind: bool = False
     """Whether its values were collected before its type was known: for all fields that it may have."""
     sent: float = 0.0
@@ -49,6 +48,11 @@ class Goal:
         self.postponed = now
         self.report(Postponed(self.request.id))
 
+    def finish(self, status: int, result: Mapping[str, object]) -> None:
+        """Report the end that its server has reported, as the binding judges it."""
+        outcome = self.binding.judged(Outcome(OVER[status], result, message_in(result)))
+        self.end(outcome.kind, outcome.message, result)
+
     def end(self, kind: OutcomeKind, message: str = "", result: Mapping[str, object] | None = None) -> None:
         """Report the end, once."""
         if not self.ended:
@@ -57,12 +61,17 @@ class Goal:
 
     def unfilled(self, known: tuple[str, ...]) -> tuple[str, ...]:
         """Return the fields of the type for which no value was collected, because the type was not known."""
-        return tuple(name for name in known if name not in self.request.goal) if self.is_blind and self.mapped is None else ()
+        return tuple(name for name in known if name not in self.request.goal) if self.is_blind and self.binding.goal is None else ()
 
     def data(self, known: tuple[str, ...]) -> dict[str, object]:
         """Return the values of the goal message, given the fields of its type."""
-        wanted = {*known, *(self.mapped or ())}
+        wanted = {*known, *(self.binding.goal or ())}
         return {name: value for name, value in self.request.goal.items() if not self.is_blind or name in wanted}
+
+    @property
+    def accept(self) -> float:
+        """Seconds the server may take to answer the goal before it is cancelled."""
+        return self.binding.accept
 
     @property
     def over(self) -> bool:

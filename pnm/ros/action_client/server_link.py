@@ -22,7 +22,8 @@ from uuid import UUID
 
 from pnm.core.machine.requests import Accepted, OutcomeKind
 from pnm.errors import InputError, PnmError
-from pnm.ros.action_client.goal import OVER, UNKNOWN, Goal, message_in
+from pnm.ros.action_client.fitted_binding import fitted_binding
+from pnm.ros.action_client.goal import OVER, UNKNOWN, Goal
 from pnm.ros.action_client.handshake import Handshake, ros_uuid
 from pnm.ros.action_client.liveness import AGAIN, ASKS, Liveness, Verdict
 from pnm.ros.node.graph import absence, processes, server_name, types
@@ -173,6 +174,7 @@ class ServerLink:
             goal.end(OutcomeKind.UNAVAILABLE, reason)
             return
         try:
+            goal.binding = fitted_binding(goal.binding, self.type)
             message = to_message(self.type.Goal, goal.data(known))
             future = self._client.send_goal_async(message, goal_uuid=ros_uuid(goal.request.id))
         except PnmError as error:
@@ -234,8 +236,7 @@ class ServerLink:
         elif answer.status in OVER:
             self._accepted.discard(goal)
             self._unanswered.discard(goal)
-            result = to_data(answer.result)
-            goal.end(OVER[answer.status], message_in(result), result)
+            goal.finish(answer.status, to_data(answer.result))
 
     def _lose(self, goal: Goal, message: str) -> None:
         self._accepted.discard(goal)

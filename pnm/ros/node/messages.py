@@ -78,7 +78,7 @@ def to_message(message_type: Any, data: Mapping[str, object], path: str = "") ->
             near = get_close_matches(str(name), kinds, n=1)
             needs = f"to be one of {', '.join(kinds)}" if kinds else "to be left out: the message has no fields"
             raise FieldError(inner, needs, f"a field that {message_type.__name__} does not have", f"{near[0]}?" if near else "")
-        setattr(message, name, _value(kinds[name], value, inner))
+        setattr(message, name, to_value(kinds[name], value, inner))
     return message
 
 
@@ -100,7 +100,7 @@ def plain(value: Any) -> object:
     return value
 
 
-def _value(kind: str, value: object, path: str) -> object:
+def to_value(kind: str, value: object, path: str) -> object:
     """Return the value as `rclpy` stores it in a field of this kind, as ``get_fields_and_field_types`` names it."""
     if hasattr(value, "tolist"):  # numpy arrays and numbers, array.array
         value = value.tolist()
@@ -129,7 +129,7 @@ def _items(kind: str, size: int | None, exact: bool, value: object, path: str) -
         raise FieldError(path, f"a list of {count}{what}", _show(value), _ADVICE if isinstance(value, str) else "")
     if size is not None and (len(value) != size if exact else len(value) > size):
         raise FieldError(path, f"{count}{what}", f"{len(value)} of them")
-    return [_value(kind, item, f"{path}[{index}]") for index, item in enumerate(value)]
+    return [to_value(kind, item, f"{path}[{index}]") for index, item in enumerate(value)]
 
 
 def _nested(kind: str, value: object, path: str) -> object:

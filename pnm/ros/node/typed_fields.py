@@ -6,8 +6,8 @@ import re
 from dataclasses import dataclass, replace
 from typing import Any, Final, assert_never
 
-from pnm.errors import InputError, suggestion
 from pnm.core.message_fields import Comparison, Every, Field, FieldValue, Flag, Negation, Some, Test, Unreadable, written
+from pnm.errors import InputError, suggestion
 from pnm.ros.node.messages import import_type, plain
 
 _LIST: Final = re.compile(r"(.+)\[(\d+)\]|sequence<(.+?)(?:, \d+)?>")
@@ -40,7 +40,7 @@ def fitted_test(test: Test, message_type: Any) -> Test:
 def _comparison(test: Comparison, field: MessageField) -> Comparison:
     kind, constant = field.kind, test.constant
     if test.operation == "contains" and not (TEXT.fullmatch(kind) and isinstance(constant, str)):
-        inner = _item(kind)
+        inner = item_kind(kind)
         if inner is None:
             raise InputError(f"{test.field} is a {kind}, which contains nothing")
         kind = inner
@@ -61,7 +61,7 @@ def _comparison(test: Comparison, field: MessageField) -> Comparison:
 
 
 def fitted_source(source: FieldValue, message_type: Any, needed: re.Pattern[str], expected: str) -> FieldValue:
-    """Return a source whose table has the values of the type's constants in the place of their names; raise `InputError` if it does not fit."""
+    """Return a source with the values of the type's constants in the place of their names; raise `InputError` where it does not fit."""
     field = find_field(message_type, source.field)
     if source.table is None:
         if not needed.fullmatch(field.kind):
@@ -98,7 +98,7 @@ def find_field(message_type: Any, where: Field) -> MessageField:
     owner, inside = message_type, message_type
     for step in where.steps:
         if isinstance(step, int):
-            inner = _item(kind)
+            inner = item_kind(kind)
             if inner is None:
                 raise InputError(f"{so_far} is a {kind}; only a list has an item {step}")
             kind, so_far = inner, f"{so_far}[{step}]"
@@ -109,11 +109,11 @@ def find_field(message_type: Any, where: Field) -> MessageField:
                 raise InputError(f"{kind or message_type.__name__} has no field {step!r}; {f'{suggestion(step, kinds)} {has}'.strip()}")
             kind, so_far, owner = kinds[step], f"{so_far}.{step}".lstrip("."), inside
         package, slash, name = kind.rpartition("/")
-        inside = import_type(f"{package}/msg/{name}") if slash and _item(kind) is None else None
+        inside = import_type(f"{package}/msg/{name}") if slash and item_kind(kind) is None else None
     return MessageField(where, kind, owner)
 
 
-def _item(kind: str) -> str | None:
+def item_kind(kind: str) -> str | None:
     """Return the kind of a list's items; None if it is no list."""
     parts = _LIST.fullmatch(kind)
     return parts and (parts[1] or parts[3])

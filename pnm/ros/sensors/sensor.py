@@ -15,8 +15,8 @@ from typing import Any, Final
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.computed_values import MISSING
 from pnm.core.logic.expressions import fluent_text
-from pnm.errors import InputError
 from pnm.core.message_fields import Look
+from pnm.errors import InputError
 from pnm.knowledge.sensor_model import ByService, Instance, Reading, read, unknown
 from pnm.knowledge.sources.source import SourceError
 from pnm.knowledge.state_reports import Watchdog

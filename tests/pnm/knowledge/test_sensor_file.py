@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from pnm.core.logic.expressions import UNKNOWN
 from pnm.core.machine.bindings import Bindings
-from pnm.errors import InputError
 from pnm.core.message_fields import Comparison, Every, Field, FieldValue, Flag, Negation, Some, Unreadable, parse_field, succeeds
+from pnm.errors import InputError
 from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import ByService, ByTopic, instances, read, unknown
 from pnm.ros.backend import Ros2Backend

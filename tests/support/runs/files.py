@@ -22,5 +22,8 @@ def error(read: Callable[[Path], object], path: Path) -> str:
 
 MOVE = GroundAction("move", ("r1", "hall", "lab"), ("robot", "from", "to"), duration=12.0)
 WORDS = Vocabulary(
-    {"move": MOVE.parameters, "wait": ()}, frozenset({"at", "battery", "near"}), frozenset({"r1", "lab"}), derived=frozenset({"near"})
+    {"move": dict.fromkeys(MOVE.parameters, ()), "wait": {}},
+    frozenset({"at", "battery", "near"}),
+    frozenset({"r1", "lab"}),
+    derived=frozenset({"near"}),
 )

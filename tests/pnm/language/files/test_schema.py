@@ -16,9 +16,11 @@ from hypothesis import HealthCheck, given, settings
 from planner_bridge.cli.commands import app
 from planner_bridge.yaml import read_constraints
 from planner_bridge.yaml.convert import exported
+from pnm.core import message_fields
 from pnm.core.logic.operators import OPERATORS
 from pnm.core.machine.machine import OnFailure
 from pnm.errors import InputError
+from pnm.knowledge import field_reader
 from pnm.language import actions, domain, files, plan_tree, steps
 from pnm.language.files import SCHEMA
 from pnm.language.formulas import effects, words
@@ -116,6 +118,10 @@ def test_whatever_else_a_reader_looks_for_by_name_is_a_key_of_the_schema_and_the
         *effects.MOMENTS,
         *effects._BOUNDS,
         *plan_tree._DURING,
+        *message_fields.COMPARISONS,
+        *field_reader._TESTS,
+        "field",
+        "table",
         actions.OPERATION,
         "plans",
     }

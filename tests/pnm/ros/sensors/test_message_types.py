@@ -9,8 +9,8 @@ import pytest
 
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.rules import Rules
-from pnm.errors import InputError
 from pnm.core.message_fields import parse_field
+from pnm.errors import InputError
 from pnm.knowledge.sensor_model import Instance, read
 from pnm.ros.node.messages import import_type, to_message
 from pnm.ros.node.service_client import until_true
