@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
-from typing import Final, TypeAlias, assert_never
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, TypeAlias, assert_never
 
 from pnm.core.logic.evaluation import TOLERANCE
 from pnm.core.logic.expressions import is_number
@@ -16,7 +16,7 @@ from pnm.errors import InputError, PnmError
 COMPARISONS: Final = ("eq", "ne", "lt", "le", "gt", "ge", "contains")
 """Operators of `pnm.core.logic.operators` that a field and a constant can be compared by."""
 
-_STEP: Final = re.compile(r"\.?([A-Za-z]\w*)|\[(-?\d{1,9})\]", re.ASCII)
+_STEP: Final = re.compile(r"\.?([A-Za-z]\w*)|\[(-?\d{1,9})\]|\[([A-Za-z]\w*)=([^\[\]]+)\]", re.ASCII)
 
 
 class Unreadable(PnmError):
@@ -24,13 +24,37 @@ class Unreadable(PnmError):
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
-    """The path of a field in a message: names and, in lists, positions, from the end if negative."""
+class Having:
+    """The one item of a list whose field has this value."""
 
-    steps: tuple[str | int, ...]
+    name: str
+    value: str
+    """As the keys of tables are written; ``?r`` stands for an object."""
 
     def __str__(self) -> str:
-        return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in self.steps)[1:]
+        return f"{self.name}={self.value}"
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """The path of a field in a message: names and, in lists, items by position, from the end if negative, or by a field of theirs."""
+
+    steps: tuple[str | int | Having, ...]
+
+    def __str__(self) -> str:
+        return "".join(f".{step}" if isinstance(step, str) else f"[{step}]" for step in self.steps)[1:]
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """The variables in it."""
+        return tuple(step.value for step in self.steps if isinstance(step, Having) and step.value.startswith("?"))
+
+    def bound(self, env: Mapping[str, str]) -> Field:
+        """Return it with objects in the place of variables."""
+        if not self.variables:
+            return self
+        steps = (replace(step, value=env.get(step.value, step.value)) if isinstance(step, Having) else step for step in self.steps)
+        return Field(tuple(steps))
 
 
 Look: TypeAlias = Callable[[Field], object]
@@ -38,16 +62,16 @@ Look: TypeAlias = Callable[[Field], object]
 
 
 def parse_field(text: str) -> Field:
-    """Read ``pose.position.x`` or ``cells[0].voltage``; raise `InputError` for anything else."""
-    steps: list[str | int] = []
+    """Read ``pose.position.x``, ``cells[0].voltage`` or ``objects[name=?o].parent``; raise `InputError` for anything else."""
+    steps: list[str | int | Having] = []
     end = 0
     while step := _STEP.match(text, end):
         if (step[0][0] == ".") is not (step[1] is not None and end > 0):
             break
-        steps.append(step[1] if step[1] is not None else int(step[2]))
+        steps.append(step[1] if step[1] is not None else Having(step[3], step[4]) if step[3] else int(step[2]))
         end = step.end()
-    if not steps or isinstance(steps[0], int) or end != len(text):
-        raise InputError(f"not a field: {text!r}; expected something like pose.position.x or cells[0].voltage")
+    if not steps or not isinstance(steps[0], str) or end != len(text):
+        raise InputError(f"not a field: {text!r}; expected something like pose.position.x, cells[0].voltage or objects[name=?o].parent")
     return Field(tuple(steps))
 
 
@@ -92,6 +116,33 @@ class Some:
 
 
 Test: TypeAlias = Flag | Comparison | Negation | Every | Some
+
+
+def fields_bound(test: Test, env: Mapping[str, str]) -> Test:
+    """Return the test with objects in the place of the variables in its fields."""
+    match test:
+        case Flag(where) | Comparison(where):
+            return replace(test, field=where.bound(env))
+        case Negation(inner):
+            return Negation(fields_bound(inner, env))
+        case Every(tests) | Some(tests):
+            return replace(test, tests=tuple([fields_bound(part, env) for part in tests]))
+        case _:
+            assert_never(test)
+
+
+def fields_in(test: Test) -> Iterator[Field]:
+    """Yield the fields that a test looks at."""
+    match test:
+        case Flag(where) | Comparison(where):
+            yield where
+        case Negation(inner):
+            yield from fields_in(inner)
+        case Every(tests) | Some(tests):
+            for part in tests:
+                yield from fields_in(part)
+        case _:
+            assert_never(test)
 
 
 def succeeds(test: Test, look: Look) -> bool:
@@ -150,11 +201,23 @@ def value_in(data: object, where: Field) -> object:
         match data, step:
             case dict(), str() if step in data:
                 data = data[step]
-            case list(), int() if -len(data) <= step < len(data):
-                data = data[step]
+            case list(), int() | Having():
+                data = item(data, step, where, lambda inner, name: inner.get(name) if isinstance(inner, dict) else None)
             case _:
                 raise Unreadable(f"there is no {where}")
     return data
+
+
+def item(items: Sequence[Any], step: int | Having, where: Field, part: Callable[[Any, str], object]) -> Any:
+    """Return the item of a list for a step of a field, given how to look at a field of an item; raise `Unreadable` if there is none."""
+    if isinstance(step, int):
+        if -len(items) <= step < len(items):
+            return items[step]
+        raise Unreadable(f"there is no {where}: the list has {len(items)} items")
+    fitting = [one for one in items if written(part(one, step.name)) == step.value]
+    if len(fitting) != 1:
+        raise Unreadable(f"there is no {where}: {len(fitting) or 'none'} of the {len(items)} items has {step}")
+    return fitting[0]
 
 
 def written(value: object) -> str:

@@ -11,7 +11,7 @@ from typing import Final
 from pnm.core.knowledge_base import parse_fluent
 from pnm.core.logic.declared_names import FluentKind, Signature, Vocabulary
 from pnm.core.logic.expressions import Fluent, Variable
-from pnm.core.message_fields import FieldValue
+from pnm.core.message_fields import Field, FieldValue, fields_in
 from pnm.errors import InputError, Position, suggestion
 from pnm.files.yaml_nodes import Mapped, load_yaml, texts_in
 from pnm.knowledge.field_reader import read_field, read_number, read_object, read_table, read_test
@@ -79,7 +79,7 @@ class _Reader:
             raise InputError("expected either a topic or a service", entry.start)
         key = "topic" if is_topic else "service"
         entry.only(key, *_OWN, *(() if is_topic else ("request", "every", "limit")))
-        variables = self._variables()
+        variables = self._variables(entry)
         way = ByTopic() if is_topic else self._polled(variables)
         sensor = Sensor(
             self._name(key, variables, way),
@@ -97,8 +97,8 @@ class _Reader:
 
     # --- topic or service ---
 
-    def _variables(self) -> tuple[Variable, ...]:
-        node = self.entry.node("for")
+    def _variables(self, entry: Mapped) -> tuple[Variable, ...]:
+        node = entry.node("for")
         if node is None or node.is_null:
             return ()
         variables = []
@@ -155,7 +155,9 @@ class _Reader:
 
     # --- statements ---
 
-    def _statement(self, entry: Mapped, variables: tuple[Variable, ...]) -> Statement:
+    def _statement(self, entry: Mapped, around: tuple[Variable, ...]) -> Statement:
+        own = self._variables(entry)
+        variables = (*around, *own)
         kinds = [key for key in ("fact", "number", "object") if key in entry.nodes]
         if len(kinds) != 1:
             raise InputError("expected one of fact, number and object", entry.start)
@@ -166,33 +168,46 @@ class _Reader:
         except InputError as error:
             raise InputError(error.message, where) from error
         is_choice = kind == "fact" and VALUE in fluent
+        for variable in own:
+            if variable.name not in fluent:
+                raise InputError(f"{text} does not name {variable.name}, so all would be one", where)
         if kind == "fact" and not is_choice:
-            entry.only("fact", "field", "when")
+            entry.only("fact", "for", "field", "when")
             self._typed(fluent, FluentKind.FACT, variables, where)
-            return Fact(fluent, read_test(entry), where)
-        entry.only(kind, "field", "table")
+            test = read_test(entry)
+            self._fields(fields_in(test), variables, entry.position("when" if "when" in entry.nodes else "field"))
+            return Fact(fluent, test, where, own)
+        entry.only(kind, "for", "field", "table")
+        self._fields([read_field(entry)], variables, entry.position("field"))
         if kind == "number":
             self._typed(fluent, FluentKind.NUMBER, variables, where)
-            return Number(fluent, read_number(entry), where)
+            return Number(fluent, read_number(entry), where, own)
         signature = self._typed(fluent, FluentKind.FACT if is_choice else FluentKind.OBJECT, variables, where)
         if not is_choice:
             types = signature.values if signature else ("object",)
-            return Object(fluent, read_object(entry, types, self.known), types, where)
+            return Object(fluent, read_object(entry, types, self.known), types, where, own)
         if fluent.count(VALUE) > 1:
             raise InputError(f"{VALUE} is there twice; expected it once", where)
         types = signature.parameters[fluent.index(VALUE) - 1] if signature else ("object",)
-        return ExclusiveFact(fluent, read_object(entry, types, self.known), types, where)
+        return ExclusiveFact(fluent, read_object(entry, types, self.known), types, where, own)
 
-    def _stored(self, variables: tuple[Variable, ...]) -> Iterable[Statement]:
+    def _fields(self, fields: Iterable[Field], variables: tuple[Variable, ...], where: Position) -> None:
+        for name in (name for field in fields for name in field.variables):
+            self._variable(name, variables, where)
+
+    def _stored(self, around: tuple[Variable, ...]) -> Iterable[Statement]:
         for entry in self.entry.sequence("variables"):
-            entry.only("name", "field", "table")
+            entry.only("name", "for", "field", "table")
+            own = self._variables(entry)
+            variables = (*around, *own)
             name, where = _text(entry, "name", "{r}_zone"), entry.position("name")
             self._placeholders(name, variables, where)
             for variable in variables:
                 if variable.name[1:] not in placeholders(name):
                     raise InputError(f"{name!r} does not name {{{variable.name[1:]}}}, so all would be one variable", where)
             table = None if entry.filled("table") is None else read_table(entry)
-            yield Stored(name, FieldValue(read_field(entry), table), where)
+            self._fields([read_field(entry)], variables, entry.position("field"))
+            yield Stored(name, FieldValue(read_field(entry), table), where, own)
 
     def _typed(self, fluent: Fluent, kind: FluentKind, variables: tuple[Variable, ...], where: Position) -> Signature | None:
         """Check the names of a fluent and return its signature, if that is known."""

@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Final, TypeAlias, assert_never
 
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Value, Variable, bind, fluent_text
-from pnm.core.message_fields import FieldValue, Look, Test, Unreadable, shown, succeeds, without_nan
+from pnm.core.message_fields import FieldValue, Look, Test, Unreadable, fields_bound, shown, succeeds, without_nan
 from pnm.errors import InputError, Position
 
 VALUE: Final = "?value"
@@ -34,6 +34,7 @@ class Fact:
     fluent: Fluent
     test: Test
     position: Position = field(compare=False)
+    variables: tuple[Variable, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +45,7 @@ class ExclusiveFact:
     source: FieldValue
     types: tuple[str, ...]
     position: Position = field(compare=False)
+    variables: tuple[Variable, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +55,7 @@ class Number:
     fluent: Fluent
     source: FieldValue
     position: Position = field(compare=False)
+    variables: tuple[Variable, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +66,7 @@ class Object:
     source: FieldValue
     types: tuple[str, ...]
     position: Position = field(compare=False)
+    variables: tuple[Variable, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +76,11 @@ class Stored:
     name: str
     source: FieldValue
     position: Position = field(compare=False)
+    variables: tuple[Variable, ...] = ()
 
 
 Statement: TypeAlias = Fact | ExclusiveFact | Number | Object | Stored
+"""With variables of its own there is one for every choice of objects for these."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,11 +174,11 @@ class Reading:
 
 def instances(sensing: Sensing, objects: Objects) -> tuple[Instance, ...]:
     """Return the sensors for all choices of objects; raise `InputError` if two of them report the same fluent or variable."""
-    sensors = tuple(
-        Instance(sensor, dict(zip((variable.name for variable in sensor.variables), chosen, strict=True)))
-        for sensor in sensing.sensors
-        for chosen in product(*(objects(variable.types) for variable in sensor.variables))
-    )
+    sensors = []
+    for sensor in sensing.sensors:
+        for env in _choices(sensor.variables, objects):
+            statements = [_bound(part, {**env, **own}) for part in sensor.statements for own in _choices(part.variables, objects)]
+            sensors.append(Instance(replace(sensor, statements=tuple(statements)), env))
     reported_by: dict[Fluent | str, Statement] = {}
     for instance in sensors:
         for statement in instance.sensor.statements:
@@ -182,7 +188,24 @@ def instances(sensing: Sensing, objects: Objects) -> tuple[Instance, ...]:
                     what = subject if isinstance(subject, str) else fluent_text(subject)
                     raise InputError(f"{what} is sensed in line {other.line} as well; expected one sensor for it", statement.position)
                 reported_by[subject] = statement
-    return sensors
+    return tuple(sensors)
+
+
+def _choices(variables: tuple[Variable, ...], objects: Objects) -> Iterator[dict[str, str]]:
+    for chosen in product(*(objects(variable.types) for variable in variables)):
+        yield dict(zip((variable.name for variable in variables), chosen, strict=True))
+
+
+def _bound(statement: Statement, env: Mapping[str, str]) -> Statement:
+    match statement:
+        case Fact(fluent, test):
+            return replace(statement, fluent=bind(fluent, env), test=fields_bound(test, env), variables=())
+        case Stored(name, source):
+            return replace(statement, name=filled(name, env), source=replace(source, field=source.field.bound(env)), variables=())
+        case ExclusiveFact(fluent, source) | Number(fluent, source) | Object(fluent, source):
+            return replace(statement, fluent=bind(fluent, env), source=replace(source, field=source.field.bound(env)), variables=())
+        case _:
+            assert_never(statement)
 
 
 def _subjects(statement: Statement, env: Mapping[str, str], objects: Objects) -> Iterator[Fluent | str]:
@@ -265,8 +288,8 @@ def placeholders(pattern: str) -> tuple[str, ...]:
 
 
 def filled(pattern: str, env: Mapping[str, str]) -> str:
-    """Put the objects in the place of the variables in braces."""
-    return _PLACEHOLDER.sub(lambda placeholder: env[f"?{placeholder[1]}"], pattern)
+    """Put the objects in the place of those variables in braces that have one."""
+    return _PLACEHOLDER.sub(lambda placeholder: env.get(f"?{placeholder[1]}", placeholder[0]), pattern)
 
 
 def _resolved(value: object, env: Mapping[str, str]) -> object:

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass, replace
 from typing import Any, Final, assert_never
 
-from pnm.core.message_fields import Comparison, Every, Field, FieldValue, Flag, Negation, Some, Test, Unreadable, written
+from pnm.core.message_fields import Comparison, Every, Field, FieldValue, Flag, Having, Negation, Some, Test, item, parse_field, written
 from pnm.errors import InputError, suggestion
 from pnm.ros.node.messages import import_type, plain
 
@@ -97,20 +97,30 @@ def find_field(message_type: Any, where: Field) -> MessageField:
     kind, so_far = "", ""
     owner, inside = message_type, message_type
     for step in where.steps:
-        if isinstance(step, int):
+        if not isinstance(step, str):
             inner = item_kind(kind)
             if inner is None:
                 raise InputError(f"{so_far} is a {kind}; only a list has an item {step}")
             kind, so_far = inner, f"{so_far}[{step}]"
+            if isinstance(step, Having):
+                if _inside(kind) is None:
+                    raise InputError(f"{so_far.removesuffix(f'[{step}]')} is a list of {kind}; only items with fields can be found by one")
+                part = find_field(_inside(kind), parse_field(step.name)).kind
+                if not (TEXT.fullmatch(part) or (NUMBER.fullmatch(part) and _WRITTEN.fullmatch(step.value))):
+                    raise InputError(f"{so_far}: {step.name} is a {part}; expected a text")
         else:
             kinds = {} if inside is None else inside.get_fields_and_field_types()
             if step not in kinds:
                 has = f"it has {', '.join(kinds)}" if kinds else "it has none"
                 raise InputError(f"{kind or message_type.__name__} has no field {step!r}; {f'{suggestion(step, kinds)} {has}'.strip()}")
             kind, so_far, owner = kinds[step], f"{so_far}.{step}".lstrip("."), inside
-        package, slash, name = kind.rpartition("/")
-        inside = import_type(f"{package}/msg/{name}") if slash and item_kind(kind) is None else None
+        inside = _inside(kind)
     return MessageField(where, kind, owner)
+
+
+def _inside(kind: str) -> Any:
+    package, slash, name = kind.rpartition("/")
+    return import_type(f"{package}/msg/{name}") if slash and item_kind(kind) is None else None
 
 
 def item_kind(kind: str) -> str | None:
@@ -123,10 +133,5 @@ def value_at(message: Any, where: Field) -> object:
     """Return the value of a field of a message, as plain data; raise `Unreadable` if a list has no such item."""
     value = message
     for step in where.steps:
-        if not isinstance(step, int):
-            value = getattr(value, step)
-        elif -len(value) <= step < len(value):
-            value = value[step]
-        else:
-            raise Unreadable(f"there is no {where}: the list has {len(value)} items")
+        value = getattr(value, step) if isinstance(step, str) else item(value, step, where, getattr)
     return plain(value)

@@ -38,7 +38,8 @@ class Sensors:
             raise InputError(f"facts of {name} follow from rules; they are neither set nor sensed")
         for sensor in sensing.sensors:
             if sensor.type is not None:
-                checked(next((instance for instance in every_instance if instance.sensor is sensor), Instance(sensor, {})), sensor.type)
+                chosen = (instance for instance in every_instance if instance.sensor.position == sensor.position)
+                checked(next(chosen, Instance(sensor, {})), sensor.type)
         self._recorders = [SensorRecorder(instance, knowledge) for instance in every_instance]
         self._topics: list[TopicSensor] = []
         self._polls: list[ServiceSensor] = []

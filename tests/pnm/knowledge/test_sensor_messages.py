@@ -75,6 +75,32 @@ def test_a_request_names_objects(tmp_path):
     assert read(only, look({}), objects).facts == {("charged", "a1"): True}, "that somebody answers may be all there is to say"
 
 
+def test_items_of_a_list_are_found_by_a_field_of_theirs(tmp_path):
+    text = """\
+sensors:
+  - topic: world
+    facts:
+      - {for: {r: robot}, fact: "(at ?r ?value)", field: "robots[name=?r].room", table: {A1: kitchen, moving: undefined}}
+      - {for: {r: robot}, number: "(battery ?r)", field: "robots[name=?r].level"}
+      - {for: {r: robot}, fact: "(charged ?r)", when: {field: "robots[name=?r].level", gt: 50}}
+    variables: [{for: {r: arm}, name: "{r}_level", field: "robots[name=?r].level"}, {name: first, field: "robots[name=r1].room"}]
+"""
+    (world,) = instances(read_sensing(written(tmp_path, text), KNOWN), objects)
+    robots = [{"name": "r1", "room": "A1", "level": 80}, {"name": "a1", "room": "moving", "level": 20}]
+    reading = read(world, look({"robots": robots}), objects)
+    rooms = {("at", "r1", "kitchen"): True, ("at", "a1", "kitchen"): False, ("at", "r-2", "kitchen"): UNKNOWN}
+    rooms |= {("at", "r1", "hall"): False, ("at", "a1", "hall"): False, ("at", "r-2", "hall"): UNKNOWN}
+    levels = {("battery", "r1"): 80.0, ("battery", "a1"): 20.0, ("battery", "r-2"): UNKNOWN}
+    assert reading.facts == {**rooms, **levels, ("charged", "r1"): True, ("charged", "a1"): False, ("charged", "r-2"): UNKNOWN}
+    assert reading.variables == {"a1_level": 20, "first": "A1"}
+    assert set(reading.unread.values()) == {
+        "there is no robots[name=r-2].room: none of the 2 items has name=r-2",
+        "there is no robots[name=r-2].level: none of the 2 items has name=r-2",
+    }
+    twice = read(world, look({"robots": [robots[0], robots[0]]}), objects)
+    assert "there is no robots[name=r1].room: 2 of the 2 items has name=r1" in twice.unread.values(), "which of them is meant?"
+
+
 def test_numbers_that_conditions_take_for_equal_are_equal():
     for operation, holds in {"eq": True, "ne": False, "le": True, "ge": True, "lt": False, "gt": False}.items():
         float32 = 0.800000011920929

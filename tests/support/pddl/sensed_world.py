@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import tempfile
+from functools import partial
 from pathlib import Path
 
 from planner_bridge.pddl import parse_domain, parse_problem
-from pnm.core.message_fields import Field, Unreadable
+from pnm.core.message_fields import value_in
 from pnm.knowledge.sensor_file import read_sensing
 from tests.support.files import written
 
@@ -33,16 +34,7 @@ def objects(types):
 def look(message):
     """Return a function that looks into plain data as it would into a message."""
 
-    def at(where: Field):
-        value = message
-        for step in where.steps:
-            try:
-                value = value[step]
-            except (LookupError, TypeError) as error:
-                raise Unreadable(f"there is no {where}") from error
-        return value
-
-    return at
+    return partial(value_in, message)
 
 
 EVERYTHING = """\

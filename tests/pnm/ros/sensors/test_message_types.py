@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import partial
 
@@ -9,7 +10,7 @@ import pytest
 
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.rules import Rules
-from pnm.core.message_fields import parse_field
+from pnm.core.message_fields import Unreadable, parse_field
 from pnm.errors import InputError
 from pnm.knowledge.sensor_model import Instance, read
 from pnm.ros.node.messages import import_type, to_message
@@ -103,6 +104,23 @@ def test_fields_of_messages():
     assert value_at(message, parse_field("basic_types_values[2].int64_value")) == 0
     assert find_field(type(message), parse_field("basic_types_values[2].int64_value")).kind == "int64"
     assert find_field(type(message), parse_field("string_values")).kind == "string[3]"
+
+
+def test_items_are_found_by_a_field_that_is_a_text_or_a_number():
+    items = [{"int32_value": 3, "float64_value": 1.5}, {"int32_value": 4}]
+    message = to_message(import_type("test_msgs/msg/UnboundedSequences"), {"basic_types_values": items})
+    assert value_at(message, parse_field("basic_types_values[int32_value=3].float64_value")) == 1.5
+    assert find_field(type(message), parse_field("basic_types_values[int32_value=3].float64_value")).kind == "double"
+    with pytest.raises(Unreadable, match=r"none of the 2 items has int32_value=5"):
+        value_at(message, parse_field("basic_types_values[int32_value=5].float64_value"))
+    for wrong, said in {
+        "basic_types_values[name=a].int32_value": "BasicTypes has no field 'name'",
+        "basic_types_values[int32_value=?r].int32_value": "int32_value is a int32; expected a text",
+        "alignment_check[name=a]": "alignment_check is a int32; only a list has an item name=a",
+        "int32_values[name=a]": "int32_values is a list of int32; only items with fields can be found by one",
+    }.items():
+        with pytest.raises(InputError, match=re.escape(said)):
+            find_field(type(message), parse_field(wrong))
 
 
 def test_constants_of_messages_have_names(sensing):
