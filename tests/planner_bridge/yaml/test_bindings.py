@@ -25,6 +25,7 @@ EVERYTHING = Binding(
     cancel=1.0,
     retries=2,
     ask={"place": "Where to, {robot}?"},
+    several_servers=True,
     resources=("{robot}/base", "lift"),
 )
 
