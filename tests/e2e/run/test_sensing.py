@@ -50,6 +50,19 @@ def test_what_is_unknown_because_its_sensor_was_killed_fails_a_call_and_is_plann
     assert any("nothing was heard on /r1/battery for 1 s; what it reports is unknown" in line for line in run.err)
 
 
+def test_reports_about_what_the_domain_does_not_declare_are_complained_of(deploy):
+    deployment = deploy("workshop", texts=(DOMAIN, PROBLEM))
+    report = {"names": ["chraged"], "facts": ["(chraged r1)"]}
+    topic = {"topic": "/knowledge/sensed", "type": "pnm_interfaces/msg/State", "fields": report}
+    sensor = deployment.start(Program(["-m", "tests.support.ros.sensors", json.dumps(topic)], deployment.environment))
+    sensor.until(lambda: "ready" in sensor.out)
+    simulation = deployment.simulate().ready()
+    run = deployment.run()
+    assert deployment.finish(run, simulation).result["goal_reached"]
+    complaint = "a report on knowledge/sensed is wrong: chraged is not declared; did you mean 'charged'?"
+    assert any(complaint in line for line in run.err)
+
+
 def test_sensors_that_are_wrong_are_refused_before_anything_starts(deploy):
     deployment = deploy("workshop", texts=(DOMAIN, PROBLEM))
     for text, said in {
