@@ -43,8 +43,9 @@ def bindings_for(domain: Path | None, file: Path | None, known: Vocabulary | Non
     Bindings may use only the names in `known`; any, if it is None.
     """
     beside = domain.parent / "bindings.yaml" if domain else None
-    chosen = file or (beside if beside and os.path.isfile(beside) else None)
-    return read_bindings(chosen, known) if chosen else Bindings()
+    if file is None and beside and os.path.isfile(beside):  # unlike `Path.is_file` also for names that are too long
+        file = beside
+    return read_bindings(file, known) if file else Bindings()
 
 
 def warning_lines(warnings: Iterable[Tolerated]) -> Iterator[str]:
