@@ -190,7 +190,7 @@ class _Judge:
         return bool(begins_before) and intrusion.leaves_true and all(self.wrong_writer(need) is None for need in intrusion.others)
 
 
-def threats(graph: PlanGraph, problem: Problem, links: CausalLinks, *, projected: bool = False) -> Iterator[str]:
+def threats(graph: PlanGraph, problem: Problem, links: CausalLinks, *, projected: bool) -> Iterator[str]:
     """Yield what may go wrong in some order that the graph allows.
 
     Args:
