@@ -100,9 +100,9 @@ class ConsoleObserver(TaskObserver):
         self._lines.print(now, "[blue]start[/] ", f"{call.action}{again}")
 
     def hindered(self, call: ActionCall, cause: Explanation, now: float) -> None:
-        """Keep the cause for when the call is tried again; what was expected besides, if no report has said it."""
-        is_found = cause.cause in (Cause.EFFECTS_MISSING, Cause.PRECONDITION_FALSE, Cause.INVARIANT_FALSE)
-        self._causes[call.index] = f"{cause.cause}: expected {cause.expected}" if is_found else str(cause.cause)
+        """Keep the cause for when the call is tried again, with what was expected if that is more than a success."""
+        has_condition = cause.cause in (Cause.EFFECTS_MISSING, Cause.PRECONDITION_FALSE, Cause.INVARIANT_FALSE)
+        self._causes[call.index] = f"{cause.cause}: expected {cause.expected}" if has_condition else str(cause.cause)
 
     def spared(self, call: ActionCall, now: float) -> None:
         """Print that a call is not needed."""
