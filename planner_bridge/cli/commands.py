@@ -275,11 +275,13 @@ def export(
 
 @app.command("import")
 @click.argument("file", type=FILE)
-@click.option("-o", "--output", type=FILE, required=True, help="a folder, for domain.pddl and problem.pddl; made if it is not there")
+@click.option(
+    "-o", "--output", type=FILE, required=True, help="a folder, for domain.pddl, problem.pddl and bindings.yaml; made if it is not there"
+)
 @force_option
 @command
 def from_yaml(file: Path, output: Path, force: bool) -> int:
-    """Write the domain of a YAML file, and its problem if there is one, as PDDL."""
+    """Write the domain of a YAML file, and its problem if there is one, as PDDL, and how actions are bound as bindings.yaml."""
     from planner_bridge.yaml.convert import imported
 
     result = imported(file)

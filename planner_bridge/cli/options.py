@@ -81,7 +81,7 @@ files = options(click.argument("domain", type=FILE), click.argument("problem", t
 files_or_plan = options(
     click.argument("domain", type=FILE, required=False),
     click.argument("problem", type=FILE, required=False),
-    click.option("--plan", "plan_file", type=FILE, help="a hand-written plan in YAML, in place of DOMAIN and PROBLEM"),
+    click.option("--plan", "plan_file", type=FILE, help="a hand-written plan in YAML, or a world of plans, in place of DOMAIN and PROBLEM"),
     click.option("--name", help="which plan of that file, if there are several"),
 )
 planning = options(
