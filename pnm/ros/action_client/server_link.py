@@ -121,7 +121,7 @@ class ServerLink:
     # several servers of one name
 
     def _rivals(self, present: frozenset[bytes]) -> str:
-        """Return why nothing may be sent: other servers would carry it out as well; empty when there are none, or they are allowed."""
+        """Return the reason to send nothing: other servers would carry it out as well; empty when there are none, or they are allowed."""
         self._answered_twice = self._answered_twice and len(present) > 1
         if self._several or not self._answered_twice:
             return ""
@@ -286,23 +286,24 @@ class ServerLink:
                     goal.postpone(now)
 
     def _look_at_queue(self, now: float) -> None:
-        if not self.ready():
-            if self._queued and now >= self._expected_until:  # all queued goals together: they would all wait in vain for the same server
-                reason = absence(self._node, self.name, self.wanted_type)
-                while self._queued:
-                    self._queued.popleft().end(OutcomeKind.UNAVAILABLE, reason)
-        elif self._queued and (rivals := self._rivals(processes(self._node, self.name))):
+        is_ready, reason = self.ready(), ""
+        if not self._queued:
+            return
+        if is_ready:
+            reason = self._rivals(processes(self._node, self.name))
+        elif now >= self._expected_until:
+            reason = absence(self._node, self.name, self.wanted_type)
+        if reason:  # all queued goals together: they would all wait in vain for the same server
             while self._queued:
-                self._queued.popleft().end(OutcomeKind.UNAVAILABLE, rivals)
-        elif self._queued and not self._may_send():
+                self._queued.popleft().end(OutcomeKind.UNAVAILABLE, reason)
+        elif is_ready and not self._may_send():
             abandoned = self._handshake.abandoned
             for goal in tuple(self._queued):
                 goal.sent = goal.sent or now  # the limit counts from here: the server is ready, the goal could have been sent
                 if now - goal.sent >= goal.accept:
                     given_up = f"did not end within {goal.accept:g} s what was given up: {abandoned} goal{'s' * (abandoned > 1)}"
-                    reason = given_up if abandoned else _silence(goal)
                     self._queued.remove(goal)
-                    goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {reason}")
+                    goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {given_up if abandoned else _silence(goal)}")
 
     def _look_at_unanswered(self, goal: Goal, present: frozenset[bytes], now: float) -> None:
         verdict = goal.liveness.check(present, False, now)
