@@ -21,7 +21,7 @@ from pnm.actions.backend import Backend, ClientBackend, schedule
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import run_async
 from pnm.core.logic.conditions import Condition
-from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.bindings import NO_BINDINGS
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.requests import ActionClient
 from pnm.errors import InputError, Tolerated, suggestion
@@ -64,7 +64,7 @@ def achieve(
     check_arguments(settings, observer, faults)
     with seconds.of("parse"):
         loaded = load(domain, problem)
-        if settings.bindings == Bindings() and isinstance(domain, Path | str):
+        if settings.bindings == NO_BINDINGS and isinstance(domain, Path | str):
             settings = replace(settings, bindings=bindings_for(Path(domain), None, loaded.vocabulary))
     backend = backend_of(actions, loaded, settings, faults)
     task = achieve_at(backend, loaded, settings, observer, seconds)

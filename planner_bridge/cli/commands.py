@@ -255,7 +255,7 @@ def export(
     """Write a domain, a problem and a plan for it as YAML."""
     from planner_bridge.loading import bindings_for
     from planner_bridge.yaml.convert import exported
-    from pnm.core.machine.bindings import Bindings
+    from planner_bridge.yaml.write_bindings import unwritten
 
     bound = bindings_for(domain, bindings, None)
     with searching(planner) if with_plan or original else nullcontext():
@@ -264,10 +264,7 @@ def export(
     if result.reason:
         print(f"no plan: {result.reason}", file=sys.stderr)
         return 1
-    usual = Bindings()
-    left_out = ["'actions'"] if original and bound.actions else []
-    left_out += [f"{key!r}" for key in ("assumed", "lag") if getattr(bound, key) != getattr(usual, key)]
-    if left_out:
+    if left_out := [f"{key!r}" for key in unwritten(bound, original=original)]:
         print(f"{' and '.join(left_out)} of the bindings are not in the text: give --bindings when it is run", file=sys.stderr)
     write(output, result.text, force=force)
     return 0
