@@ -22,6 +22,7 @@ from pnm.core.machine.machine import (
     Guard,
     OnFailure,
     PauseAsked,
+    PetriNetMachine,
     TransitionAction,
     Withheld,
 )
@@ -30,8 +31,8 @@ from pnm.core.machine.verification.block_shape import shape_of
 from pnm.core.machine.verification.explore import explore_part
 from pnm.core.machine.verification.part import Part, Step, Unsound
 from pnm.core.machine.verification.verify import explore, verify
-from tests.support.runs.edited import with_input, with_output, with_place, with_rule, without_transition
-from tests.support.runs.mutants import check_proof_of_mutants
+from pnm.core.net.net import PetriNet
+from tests.support.runs.mutants import _with_input, _without, check_proof_of_mutants
 from tests.support.runs.plan_graphs import ordering, plan, plans
 
 SHAPES = {
@@ -81,30 +82,37 @@ def test_the_block_proof_accepts_no_machine_that_the_state_space_refutes(name: s
     check_proof_of_mutants(generate(SHAPES[name], bindings(retries)))
 
 
+def lost(machine: PetriNetMachine, name: str) -> PetriNetMachine:
+    rules = {other: rule for other, rule in machine.rules.items() if other != name}
+    return replace(machine, net=_without(machine.net, name), rules=rules)
+
+
+def ruled(machine: PetriNetMachine, name: str, **changes: object) -> PetriNetMachine:
+    return replace(machine, rules={**machine.rules, name: machine.rules[name]._replace(**changes)})  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("name", ["timed_out", "unconfirmed", "unconfirmed_stop", "unanswered", "unheard"])
 def test_a_wait_without_a_limit_is_refuted(name: str) -> None:
     machine = generate(SHAPES["chain"])
     with pytest.raises(Unsound, match="no exit that is sure to open in finite time"):
-        verify(without_transition(machine, f"a1()#1 {name}"))
+        verify(lost(machine, f"a1()#1 {name}"))
     with pytest.raises(Unsound, match="no exit that is sure to open in finite time"):
-        verify(with_rule(machine, f"a1()#1 {name}", guard=After(float("inf"))))
-    never = with_input(with_place(machine, "never"), f"a1()#1 {name}", "never")
+        verify(ruled(machine, f"a1()#1 {name}", guard=After(float("inf"))))
+    net = PetriNet((*machine.net.places, "never"), machine.net.inputs, machine.net.outputs)
+    never = _with_input(net, f"a1()#1 {name}", "never")
     for proof in (verify, explore):
         with pytest.raises(Unsound, match="no exit that is sure to open in finite time"):
-            proof(never)
+            proof(replace(machine, net=never))
 
 
 def test_rules_that_are_not_what_they_seem_are_refuted() -> None:
     machine = generate(SHAPES["chain"])
     for broken, why in (
-        (with_rule(machine, "a0()#0 start", action=None), "is about a request, and none is alive"),
-        (
-            with_rule(machine, "a0()#0 retry", action=TransitionAction.SEND),
-            "sends a request|none is alive|nothing takes|no place is marked",
-        ),
-        (with_rule(machine, "a0()#0 accepted", guard=Accepts(1)), "listens to another call"),
-        (with_rule(machine, "goal_holds", guard=Always()), "without asking for the goal"),
-        (with_rule(machine, "a0()#0 timed_out", guard=Due(1.0, (("start", 1.0),))), "counts from the marking of start"),
+        (ruled(machine, "a0()#0 start", action=None), "is about a request, and none is alive"),
+        (ruled(machine, "a0()#0 retry", action=TransitionAction.SEND), "sends a request|none is alive|nothing takes|no place is marked"),
+        (ruled(machine, "a0()#0 accepted", guard=Accepts(1)), "listens to another call"),
+        (ruled(machine, "goal_holds", guard=Always()), "without asking for the goal"),
+        (ruled(machine, "a0()#0 timed_out", guard=Due(1.0, (("start", 1.0),))), "counts from the marking of start"),
         (replace(machine, failure_places=dict.fromkeys(machine.failure_places, 0)), "marks the failure of another call"),
     ):
         with pytest.raises(Unsound, match=why):
@@ -113,9 +121,13 @@ def test_rules_that_are_not_what_they_seem_are_refuted() -> None:
 
 def test_a_channel_that_closes_a_cycle_is_refuted() -> None:
     machine = generate(SHAPES["chain"])
-    circle = with_input(with_output(with_place(machine, "hidden"), "a1()#1 fork", "hidden"), "a0()#0 join", "hidden")
+    net = PetriNet(
+        (*machine.net.places, "hidden"),
+        {**machine.net.inputs, "a0()#0 join": {**machine.net.inputs["a0()#0 join"], "hidden": 1}},
+        {**machine.net.outputs, "a1()#1 fork": {**machine.net.outputs["a1()#1 fork"], "hidden": 1}},
+    )
     with pytest.raises(Unsound, match="wait for each other"):
-        verify(circle)
+        verify(replace(machine, net=net))
 
 
 def test_who_waits_for_what_is_withheld_has_a_limit() -> None:
@@ -123,7 +135,7 @@ def test_who_waits_for_what_is_withheld_has_a_limit() -> None:
     machine = generate(graph)
     verify(machine)
     name = "act()#0 withheld before start"
-    for broken in (without_transition(machine, name), with_rule(machine, name, guard=Withheld(0, float("inf"), TransitionAction.SEND))):
+    for broken in (lost(machine, name), ruled(machine, name, guard=Withheld(0, float("inf"), TransitionAction.SEND))):
         with pytest.raises(Unsound, match=r"act\(\)#0 start has no way out"):
             verify(broken)
 
@@ -150,8 +162,11 @@ def ending_in(*finals: str, guard: Guard = Always()) -> Part:
 
 
 def test_a_missing_outcome_is_refuted_by_name() -> None:
+    machine = generate(SHAPES["one call"])
+    rules = {name: rule for name, rule in machine.rules.items() if rule.name != "aborted"}
+    broken = replace(machine, net=_without(machine.net, "a0()#0 aborted"), rules=rules)
     with pytest.raises(Unsound, match=r"a0\(\)#0 running has no exit for .*ABORTED"):
-        verify(without_transition(generate(SHAPES["one call"]), "a0()#0 aborted"))
+        verify(broken)
 
 
 def test_a_budget_is_spent_by_an_arc_of_its_weight() -> None:

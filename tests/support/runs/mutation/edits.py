@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from random import Random
 from typing import Final
@@ -10,10 +10,15 @@ from typing import Final
 from pnm.core.machine.machine import Always, Ends, PetriNetMachine, TransitionAction
 from pnm.core.machine.plan_graph import Moment
 from pnm.core.machine.requests import OutcomeKind
-from pnm.core.net.net import Marking
-from tests.support.runs.edited import with_inputs, with_net, with_outputs, without_place, without_transition
+from pnm.core.net.net import Marking, PetriNet, Weights
 
 Edit = Callable[[PetriNetMachine, Random], PetriNetMachine]
+Arcs = Mapping[str, Weights]
+
+
+def _net(machine: PetriNetMachine, inputs: Arcs | None = None, outputs: Arcs | None = None) -> PetriNetMachine:
+    net = machine.net
+    return replace(machine, net=PetriNet(net.places, inputs or net.inputs, outputs or net.outputs))
 
 
 def _arcs(machine: PetriNetMachine, random: Random, change: Callable[[dict[str, int]], None]) -> PetriNetMachine:
@@ -22,10 +27,10 @@ def _arcs(machine: PetriNetMachine, random: Random, change: Callable[[dict[str, 
     if random.random() < 0.5:
         arcs = dict(machine.net.inputs[name])
         change(arcs)
-        return with_inputs(machine, name, arcs)
+        return _net(machine, inputs={**machine.net.inputs, name: arcs})
     arcs = dict(machine.net.outputs[name])
     change(arcs)
-    return with_outputs(machine, name, arcs)
+    return _net(machine, outputs={**machine.net.outputs, name: arcs})
 
 
 def arc_lost(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
@@ -59,6 +64,12 @@ def weight(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
 
 def transition_lost(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
     return without_transition(machine, random.choice(machine.net.transitions))
+
+
+def without_transition(machine: PetriNetMachine, gone: str) -> PetriNetMachine:
+    keep = [name for name in machine.net.transitions if name != gone]
+    net = PetriNet(machine.net.places, {one: machine.net.inputs[one] for one in keep}, {one: machine.net.outputs[one] for one in keep})
+    return replace(machine, net=net, rules={one: machine.rules[one] for one in keep})
 
 
 def guard_open(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
@@ -114,7 +125,13 @@ def roles(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
 def ordering_lost(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
     if not machine.orderings:
         return machine
-    return without_place(machine, random.choice([*machine.orderings]))
+    gone = random.choice([*machine.orderings])
+
+    def cut(arcs: Arcs) -> Arcs:
+        return {name: {place: count for place, count in one.items() if place != gone} for name, one in arcs.items()}
+
+    net = PetriNet(tuple(place for place in machine.net.places if place != gone), cut(machine.net.inputs), cut(machine.net.outputs))
+    return replace(machine, net=net, orderings={place: one for place, one in machine.orderings.items() if place != gone})
 
 
 def ordering_turned(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
@@ -131,8 +148,8 @@ def rules_reordered(machine: PetriNetMachine, random: Random) -> PetriNetMachine
     names = [*machine.net.transitions]
     first, second = random.sample(range(len(names)), 2)
     names[first], names[second] = names[second], names[first]
-    inputs, outputs = ({name: arcs[name] for name in names} for arcs in (machine.net.inputs, machine.net.outputs))
-    return replace(with_net(machine, inputs=inputs, outputs=outputs), rules={name: machine.rules[name] for name in names})
+    net = PetriNet(machine.net.places, {one: machine.net.inputs[one] for one in names}, {one: machine.net.outputs[one] for one in names})
+    return replace(machine, net=net, rules={one: machine.rules[one] for one in names})
 
 
 EDITS: Final[tuple[Edit, ...]] = (

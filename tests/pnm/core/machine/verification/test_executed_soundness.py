@@ -24,9 +24,9 @@ from pnm.core.machine.plan_graph import (
 )
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, verify
-from pnm.core.net.net import Marking, PetriNet
+from pnm.core.net.net import Marking, PetriNet, Weights
 from pnm.errors import InputError
-from tests.support.runs.edited import with_input, with_inputs, with_output, with_place, with_rule, without_place, without_transition
+from tests.support.runs.mutants import _with_input, _with_output, _without
 from tests.support.runs.plan_graphs import plan
 
 ARM = generate(PlanGraph((ActionCall(0, GroundAction("a0", resources=("arm",))),)))
@@ -51,47 +51,70 @@ def marked(machine: PetriNetMachine, **tokens: int) -> PetriNetMachine:
     return replace(machine, initial=Marking({**machine.initial, **named}))
 
 
+def without_place(machine: PetriNetMachine, place: str) -> PetriNetMachine:
+    def cut(arcs: Weights) -> Weights:
+        return {name: weight for name, weight in arcs.items() if name != place}
+
+    net = machine.net
+    places = tuple(name for name in net.places if name != place)
+    inputs, outputs = ({name: cut(arcs) for name, arcs in every.items()} for every in (net.inputs, net.outputs))
+    orderings = {name: ordering for name, ordering in machine.orderings.items() if name != place}
+    return replace(machine, orderings=orderings, net=PetriNet(places, inputs, outputs))
+
+
+def inputs_of(machine: PetriNetMachine, name: str, inputs: Weights) -> PetriNetMachine:
+    net = machine.net
+    return replace(machine, net=PetriNet(net.places, {**net.inputs, name: inputs}, net.outputs))
+
+
+def ruled(machine: PetriNetMachine, name: str, **changes: object) -> PetriNetMachine:
+    return replace(machine, rules={**machine.rules, name: machine.rules[name]._replace(**changes)})  # type: ignore[arg-type]
+
+
+def lost(machine: PetriNetMachine, name: str) -> PetriNetMachine:
+    rules = {other: rule for other, rule in machine.rules.items() if other != name}
+    return replace(machine, net=_without(machine.net, name), rules=rules)
+
+
+def one_place_more(machine: PetriNetMachine) -> PetriNetMachine:
+    return replace(machine, net=PetriNet((*machine.net.places, "elsewhere"), machine.net.inputs, machine.net.outputs))
+
+
 UNSOUND: dict[str, tuple[PetriNetMachine, str]] = {
     "a resource without a token": (marked(ARM, resource_arm=0), "and there is 0"),
-    "a token outside": (marked(with_place(CHAIN, "elsewhere"), elsewhere=1), "marked at first"),
+    "a token outside": (marked(one_place_more(CHAIN), elsewhere=1), "marked at first"),
     "a token in a final place": (marked(CHAIN, goal=1), "marked at first"),
     "a failure place that is marked at first": (marked(CHAIN, **{"a0()#0 failed": 1}), "marked at first"),
     "an end that nothing waits for": (
         without_place(generate(plan(2, "0e<1e")), next(iter(generate(plan(2, "0e<1e")).orderings))),
         "no place keeps|nothing waits for the end of step 0|goal is marked although|failed is marked although",
     ),
-    "a report without input": (with_inputs(CHAIN, "a0()#0 withdrawn", {}), "does not take just the one token of its call"),
+    "a report without input": (inputs_of(CHAIN, "a0()#0 withdrawn", {}), "does not take just the one token of its call"),
     "a report with two inputs": (
-        with_input(CHAIN, "a0()#0 succeeded", "a0()#0 ready"),
+        replace(CHAIN, net=_with_input(CHAIN.net, "a0()#0 succeeded", "a0()#0 ready")),
         "does not take just the one token of its call",
     ),
     "a place that is goal and budget": (replace(CHAIN, budget_places=CHAIN.budget_places | {"goal"}), "two roles"),
     "a place that is failure and resource": (replace(CHAIN, resource_places={"a0()#0 failed": "arm"}), "two roles"),
-    "a goal after a failure": (without_transition(CHAIN, "ended_by_failure"), "goal is marked although the run is ending"),
-    "a request that is sent while ending": (without_transition(CHAIN, "a0()#0 skip"), "sends a request although the run is ending"),
-    "a second request": (
-        with_rule(CHAIN, "a0()#0 accepted", action=TransitionAction.SEND),
-        "sends a request while one of the call is alive",
-    ),
+    "a goal after a failure": (lost(CHAIN, "ended_by_failure"), "goal is marked although the run is ending"),
+    "a request that is sent while ending": (lost(CHAIN, "a0()#0 skip"), "sends a request although the run is ending"),
+    "a second request": (ruled(CHAIN, "a0()#0 accepted", action=TransitionAction.SEND), "sends a request while one of the call is alive"),
     "effects of what was not sent": (
-        with_rule(CHAIN, "a0()#0 precondition_false", action=TransitionAction.FINISH),
+        ruled(CHAIN, "a0()#0 precondition_false", action=TransitionAction.FINISH),
         "effects of a request that was not sent",
     ),
-    "a cancellation of nothing": (with_rule(CHAIN, "a0()#0 retry", action=TransitionAction.CANCEL), "about a request, and none is alive"),
-    "an end that is lost": (
-        without_transition(CHAIN, "a0()#0 aborted"),
-        "nothing takes the report that a request has aborted|has no exit for",
-    ),
+    "a cancellation of nothing": (ruled(CHAIN, "a0()#0 retry", action=TransitionAction.CANCEL), "about a request, and none is alive"),
+    "an end that is lost": (lost(CHAIN, "a0()#0 aborted"), "nothing takes the report that a request has aborted|has no exit for"),
     "a call under way that does not say so": (
         replace(CHAIN, alive_places=CHAIN.alive_places - {"a0()#0 running"}),
         "no place is marked that says so",
     ),
     "a failure that is taken back": (
-        with_input(CHAIN, "a0()#0 fork", "a0()#0 failed"),
+        replace(CHAIN, net=_with_input(CHAIN.net, "a0()#0 fork", "a0()#0 failed")),
         "which stays as it is",
     ),
     "an end before the request is over": (
-        with_rule(CHAIN, "a0()#0 unconfirmed", gives_up=False),
+        ruled(CHAIN, "a0()#0 unconfirmed", gives_up=False),
         "a request is alive, and no place is marked that says so",
     ),
 }
@@ -114,14 +137,17 @@ def test_counters_are_pairs_before_they_are_counted_as_some() -> None:
     ):
         inputs = COUNTING.net.inputs[transition]
         with pytest.raises(Unsound, match="neither one nor all"):
-            verify(with_inputs(COUNTING, transition, {**inputs, place: weight}))
-    mixed = with_output(with_input(COUNTING, "a0()#0 join", "a0()#0 spent"), "a0()#0 join", "a0()#0 uses left 0")
+            verify(inputs_of(COUNTING, transition, {**inputs, place: weight}))
+    mixed = replace(
+        COUNTING, net=_with_output(_with_input(COUNTING.net, "a0()#0 join", "a0()#0 spent"), "a0()#0 join", "a0()#0 uses left 0")
+    )
     with pytest.raises(Unsound, match="mixes counters"):
         verify(mixed)
 
 
 def test_a_goal_that_is_marked_early_is_refused() -> None:
-    early = with_rule(with_output(CHAIN, "a0()#0 start", "goal"), "a0()#0 start", guard=ConditionTrue(CHAIN.plan.goal))
+    early = replace(CHAIN, net=_with_output(CHAIN.net, "a0()#0 start", "goal"))
+    early = ruled(early, "a0()#0 start", guard=ConditionTrue(CHAIN.plan.goal))
     for prove in (verify, explore):
         with pytest.raises(Unsound):
             prove(early)
