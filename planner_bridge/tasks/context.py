@@ -132,8 +132,8 @@ class TaskContext:
         return self.knowledge.world
 
     def under_way(self, run: Run) -> ReadWriteSets:
-        """Return what the calls of a run that are still under way need and change."""
-        return read_write_sets((*run.open_calls.values(), *run.settling), TRUE, self.world)
+        """Return what the calls of a run need and change that are still under way."""
+        return read_write_sets(run.unsettled, TRUE, self.world)
 
     def unusable(self, history: History) -> frozenset[ForbiddenCall]:
         """Return the calls whose action server was not there too often, or that need a resource that is withheld after a vain wait."""
