@@ -17,7 +17,7 @@ from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.result import PlanResult, Stopwatch, TaskResult
 from planner_bridge.tasks.scheduling.task_manager import TaskManager
 from planner_bridge.tasks.settings import Settings, TaskObserver
-from pnm.actions.backend import Backend, ClientBackend, schedule
+from pnm.actions.backend import Backend, ClientBackend
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import run_async
 from pnm.core.logic.conditions import Condition
@@ -162,11 +162,7 @@ def carry_out(
 async def _carry_out_at(runner: PlanRunner, wanted: Wanted, settings: Settings, observer: TaskObserver, stopwatch: Stopwatch) -> PlanResult:
     nothing = Problem(wanted.text, Domain(wanted.text))
     manager = TaskManager(nothing, runner.world, runner.backend, settings, _no_goal, source=runner.source, runner=runner)
-    stop_time = schedule(runner.world, runner.programs[wanted.text].plan.timed, asyncio.get_running_loop().time())
-    try:
-        return cast("PlanResult", await manager.run(wanted, observer, stopwatch))
-    finally:
-        stop_time()
+    return cast("PlanResult", await manager.run(wanted, observer, stopwatch))
 
 
 def _no_goal(text: str) -> Condition:

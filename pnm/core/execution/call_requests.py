@@ -78,7 +78,7 @@ class Calls:
         self._ended: dict[int, Changes] = {}
         """What calls have written at their ends."""
         self._denied: dict[int, tuple[str, ...]] = {}
-        """What of the end conditions was not so at the end, and is reported by nothing."""
+        """Conditions over all and at the end that were not so."""
         self.accepted: dict[int, float] = {}
         """Calls whose requests were accepted and are not being cancelled, and the times of acceptance."""
 
@@ -192,7 +192,6 @@ class Calls:
                 self._begun[call] = values_before(start, context)
                 return self._write(start)
             case TransitionAction.FINISH:
-                self._denied[call] = denied_at_end(self.action(call), context)
                 end = self._ended[call] = finished(self.action(call), self._intended[call], context)
                 self._begun[call] = values_before(end, context) | self._begun.get(call, {})
                 return self._write(end)
@@ -233,10 +232,16 @@ class Calls:
         """No longer wait for the request of the call."""
         self.open.pop(self._requests[call], None)
 
-    def store(self, call: int, outcome: Outcome) -> None:
-        """Store the fields of the result, under their own names or those of the binding."""
+    def succeeded(self, call: int, outcome: Outcome) -> None:
+        """Store the fields of the result, under their own names or those of the binding, and note what the end relies on and was not so."""
         store = {**self.binding(call).store, **dict(self._plan.calls[call].store)}
         self._knowledge.local.store({store.get(name, name): value for name, value in outcome.result.items()})
+        # Now, before anything is written of its effects: they may change what it relies on.
+        self.deny(call, *denied_at_end(self.action(call), self.context_of(call, None)))
+
+    def deny(self, call: int, *conditions: str) -> None:
+        """Note conditions of the call, as PDDL, that were not so: it has not succeeded, whatever its server reports."""
+        self._denied[call] = (*self._denied.get(call, ()), *conditions)
 
     def _send(self, call: int, attempt: int, context: EvaluationContext) -> Performed:
         action = self.ready(call, context)

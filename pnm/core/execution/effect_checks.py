@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import statement_text
-from pnm.core.logic.conditions import TRUE, Condition, conjuncts, fluents, names
+from pnm.core.logic.computed_values import may_ask
+from pnm.core.logic.conditions import TRUE, Condition, conjuncts, data_in, fluents, names
 from pnm.core.logic.effects import Changes, Effects, changes, decided, facts, is_fixed, names_written, written
 from pnm.core.logic.evaluation import evaluate, unmet
 from pnm.core.logic.expressions import UNKNOWN, Fluent, Value, same_value
@@ -88,9 +89,15 @@ def unseen(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: Eval
 
 
 def denied_at_end(action: GroundAction, knowledge: EvaluationContext) -> tuple[str, ...]:
-    """Return, as PDDL, which parts of the end condition do not hold at the end, of those that nothing reports: no report can come late."""
-    parts = unmet(action.end_condition, knowledge)
-    return tuple(str(part) for part in parts if not all(map(knowledge.world.is_sensed, fluents(part, knowledge))))
+    """Return, as PDDL, which parts of the conditions over all and at the end do not hold at the end, and no report can come late about."""
+    denied: dict[Condition, None] = {}
+    for condition, is_for_the_end in ((action.invariant, False), (action.end_condition, True)):
+        for part in unmet(condition, knowledge):
+            is_reported = all(map(knowledge.world.is_sensed, fluents(part, knowledge)))
+            is_excused = is_reported and (is_for_the_end or may_be_late(part, action, knowledge, has_held=False))
+            if not is_excused and not any(map(may_ask, data_in(part))):
+                denied[part] = None
+    return tuple(map(str, denied))
 
 
 def may_be_late(part: Condition, action: GroundAction, knowledge: EvaluationContext, *, has_held: bool) -> bool:
