@@ -197,7 +197,8 @@ def backend_of(actions: Actions, described: Problem | HandWrittenPlan, settings:
         case "simulated":
             return simulated_backend(described, settings.bindings, faults)
         case "ros2":
-            return Ros2Backend(settings.bindings, sensing=settings.sensing)
+            known = described.vocabulary if isinstance(described, Problem) else None
+            return Ros2Backend(settings.bindings, settings.sensing, known)
         case ActionClient() if not isinstance(actions, type):
             return ClientBackend(actions)
         case _:
