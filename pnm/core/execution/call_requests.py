@@ -28,8 +28,9 @@ from pnm.core.logic.computed_values import (
     question_of,
     variable_name,
 )
-from pnm.core.logic.conditions import ground
+from pnm.core.logic.conditions import Condition, ground
 from pnm.core.logic.effects import Changes, ground_effects, is_fixed, undo, values_before
+from pnm.core.logic.evaluation import observed
 from pnm.core.logic.expressions import bind
 from pnm.core.logic.operators import CHANGING, Uncomputable
 from pnm.core.machine.bindings import Binding, Bindings, goal_data, open_parameters, placeholders
@@ -77,7 +78,7 @@ class Calls:
         """Values before what a call has written."""
         self._ended: dict[int, Changes] = {}
         """What calls have written at their ends."""
-        self._denied: dict[int, tuple[str, ...]] = {}
+        self._denied: dict[int, dict[Condition, str]] = {}
         """What of the end conditions was not so at the end, and is reported by nothing."""
         self.accepted: dict[int, float] = {}
         """Calls whose requests were accepted and are not being cancelled, and the times of acceptance."""
@@ -146,10 +147,16 @@ class Calls:
         """Return what the action has for itself while it is under way."""
         return self._bindings.resources(action)
 
-    def unseen(self, call: int, context: EvaluationContext) -> tuple[str, ...]:
+    def unseen(self, call: int, context: EvaluationContext) -> tuple[Condition, ...]:
         """Return what of the call's effects is not seen."""
         missing = unseen(self._intended[call].expected, self.action(call), context)
         return tuple(dict.fromkeys((*self._denied.get(call, ()), *missing)))
+
+    def explain_unseen(self, call: int, context: EvaluationContext) -> tuple[str, str]:
+        """Return what of the call's effects is not seen, and what is seen instead, as texts."""
+        denied, missing = self._denied.get(call, {}), self.unseen(call, context)
+        seen = dict.fromkeys(denied.get(part) or observed(part, context) for part in missing)
+        return " ".join(map(str, missing)), "; ".join(seen)
 
     def lag_of_effects(self, call: int, context: EvaluationContext) -> float:
         """Return how many seconds late the reports about its effects may come."""

@@ -299,8 +299,8 @@ class CallBlock(Block[ActionCall]):
         finish = None if self.awaited else TransitionAction.FINISH
         effects_hold = Rule("effects_hold", EffectsSeen(call), call, action=finish, outcome=CallOutcome.SUCCEEDED)
         self.fire(effects_hold, "finished", "done")
-        not_so, recover = "the call is done, but that is not so", [self.name(phase + "recover")]
-        self._outcome(Cause.EFFECTS_MISSING.value, EffectsMissing(call), "finished", Cause.EFFECTS_MISSING, recover, observed=not_so)
+        recover = [self.name(phase + "recover")]
+        self._outcome(Cause.EFFECTS_MISSING.value, EffectsMissing(call), "finished", Cause.EFFECTS_MISSING, recover)
 
     # --- recovery -----------------------------------------------------------------------------
 
