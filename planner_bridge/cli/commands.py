@@ -99,6 +99,7 @@ def plan(domain: Path, problem: Path, planner: str, timeout: float, as_json: boo
 @files_or_plan
 @click.option("--format", "written_as", type=click.Choice(["json", "dot"]), default="json", show_default=True, help="how it is written")
 @output_options
+@click.option("-v", "--verbose", is_flag=True, help="list the transitions that can never fire, with the reason")
 @bindings_option
 @planning
 @command
@@ -111,6 +112,7 @@ def net(
     written_as: str,
     output: Path | None,
     force: bool,
+    verbose: bool,
     bindings: Path | None,
     planner: str,
     timeout: float,
@@ -121,6 +123,7 @@ def net(
     from planner_bridge.planning.solve import solve
     from pnm.core.machine.export import to_dot, to_json
     from pnm.core.machine.generate import generate
+    from pnm.core.machine.verification.verify import verify
 
     chosen = chosen_files(domain, problem, plan_file)
     if isinstance(chosen, Path):
@@ -136,7 +139,10 @@ def net(
             print(f"no plan: {result.reason}", file=sys.stderr)
             return 1
         machine = generate(plan_graph(loaded, result.plan), bound)
+    proof = verify(machine)
     write(output, to_json(machine) if written_as == "json" else to_dot(machine), force=force)
+    never = f"{len(proof.never)} of {len(machine.net.transitions)} transitions can never fire"
+    print(f"proved {proof}; {never}{'' if verbose else ', -v lists them'}", *(proof.never if verbose else ()), sep="\n", file=sys.stderr)
     return 0
 
 

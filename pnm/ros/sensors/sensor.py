@@ -25,13 +25,14 @@ class SensorRecorder:
     """Records what one sensor, for one choice of objects, reports.
 
     The mutable state is the instance, whose constants are resolved once its type is known, its watchdog, the statements that
-    the last message did not fit, why the sensor cannot be used, and whether it is closed.
+    the last message did not fit, why the sensor cannot be used, whether all sensors are open, and whether it is closed.
     """
 
     def __init__(self, instance: Instance, knowledge: KnowledgeBase) -> None:
         self.instance = instance
         self.heard = asyncio.Event()
         self.refused: InputError | None = None
+        self.is_open = False
         self.loop = asyncio.get_running_loop()
         self._knowledge = knowledge
         self._unread: frozenset[int] = frozenset()
@@ -54,10 +55,13 @@ class SensorRecorder:
         self.heard.set()
 
     def refuse(self, error: InputError) -> None:
-        """Note that the sensor cannot be used."""
+        """Note that the sensor cannot be used: what it reports is unknown. While sensors are opened, this is raised, not logged."""
         if self.refused is None:
-            _log.error("%s", error)
+            if self.is_open:
+                _log.error("%s", error)
             self.refused = error
+            self._watchdog.close()
+            self._store(unknown(self.instance, self._knowledge.objects))
             self.heard.set()
 
     def close(self) -> None:

@@ -74,6 +74,7 @@ class Sensors:
         for recorder in self._recorders:
             if recorder.refused is not None:
                 raise recorder.refused
+            recorder.is_open = True
 
     async def close(self) -> None:
         """Unsubscribe, and stop polling."""
