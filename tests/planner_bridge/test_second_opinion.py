@@ -11,7 +11,7 @@ from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.planning.solve import solve
 from pnm.core.machine.generate import generate
 from tests.support.files import ROOT, SHARED
-from tests.support.runs.mutation.edits import without_transition
+from tests.support.runs.mutation.changes import without_transition
 from tests.support.runs.mutation.machines import random_machine
 
 pytest.importorskip("z3", reason="needs z3-solver, which the extra `test` brings")
