@@ -311,7 +311,7 @@ class CallBlock(Block[ActionCall]):
     def _outcome(self, name: str, guard: Guard, source: str, cause: Cause, otherwise: list[str], expected: str = "") -> None:
         """Add an end without success; assumed start effects are taken back unless the plan goes on as if it were one."""
         action = None if cause in self.recoveries.kept else _UNDO
-        rule = Rule(name, guard, self.step.index, action, None, cause, expected)
+        rule = Rule(name, guard, self.step.index, action, None, cause, expected, observed)
         self.add(rule, [self.name(source)], self._after(cause, otherwise))
 
     def _own_checks(self, wanted: Cause, source: str) -> None:
