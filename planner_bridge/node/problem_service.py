@@ -68,6 +68,7 @@ class LoadedProblem:
         self.goals = goals
         self._settings = settings
         self._plans = tuple(plans)
+        self._turn = asyncio.Lock()
         self.begin(problem)
 
     def begin(self, problem: Problem) -> None:
@@ -98,8 +99,9 @@ class LoadedProblem:
         return self.problem_world.read_goal(text)
 
     async def make(self, goal: str, planner: str, seconds: float | None) -> MadePlan:
-        """Answer a plan request."""
-        return await make_plan(self.problem_world, self._settings, goal, planner, seconds)
+        """Answer a plan request, after those that came before: a search takes a processor, which robots need."""
+        async with self._turn:
+            return await make_plan(self.problem_world, self._settings, goal, planner, seconds)
 
 
 class ServedProblem:

@@ -251,7 +251,9 @@ async def proved_machine(context: TaskContext, graph: PlanGraph) -> ProvedMachin
             capacities = context.resources.capacities
             machine = generate(graph, settings.bindings, on_failure=settings.on_failure, capacities=capacities)
         with stopwatch.of("verify"):
-            return machine, verify(machine)
+            proof = verify(machine)
+        _ = machine.compiled  # which its run needs, and which is kept
+        return machine, proof
 
     return await asyncio.to_thread(prove)
 

@@ -22,6 +22,7 @@ from planner_bridge.tasks.context import Conflict, RunningCalls, TaskContext
 from planner_bridge.tasks.control import TaskEnded
 from planner_bridge.tasks.plan_execution import PlanExecution
 from planner_bridge.tasks.replanning import Progress, shortened, why_not
+from pnm.clock import in_own_thread
 from pnm.core.execution.handover import UnderWay
 from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.plan_graph import ActionCall, PlanGraph
@@ -220,7 +221,7 @@ class PlanSearch:
 
         try:
             with self._context.task.stopwatch.of("plan"):
-                return await asyncio.to_thread(search)
+                return await in_own_thread(search)
         except asyncio.CancelledError:
             stop.set()
             if cast("asyncio.Task[object]", asyncio.current_task()).cancelling():
