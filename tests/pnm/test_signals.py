@@ -15,10 +15,8 @@ from pnm.clock import run_async
 @pytest.fixture(autouse=True)
 def usual() -> Iterator[None]:
     """Have signals handled as in a new process."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)}
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    usual = dict.fromkeys((signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT), signal.SIG_DFL) | {signal.SIGINT: signal.default_int_handler}
+    before = {number: signal.signal(number, handler) for number, handler in usual.items()}  # a shell's background ignores some
     yield
     for number, handler in before.items():
         signal.signal(number, handler)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import kairos
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from planner_bridge.model.problem import Metric, Problem
@@ -13,7 +13,7 @@ from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pddl.syntax.words import number_text
 from planner_bridge.pddl.write.writer import write_domain, write_problem
 from pnm.core.logic.conditions import All, Any, Compare, ForAll, Holds, Implies, Not
-from pnm.core.logic.domain import ActionSchema, DurationConstraint, Preference
+from pnm.core.logic.domain import MAX_CHOICES, ActionSchema, DurationConstraint, Preference
 from pnm.core.logic.effects import ForEach, Set, TimedChange, When
 from pnm.core.logic.expressions import DURATION, UNDEFINED, Arithmetic, Constant, Fluent, ValueOf, Variable
 from pnm.core.logic.rules import DerivationRule
@@ -89,6 +89,7 @@ def test_a_written_problem_reads_as_an_equal_one(
         tuple(sorted(soft, key=lambda one: isinstance(one.wanted, tuple))),
         requirements=(":typing",),
     )
+    assume(all(choices <= MAX_CHOICES for _, choices in problem.ranges()))  # more are refused
     text = write_problem(problem)
     assert parse_problem(text, problem.domain) == problem
     kairos.parse_problem(text, kairos.parse_domain(write_domain(problem.domain)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -17,6 +18,7 @@ from tests.support.processes import pnm
 DELIVERY = ROOT / "domains/delivery/domain.pddl", ROOT / "problems/delivery/p01.pddl"
 EVERYTHING = Binding(
     server="/{robot}/move",
+    several_servers=True,
     type="nav2_msgs/action/NavigateToPose",
     goal={"pose": "$pose", "to": "?to", "deep": {"list": [1, 2.5, True, None, "on"], "x": "(distance ?from ?to)"}},
     store={"time": "travel time"},
@@ -29,6 +31,11 @@ EVERYTHING = Binding(
 )
 
 
+def test_everything_is_everything() -> None:
+    """No field is left as it is by default, so that no test here overlooks one."""
+    assert all(getattr(EVERYTHING, field.name) != getattr(DEFAULT, field.name) for field in fields(Binding))
+
+
 @pytest.mark.parametrize("binding", [EVERYTHING, Binding(retries=0), Binding(timeout=5.0)])
 def test_what_is_exported_is_bound_as_the_domain_was(tmp_path: Path, binding: Binding) -> None:
     file = tmp_path / "x.yaml"
@@ -37,7 +44,7 @@ def test_what_is_exported_is_bound_as_the_domain_was(tmp_path: Path, binding: Bi
     assert plan.bindings.of("move") == binding
 
 
-@pytest.mark.parametrize("binding", [EVERYTHING, Binding(retries=2), Binding(timeout=5.0)])
+@pytest.mark.parametrize("binding", [EVERYTHING, Binding(retries=2), Binding(timeout=5.0), Binding(several_servers=True)])
 def test_what_is_imported_is_bound_as_before(tmp_path: Path, binding: Binding) -> None:
     file = tmp_path / "x.yaml"
     file.write_text(exported(*DELIVERY, bindings=Bindings({"move": binding})).text, encoding="utf-8")
