@@ -9,8 +9,8 @@ from typing import Final
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan_simulation import snapshot
+from planner_bridge.model.plan_world import with_names_of, world_of_plans
 from planner_bridge.model.problem import Domain, Problem
-from planner_bridge.node.initial_world import with_names_of, world_of_plans
 from planner_bridge.node.plan_request import make_plan
 from planner_bridge.node.problem_folder import ProblemFolder
 from planner_bridge.node.world_queries import SharedWorld

@@ -126,22 +126,23 @@ class StateReports:
             if self._ignored[name]:
                 _log.warning("reports about %s are ignored: %s", name, self._ignored[name])
                 self._ignored[name] = ""
-        declared = names if self._known is None else self._known.fluents.intersection(names)
-        return frozenset(declared) - self._ignored.keys()
+        return frozenset(name for name in names if self._known is None or self._known.may_be_reported(name)) - self._ignored.keys()
 
     def _wrong(self, names: Collection[str], facts: Mapping[Fluent, Value | Unknown]) -> frozenset[str]:
         """Return the names of which the report says what cannot be so; the first reason is told."""
         wrong: dict[str, str] = {}
         if self._known is not None:
-            for name in sorted(frozenset(names) - self._known.fluents - self._ignored.keys()):
+            for name in sorted(name for name in names if not (self._known.may_be_reported(name) or name in self._ignored)):
                 wrong[name] = f"{name} is not declared; {suggestion(name, self._known.fluents) or 'nothing it says of that is recorded'}"
         for fluent, value in facts.items():
             name = fluent[0]
             if name in wrong or name in self._ignored or (isinstance(value, bool | str) and self._right.get(fluent) == value):
                 continue
             try:
-                if name not in names:
-                    raise InputError(f"it says {statement_text(fluent, value)}, but does not name {name} among what it is complete about")
+                if name not in names:  # then it is not known what it is about
+                    reason = f"it says {statement_text(fluent, value)}, but does not name {name} among what it is complete about"
+                    wrong |= dict.fromkeys(names, reason)
+                    raise InputError(reason)
                 if self._known is not None:
                     self._known.check_report(fluent, value)
                 if isinstance(value, bool | str):  # numbers are new every time
