@@ -65,3 +65,14 @@ def test_sensors_that_are_wrong_are_refused_before_anything_starts(deploy):
     run = deployment.run("--sensing", str(written(deployment.folder / "sensing.yaml", SENSING)))
     assert run.ended() == 2
     assert "sensing.yaml:6:15: Strings has no field 'float32_value'; it has string_value" in run.err[-1]
+
+
+def test_a_report_about_what_is_not_there_is_told_and_not_believed(deploy):
+    deployment = deploy("workshop", texts=(DOMAIN, PROBLEM))
+    report = {"names": ["charged"], "facts": ["(charged r2)"]}
+    reporter = deployment.start(Program(["-m", "tests.support.ros.server", "--report", json.dumps(report)], deployment.environment))
+    reporter.until(lambda: "ready" in reporter.out)
+    status, result = (run := deployment.run()).result()
+    assert (status, result["code"]) == (1, "no_plan")
+    assert any("a report on knowledge/sensed is wrong: there is no object 'r2' in the domain" in line for line in run.err)
+    assert "(charged r1)" in result["reason"]
