@@ -12,6 +12,7 @@ from uuid import uuid4
 
 from planner_bridge.loading import bindings_for, load
 from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.plan_world import names_of_world
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.result import PlanResult, Stopwatch, TaskResult
@@ -131,7 +132,7 @@ def carry_out(
     with stopwatch.of("translate"):
         programs = {name: Program.of(plans[name]) for name in called_plans(plans, chosen)}
     bound = replace(settings, bindings=merge_bindings(plans.values()))
-    backend = backend_of(actions, plans[chosen], bound, faults)
+    backend = backend_of(actions, plans[chosen], bound, faults, tuple(plans.values()))
 
     async def task() -> PlanResult:
         world, is_prepared = initial_knowledge(plans[chosen]), False
@@ -179,8 +180,10 @@ def check_arguments(settings: Settings, observer: TaskObserver, faults: Faults) 
             raise InputError(f"expected {kind.__name__}, found {value!r}")
 
 
-def backend_of(actions: Actions, described: Problem | HandWrittenPlan, settings: Settings, faults: Faults) -> Backend:
-    """Return the execution backend that performs the actions of the problem or plan.
+def backend_of(
+    actions: Actions, described: Problem | HandWrittenPlan, settings: Settings, faults: Faults, plans: tuple[HandWrittenPlan, ...] = ()
+) -> Backend:
+    """Return the execution backend that performs the actions of the problem, or of the plan, which may call the others.
 
     Raises:
         InputError: `actions` is nothing that performs actions, or there are faults or sensors that it would ignore.
@@ -193,7 +196,8 @@ def backend_of(actions: Actions, described: Problem | HandWrittenPlan, settings:
         case "simulated":
             return simulated_backend(described, settings.bindings, faults)
         case "ros2":
-            return Ros2Backend(settings.bindings, settings.sensing, described.vocabulary if isinstance(described, Problem) else None)
+            names = names_of_world(described if isinstance(described, Problem) else None, plans)
+            return Ros2Backend(settings.bindings, settings.sensing, names)
         case ActionClient() if not isinstance(actions, type):
             return ClientBackend(actions)
         case _:

@@ -3,8 +3,8 @@
 Under virtual time a coroutine that sleeps for an hour returns at once: whenever nothing else
 can happen, the clock jumps to the next timer. Work in a thread holds the clock still.
 
-Time limits that stand still during pauses; cancellation in two steps; and short pauses for garbage collection: what was allocated at
-start-up is frozen, and the threshold of generation 0 is raised.
+Time limits that stand still during pauses; cancellation in two steps; threads for long work; and short pauses for garbage collection:
+what was allocated at start-up is frozen, and the threshold of generation 0 is raised.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import asyncio
 import gc
 import selectors
 from collections.abc import Awaitable, Callable, Coroutine, Iterator
-from concurrent.futures import Executor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from math import isfinite, ulp
 from typing import Any, Final, TypeVar, cast
@@ -112,6 +112,15 @@ async def stop_then_cancel(work: Awaitable[T], stop: Callable[[], object]) -> T:
         cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
         stop()
     return await task
+
+
+async def in_own_thread(function: Callable[[], T]) -> T:
+    """Run a function that may take long in a thread of its own. The few threads that all share stay free for what is short."""
+    thread = ThreadPoolExecutor(1)
+    try:
+        return await asyncio.get_running_loop().run_in_executor(thread, function)
+    finally:
+        thread.shutdown(wait=False)
 
 
 _SELDOM: Final = 20_000

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import threading
 from dataclasses import replace
 
@@ -13,6 +12,7 @@ from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.result import code_of_planning
 from planner_bridge.tasks.settings import Settings
+from pnm.clock import in_own_thread
 from pnm.tasks import Code, MadePlan, StepState, TaskStep
 
 
@@ -32,7 +32,7 @@ async def make_plan(world: SharedWorld, settings: Settings, goal: str, planner: 
         return MadePlan(Code.GOAL_REACHED, f"found by {result.planner}", str(problem.goal), _steps(problem, result.plan))
 
     try:
-        return await asyncio.to_thread(search)
+        return await in_own_thread(search)
     finally:
         cancel.set()
 

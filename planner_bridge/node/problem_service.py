@@ -8,8 +8,8 @@ from typing import Final
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan_simulation import snapshot
+from planner_bridge.model.plan_world import with_names_of, world_of_plans
 from planner_bridge.model.problem import Domain, Problem
-from planner_bridge.node.initial_world import with_names_of, world_of_plans
 from planner_bridge.node.plan_request import make_plan
 from planner_bridge.node.problem_folder import ProblemFolder
 from planner_bridge.node.world_queries import SharedWorld
@@ -67,6 +67,7 @@ class LoadedProblem:
         self.goals = goals
         self._settings = settings
         self._plans = tuple(plans)
+        self._turn = asyncio.Lock()
         self.begin(problem)
 
     def begin(self, problem: Problem) -> None:
@@ -97,8 +98,9 @@ class LoadedProblem:
         return self.problem_world.read_goal(text)
 
     async def make(self, goal: str, planner: str, seconds: float | None) -> MadePlan:
-        """Answer a plan request."""
-        return await make_plan(self.problem_world, self._settings, goal, planner, seconds)
+        """Answer a plan request, after those that came before: a search takes a processor, which robots need."""
+        async with self._turn:
+            return await make_plan(self.problem_world, self._settings, goal, planner, seconds)
 
 
 class ServedProblem:

@@ -128,21 +128,21 @@ class StateReports:
             if self._ignored[name]:
                 _log.warning("reports about %s are ignored: %s", name, self._ignored[name])
                 self._ignored[name] = ""
-        declared = names if self._known is None else self._known.fluents.intersection(names)
-        return frozenset(declared) - self._ignored.keys()
+        return frozenset(name for name in names if self._known is None or self._known.may_be_reported(name)) - self._ignored.keys()
 
     def _wrong(self, names: Collection[str], facts: Mapping[Fluent, Value | Unknown]) -> dict[str, str]:
         """Return the names of which the report says what cannot be so, with the reasons."""
         wrong: dict[str, str] = {}
         if self._known is not None:
-            for name in sorted(frozenset(names) - self._known.fluents - self._ignored.keys()):
+            for name in sorted(name for name in names if not (self._known.may_be_reported(name) or name in self._ignored)):
                 wrong[name] = f"{name} is not declared; {suggestion(name, self._known.fluents) or 'nothing it says of that is recorded'}"
         for fluent, value in facts.items():
             name, is_number = fluent[0], not isinstance(value, bool | str)
             if name in wrong or name in self._ignored:
                 continue
-            if name not in names:
-                wrong[name] = f"it says {statement_text(fluent, value)}, but does not name {name} among what it is complete about"
+            if name not in names:  # then it is not known what it is about
+                reason = f"it says {statement_text(fluent, value)}, but does not name {name} among what it is complete about"
+                wrong |= {name: reason, **dict.fromkeys(names, reason)}
             elif self._known is not None and (is_number or self._right.get(fluent) != value):
                 try:
                     self._known.check_report(fluent, value)

@@ -308,7 +308,9 @@ class CallBlock(Block[ActionCall]):
         """Return the places that are marked for this cause: the plan's own recovery, or else these."""
         return self.recoveries.places.get(cause, otherwise)
 
-    def _outcome(self, name: str, guard: Guard, source: str, cause: Cause, otherwise: list[str], expected: str = "") -> None:
+    def _outcome(
+        self, name: str, guard: Guard, source: str, cause: Cause, otherwise: list[str], expected: str = "", observed: str = ""
+    ) -> None:
         """Add an end without success; assumed start effects are taken back unless the plan goes on as if it were one."""
         action = None if cause in self.recoveries.kept else _UNDO
         rule = Rule(name, guard, self.step.index, action, None, cause, expected, observed)
