@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from dataclasses import fields
 from pathlib import Path
-from typing import Final
 
 from pnm.core.knowledge_base import parse_fluent
 from pnm.core.logic.declared_names import Vocabulary
@@ -12,11 +12,6 @@ from pnm.core.machine.bindings import _NAME, DEFAULT, Binding, Bindings, Table, 
 from pnm.errors import InputError, Position, suggestion
 from pnm.files.yaml_nodes import Mapped, Node, load_yaml
 from pnm.knowledge.field_reader import field_test, field_value
-
-KEYS: Final = (
-    *("server", "several_servers", "type", "goal", "success", "reason", "store"),
-    *("timeout", "accept", "cancel", "retries", "ask", "resources"),
-)
 
 
 def read_bindings(path: Path, known: Vocabulary | None = None) -> Bindings:
@@ -26,7 +21,7 @@ def read_bindings(path: Path, known: Vocabulary | None = None) -> Bindings:
     entries = top.mapping("actions")
     actions: dict[str, Binding] = {}
     for name, entry in entries.items():
-        entry.only(*KEYS)
+        entry.only(*binding_keys("type"))
         actions[name] = read_binding(entry)
     if known is not None:
         for name, entry in entries.items():
@@ -41,6 +36,11 @@ def read_bindings(path: Path, known: Vocabulary | None = None) -> Bindings:
         for name in top.strings("assumed"):
             known.check_set(name, top.position("assumed"))
     return Bindings(actions, frozenset(top.strings("assumed")), top.number("lag", 1.0))
+
+
+def binding_keys(type_key: str) -> tuple[str, ...]:
+    """Return the keys of a binding, in files in which the type of the ROS action stands under `type_key`."""
+    return tuple(type_key if field.name == "type" else field.name for field in fields(Binding))
 
 
 def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAULT.retries) -> Binding:

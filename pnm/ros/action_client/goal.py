@@ -41,6 +41,8 @@ class Goal:
     """The futures of the requests for the result."""
     unknown_since: float | None = None
     """When the server answered first that it does not know the goal: it was restarted, or has not taken it up yet."""
+    refused: str = ""
+    """Why it is cancelled though nobody has asked for that."""
     ended: bool = False
 
     def postpone(self, now: float) -> None:
@@ -50,6 +52,9 @@ class Goal:
 
     def finish(self, status: int, result: Mapping[str, object]) -> None:
         """Report the end that its server has reported, as the binding judges it."""
+        if self.refused and OVER[status] is OutcomeKind.CANCELED:
+            self.end(OutcomeKind.UNAVAILABLE, self.refused)
+            return
         outcome = self.binding.judged(Outcome(OVER[status], result, message_in(result)))
         self.end(outcome.kind, outcome.message, result)
 

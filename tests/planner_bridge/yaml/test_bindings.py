@@ -20,7 +20,6 @@ DELIVERY = ROOT / "domains/delivery/domain.pddl", ROOT / "problems/delivery/p01.
 STATUS = parse_field("result.status")
 EVERYTHING = Binding(
     server="/{robot}/move",
-    several_servers=True,
     type="nav2_msgs/action/NavigateToPose",
     success=Every((Comparison(STATUS, "eq", 0), Negation(Some((Flag(parse_field("error")), Flag(parse_field("a[-1].b"))))))),
     reason=FieldValue(STATUS, {"1": "no way"}),
@@ -36,6 +35,7 @@ EVERYTHING = Binding(
     cancel=1.0,
     retries=2,
     ask={"place": "Where to, {robot}?"},
+    several_servers=True,
     resources=("{robot}/base", "lift"),
 )
 
