@@ -148,6 +148,7 @@ def _is_whole(expression: Expression) -> bool:
 def conditions_of(problem: Problem) -> Iterator[Condition]:
     """Yield every condition that decides about the validity of a plan."""
     yield problem.goal
+    yield from (rule.condition for rule in problem.domain.rules)
     for schema in problem.domain.actions.values():
         yield from (schema.precondition, schema.invariant, schema.end_condition)
     yield from (change.condition for change in action_assignments(problem))

@@ -37,10 +37,10 @@ from planner_bridge.model.grounding import ground_action, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
 from planner_bridge.model.plan_simulation import ConstraintProgression, NotApplicable, PlanSimulation, expected_and_observed, snapshot
 from planner_bridge.model.problem import Problem
-from planner_bridge.planning.kairos import validate
+from planner_bridge.planning.kairos import DEFAULT_PLANNER, validate
 from planner_bridge.planning.plan_text import plan_text
 from planner_bridge.planning.unreachable import why_unreachable
-from planner_bridge.planning.whole_numbers import calculates_with_whole_numbers
+from planner_bridge.planning.whole_numbers import calculates_with_whole_numbers, in_whole_numbers
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import assignments, possible_assignments
@@ -267,7 +267,8 @@ def explained(problem: Problem, result: PlanningResult) -> PlanningResult:
         return result
     if reason := why_unreachable(problem):
         return replace(result, message=reason)
-    if result.status is PlanningStatus.UNSOLVABLE and not calculates_with_whole_numbers(problem):
+    asked = in_whole_numbers(problem) if result.planner == DEFAULT_PLANNER else problem
+    if result.status is PlanningStatus.UNSOLVABLE and not calculates_with_whole_numbers(asked):
         message = f"{result.planner} says that there is none, which is not taken for proved: with decimals it calculates differently"
         return replace(result, status=PlanningStatus.NO_PLAN, message=message)
     return result
