@@ -14,15 +14,15 @@ import kairos
 from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl.write.writer import write_domain, write_problem
+from planner_bridge.planning.normal_form import in_whole_numbers
 from planner_bridge.planning.plan_text import plan_text
-from planner_bridge.planning.whole_numbers import in_whole_numbers
 from pnm.errors import InputError
 
 DEFAULT_PLANNER: Final = "kairos"
 _POLL: Final = 0.05
 """Seconds between two looks at the cancel token."""
-_ADVICE: Final = re.compile(r"\s[^.()]*\(SolveOptions::\w+\)\.")
-"""A sentence of Kairos about one of its options."""
+_ADVICE: Final = re.compile(r"\s[^.()]*\(SolveOptions::\w+\)\.|\s\(see the note before\)")
+"""What Kairos says of its options, and of its own output."""
 _PATIENCE: Final = 1.0
 """Seconds without a better plan after which the best one is taken, where preferences are weighed."""
 _THREADS: Final = 1

@@ -91,7 +91,7 @@ class PlanTask:
         """What the plan needs and changes: all calls that it may still reach; during a pause, those that are still under way."""
         run = self.executor.run
         if self._context.control.is_paused:
-            return read_write_sets((*run.open_calls.values(), *run.settling), TRUE, self._context.world)
+            return self._context.under_way(run)
         plan, calls = run.machine.plan, run.interim_result().calls
         is_flat = len(plan.every_step) == len(plan.calls)
         ended = {result.call.index for result in calls if result.ended is not None} if is_flat else set()

@@ -322,7 +322,7 @@ class Run(RunView):
         if rule.call is not None and rule.call < len(self.machine.plan.calls):
             self._note(rule, rule.call, place, None if fails else check)
             if check and check.cause is Cause.INVARIANT_FALSE:
-                self._calls.deny(rule.call, check.expected)
+                self._calls.interrupt(rule.call)
             if rule.action is not None:
                 self._perform(rule.action, rule.call, place)
         self._results.last_check = check
@@ -350,9 +350,10 @@ class Run(RunView):
         self._observer.fired(compiled.transitions[transition], rule, state.now)
 
     def _note(self, rule: Rule, call: int, place: int | None, check: Explanation | None) -> None:
-        missing = self._guards.unseen(call, place) if isinstance(rule.guard, EffectsMissing) else ()
+        is_missing = isinstance(rule.guard, EffectsMissing)
+        unseen = self._calls.explain_unseen(call, self._guards.context(call, place)) if is_missing else None
         assumed = rule.outcome is CallOutcome.SUCCEEDED and is_assumed(self._calls.action(call), self._guards.context(call, place))
-        cause = self._results.fired(rule, call, self._state.now, check, missing=missing, assumed=assumed)
+        cause = self._results.fired(rule, call, self._state.now, check, unseen=unseen, assumed=assumed)
         if cause is not None:
             self._observer.hindered(self._calls.as_sent(call), cause, self._state.now)
         if rule.outcome is CallOutcome.ALREADY_TRUE:

@@ -72,7 +72,6 @@ _SEND, _CANCEL, _UNDO = TransitionAction.SEND, TransitionAction.CANCEL, Transiti
 _RESTARTED = "restarted "
 """Prefix of the places and transitions of attempts after the start was announced."""
 _ANSWER = "an answer to the goal in time"
-_NOT_SO = "the call is done, but that is not so"
 _ALIVE = ("requested", "withdrawing", f"{_RESTARTED}requested", f"{_RESTARTED}withdrawing", "running", "overdue", "stopping", "suspending")
 """Places of a call whose request may be alive."""
 
@@ -281,7 +280,7 @@ class CallBlock(Block[ActionCall]):
         # The effects may have come about although the call was to stop: they are looked for, as after any other success.
         self.fire(Rule("completed", Ends(call, _SUCCEEDED), call), "stopping", "settling")
         self.fire(Rule("completely", EffectsSeen(call), call, TransitionAction.FINISH, CallOutcome.SUCCEEDED), "settling", "done")
-        incomplete = Rule("incompletely", EffectsMissing(call), call, _UNDO, CallOutcome.CANCELED, Cause.EFFECTS_MISSING, observed=_NOT_SO)
+        incomplete = Rule("incompletely", EffectsMissing(call), call, _UNDO, CallOutcome.CANCELED, Cause.EFFECTS_MISSING)
         self.fire(incomplete, "settling", "done")
         stopped = Rule("stopped", Ends(call, _UNSUCCESSFUL), call, _UNDO, CallOutcome.CANCELED)
         self.fire(stopped, "stopping", "done")
@@ -301,7 +300,7 @@ class CallBlock(Block[ActionCall]):
         effects_hold = Rule("effects_hold", EffectsSeen(call), call, action=finish, outcome=CallOutcome.SUCCEEDED)
         self.fire(effects_hold, "finished", "done")
         recover = [self.name(phase + "recover")]
-        self._outcome(Cause.EFFECTS_MISSING.value, EffectsMissing(call), "finished", Cause.EFFECTS_MISSING, recover, observed=_NOT_SO)
+        self._outcome(Cause.EFFECTS_MISSING.value, EffectsMissing(call), "finished", Cause.EFFECTS_MISSING, recover)
 
     # --- recovery -----------------------------------------------------------------------------
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from planner_bridge.model.plan import PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl.read.reader import parse_domain, parse_problem
+from planner_bridge.planning.normal_form import calculates_with_whole_numbers, in_whole_numbers
 from planner_bridge.planning.solve import solve
-from planner_bridge.planning.whole_numbers import calculates_with_whole_numbers, in_whole_numbers
 
 ADD = "(:action add :parameters () :effect (increase (a) 0.1))"
 BUY = "(:action buy :parameters () :precondition (>= (a) 0.25) :effect (and (p) (decrease (a) 0.25) (increase (total-cost) 0.5)))"
