@@ -96,3 +96,8 @@ def test_anything_is_read_or_refused_with_a_position(tmp_path_factory: pytest.Te
         position = Position(str(path), 1, 1)
     assert position is not None
     assert position.file == str(path)
+
+
+def test_pddl_is_named_as_such(tmp_path: Path) -> None:
+    (tmp_path / "domain.pddl").write_text("; robots: they deliver\n\n(define (domain d))\n")
+    assert error(load_yaml, tmp_path / "domain.pddl") == "FILE:1:1: this is PDDL; expected YAML"
