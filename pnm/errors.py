@@ -47,9 +47,9 @@ class Tolerated:
 
 def check_seconds(what: str, *seconds: float | None) -> None:
     """Refuse waits that never end, or that are no number; raise `InputError`. None stands for a default."""
-    for one in seconds:
-        if one is not None and not (_is_number(one) and one >= 0.0):
-            raise InputError(f"{what} waits for {one!r} seconds; expected a finite number from 0")
+    for wait in seconds:
+        if wait is not None and not (_is_number(wait) and wait >= 0.0):
+            raise InputError(f"{what} waits for {wait!r} seconds; expected a finite number from 0")
 
 
 def check_counts(what: str, **counts: int) -> None:

@@ -261,7 +261,7 @@ def export(
     """Write a domain, a problem and a plan for it as YAML."""
     from planner_bridge.loading import bindings_for
     from planner_bridge.yaml.convert import exported
-    from pnm.core.machine.bindings import Bindings
+    from planner_bridge.yaml.write_bindings import unwritten
 
     bound = bindings_for(domain, bindings, None)
     with searching(planner) if with_plan or original else nullcontext():
@@ -270,10 +270,7 @@ def export(
     if result.reason:
         print(f"no plan: {result.reason}", file=sys.stderr)
         return 1
-    usual = Bindings()
-    left_out = ["'actions'"] if original and bound.actions else []
-    left_out += [f"{key!r}" for key in ("assumed", "lag") if getattr(bound, key) != getattr(usual, key)]
-    if left_out:
+    if left_out := [f"{key!r}" for key in unwritten(bound, original=original)]:
         print(f"{' and '.join(left_out)} of the bindings are not in the text: give --bindings when it is run", file=sys.stderr)
     write(output, result.text, force=force)
     return 0
@@ -281,11 +278,13 @@ def export(
 
 @app.command("import")
 @click.argument("file", type=FILE)
-@click.option("-o", "--output", type=FILE, required=True, help="a folder, for domain.pddl and problem.pddl; made if it is not there")
+@click.option(
+    "-o", "--output", type=FILE, required=True, help="a folder, for domain.pddl, problem.pddl and bindings.yaml; made if it is not there"
+)
 @force_option
 @command
 def from_yaml(file: Path, output: Path, force: bool) -> int:
-    """Write the domain of a YAML file, and its problem if there is one, as PDDL."""
+    """Write the domain of a YAML file, and its problem if there is one, as PDDL, and how actions are bound as bindings.yaml."""
     from planner_bridge.yaml.convert import imported
 
     result = imported(file)

@@ -23,7 +23,16 @@ if TYPE_CHECKING:
 
 
 def ground_action(schema: ActionSchema, arguments: tuple[str, ...], duration: float | None = None) -> GroundAction:
-    """Substitute as many arguments for the parameters; `duration` is the planned one, in seconds."""
+    """Return the action with the arguments in place of its parameters; an instantaneous one has no duration, whatever was planned.
+
+    Args:
+        schema: the action.
+        arguments: as many objects as it has parameters.
+        duration: the planned one, in seconds.
+
+    Raises:
+        InputError: there are more or fewer arguments.
+    """
     if len(arguments) != len(schema.parameters):
         expected = " ".join(variable.name for variable in schema.parameters) or "none"
         raise InputError(f"{schema.name} takes {len(schema.parameters)} arguments ({expected}), found {len(arguments)}")
@@ -43,7 +52,11 @@ def modelled_duration(schema: ActionSchema, arguments: tuple[str, ...], state: S
 
 
 def initial_knowledge(*described: Problem | HandWrittenPlan) -> KnowledgeBase:
-    """Return the initial state: facts, objects and rules of a problem or a plan, or of several that share one world and agree on it."""
+    """Return the knowledge in the initial state of a problem or a plan, or of several that share one world.
+
+    Raises:
+        InputError: two of them begin with different values of a fluent.
+    """
     beginnings = [_beginning(source) for source in described]
     if len(beginnings) == 1:
         _, facts, objects, rules = beginnings[0]

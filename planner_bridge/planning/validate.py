@@ -35,7 +35,7 @@ import kairos
 
 from planner_bridge.model.grounding import ground_action, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
-from planner_bridge.model.plan_simulation import ConstraintProgression, NotApplicable, PlanSimulation, expected_and_observed, snapshot
+from planner_bridge.model.plan_simulation import ConstraintProgression, NotApplicable, PlanSimulation, snapshot
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.normal_form import calculates_with_whole_numbers
@@ -45,7 +45,7 @@ from planner_bridge.planning.unreachable import why_unknown, why_unreachable
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import assignments, possible_assignments
-from pnm.core.logic.evaluation import TOLERANCE, evaluate
+from pnm.core.logic.evaluation import TOLERANCE, evaluate, explanation
 from pnm.core.logic.expressions import UNKNOWN, Constant, Expression, Fluent, State, Unknown, Value, fluent_text, value_of
 from pnm.core.logic.trajectory import moments, observed_of
 from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
@@ -111,7 +111,8 @@ def _states(problem: Problem, plan: Plan, samples: Iterable[float] = ()) -> Iter
                 raise InvalidPlan(f"{fluent_text(fluent)} is changed{when}, but it has no value, or is given none")
         yield happening.time, simulation.state
     if evaluate(problem.goal, simulation.state) is not True:
-        raise InvalidPlan(f"the goal does not hold at the end: {expected_and_observed(problem.goal, simulation.state)}")
+        expected, observed = explanation(problem.goal, simulation.state)
+        raise InvalidPlan(f"the goal does not hold at the end: expected {expected}; observed {observed}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,7 @@ from pnm.core.logic.computed_values import (
 )
 from pnm.core.logic.conditions import Condition, ground
 from pnm.core.logic.effects import Changes, ground_effects, is_fixed, undo, values_before
-from pnm.core.logic.evaluation import observed
+from pnm.core.logic.evaluation import observed, unmet
 from pnm.core.logic.expressions import bind
 from pnm.core.logic.operators import CHANGING, Uncomputable
 from pnm.core.machine.bindings import Binding, Bindings, goal_data, open_parameters, placeholders
@@ -79,7 +79,7 @@ class Calls:
         self._ended: dict[int, Changes] = {}
         """What calls have written at their ends."""
         self._denied: dict[int, dict[Condition, str]] = {}
-        """What of the end conditions was not so at the end, and is reported by nothing."""
+        """Conditions over all and at the end that were not so, and what was so instead."""
         self.accepted: dict[int, float] = {}
         """Calls whose requests were accepted and are not being cancelled, and the times of acceptance."""
 
@@ -199,7 +199,6 @@ class Calls:
                 self._begun[call] = values_before(start, context)
                 return self._write(start)
             case TransitionAction.FINISH:
-                self._denied[call] = denied_at_end(self.action(call), context)
                 end = self._ended[call] = finished(self.action(call), self._intended[call], context)
                 self._begun[call] = values_before(end, context) | self._begun.get(call, {})
                 return self._write(end)
@@ -240,10 +239,18 @@ class Calls:
         """No longer wait for the request of the call."""
         self.open.pop(self._requests[call], None)
 
-    def store(self, call: int, outcome: Outcome) -> None:
-        """Store the fields of the result, under their own names or those of the binding."""
+    def succeeded(self, call: int, outcome: Outcome) -> None:
+        """Store the fields of the result, under their own names or those of the binding, and note what the end relies on and was not so."""
         store = {**self.binding(call).store, **dict(self._plan.calls[call].store)}
         self._knowledge.local.store({store.get(name, name): value for name, value in outcome.result.items()})
+        # Now, before anything is written of its effects: they may change what it relies on.
+        self._denied[call] = {**self._denied.get(call, {}), **denied_at_end(self.action(call), self.context_of(call, None))}
+
+    def interrupt(self, call: int) -> None:
+        """Note what of the condition over all is not so: the call has not succeeded, whatever its server reports."""
+        context = self.context_of(call, None)
+        broken = {part: observed(part, context) for part in unmet(self.action(call).invariant, context)}
+        self._denied[call] = {**self._denied.get(call, {}), **broken}
 
     def _send(self, call: int, attempt: int, context: EvaluationContext) -> Performed:
         action = self.ready(call, context)

@@ -11,7 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from pnm.core.execution.questions import EvaluationContext
-from pnm.core.logic.conditions import TRUE, Compare, Condition, Holds, Not, conjuncts, fluents, names
+from pnm.core.logic.computed_values import may_ask
+from pnm.core.logic.conditions import TRUE, Compare, Condition, Holds, Not, conjuncts, data_in, fluents, names
 from pnm.core.logic.effects import Changes, Effects, changes, decided, facts, is_fixed, names_written, written
 from pnm.core.logic.evaluation import evaluate, observed, unmet
 from pnm.core.logic.expressions import UNKNOWN, Constant, Fluent, Value, ValueOf, same_value
@@ -93,12 +94,18 @@ def _statement(fluent: Fluent, value: Value) -> Condition:
 
 
 def denied_at_end(action: GroundAction, knowledge: EvaluationContext) -> dict[Condition, str]:
-    """Return which parts of the end condition do not hold at the end, of those that nothing reports, and what is so instead.
+    """Return which parts of the conditions over all and at the end do not hold at the end, and what is so instead.
 
     No report about them can come late.
     """
-    parts = unmet(action.end_condition, knowledge)
-    return {part: observed(part, knowledge) for part in parts if not all(map(knowledge.world.is_sensed, fluents(part, knowledge)))}
+    denied: dict[Condition, str] = {}
+    for condition, is_for_the_end in ((action.invariant, False), (action.end_condition, True)):
+        for part in unmet(condition, knowledge):
+            is_reported = all(map(knowledge.world.is_sensed, fluents(part, knowledge)))
+            is_excused = is_reported and (is_for_the_end or may_be_late(part, action, knowledge, has_held=False))
+            if not is_excused and not any(map(may_ask, data_in(part))):
+                denied[part] = observed(part, knowledge)
+    return denied
 
 
 def may_be_late(part: Condition, action: GroundAction, knowledge: EvaluationContext, *, has_held: bool) -> bool:
