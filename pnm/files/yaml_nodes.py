@@ -105,6 +105,10 @@ class Mapped:
             nodes[key.value] = (position(key, file), value)
         return Mapped(file, position(node, file), {**merged, **nodes})
 
+    def without(self, key: str) -> Mapped:
+        """Return the other keys."""
+        return Mapped(self.file, self.start, {name: value for name, value in self.nodes.items() if name != key})
+
     def only(self, *known: str) -> None:
         """Refuse every key but the known ones, naming the nearest."""
         for key, (where, _) in self.nodes.items():
