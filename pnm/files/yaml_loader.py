@@ -40,7 +40,8 @@ def compose(text: str, file: str, anchors: Mapping[str, Mapping[str, str]] = NO_
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         where = Position(file, mark.line + 1, mark.column + 1) if mark else start
-        hint = "; inside braces and brackets a '?' needs quotes" if "'?'" in str(error.problem) else ""
+        unquoted = next((sign for sign in ("?", "{", ":") if f"'{sign}'" in str(error.problem)), "")
+        hint = f"; inside braces and brackets {'a text with ' if unquoted in '{:' else 'a '}'{unquoted}' needs quotes" if unquoted else ""
         raise InputError(f"not YAML: {error.problem}{hint}", where) from error
     except yaml.YAMLError as error:
         raise InputError(f"not YAML: {str(error).splitlines()[0]}", start) from error

@@ -162,7 +162,9 @@ class Mapped:
         if value is None:
             return default
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= float_info.max:
-            raise InputError(f"expected a number of at least 0 under {key!r}, found {value!r}", self.position(key))
+            is_quoted = isinstance(value, str) and value.replace(".", "", 1).isdecimal()
+            hint = "; a number has no quotes" if is_quoted else ""
+            raise InputError(f"expected a number of at least 0 under {key!r}, found {value!r}{hint}", self.position(key))
         return float(value)
 
     def whole(self, key: str, default: T) -> int | T:
