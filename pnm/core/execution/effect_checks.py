@@ -99,7 +99,7 @@ def denied_at_end(action: GroundAction, knowledge: EvaluationContext) -> dict[Co
     denied: dict[Condition, str] = {}
     for condition, is_for_the_end in ((action.invariant, False), (action.end_condition, True)):
         for part in unmet(condition, knowledge):
-            is_reported = all(map(knowledge.world.is_sensed, fluents(part, knowledge)))
+            is_reported = any(knowledge.world.is_sensed((name,)) for name in knowledge.world.rules.base(names(part)))
             is_excused = is_reported and (is_for_the_end or may_be_late(part, action, knowledge, has_held=False))
             if not is_excused and not any(map(may_ask, data_in(part))):
                 denied[part] = observed(part, knowledge)

@@ -32,13 +32,13 @@ def shape_of(part: Part) -> object:
         *(part.early, part.restarts, part.resources, part.alive, part.settling),
     )
     special = frozenset(part.initial).union(*sets, *part.supplies)
-    places: set[object] = set()
+    numbered, places = part.records | part.finals, set[object]()
     for number, (place, connected) in enumerate(arcs.items()):
         roles: object = None
         if place in special:
             memberships = tuple(place in members for members in (*part.supplies, *sets))
             # Records and finals keep their number, because tokens in two of them differ from two tokens in one.
-            roles = part.initial.get(place, 0), memberships, number if place in part.records | part.finals else None
+            roles = part.initial.get(place, 0), memberships, number if place in numbered else None
         places.add((tuple(connected), roles))
     return guards, len(part.supplies), frozenset(places), bool(part.finals), part.cancels, part.others_restart, part.repeats
 
