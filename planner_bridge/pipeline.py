@@ -18,11 +18,11 @@ from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.result import PlanResult, Stopwatch, TaskResult
 from planner_bridge.tasks.scheduling.task_manager import TaskManager
 from planner_bridge.tasks.settings import Settings, TaskObserver
-from pnm.actions.backend import Backend, ClientBackend, schedule
+from pnm.actions.backend import Backend, ClientBackend
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import run_async
 from pnm.core.logic.conditions import Condition
-from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.bindings import NO_BINDINGS
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.requests import ActionClient
 from pnm.errors import InputError, Tolerated, suggestion
@@ -65,7 +65,7 @@ def achieve(
     check_arguments(settings, observer, faults)
     with seconds.of("parse"):
         loaded = load(domain, problem)
-        if settings.bindings == Bindings() and isinstance(domain, Path | str):
+        if settings.bindings == NO_BINDINGS and isinstance(domain, Path | str):
             settings = replace(settings, bindings=bindings_for(Path(domain), None, loaded.vocabulary))
     backend = backend_of(actions, loaded, settings, faults)
     task = achieve_at(backend, loaded, settings, observer, seconds)
@@ -163,11 +163,7 @@ def carry_out(
 async def _carry_out_at(runner: PlanRunner, wanted: Wanted, settings: Settings, observer: TaskObserver, stopwatch: Stopwatch) -> PlanResult:
     nothing = Problem(wanted.text, Domain(wanted.text))
     manager = TaskManager(nothing, runner.world, runner.backend, settings, _no_goal, source=runner.source, runner=runner)
-    stop_time = schedule(runner.world, runner.programs[wanted.text].plan.timed, asyncio.get_running_loop().time())
-    try:
-        return cast("PlanResult", await manager.run(wanted, observer, stopwatch))
-    finally:
-        stop_time()
+    return cast("PlanResult", await manager.run(wanted, observer, stopwatch))
 
 
 def _no_goal(text: str) -> Condition:

@@ -21,11 +21,11 @@ async def make_plan(world: SharedWorld, settings: Settings, goal: str, planner: 
 
     The settings have the planner and the time limit of requests that name none.
     """
-    now, cancel = world.current_problem(), threading.Event()
+    current, cancel = world.current_problem(), threading.Event()
     planner, timeout = planner or settings.planner, seconds or settings.planner_timeout
 
     def search() -> MadePlan:
-        problem = replace(now, goal=world.read_goal(goal))
+        problem = replace(current, goal=world.read_goal(goal))
         result = solve(problem, planner=planner, timeout=timeout, cancel=cancel, executor=settings.executor)
         if result.plan is None:
             return MadePlan(code_of_planning(result.status, ()), result.reason, str(problem.goal))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
 from typing import Final
 
 from planner_bridge.model.grounding import initial_knowledge
@@ -130,8 +129,9 @@ class ServedProblem:
     async def update(self, add: Sequence[str], remove: Sequence[str], forget: Sequence[str], /) -> int:
         """Record all changes or none; return how many facts changed."""
         async with self._turn:
-            world_of = partial(self._loaded.world_of, (*add, *remove, *forget), self._loaded.knowledge)
-            return self._loaded.world.record(await asyncio.to_thread(lambda: world_of().read_changes(add, remove, forget)))
+            known, texts = snapshot(self._loaded.knowledge), (*add, *remove, *forget)
+            wanted = await asyncio.to_thread(lambda: self._loaded.world_of(texts, known).read_changes(add, remove, forget))
+            return self._loaded.world.record(wanted)
 
     async def get(self) -> tuple[str, str]:
         """Return domain and problem in PDDL, the problem with the current state as its initial state."""

@@ -18,7 +18,6 @@ from pnm.core.execution.call_results import Failure, RunResult
 from pnm.core.execution.events import Observer
 from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.run import Run
-from pnm.core.logic.conditions import TRUE
 from pnm.core.logic.effects import names_written, possible_assignments
 from pnm.core.logic.expressions import Constant, Fluent, State, Unknown, Value
 from pnm.core.machine.generate import generate
@@ -111,7 +110,7 @@ class PlanExecution(Observer):
     def footprint(self) -> ReadWriteSets:
         """What the rest of the plan needs and changes; during a pause, what is still under way."""
         if self._context.control.is_paused:
-            return read_write_sets((*self.run.open_calls.values(), *self.run.settling), TRUE, self._context.world)
+            return self._context.under_way(self.run)
         progress = self.progress
         return read_write_sets(progress.rest, progress.plan.goal, self._context.world)
 

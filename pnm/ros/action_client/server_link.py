@@ -233,22 +233,21 @@ class ServerLink:
                     goal.postpone(now)
 
     def _look_at_queue(self, now: float) -> None:
-        if not self.ready():
-            if self._queued and (reason := self._connection.absence(now)):  # all together: they would all wait in vain for the same server
-                while self._queued:
-                    self._queued.popleft().end(OutcomeKind.UNAVAILABLE, reason)
-        elif self._queued and (rivals := self._connection.rivals(self._connection.processes())):
+        is_ready = self.ready()
+        if not self._queued:
+            return
+        reason = self._connection.rivals(self._connection.processes()) if is_ready else self._connection.absence(now)
+        if reason:  # all queued goals together: they would all wait in vain for the same server
             while self._queued:
-                self._queued.popleft().end(OutcomeKind.UNAVAILABLE, rivals)
-        elif self._queued and not self._connection.may_send():
+                self._queued.popleft().end(OutcomeKind.UNAVAILABLE, reason)
+        elif is_ready and not self._connection.may_send():
             abandoned = self._connection.abandoned
             for goal in tuple(self._queued):
                 goal.sent = goal.sent or now  # the limit counts from here: the server is ready, the goal could have been sent
                 if now - goal.sent >= goal.accept:
                     given_up = f"did not end within {goal.accept:g} s what was given up: {abandoned} goal{'s' * (abandoned > 1)}"
-                    reason = given_up if abandoned else _silence(goal)
                     self._queued.remove(goal)
-                    goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {reason}")
+                    goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {given_up if abandoned else _silence(goal)}")
 
     def _look_at_unanswered(self, goal: Goal, present: frozenset[bytes], now: float) -> None:
         verdict = goal.liveness.check(present, False, now)

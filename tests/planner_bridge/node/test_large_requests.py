@@ -6,6 +6,7 @@ import asyncio
 import threading
 from collections.abc import Awaitable, Callable
 from concurrent.futures import Executor, Future
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,15 +15,16 @@ from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.node import timed_state
 from planner_bridge.node.plan_request import make_plan
 from planner_bridge.node.problem_folder import ProblemFolder
-from planner_bridge.node.problem_service import LoadedProblem, ServedProblem
+from planner_bridge.node.problem_service import NOTHING, LoadedProblem, ServedProblem
 from planner_bridge.node.world_queries import MAX_CHARACTERS, MAX_GOAL_CHOICES
 from planner_bridge.tasks.settings import Settings
 from pnm.clock import in_own_thread, run_async
+from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.domain import MAX_CHOICES
 from pnm.errors import InputError
 from pnm.tasks import Code
 from tests.support.processes import LIMIT
-from tests.support.tasks.world import DOMAIN, PROBLEM, world
+from tests.support.tasks.world import PROBLEM, world
 
 LONG = f"(and {'(not (dark)) ' * 5000}(charged r1))"
 
@@ -68,6 +70,25 @@ def test_the_event_loop_goes_on_while_a_request_is_worked_on(tmp_path, what):
         assert await turns_of(requests[what]()) > 1
 
     serve(scene, tmp_path)
+
+
+class KnowledgeOfOneThread(KnowledgeBase):
+    """Knowledge that the event loop may change at any moment: no other thread may look at it."""
+
+    def facts(self):
+        assert threading.current_thread() is threading.main_thread()
+        return super().facts()
+
+
+@pytest.mark.parametrize("problem", [PROBLEM, NOTHING], ids=lambda problem: problem.name)
+def test_changes_are_read_from_a_snapshot(problem):
+    async def scene():
+        loaded = LoadedProblem(problem, KnowledgeOfOneThread(objects=problem.objects_by_type), {}, Settings())
+        served = ServedProblem(loaded, ProblemFolder(Path()), lambda _: None)
+        with pytest.raises(InputError, match="unknown predicate"):
+            await served.update(["(flies r1)"], [], [])
+
+    run_async(scene())
 
 
 def test_requests_have_their_turns_in_order_each_from_what_is_known_then(tmp_path):
@@ -152,7 +173,6 @@ def test_a_plan_request_whose_goal_cannot_be_read_raises_what_is_wrong():
             await make_plan(world(), Settings(), "(flies r1)", "", 5.0)
         assert (await make_plan(world(), Settings(), "(dark)", "", 5.0)).code is Code.GOAL_REACHED
 
-    assert DOMAIN.actions
     run_async(scene(), virtual=False)
 
 

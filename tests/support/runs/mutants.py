@@ -8,39 +8,16 @@ from dataclasses import replace
 from pnm.core.machine.machine import Always, PetriNetMachine, Rule
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, verify
-from pnm.core.net.net import PetriNet
-
-
-def _without(net: PetriNet, transition: str) -> PetriNet:
-    inputs = {name: weights for name, weights in net.inputs.items() if name != transition}
-    return PetriNet(net.places, inputs, {name: net.outputs[name] for name in inputs})
-
-
-def _with_output(net: PetriNet, transition: str, place: str) -> PetriNet:
-    outputs = {**net.outputs, transition: {**net.outputs[transition], place: net.outputs[transition].get(place, 0) + 1}}
-    return PetriNet(net.places, net.inputs, outputs)
-
-
-def _with_input(net: PetriNet, transition: str, place: str) -> PetriNet:
-    return PetriNet(net.places, {**net.inputs, transition: {**net.inputs[transition], place: 1}}, net.outputs)
-
-
-def _less_output(net: PetriNet, transition: str, place: str) -> PetriNet:
-    kept = {name: weight for name, weight in net.outputs[transition].items() if name != place}
-    return PetriNet(net.places, net.inputs, {**net.outputs, transition: kept})
+from tests.support.runs.mutation.changes import with_output, without_output, without_transition
 
 
 def mutants(machine: PetriNetMachine) -> list[PetriNetMachine]:
     """The machine with one transition lost, one arc more, one arc less, or one guard always open."""
     found = []
     for name in machine.rules:
-        rules = {other: rule for other, rule in machine.rules.items() if other != name}
-        found.append(replace(machine, net=_without(machine.net, name), rules=rules))
-        found += [replace(machine, net=_less_output(machine.net, name, place)) for place in machine.net.outputs[name]]
-        found += [
-            replace(machine, net=_with_output(machine.net, name, place))
-            for place in machine.net.places[:: max(1, len(machine.net.places) // 5)]
-        ]
+        found.append(without_transition(machine, name))
+        found += [without_output(machine, name, place) for place in machine.net.outputs[name]]
+        found += [with_output(machine, name, place) for place in machine.net.places[:: max(1, len(machine.net.places) // 5)]]
         found.append(replace(machine, rules={**machine.rules, name: Rule(name, Always(), machine.rules[name].call)}))
     return found
 

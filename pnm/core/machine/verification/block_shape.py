@@ -1,7 +1,4 @@
-"""When do two blocks behave alike? When they have the same shape, so that exploring one of them is enough.
-
-Does a place have an exit that opens in finite time, whatever the world answers?
-"""
+"""When do two blocks behave alike? When they have the same shape, so that exploring one of them is enough."""
 
 from __future__ import annotations
 
@@ -21,7 +18,9 @@ def shape_of(part: Part) -> object:
     one must be marked and not two, are told apart.
     """
     conditions: list[Condition] = []
-    guards = tuple([(_kind(step, conditions), step.action, step.gives_up, step.counted and step.counted[1:]) for step in part.steps])
+    guards = tuple(
+        [(_kind(step, conditions), step.action, step.gives_up, step.finds_cause, step.counted and step.counted[1:]) for step in part.steps]
+    )
     arcs: dict[str, list[tuple[int, int]]] = {place: [] for place in part.places}
     for number, step in enumerate(part.steps):
         for place, weight in step.inputs.items():

@@ -7,13 +7,13 @@ direction only, they come to an end. So the work does not grow with the tokens, 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from pnm.core.machine.verification.part import Count, Left, Step, Unsound
 
 
 def without_counts(
-    steps: Sequence[Step], initial: Mapping[str, int], budgets: Collection[str]
+    steps: Sequence[Step], initial: Mapping[str, int], budgets: frozenset[str]
 ) -> tuple[tuple[Step, ...], dict[str, int], frozenset[str]]:
     """Return steps and tokens in which one place stands for each counter, marked as long as there is one, and those places.
 
@@ -23,10 +23,9 @@ def without_counts(
     """
     pairs = dict[str, tuple[str, str]]()
     for step in steps:
-        given = [place for place in step.outputs if place in budgets]
-        taken = [place for place in step.inputs if place in budgets]
-        if not given:
+        if budgets.isdisjoint(step.outputs):
             continue
+        given, taken = ([place for place in arcs if place in budgets] for arcs in (step.outputs, step.inputs))
         if len(given) != 1 or len(taken) != 1 or given == taken or step.inputs[taken[0]] != 1 or step.outputs[given[0]] != 1:
             raise Unsound(f"{step.name} does not move one token from one counter to another")
         pair = (taken[0], given[0]) if initial.get(taken[0]) else (given[0], taken[0])
@@ -37,9 +36,9 @@ def without_counts(
             raise Unsound(f"some of the counter {left} is spent from the beginning")
 
     def abstract(step: Step) -> Step:
-        taken = [place for place in step.inputs if place in budgets]
-        if not taken:
+        if budgets.isdisjoint(step.inputs):
             return step
+        taken = [place for place in step.inputs if place in budgets]
         left, spent = pairs.get(taken[0], (taken[0], ""))
         total, gives = initial.get(left, 0), any(place in budgets for place in step.outputs)
         if len(taken) > 1 or not (gives or step.inputs[taken[0]] == total):

@@ -59,6 +59,8 @@ class Step(NamedTuple):
     action: TransitionAction | None = None
     gives_up: bool = False
     """The request of the call is no longer waited for."""
+    finds_cause: bool = False
+    """Whether the run knows from then on why the call fails, if it does."""
     counted: Count | None = None
     """What it asks of a counter, which may be so or not at any time."""
 

@@ -61,22 +61,20 @@ def check_steps(part: Part) -> None:
                 raise Unsound(f"{step.name} takes {weight} of {place}, and there is {part.initial.get(place, 0)}")
 
 
-def check_causes(machine: PetriNetMachine, entered: Iterable[str], transitions: Iterable[str]) -> None:
-    """Check that a step does not fail without a cause that a rule has found.
-
-    Args:
-        machine: that the step is part of.
-        entered: places that are marked when the step is entered.
-        transitions: those of the step.
+def check_causes(part: Part) -> None:
+    """Check that no step of the plan fails without a cause that a rule has found.
 
     Raises:
-        Unsound: a failure place may be marked although no cause was found since.
+        Unsound: a failure place may be marked although no cause was found since the step was entered.
     """
-    net, reached = machine.net, set(entered)
-    without = [name for name in transitions if machine.rules[name].cause is None]
-    while new := [name for name in without if not reached.isdisjoint(net.inputs[name])]:
-        for name in new:
-            if not net.outputs[name].keys().isdisjoint(machine.failure_places):
-                raise Unsound(f"{name} marks a failure, and no rule has found its cause")
-            reached |= net.outputs[name].keys() - machine.record_places
-        without = [name for name in without if name not in new]
+    reached = set(part.initial).union(*part.supplies) - part.records
+    without = [step for step in part.steps if not step.finds_cause]
+    # Of loops and choices the run keeps no cause: what marks their failure finds it.
+    new = [step for step in without if step.call is None and not part.failures.isdisjoint(step.outputs)]
+    while new := new or [step for step in without if step.call is not None and not reached.isdisjoint(step.inputs)]:
+        for step in new:
+            if not part.failures.isdisjoint(step.outputs):
+                raise Unsound(f"{step.name} marks a failure, and no rule has found its cause")
+            reached |= step.outputs.keys() - part.records
+        without = [step for step in without if step not in new]
+        new = []

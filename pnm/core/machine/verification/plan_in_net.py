@@ -47,29 +47,25 @@ def check_events(machine: PetriNetMachine, block: Block, transitions: Collection
         for place in places:
             if place in orderings and orderings[place].after.moment is not moment:
                 raise Unsound(f"the {moment.value} of step {block.owner} waits for {place}, which stands for {orderings[place]}")
-    steps = machine.plan.calls
-    release = (
-        steps[block.owner].release if block.owner is not None and block.owner < len(steps) and not steps[block.owner].under_way else 0.0
-    )
-    for name in transitions:
-        guard, entered = rules[name].guard, net.inputs[name].keys() & block.first
-        seconds, since = (guard.seconds, dict(guard.since)) if isinstance(guard, Due) else (0.0, {})
-        delays = {place: orderings[place].delay for place in entered if place in orderings}
-        is_early = seconds < release or any(since.get(place, 0.0) < delay for place, delay in delays.items())
-        if entered and is_early and not isinstance(guard, Ending):
-            raise Unsound(f"{name} does not wait for the times that the plan gives")
+    calls, owner = machine.plan.calls, block.owner
+    release = calls[owner].release if owner is not None and owner < len(calls) and not calls[owner].under_way else 0.0
+    delays = {place: orderings[place].delay if place in orderings else 0.0 for place in block.first}
     part = block.part
+    last = part.outputs | part.finals | part.records
     for name in transitions:
-        if (
-            net.outputs[name].keys() & part.outputs - block.early
-            and not net.outputs[name].keys() <= part.outputs | part.finals | part.records
-        ):
-            raise Unsound(f"{name} marks what waits for the end of step {block.owner}, and goes on")
+        guard, outputs = rules[name].guard, net.outputs[name].keys()
+        if entered := [place for place in net.inputs[name] if place in delays]:
+            seconds, since = (guard.seconds, dict(guard.since)) if isinstance(guard, Due) else (0.0, {})
+            is_early = seconds < release or any(since.get(place, 0.0) < delays[place] for place in entered)
+            if is_early and not isinstance(guard, Ending):
+                raise Unsound(f"{name} does not wait for the times that the plan gives")
+        if not outputs.isdisjoint(part.ends) and not outputs <= last:
+            raise Unsound(f"{name} marks what waits for the end of step {owner}, and goes on")
     if block.early:
         sending = leading_to_a_request(machine, transitions)
         for name in transitions:
             if block.early & net.outputs[name].keys() and rules[name].action not in _BEGINNINGS and sending & net.outputs[name].keys():
-                raise Unsound(f"{name} marks what waits for the start of step {block.owner}, whose request is still to be sent")
+                raise Unsound(f"{name} marks what waits for the start of step {owner}, whose request is still to be sent")
 
 
 def leading_to_a_request(machine: PetriNetMachine, transitions: Collection[str]) -> set[str]:

@@ -42,11 +42,10 @@ from pnm.core.machine.machine import (
 )
 from pnm.core.machine.verification.block_shape import shape_of
 from pnm.core.machine.verification.decompose import Anatomy, Block, Event, step_of
-from pnm.core.machine.verification.explore import Exploration, explore_part
+from pnm.core.machine.verification.explore import Exploration, NeverFires, explore_part, never_fire
 from pnm.core.machine.verification.part import Inside, Part, Unsound
-from pnm.core.machine.verification.place_roles import check_causes, check_roles
+from pnm.core.machine.verification.place_roles import check_roles
 from pnm.core.machine.verification.plan_in_net import check_events, check_flows
-from pnm.core.machine.verification.unfired import NeverFires, never_fire
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -101,7 +100,6 @@ def verify(machine: PetriNetMachine) -> Proof:
         if owner is not None and not block.part.ends:
             raise Unsound(f"nothing waits for the end of step {owner}")
         check_events(machine, block, anatomy.transitions[owner])
-        check_causes(machine, block.first, anatomy.transitions[owner])
         anatomy.note_waits(block, waits)
         shape = _proved(block.part)
         proved.add(shape)

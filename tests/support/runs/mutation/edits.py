@@ -11,6 +11,7 @@ from pnm.core.machine.machine import Always, Ends, PetriNetMachine, TransitionAc
 from pnm.core.machine.plan_graph import Moment
 from pnm.core.machine.requests import OutcomeKind
 from pnm.core.net.net import Marking, PetriNet, Weights
+from tests.support.runs.mutation.changes import with_rule, without_place, without_transition
 
 Edit = Callable[[PetriNetMachine, Random], PetriNetMachine]
 Arcs = Mapping[str, Weights]
@@ -66,15 +67,9 @@ def transition_lost(machine: PetriNetMachine, random: Random) -> PetriNetMachine
     return without_transition(machine, random.choice(machine.net.transitions))
 
 
-def without_transition(machine: PetriNetMachine, gone: str) -> PetriNetMachine:
-    keep = [name for name in machine.net.transitions if name != gone]
-    net = PetriNet(machine.net.places, {one: machine.net.inputs[one] for one in keep}, {one: machine.net.outputs[one] for one in keep})
-    return replace(machine, net=net, rules={one: machine.rules[one] for one in keep})
-
-
 def guard_open(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
     name = random.choice(machine.net.transitions)
-    return replace(machine, rules={**machine.rules, name: machine.rules[name]._replace(guard=Always())})
+    return with_rule(machine, name, guard=Always())
 
 
 def guards_swapped(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
@@ -88,14 +83,12 @@ def guards_swapped(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
 
 def kinds(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
     name, guard = random.choice([(name, rule.guard) for name, rule in machine.rules.items() if isinstance(rule.guard, Ends)])
-    other = Ends(guard.call, guard.kinds ^ {random.choice([*OutcomeKind])})
-    return replace(machine, rules={**machine.rules, name: machine.rules[name]._replace(guard=other)})
+    return with_rule(machine, name, guard=Ends(guard.call, guard.kinds ^ {random.choice([*OutcomeKind])}))
 
 
 def deed(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
     name = random.choice([name for name, rule in machine.rules.items() if rule.call is not None])
-    action = random.choice([None, *TransitionAction])
-    return replace(machine, rules={**machine.rules, name: machine.rules[name]._replace(action=action)})
+    return with_rule(machine, name, action=random.choice([None, *TransitionAction]))
 
 
 def marking(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
@@ -125,13 +118,7 @@ def roles(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
 def ordering_lost(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
     if not machine.orderings:
         return machine
-    gone = random.choice([*machine.orderings])
-
-    def cut(arcs: Arcs) -> Arcs:
-        return {name: {place: count for place, count in one.items() if place != gone} for name, one in arcs.items()}
-
-    net = PetriNet(tuple(place for place in machine.net.places if place != gone), cut(machine.net.inputs), cut(machine.net.outputs))
-    return replace(machine, net=net, orderings={place: one for place, one in machine.orderings.items() if place != gone})
+    return without_place(machine, random.choice([*machine.orderings]))
 
 
 def ordering_turned(machine: PetriNetMachine, random: Random) -> PetriNetMachine:

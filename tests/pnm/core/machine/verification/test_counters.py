@@ -14,7 +14,7 @@ from pnm.core.machine.plan_graph import ActionCall, Cause, Flow, GroundAction, P
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, forget_proofs, verify
 from pnm.core.net.net import PetriNet
-from tests.support.runs.mutation.edits import without_transition
+from tests.support.runs.mutation.changes import without_transition
 
 CAUSES = (
     *(Cause.ABORTED, Cause.CANCELED, Cause.REJECTED, Cause.UNAVAILABLE, Cause.TIMED_OUT, Cause.LOST),

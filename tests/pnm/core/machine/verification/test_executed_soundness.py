@@ -9,6 +9,7 @@ import pytest
 
 from pnm.core.execution.resources import Resources
 from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import Holds
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import Always, ConditionTrue, PetriNetMachine, Rule, TransitionAction
@@ -17,6 +18,7 @@ from pnm.core.machine.plan_graph import (
     Cause,
     Flow,
     GroundAction,
+    Loop,
     PlanGraph,
     PlanGraphError,
     Recovery,
@@ -24,14 +26,23 @@ from pnm.core.machine.plan_graph import (
 )
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, verify
-from pnm.core.net.net import Marking, PetriNet, Weights
+from pnm.core.net.net import Marking, PetriNet
 from pnm.errors import InputError
-from tests.support.runs.mutants import _with_input, _with_output, _without
+from tests.support.runs.mutation.changes import (
+    with_input,
+    with_inputs,
+    with_output,
+    with_outputs,
+    with_rule,
+    without_place,
+    without_transition,
+)
 from tests.support.runs.plan_graphs import plan
 
 ARM = generate(PlanGraph((ActionCall(0, GroundAction("a0", resources=("arm",))),)))
 CHAIN = generate(plan(2, "0e<1s"))
 WAY_OUT = GroundAction("help")
+LOOP = generate(PlanGraph((Loop(1, Holds(("free",)), Flow((ActionCall(0, GroundAction("a0")),)), 2),)))
 COUNTING = generate(
     PlanGraph(
         (
@@ -51,31 +62,6 @@ def marked(machine: PetriNetMachine, **tokens: int) -> PetriNetMachine:
     return replace(machine, initial=Marking({**machine.initial, **named}))
 
 
-def without_place(machine: PetriNetMachine, place: str) -> PetriNetMachine:
-    def cut(arcs: Weights) -> Weights:
-        return {name: weight for name, weight in arcs.items() if name != place}
-
-    net = machine.net
-    places = tuple(name for name in net.places if name != place)
-    inputs, outputs = ({name: cut(arcs) for name, arcs in every.items()} for every in (net.inputs, net.outputs))
-    orderings = {name: ordering for name, ordering in machine.orderings.items() if name != place}
-    return replace(machine, orderings=orderings, net=PetriNet(places, inputs, outputs))
-
-
-def inputs_of(machine: PetriNetMachine, name: str, inputs: Weights) -> PetriNetMachine:
-    net = machine.net
-    return replace(machine, net=PetriNet(net.places, {**net.inputs, name: inputs}, net.outputs))
-
-
-def ruled(machine: PetriNetMachine, name: str, **changes: object) -> PetriNetMachine:
-    return replace(machine, rules={**machine.rules, name: machine.rules[name]._replace(**changes)})  # type: ignore[arg-type]
-
-
-def lost(machine: PetriNetMachine, name: str) -> PetriNetMachine:
-    rules = {other: rule for other, rule in machine.rules.items() if other != name}
-    return replace(machine, net=_without(machine.net, name), rules=rules)
-
-
 def one_place_more(machine: PetriNetMachine) -> PetriNetMachine:
     return replace(machine, net=PetriNet((*machine.net.places, "elsewhere"), machine.net.inputs, machine.net.outputs))
 
@@ -89,32 +75,42 @@ UNSOUND: dict[str, tuple[PetriNetMachine, str]] = {
         without_place(generate(plan(2, "0e<1e")), next(iter(generate(plan(2, "0e<1e")).orderings))),
         "no place keeps|nothing waits for the end of step 0|goal is marked although|failed is marked although",
     ),
-    "a report without input": (inputs_of(CHAIN, "a0()#0 withdrawn", {}), "does not take just the one token of its call"),
+    "a report without input": (with_inputs(CHAIN, "a0()#0 withdrawn", {}), "does not take just the one token of its call"),
     "a report with two inputs": (
-        replace(CHAIN, net=_with_input(CHAIN.net, "a0()#0 succeeded", "a0()#0 ready")),
+        with_input(CHAIN, "a0()#0 succeeded", "a0()#0 ready"),
         "does not take just the one token of its call",
     ),
     "a place that is goal and budget": (replace(CHAIN, budget_places=CHAIN.budget_places | {"goal"}), "two roles"),
     "a place that is failure and resource": (replace(CHAIN, resource_places={"a0()#0 failed": "arm"}), "two roles"),
-    "a goal after a failure": (lost(CHAIN, "ended_by_failure"), "goal is marked although the run is ending"),
-    "a request that is sent while ending": (lost(CHAIN, "a0()#0 skip"), "sends a request although the run is ending"),
-    "a second request": (ruled(CHAIN, "a0()#0 accepted", action=TransitionAction.SEND), "sends a request while one of the call is alive"),
+    "a goal after a failure": (without_transition(CHAIN, "ended_by_failure"), "goal is marked although the run is ending"),
+    "a request that is sent while ending": (without_transition(CHAIN, "a0()#0 skip"), "sends a request although the run is ending"),
+    "a second request": (
+        with_rule(CHAIN, "a0()#0 accepted", action=TransitionAction.SEND),
+        "sends a request while one of the call is alive",
+    ),
     "effects of what was not sent": (
-        ruled(CHAIN, "a0()#0 precondition_false", action=TransitionAction.FINISH),
+        with_rule(CHAIN, "a0()#0 precondition_false", action=TransitionAction.FINISH),
         "effects of a request that was not sent",
     ),
-    "a cancellation of nothing": (ruled(CHAIN, "a0()#0 retry", action=TransitionAction.CANCEL), "about a request, and none is alive"),
-    "an end that is lost": (lost(CHAIN, "a0()#0 aborted"), "nothing takes the report that a request has aborted|has no exit for"),
+    "a cancellation of nothing": (with_rule(CHAIN, "a0()#0 retry", action=TransitionAction.CANCEL), "about a request, and none is alive"),
+    "an end that is lost": (
+        without_transition(CHAIN, "a0()#0 aborted"),
+        "nothing takes the report that a request has aborted|has no exit for",
+    ),
     "a call under way that does not say so": (
         replace(CHAIN, alive_places=CHAIN.alive_places - {"a0()#0 running"}),
         "no place is marked that says so",
     ),
     "a failure that is taken back": (
-        replace(CHAIN, net=_with_input(CHAIN.net, "a0()#0 fork", "a0()#0 failed")),
+        with_input(CHAIN, "a0()#0 fork", "a0()#0 failed"),
         "which stays as it is",
     ),
+    "a failure of a loop without a cause": (
+        with_rule(LOOP, "while((free))#1 condition_unknown", guard=Always()),
+        "marks a failure, and no rule has found its cause",
+    ),
     "an end before the request is over": (
-        ruled(CHAIN, "a0()#0 unconfirmed", gives_up=False),
+        with_rule(CHAIN, "a0()#0 unconfirmed", gives_up=False),
         "a request is alive, and no place is marked that says so",
     ),
 }
@@ -137,17 +133,14 @@ def test_counters_are_pairs_before_they_are_counted_as_some() -> None:
     ):
         inputs = COUNTING.net.inputs[transition]
         with pytest.raises(Unsound, match="neither one nor all"):
-            verify(inputs_of(COUNTING, transition, {**inputs, place: weight}))
-    mixed = replace(
-        COUNTING, net=_with_output(_with_input(COUNTING.net, "a0()#0 join", "a0()#0 spent"), "a0()#0 join", "a0()#0 uses left 0")
-    )
+            verify(with_inputs(COUNTING, transition, {**inputs, place: weight}))
+    mixed = with_output(with_input(COUNTING, "a0()#0 join", "a0()#0 spent"), "a0()#0 join", "a0()#0 uses left 0")
     with pytest.raises(Unsound, match="mixes counters"):
         verify(mixed)
 
 
 def test_a_goal_that_is_marked_early_is_refused() -> None:
-    early = replace(CHAIN, net=_with_output(CHAIN.net, "a0()#0 start", "goal"))
-    early = ruled(early, "a0()#0 start", guard=ConditionTrue(CHAIN.plan.goal))
+    early = with_rule(with_output(CHAIN, "a0()#0 start", "goal"), "a0()#0 start", guard=ConditionTrue(CHAIN.plan.goal))
     for prove in (verify, explore):
         with pytest.raises(Unsound):
             prove(early)
@@ -192,7 +185,5 @@ def test_transitions_that_can_never_fire_are_listed_with_the_reason() -> None:
 
 
 def test_a_step_that_can_never_begin_is_refused() -> None:
-    net = COUNTING.net
-    past_it = PetriNet(net.places, net.inputs, {**net.outputs, "a0()#0 rejected": {"a0()#0 recover": 1}})
     with pytest.raises(Unsound, match="step 1 of the plan can never begin"):
-        verify(replace(COUNTING, net=past_it))
+        verify(with_outputs(COUNTING, "a0()#0 rejected", {"a0()#0 recover": 1}))

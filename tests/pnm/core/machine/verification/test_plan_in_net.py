@@ -7,11 +7,12 @@ from dataclasses import replace
 import pytest
 
 from pnm.core.machine.generate import generate
-from pnm.core.machine.machine import Always, PetriNetMachine
+from pnm.core.machine.machine import Always
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import verify
-from pnm.core.net.net import PetriNet, Weights
+from pnm.core.net.net import PetriNet
+from tests.support.runs.mutation.changes import with_output, with_rule, without_place
 
 START, END = Moment.START, Moment.END
 KINDS = [(END, START), (START, START), (END, END), (START, END)]
@@ -23,20 +24,6 @@ def plan(*orderings: Ordering, calls: int = 2) -> PlanGraph:
 
 def ordering(before: Moment, after: Moment, first: int = 0, second: int = 1, delay: float = 0.0) -> Ordering:
     return Ordering(PlanEvent(first, before), PlanEvent(second, after), delay=delay)
-
-
-def without_place(machine: PetriNetMachine, place: str) -> PetriNetMachine:
-    """The machine with a place of an ordering cut out."""
-
-    def cut(arcs: Weights) -> dict[str, int]:
-        return {other: weight for other, weight in arcs.items() if other != place}
-
-    net = PetriNet(
-        tuple(other for other in machine.net.places if other != place),
-        {name: cut(arcs) for name, arcs in machine.net.inputs.items()},
-        {name: cut(arcs) for name, arcs in machine.net.outputs.items()},
-    )
-    return replace(machine, net=net, orderings={other: kept for other, kept in machine.orderings.items() if other != place})
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -94,14 +81,10 @@ def test_a_time_that_is_not_waited_for_is_missed(delay: float) -> None:
     graph = replace(graph, steps=(graph.steps[0], replace(graph.calls[1], release=0.0 if delay else 5.0)))
     machine = generate(graph)
     verify(machine)
-    rule = machine.rules["a1()#1 join"]
     with pytest.raises(Unsound, match="does not wait for the times"):
-        verify(replace(machine, rules={**machine.rules, "a1()#1 join": rule._replace(guard=Always())}))
+        verify(with_rule(machine, "a1()#1 join", guard=Always()))
 
 
 def test_a_failure_without_a_cause_is_refused() -> None:
-    machine = generate(plan())
-    join = {"a1()#1 join": {**machine.net.outputs["a1()#1 join"], "a1()#1 failed": 1}}
-    net = PetriNet(machine.net.places, machine.net.inputs, {**machine.net.outputs, **join})
     with pytest.raises(Unsound, match="no rule has found its cause"):
-        verify(replace(machine, net=net))
+        verify(with_output(generate(plan()), "a1()#1 join", "a1()#1 failed"))

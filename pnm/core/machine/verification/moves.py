@@ -1,0 +1,216 @@
+"""Moves of a part of a machine: in which states it can be, and what can happen next in each, whatever the world answers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final, NamedTuple, TypeAlias
+
+from pnm.core.machine.machine import Accepts, Adopted, After, Due, Ends
+from pnm.core.machine.verification.counters import in_each_case
+from pnm.core.machine.verification.exits import Moods, is_open
+from pnm.core.machine.verification.part import Part, Step, Unsound
+from pnm.core.machine.verification.request_life import Life, following, may_come, misuse
+
+Tokens: TypeAlias = tuple[int, ...]
+
+STOPS: Final = ("", "restart elsewhere", "stop", "cancel")
+AGAIN: Final = "enter again"
+SUPPLY: Final = "supply"
+FROM_OUTSIDE: Final = frozenset((*STOPS, AGAIN, SUPPLY))
+"""What happens to a part from outside; no step of its own may be called so."""
+
+
+class State(NamedTuple):
+    """A state of a part: its tokens, and what became of the requests of its calls."""
+
+    tokens: Tokens
+    stop: int = 0
+    """0: going on, 1: another part asks for the plan to begin anew, 2: a stop, 3: a stop that cancels."""
+    supplied: int = 0
+    """How many of the supplies have come."""
+    requests: tuple[Life, ...] = ()
+    """What became of the last request of each call."""
+    restored: bool = False
+    """Whether something that was counted has come back since the part was entered."""
+
+
+class Moves:
+    """The moves of a part. Its places, calls and steps are known by number."""
+
+    def __init__(self, part: Part) -> None:
+        self.part = part
+        self.index = {place: number for number, place in enumerate(part.places)}
+        self.fired: set[int] = set()
+        """The steps that can happen, as far as is known."""
+        self.consumers: list[list[int]] = [[] for _ in part.places]
+        """For every place the steps that take from it, in their order."""
+        self.reports: list[list[int]] = [[] for _ in part.places]
+        """Those of them that a report opens, and that need nothing else."""
+        self.calls: dict[int, int] = {}
+        self._unaccepted: dict[int | None, list[int]] = {}
+        """For every call the places at which the acceptance of a request is waited for."""
+        for number, step in enumerate(part.steps):
+            if step.call is not None:
+                self.calls.setdefault(step.call, len(self.calls))
+            for place in map(self.index.__getitem__, step.inputs):
+                self.consumers[place].append(number)
+                if isinstance(step.guard, Accepts | Ends):
+                    self.reports[place].append(number)
+                if isinstance(step.guard, Accepts):
+                    self._unaccepted.setdefault(step.call, []).append(place)
+        self.resources = {self.index[place]: part.initial.get(place, 0) for place in part.resources}
+        # Places without an arc in this part have no index.
+        self.records = {self.index[place] for place in part.counters if place in self.index} | self.resources.keys()
+        self._needs = [tuple((self.index[place], weight) for place, weight in step.inputs.items()) for step in part.steps]
+        self._gives = [tuple((self.index[place], weight) for place, weight in step.outputs.items()) for step in part.steps]
+        self._failures = [self.index[place] for place in part.failures]
+        self._restarts = [self.index[place] for place in part.restarts]
+        self._finals = [self.index[place] for place in part.finals if place in self.index]
+        # Only upwards in `successors`: a stop is never taken back, so the states of a part are finitely many.
+        self._stops = (1, 2, 3) if part.others_restart else (2, 3)
+        # A place that asks for a restart is emptied before anything begins anew.
+        counting = {step.counted.place for step in part.steps if step.counted}
+        self._lasting = {self.index[place] for place in part.failures | counting if place in self.index}
+
+    def start(self) -> State:
+        """Return the state that the part begins in."""
+        adopted = {step.call for step in self.part.steps if isinstance(step.guard, Adopted)}
+        requests = tuple(Life.ADOPTABLE if call in adopted else Life.NONE for call in self.calls)
+        return State(tuple(self.part.initial.get(place, 0) for place in self.part.places), requests=requests)
+
+    def marked(self, state: State) -> list[int]:
+        """Return the marked places at which rules are asked: all but records."""
+        return [place for place, tokens in enumerate(state.tokens) if tokens and place not in self.records]
+
+    def moods(self, state: State) -> Moods:
+        """Return whether the part is failing, ending, and to cancel what is under way."""
+        failing = state.stop > 1 or any(state.tokens[place] for place in self._failures)
+        ending = failing or state.stop > 0 or any(state.tokens[place] for place in self._restarts)
+        return Moods(failing, ending, state.stop == 3 or (ending and self.part.cancels))
+
+    # --- what can happen ------------------------------------------------------------------------
+
+    def possible(self, state: State) -> list[int]:
+        """Return the enabled steps whose guards may be open, as `pnm.core.execution.run` asks them: in order, at each marked place.
+
+        Reports are not asked for at a place: they come when they like as long as their request is alive.
+        """
+        moods, possible, marked = self.moods(state), dict[int, None](), self.marked(state)
+        for place in marked:
+            possible.update(dict.fromkeys(self.exits(place, state, moods)[0]))
+        if Life.ALIVE in state.requests:
+            reports = (number for place in marked for number in self.reports[place] if number not in possible)
+            possible.update(dict.fromkeys([number for number in reports if self._may_come(self.part.steps[number], state)]))
+        return [*possible]
+
+    def exits(self, place: int, state: State, moods: Moods) -> tuple[list[int], bool]:
+        """Return which steps may be open at a place, and whether those after them wait for resources."""
+        exits: list[int] = []
+        for number in self.consumers[place]:
+            step = self.part.steps[number]
+            if not self.is_enabled(number, state):
+                # As in the run: the call stands in line here, and the rules after this one are not asked.
+                if self.resources and self.lacks_resources(number, state) and not isinstance(step.guard, Adopted):
+                    return exits, True
+                continue
+            opens = is_open(step.guard, moods)
+            if opens is None and isinstance(step.guard, Adopted | Accepts | Ends):
+                if not self._may_come(step, state):
+                    continue
+                opens = True if isinstance(step.guard, Adopted) else None
+            if opens is not False:  # guards that ask the world may go either way, so both are followed
+                exits.append(number)
+            if opens and not step.counted:  # rules after one that is surely open are never asked
+                break
+        return exits, False
+
+    def is_enabled(self, number: int, state: State) -> bool:
+        """Return whether there are all tokens that the step takes."""
+        tokens = state.tokens
+        for place, weight in self._needs[number]:  # noqa: SIM110 (this is asked most often of all, and `all` takes twice the time)
+            if tokens[place] < weight:
+                return False
+        return True
+
+    def lacks_resources(self, number: int, state: State) -> bool:
+        """Return whether the step would be enabled if all resources were free."""
+        lacking = {place for place, weight in self._needs[number] if state.tokens[place] < weight}
+        return bool(lacking) and lacking <= self.resources.keys()
+
+    def _may_come(self, step: Step, state: State) -> bool:
+        """Return whether a report, or an adoption, may come in this state: as far as the request of the call is concerned."""
+        if step.call is None:
+            return True
+        life = state.requests[self.calls[step.call]]
+        return may_come(step, life, accepts=any(state.tokens[place] for place in self._unaccepted.get(step.call, ())))
+
+    def reports_now(self, call: int, state: State) -> list[Step]:
+        """Return the steps that take reports about the request of the call."""
+        steps = self.part.steps
+        return [steps[number] for place in self.marked(state) for number in self.reports[place] if steps[number].call == call]
+
+    def is_stuck(self, state: State, possible: Sequence[int]) -> bool:
+        """Return whether, in some case of the counters, none of the possible steps is: nothing happens without something from outside."""
+        steps = [self.part.steps[number] for number in possible]
+        if any(not step.counted for step in steps):
+            return False
+        moods = self.moods(state)
+        for place in {self.index[name] for step in steps for name in step.inputs} - self.records:
+            enabled = [self.part.steps[number] for number in self.consumers[place] if self.is_enabled(number, state)]
+            if any(all(any(is_open(step.guard, moods) for step in case) for case in cases) for cases in in_each_case(enabled)):
+                return False
+        return True
+
+    def starves(self, state: State) -> bool:
+        """Return whether resources are waited for, and nothing else is sure to happen."""
+        moods, waits = self.moods(state), False
+        for place in self.marked(state):
+            exits, waiting = self.exits(place, state, moods)
+            sure = [step for step in map(self.part.steps.__getitem__, exits) if not step.counted]
+            if (not waiting and exits) or any(isinstance(step.guard, After | Due) or is_open(step.guard, moods) for step in sure):
+                return False
+            waits = waits or waiting
+        return waits
+
+    # --- what it leads to -----------------------------------------------------------------------
+
+    def successors(self, state: State, possible: Sequence[int], is_at_rest: bool) -> Iterator[tuple[str, State]]:
+        """Yield everything that can happen next, given the steps that can."""
+        ending = self.moods(state).ending
+        for number in possible:
+            self.fired.add(number)
+            yield self.part.steps[number].name, self._after(number, state, ending=ending)
+        if state.supplied < len(self.part.supplies):
+            tokens = [*state.tokens]
+            for name in self.part.supplies[state.supplied]:
+                tokens[self.index[name]] += 1
+            yield SUPPLY, state._replace(tokens=tuple(tokens), supplied=state.supplied + 1)
+        # Entered again only once it has come to rest, and with its counters as they are: that they are full again is to be shown.
+        elif self.part.repeats and is_at_rest:
+            first = self.part.initial
+            tokens = [state.tokens[number] if number in self._lasting else first.get(place, 0) for place, number in self.index.items()]
+            yield AGAIN, State(tuple(tokens), 0 if state.stop == 1 else state.stop, requests=(Life.NONE,) * len(self.calls))
+        if any(state.tokens[place] for place in self._finals):
+            return  # it is over: nobody stops it any more
+        for stop in self._stops:
+            if stop > state.stop:  # a stop may come at any moment, between any two firings
+                yield STOPS[stop], state._replace(stop=stop)
+
+    def _after(self, number: int, state: State, *, ending: bool) -> State:
+        step, requests = self.part.steps[number], state.requests
+        if step.call is not None:
+            position = self.calls[step.call]
+            before = requests[position]
+            if wrong := misuse(step, before, ending=ending):
+                raise Unsound(wrong)
+            if (after := following(step, before)) is not before:
+                requests = (*requests[:position], after, *requests[position + 1 :])
+        tokens = [*state.tokens]
+        for place, weight in self._needs[number]:
+            tokens[place] -= weight
+        for place, weight in self._gives[number]:
+            tokens[place] += weight
+        restores = step.counted.restores if step.counted else None
+        if state.restored and restores is False:
+            raise Unsound(f"{step.name} counts on after something was counted back, which may go on for ever")
+        return State(tuple(tokens), state.stop, state.supplied, requests, state.restored or bool(restores))
