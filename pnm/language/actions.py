@@ -42,7 +42,19 @@ ACTION_KEYS: Final = (
     *("instances", "type", "params", "preconditions", "effects", "duration", "preferences", "recoveries", "resources"),
     *("server", "several_servers", "ros_type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask", "simulated"),
 )
-BINDING_KEYS: Final = ("server", "several_servers", "ros_type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask", "resources")
+BINDING_KEYS: Final = (
+    "server",
+    "several_servers",
+    "ros_type",
+    "goal",
+    "store",
+    "timeout",
+    "accept",
+    "cancel",
+    "retries",
+    "ask",
+    "resources",
+)
 """Those of them that bind the action to its server."""
 RESERVED: Final = frozenset({"while", "if", "then", "else", "concurrent_actions", "sequence"})
 """Words that steps begin with."""

@@ -275,7 +275,7 @@ def step_of(machine: PetriNetMachine, name: str) -> Step:
         if rule.action is not None or isinstance(rule.guard, Accepts | Ends):
             raise Unsound(f"{name} is about a request, and belongs to no call")
         return Step(name, rule.guard, inputs, outputs, finds_cause=rule.cause is not None and is_check(rule.guard))
-    return Step(name, rule.guard, inputs, outputs, rule.call, rule.action, rule.gives_up, rule.cause is not None)
+    return Step(name, rule.guard, inputs, outputs, rule.call, rule.action, rule.gives_up, rule.outcome, rule.cause is not None)
 
 
 def _may_come(place: str) -> str:
