@@ -12,7 +12,7 @@ from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.pddl import read_domain, read_problem
 from pnm.actions.bindings_file import read_bindings
 from pnm.core.logic.declared_names import Vocabulary
-from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.bindings import NO_BINDINGS, Bindings
 from pnm.errors import Tolerated
 
 _SHOWN: Final = 20
@@ -43,8 +43,9 @@ def bindings_for(domain: Path | None, file: Path | None, known: Vocabulary | Non
     Bindings may use only the names in `known`; any, if it is None.
     """
     beside = domain.parent / "bindings.yaml" if domain else None
-    chosen = file or (beside if beside and os.path.isfile(beside) else None)
-    return read_bindings(chosen, known) if chosen else Bindings()
+    if file is None and beside and os.path.isfile(beside):  # unlike `Path.is_file` also for names that are too long
+        file = beside
+    return read_bindings(file, known) if file else NO_BINDINGS
 
 
 def warning_lines(warnings: Iterable[Tolerated]) -> Iterator[str]:

@@ -12,16 +12,17 @@ from uuid import uuid4
 
 from planner_bridge.loading import bindings_for, load
 from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.plan_world import names_of_world
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.result import PlanResult, Stopwatch, TaskResult
 from planner_bridge.tasks.scheduling.task_manager import TaskManager
 from planner_bridge.tasks.settings import Settings, TaskObserver
-from pnm.actions.backend import Backend, ClientBackend, schedule
+from pnm.actions.backend import Backend, ClientBackend
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import run_async
 from pnm.core.logic.conditions import Condition
-from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.bindings import NO_BINDINGS
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.requests import ActionClient
 from pnm.errors import InputError, Tolerated, suggestion
@@ -64,7 +65,7 @@ def achieve(
     check_arguments(settings, observer, faults)
     with seconds.of("parse"):
         loaded = load(domain, problem)
-        if settings.bindings == Bindings() and isinstance(domain, Path | str):
+        if settings.bindings == NO_BINDINGS and isinstance(domain, Path | str):
             settings = replace(settings, bindings=bindings_for(Path(domain), None, loaded.vocabulary))
     backend = backend_of(actions, loaded, settings, faults)
     task = achieve_at(backend, loaded, settings, observer, seconds)
@@ -131,7 +132,7 @@ def carry_out(
     with stopwatch.of("translate"):
         programs = {name: Program.of(plans[name]) for name in called_plans(plans, chosen)}
     bound = replace(settings, bindings=merge_bindings(plans.values()))
-    backend = backend_of(actions, plans[chosen], bound, faults)
+    backend = backend_of(actions, plans[chosen], bound, faults, tuple(plans.values()))
 
     async def task() -> PlanResult:
         world, is_prepared = initial_knowledge(plans[chosen]), False
@@ -162,11 +163,7 @@ def carry_out(
 async def _carry_out_at(runner: PlanRunner, wanted: Wanted, settings: Settings, observer: TaskObserver, stopwatch: Stopwatch) -> PlanResult:
     nothing = Problem(wanted.text, Domain(wanted.text))
     manager = TaskManager(nothing, runner.world, runner.backend, settings, _no_goal, source=runner.source, runner=runner)
-    stop_time = schedule(runner.world, runner.programs[wanted.text].plan.timed, asyncio.get_running_loop().time())
-    try:
-        return cast("PlanResult", await manager.run(wanted, observer, stopwatch))
-    finally:
-        stop_time()
+    return cast("PlanResult", await manager.run(wanted, observer, stopwatch))
 
 
 def _no_goal(text: str) -> Condition:
@@ -183,8 +180,10 @@ def check_arguments(settings: Settings, observer: TaskObserver, faults: Faults) 
             raise InputError(f"expected {kind.__name__}, found {value!r}")
 
 
-def backend_of(actions: Actions, described: Problem | HandWrittenPlan, settings: Settings, faults: Faults) -> Backend:
-    """Return the execution backend that performs the actions of the problem or plan.
+def backend_of(
+    actions: Actions, described: Problem | HandWrittenPlan, settings: Settings, faults: Faults, plans: tuple[HandWrittenPlan, ...] = ()
+) -> Backend:
+    """Return the execution backend that performs the actions of the problem, or of the plan, which may call the others.
 
     Raises:
         InputError: `actions` is nothing that performs actions, or there are faults or sensors that it would ignore.
@@ -197,7 +196,8 @@ def backend_of(actions: Actions, described: Problem | HandWrittenPlan, settings:
         case "simulated":
             return simulated_backend(described, settings.bindings, faults)
         case "ros2":
-            return Ros2Backend(settings.bindings, sensing=settings.sensing)
+            names = names_of_world(described if isinstance(described, Problem) else None, plans)
+            return Ros2Backend(settings.bindings, settings.sensing, names)
         case ActionClient() if not isinstance(actions, type):
             return ClientBackend(actions)
         case _:

@@ -3,7 +3,7 @@
 Under virtual time a coroutine that sleeps for an hour returns at once: whenever nothing else
 can happen, the clock jumps to the next timer. Work in a thread holds the clock still.
 
-Time limits that stand still during pauses; cancellation in two steps, by signals as well; and short pauses for garbage collection:
+Time limits that stand still during pauses; cancellation in two steps; threads for long work; and short pauses for garbage collection:
 what was allocated at start-up is frozen, and the threshold of generation 0 is raised.
 """
 
@@ -12,14 +12,13 @@ from __future__ import annotations
 import asyncio
 import gc
 import selectors
-import signal
-import threading
 from collections.abc import Awaitable, Callable, Coroutine, Iterator
-from concurrent.futures import Executor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
-from math import inf, isfinite, ulp
-from time import monotonic
+from math import isfinite, ulp
 from typing import Any, Final, TypeVar, cast
+
+from pnm.signals import StoppableWork
 
 T = TypeVar("T")
 
@@ -115,6 +114,15 @@ async def stop_then_cancel(work: Awaitable[T], stop: Callable[[], object]) -> T:
     return await task
 
 
+async def in_own_thread(function: Callable[[], T]) -> T:
+    """Run a function that may take long in a thread of its own. The few threads that all share stay free for what is short."""
+    thread = ThreadPoolExecutor(1)
+    try:
+        return await asyncio.get_running_loop().run_in_executor(thread, function)
+    finally:
+        thread.shutdown(wait=False)
+
+
 _SELDOM: Final = 20_000
 """New objects after which garbage is looked for among them, in place of 700."""
 
@@ -187,64 +195,6 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
         self._jumping.held -= 1
 
 
-_ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
-"""Signals that end a process unless it handles them: Ctrl-C, `kill` and supervisors, a terminal that is closed, Ctrl-\\."""
-_ONE_REQUEST: Final = 1.0
-"""Seconds in which signals count as one: some supervisors send theirs to a process and to its group as well."""
-
-
-class _StoppedBySignals:
-    """Work that signals cancel in place of killing the process, which could not cancel then what its robots do.
-
-    The first signal cancels the work, which then comes to its end in order; the next one cancels it again. A signal during which the
-    loop is too busy to hear even of the one before raises `KeyboardInterrupt`. Signals that the caller ignores or handles are left alone.
-
-    Args:
-        loop: runs the work.
-
-    The mutable state is the task of the work, and when the last signal came, and whether the loop has yet to hear of it.
-    """
-
-    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
-        self._loop = loop
-        self._task: asyncio.Task[Any] | None = None
-        self._last = -inf
-        self._is_pending = False
-
-    async def run(self, main: Coroutine[Any, Any, T]) -> T:
-        """Run the work."""
-        self._task = asyncio.current_task()
-        return await main
-
-    @contextmanager
-    def handled(self) -> Iterator[None]:
-        """Handle the signals; only the main thread can."""
-        is_main = threading.current_thread() is threading.main_thread()
-        usual = {number: signal.getsignal(number) for number in _ENDING if is_main}
-        ours = [number for number, handler in usual.items() if handler in (signal.SIG_DFL, signal.default_int_handler)]
-        try:
-            for number in ours:
-                signal.signal(number, self._receive)
-            yield
-        finally:
-            for number in ours:
-                signal.signal(number, usual[number])
-
-    def _receive(self, number: int, frame: object) -> None:
-        now, before, self._last = monotonic(), self._last, monotonic()
-        if now - before < _ONE_REQUEST:
-            return
-        if self._is_pending:
-            raise KeyboardInterrupt
-        self._is_pending = True
-        self._loop.call_soon_threadsafe(self._cancel)
-
-    def _cancel(self) -> None:
-        self._is_pending = False
-        if self._task is not None:
-            self._task.cancel()
-
-
 def run_async(main: Coroutine[Any, Any, T], *, virtual: bool = False) -> T:
     """Run a coroutine to its end under virtual time, or under real time, in which robots wait: pauses are short then.
 
@@ -252,7 +202,7 @@ def run_async(main: Coroutine[Any, Any, T], *, virtual: bool = False) -> T:
     without a result.
     """
     with nullcontext() if virtual else short_pauses(), asyncio.Runner(loop_factory=VirtualTimeLoop if virtual else None) as runner:
-        work = _StoppedBySignals(runner.get_loop())
+        work = StoppableWork(runner.get_loop())
         with work.handled():
             try:
                 return runner.run(work.run(main))

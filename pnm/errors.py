@@ -46,9 +46,9 @@ class Tolerated:
 
 def check_seconds(what: str, *seconds: float | None) -> None:
     """Refuse waits that never end, or that are no number; raise `InputError`. None stands for a default."""
-    for one in seconds:
-        if one is not None and not 0.0 <= one < inf:
-            raise InputError(f"{what} waits for {one} seconds; expected a number from 0")
+    for wait in seconds:
+        if wait is not None and not 0.0 <= wait < inf:
+            raise InputError(f"{what} waits for {wait} seconds; expected a number from 0")
 
 
 class NotEnabled(PnmError):

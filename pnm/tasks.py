@@ -9,11 +9,14 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
-from typing import Protocol, TypeAlias
+from typing import Final, Protocol, TypeAlias
 from uuid import UUID
 
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.net.net import Marking
+
+SHORT: Final = 1000
+"""Characters of a text that is read at once; a longer one is read in a thread, while the event loop goes on."""
 
 
 class Code(IntEnum):

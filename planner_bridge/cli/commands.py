@@ -99,6 +99,7 @@ def plan(domain: Path, problem: Path, planner: str, timeout: float, as_json: boo
 @files_or_plan
 @click.option("--format", "written_as", type=click.Choice(["json", "dot"]), default="json", show_default=True, help="how it is written")
 @output_options
+@click.option("-v", "--verbose", is_flag=True, help="list the transitions that can never fire, with the reason")
 @bindings_option
 @planning
 @command
@@ -111,6 +112,7 @@ def net(
     written_as: str,
     output: Path | None,
     force: bool,
+    verbose: bool,
     bindings: Path | None,
     planner: str,
     timeout: float,
@@ -121,6 +123,7 @@ def net(
     from planner_bridge.planning.solve import solve
     from pnm.core.machine.export import to_dot, to_json
     from pnm.core.machine.generate import generate
+    from pnm.core.machine.verification.verify import verify
 
     chosen = chosen_files(domain, problem, plan_file)
     if isinstance(chosen, Path):
@@ -136,7 +139,10 @@ def net(
             print(f"no plan: {result.reason}", file=sys.stderr)
             return 1
         machine = generate(plan_graph(loaded, result.plan), bound)
+    proof = verify(machine)
     write(output, to_json(machine) if written_as == "json" else to_dot(machine), force=force)
+    never = f"{len(proof.never)} of {len(machine.net.transitions)} transitions can never fire"
+    print(f"proved {proof}; {never}{'' if verbose else ', -v lists them'}", *(proof.never if verbose else ()), sep="\n", file=sys.stderr)
     return 0
 
 
@@ -255,7 +261,7 @@ def export(
     """Write a domain, a problem and a plan for it as YAML."""
     from planner_bridge.loading import bindings_for
     from planner_bridge.yaml.convert import exported
-    from pnm.core.machine.bindings import Bindings
+    from planner_bridge.yaml.write_bindings import unwritten
 
     bound = bindings_for(domain, bindings, None)
     with searching(planner) if with_plan or original else nullcontext():
@@ -264,10 +270,7 @@ def export(
     if result.reason:
         print(f"no plan: {result.reason}", file=sys.stderr)
         return 1
-    usual = Bindings()
-    left_out = ["'actions'"] if original and bound.actions else []
-    left_out += [f"{key!r}" for key in ("assumed", "lag") if getattr(bound, key) != getattr(usual, key)]
-    if left_out:
+    if left_out := [f"{key!r}" for key in unwritten(bound, original=original)]:
         print(f"{' and '.join(left_out)} of the bindings are not in the text: give --bindings when it is run", file=sys.stderr)
     write(output, result.text, force=force)
     return 0
@@ -275,11 +278,13 @@ def export(
 
 @app.command("import")
 @click.argument("file", type=FILE)
-@click.option("-o", "--output", type=FILE, required=True, help="a folder, for domain.pddl and problem.pddl; made if it is not there")
+@click.option(
+    "-o", "--output", type=FILE, required=True, help="a folder, for domain.pddl, problem.pddl and bindings.yaml; made if it is not there"
+)
 @force_option
 @command
 def from_yaml(file: Path, output: Path, force: bool) -> int:
-    """Write the domain of a YAML file, and its problem if there is one, as PDDL."""
+    """Write the domain of a YAML file, and its problem if there is one, as PDDL, and how actions are bound as bindings.yaml."""
     from planner_bridge.yaml.convert import imported
 
     result = imported(file)

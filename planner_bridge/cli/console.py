@@ -17,7 +17,7 @@ from planner_bridge.tasks.result import ConstraintResult, PreferenceResult, Task
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.core.execution.call_results import Explanation, Failure, RunResult
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import ActionCall, Cause
+from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from pnm.core.machine.verification.verify import Proof
 from pnm.knowledge.sources.person_text import printable
@@ -59,7 +59,8 @@ class EventLines:
 class ConsoleObserver(TaskObserver):
     """Prints a line per event of a task; shows a spinner while it plans, when the output is a terminal.
 
-    The mutable state is the time from which seconds count, the spinner, and why calls are tried again, by number.
+    The mutable state is the time from which seconds count, the spinner, why calls are tried again, by number, and what was printed
+    of failures: the same is not printed again but at the end.
     """
 
     def __init__(self, console: Console) -> None:
@@ -67,6 +68,7 @@ class ConsoleObserver(TaskObserver):
         self._lines = EventLines(console)
         self._waiting = ExitStack()
         self._causes: dict[int, str] = {}
+        self._printed: set[str] = set()
 
     def began(self, now: float) -> None:
         """Count seconds from the beginning of the task; a plan that goes on under a planner keeps its own."""
@@ -101,8 +103,7 @@ class ConsoleObserver(TaskObserver):
 
     def hindered(self, call: ActionCall, cause: Explanation, now: float) -> None:
         """Keep the cause for when the call is tried again; what was expected besides, if no report has said it."""
-        is_found = cause.cause in (Cause.EFFECTS_MISSING, Cause.PRECONDITION_FALSE, Cause.INVARIANT_FALSE)
-        self._causes[call.index] = f"{cause.cause}: expected {cause.expected}" if is_found else str(cause.cause)
+        self._causes[call.index] = f"{cause.cause}{self._new(Failure(call, *cause).details)}"
 
     def spared(self, call: ActionCall, now: float) -> None:
         """Print that a call is not needed."""
@@ -113,13 +114,19 @@ class ConsoleObserver(TaskObserver):
         if outcome.kind is OutcomeKind.SUCCEEDED:
             self._lines.print(now, "[green]done[/]  ", str(call.action.operation or call.action))
         else:
-            message = f": {outcome.message}" if outcome.message else ""
-            self._lines.print(now, "[red]ended[/] ", f"{call.action}: {outcome.kind.value}{message}")
+            self._lines.print(now, "[red]ended[/] ", f"{call.action}: {outcome.kind.value}{self._new(outcome.message)}")
 
     def failed(self, failure: Failure, now: float) -> None:
         """Print that a failure place is marked."""
         step = failure.call.action if isinstance(failure.call, ActionCall) else failure.call
-        self._lines.print(now, "[bold red]failed[/]", f"{step}: {failure.cause}; expected {failure.expected}; observed {failure.observed}")
+        self._lines.print(now, "[bold red]failed[/]", f"{step}: {failure.cause}{self._new(failure.details)}")
+
+    def _new(self, details: str) -> str:
+        """Return the details of a failure with a colon before them, unless they were printed already."""
+        if not details or details in self._printed:
+            return ""
+        self._printed.add(details)
+        return f": {details}"
 
     def resigned(self, reason: str) -> None:
         """Print that a planner takes over."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import wraps
 from math import isfinite
@@ -81,7 +81,7 @@ files = options(click.argument("domain", type=FILE), click.argument("problem", t
 files_or_plan = options(
     click.argument("domain", type=FILE, required=False),
     click.argument("problem", type=FILE, required=False),
-    click.option("--plan", "plan_file", type=FILE, help="a hand-written plan in YAML, in place of DOMAIN and PROBLEM"),
+    click.option("--plan", "plan_file", type=FILE, help="a hand-written plan in YAML, or a world of plans, in place of DOMAIN and PROBLEM"),
     click.option("--name", help="which plan of that file, if there are several"),
 )
 planning = options(
@@ -108,15 +108,13 @@ def chosen_files(domain: Path | None, problem: Path | None, plan_file: Path | No
     return domain, problem
 
 
-@contextmanager
-def searching(planner: str) -> Iterator[None]:
-    """Show on a terminal that a planner is being asked: it may take as long as its limit."""
-    with ExitStack() as shown:
-        if sys.stderr.isatty():
-            from rich.console import Console  # here, because most commands have no use for it
+def searching(planner: str) -> AbstractContextManager[object]:
+    """Return what shows on a terminal, as long as it is entered, that a planner is being asked: it may take as long as its limit."""
+    if not sys.stderr.isatty():
+        return nullcontext()
+    from rich.console import Console  # here, because most commands have no use for it
 
-            shown.enter_context(Console(stderr=True).status(f"{planner} is looking for a plan"))
-        yield
+    return Console(stderr=True).status(f"{planner} is looking for a plan")
 
 
 def problem_in(domain: Path, problem: Path) -> Problem:
@@ -136,9 +134,9 @@ def write(path: Path | None, text: str, *, force: bool) -> None:
 
 def check_output(path: Path, *, force: bool) -> None:
     """Raise an `InputError` if a file exists that is not to be replaced, or its folder does not."""
-    if not path.parent.is_dir():
+    if not os.path.isdir(path.parent):  # unlike `Path.is_dir` and `Path.is_file` also for names that are too long
         raise InputError(f"{path}: cannot be written: there is no folder {path.parent}")
-    if path.is_file() and not force and not path.is_relative_to("/dev"):  # /dev/stdout may be redirected to a file
+    if os.path.isfile(path) and not force and not path.is_relative_to("/dev"):  # /dev/stdout may be redirected to a file
         raise InputError(f"{path}: there is such a file already; --force replaces it")
 
 

@@ -56,9 +56,9 @@ def forbid(problem: Problem, forbidden: frozenset[ForbiddenCall]) -> Problem:
         parameters = tuple(actions[name].parameters[number] for number in fixed)
         predicates[fact] = Declaration(fact, parameters)
         actions[name] = guarded(actions[name], Not(Holds((fact, *(variable.name for variable in parameters)))))
-    for call in forbidden:
-        init[(facts[call.action, call.fixed], *(call.arguments[number] for number in call.fixed))] = True
-    return replace(problem, domain=with_guards(domain, predicates, actions), init=init)
+    guards = {(facts[call.action, call.fixed], *(call.arguments[number] for number in call.fixed)): str(call) for call in forbidden}
+    init |= dict.fromkeys(guards, True)
+    return replace(problem, domain=with_guards(domain, predicates, actions), init=init, guards={**problem.guards, **guards})
 
 
 def calls_acquiring(domain: Domain, bindings: Bindings, names: Collection[str]) -> frozenset[ForbiddenCall]:

@@ -23,7 +23,16 @@ if TYPE_CHECKING:
 
 
 def ground_action(schema: ActionSchema, arguments: tuple[str, ...], duration: float | None = None) -> GroundAction:
-    """Substitute as many arguments for the parameters; `duration` is the planned one, in seconds."""
+    """Return the action with the arguments in place of its parameters; an instantaneous one has no duration, whatever was planned.
+
+    Args:
+        schema: the action.
+        arguments: as many objects as it has parameters.
+        duration: the planned one, in seconds.
+
+    Raises:
+        InputError: there are more or fewer arguments.
+    """
     if len(arguments) != len(schema.parameters):
         expected = " ".join(variable.name for variable in schema.parameters) or "none"
         raise InputError(f"{schema.name} takes {len(schema.parameters)} arguments ({expected}), found {len(arguments)}")
@@ -43,7 +52,11 @@ def modelled_duration(schema: ActionSchema, arguments: tuple[str, ...], state: S
 
 
 def initial_knowledge(*described: Problem | HandWrittenPlan) -> KnowledgeBase:
-    """Return the initial state: facts, objects and rules of a problem or a plan, or of several that share one world and agree on it."""
+    """Return the knowledge in the initial state of a problem or a plan, or of several that share one world.
+
+    Raises:
+        InputError: two of them begin with different values of a fluent.
+    """
     beginnings = [_beginning(source) for source in described]
     if len(beginnings) == 1:
         _, facts, objects, rules = beginnings[0]
@@ -86,20 +99,21 @@ def problem_now(problem: Problem, knowledge: KnowledgeBase, elapsed: float = 0.0
     def members(types: Types) -> frozenset[str]:
         return frozenset(name for kind in types for name in problem.objects_by_type.get(kind, ()))
 
-    known = {fluent: value for fluent, value in knowledge.facts().items() if not isinstance(value, Unknown)}
-    init = {fluent: value for fluent, value in known.items() if _is_declared(fluent, value, problem.domain, members)}
+    recorded = {fluent: value for fluent, value in knowledge.facts().items() if _is_declared(fluent, value, problem.domain, members)}
+    init = {fluent: value for fluent, value in recorded.items() if not isinstance(value, Unknown)}
     timed = tuple(TimedChange(change.time - elapsed, change.changes) for change in problem.timed if change.time > elapsed)
-    return replace(problem, init=init, timed=timed)
+    return replace(problem, init=init, timed=timed, unknown=frozenset(recorded.keys() - init.keys()))
 
 
-def _is_declared(fluent: Fluent, value: Value, domain: Domain, members: Callable[[Types], frozenset[str]]) -> bool:
-    declared = domain.predicates.get(fluent[0]) if isinstance(value, bool) else domain.functions.get(fluent[0])
+def _is_declared(fluent: Fluent, value: Value | Unknown, domain: Domain, members: Callable[[Types], frozenset[str]]) -> bool:
+    is_fact = isinstance(value, bool) or (value is UNKNOWN and fluent[0] in domain.predicates)
+    declared = domain.predicates.get(fluent[0]) if is_fact else domain.functions.get(fluent[0])
     if declared is None or len(declared.parameters) != len(fluent) - 1:
         return False
     if not all(name in members(variable.types) for name, variable in zip(fluent[1:], declared.parameters, strict=True)):
         return False
     match value:
-        case bool():
+        case bool() | Unknown():
             return True
         case str():
             return value in members(declared.values)

@@ -27,25 +27,15 @@ class NotApplicable(PnmError):
     """An action cannot start, end or go on in a state, because a condition does not hold."""
 
     def __init__(self, call: int, stage: Stage, condition: Condition, state: KnowledgeBase) -> None:
-        super().__init__(expected_and_observed(condition, state))
+        expected, self.observed = explanation(condition, state)
+        super().__init__(f"expected {expected}; observed {self.observed}")
         self.call = call
         self.stage = stage
-        self.observed = observed_instead(condition, state)
 
 
 def snapshot(knowledge: KnowledgeBase) -> KnowledgeBase:
     """Return a copy of the knowledge about the world, which changes on its own."""
     return KnowledgeBase(knowledge.facts(), objects=knowledge.objects_by_type(), rules=knowledge.rules)
-
-
-def observed_instead(condition: Condition, state: KnowledgeBase) -> str:
-    """Describe the state in place of those parts of the condition that do not hold."""
-    return explanation(condition, state)[1]
-
-
-def expected_and_observed(condition: Condition, state: KnowledgeBase) -> str:
-    """Describe the parts of the condition that do not hold, and the state in their place."""
-    return "expected {}; observed {}".format(*explanation(condition, state))
 
 
 @dataclass

@@ -9,7 +9,7 @@ from typing import Literal
 
 from pnm.core.logic.conditions import choices_in
 from pnm.core.logic.domain import DomainModel, Preference, ProblemModel, Types
-from pnm.core.logic.expressions import Expression
+from pnm.core.logic.expressions import Expression, Fluent
 from pnm.core.logic.trajectory import Constraint
 from pnm.errors import Position, Tolerated
 
@@ -61,6 +61,10 @@ class Problem(ProblemModel):
     """The initial task network, as its HDDL text: only a hierarchical planner reads it."""
     requirements: tuple[str, ...] = ()
     """The problem's own; those of the domain come besides."""
+    unknown: frozenset[Fluent] = frozenset()
+    """The fluents that may be so or not: for planners, which know no such thing, they are false or without a value."""
+    guards: Mapping[Fluent, str] = field(default_factory=dict)
+    """Facts of the initial state that only keep actions from being used: for each, which calls these are, in words."""
     warnings: tuple[Tolerated, ...] = field(default=(), compare=False, repr=False)
     """What in the file, and in that of the domain, was tolerated though it is not as it should be."""
 

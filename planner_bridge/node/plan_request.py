@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import threading
 from dataclasses import replace
 
@@ -13,6 +12,7 @@ from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.result import code_of_planning
 from planner_bridge.tasks.settings import Settings
+from pnm.clock import in_own_thread
 from pnm.tasks import Code, MadePlan, StepState, TaskStep
 
 
@@ -21,18 +21,18 @@ async def make_plan(world: SharedWorld, settings: Settings, goal: str, planner: 
 
     The settings have the planner and the time limit of requests that name none.
     """
-    now, cancel = world.current_problem(), threading.Event()
+    current, cancel = world.current_problem(), threading.Event()
     planner, timeout = planner or settings.planner, seconds or settings.planner_timeout
 
     def search() -> MadePlan:
-        problem = replace(now, goal=world.read_goal(goal))
+        problem = replace(current, goal=world.read_goal(goal))
         result = solve(problem, planner=planner, timeout=timeout, cancel=cancel, executor=settings.executor)
         if result.plan is None:
             return MadePlan(code_of_planning(result.status, ()), result.reason, str(problem.goal))
         return MadePlan(Code.GOAL_REACHED, f"found by {result.planner}", str(problem.goal), _steps(problem, result.plan))
 
     try:
-        return await asyncio.to_thread(search)
+        return await in_own_thread(search)
     finally:
         cancel.set()
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
 from typing import Final
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan_simulation import snapshot
+from planner_bridge.model.plan_world import with_names_of, world_of_plans
 from planner_bridge.model.problem import Domain, Problem
-from planner_bridge.node.initial_world import with_names_of, world_of_plans
 from planner_bridge.node.plan_request import make_plan
 from planner_bridge.node.problem_folder import ProblemFolder
 from planner_bridge.node.world_queries import SharedWorld
@@ -68,6 +67,7 @@ class LoadedProblem:
         self.goals = goals
         self._settings = settings
         self._plans = tuple(plans)
+        self._turn = asyncio.Lock()
         self.begin(problem)
 
     def begin(self, problem: Problem) -> None:
@@ -98,8 +98,9 @@ class LoadedProblem:
         return self.problem_world.read_goal(text)
 
     async def make(self, goal: str, planner: str, seconds: float | None) -> MadePlan:
-        """Answer a plan request."""
-        return await make_plan(self.problem_world, self._settings, goal, planner, seconds)
+        """Answer a plan request, after those that came before: a search takes a processor, which robots need."""
+        async with self._turn:
+            return await make_plan(self.problem_world, self._settings, goal, planner, seconds)
 
 
 class ServedProblem:
@@ -128,8 +129,9 @@ class ServedProblem:
     async def update(self, add: Sequence[str], remove: Sequence[str], forget: Sequence[str], /) -> int:
         """Record all changes or none; return how many facts changed."""
         async with self._turn:
-            world_of = partial(self._loaded.world_of, (*add, *remove, *forget), self._loaded.knowledge)
-            return self._loaded.world.record(await asyncio.to_thread(lambda: world_of().read_changes(add, remove, forget)))
+            known, texts = snapshot(self._loaded.knowledge), (*add, *remove, *forget)
+            wanted = await asyncio.to_thread(lambda: self._loaded.world_of(texts, known).read_changes(add, remove, forget))
+            return self._loaded.world.record(wanted)
 
     async def get(self) -> tuple[str, str]:
         """Return domain and problem in PDDL, the problem with the current state as its initial state."""

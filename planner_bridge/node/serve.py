@@ -14,6 +14,7 @@ from uuid import UUID
 
 from planner_bridge.loading import bindings_for, load
 from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.plan_world import names_of_world
 from planner_bridge.model.problem import Problem
 from planner_bridge.node.options import PARAMETERS, Options
 from planner_bridge.node.problem_folder import ProblemFolder
@@ -132,7 +133,7 @@ async def make_task_manager(context: NodeContext) -> NodeApi:
 
     def begin_anew(problem: Problem) -> None:
         manager.begin_anew(problem)
-        context.backend.declare(problem.vocabulary)
+        context.backend.declare(names_of_world(problem, plans))
 
     world = ServedProblem(loaded, folder, begin_anew)
     return NodeApi(manager, loaded.make, world, manager.knowledge_of, manager.close)
@@ -238,7 +239,7 @@ class ServingNode:
         bindings = bindings_for(options.domain, options.bindings, problem.vocabulary if problem else None).before(merge_bindings(plans))
         knowledge = initial_knowledge(*((problem,) if problem else ()), *plans)
         sensing = read_sensing(options.sensing, problem.vocabulary if problem else None) if options.sensing else NO_SENSING
-        backend = Ros2Backend(bindings, sensing, problem.vocabulary if problem else None, self._ros)
+        backend = Ros2Backend(bindings, sensing, names_of_world(problem, plans), self._ros)
         stack.push_async_callback(backend.close)
         await backend.open(knowledge)
         folder = (options.world or options.domain or Path()).parent

@@ -6,7 +6,7 @@ it starts before one that is its latest start.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from graphlib import CycleError, TopologicalSorter
 from heapq import heappop, heappush
 from typing import Final, TypeAlias
@@ -44,36 +44,24 @@ class PartialOrder:
         for first, second in direct_orderings(graph, timed):
             if first not in begun:
                 preceding[second].append(first)
-        sorter = TopologicalSorter(preceding)
-        try:
-            sorter.prepare()
-        except CycleError as error:
-            raise PlanGraphError("the orderings of the plan and the times at which facts change contradict each other") from error
-        position = {key: number for number, key in enumerate(keys)}
-        in_order: list[_Key] = []
-        ready: list[tuple[float, int, _Key]] = []
-        while sorter.is_active():
-            for key in sorter.get_ready():
-                heappush(ready, (self.time(keys[key]), position[key], key))
-            in_order.append(heappop(ready)[-1])
-            sorter.done(in_order[-1])
+        in_order = in_planned_order(preceding, {key: self.time(happening) for key, happening in keys.items()})
         self.happenings: tuple[Happening, ...] = (None, *(keys[key] for key in in_order), None)
-        self.number = dict.fromkeys(begun, 0) | {key: number for number, key in enumerate(in_order, 1) if isinstance(key, PlanEvent)}
         numbers: dict[_Key, int] = {key: number for number, key in enumerate(in_order, 1)}
+        self.number = dict.fromkeys(begun, 0) | {key: number for key, number in numbers.items() if isinstance(key, PlanEvent)}
         at_last = [numbers[key] for key in keys if isinstance(key, PlanEvent) or timed[key].time <= graph.due + NEAR]
-        direct = [[], *([numbers[one] for one in preceding[key]] for key in in_order), at_last]
+        direct = [[], *([numbers[earlier] for earlier in preceding[key]] for key in in_order), at_last]
         self.before: list[int] = []
         """For every happening, those that come before it."""
         self.after = [0] * len(direct)
         """For every happening, those that come after it."""
-        for number, earlier in enumerate(direct):
+        for number, directly_before in enumerate(direct):
             bits = 1 if number else 0
-            for one in earlier:
-                bits |= self.before[one] | 1 << one
+            for earlier in directly_before:
+                bits |= self.before[earlier] | 1 << earlier
             self.before.append(bits)
         for number in range(len(direct) - 1, 0, -1):
-            for one in (0, *direct[number]):
-                self.after[one] |= self.after[number] | 1 << number
+            for earlier in (0, *direct[number]):
+                self.after[earlier] |= self.after[number] | 1 << number
         self.ahead = {
             number: 1
             | sum(1 << event for event in self.number.values() if event and self.time(self.happenings[event]) < change.time - NEAR)
@@ -96,6 +84,28 @@ class PartialOrder:
     def comes_before(self, first: int, second: int) -> bool:
         """Return whether the first comes before the second, or is the same, in every order."""
         return first == second or bool(self.before[second] >> first & 1)
+
+
+def in_planned_order(preceding: Mapping[_Key, Sequence[_Key]], times: Mapping[_Key, float]) -> list[_Key]:
+    """Return the keys in an order in which each comes after all that precede it: of those that may be next always the earliest.
+
+    Raises:
+        PlanGraphError: some precede each other.
+    """
+    sorter = TopologicalSorter(preceding)
+    try:
+        sorter.prepare()
+    except CycleError as error:
+        raise PlanGraphError("the orderings of the plan and the times at which facts change contradict each other") from error
+    position = {key: number for number, key in enumerate(preceding)}
+    in_order: list[_Key] = []
+    ready: list[tuple[float, int, _Key]] = []
+    while sorter.is_active():
+        for key in sorter.get_ready():
+            heappush(ready, (times[key], position[key], key))
+        in_order.append(heappop(ready)[-1])
+        sorter.done(in_order[-1])
+    return in_order
 
 
 def direct_orderings(graph: PlanGraph, timed: Sequence[TimedChange]) -> Iterator[tuple[_Key, _Key]]:

@@ -54,7 +54,7 @@ def plan_graph(problem: Problem, plan: Plan, under_way: Sequence[ActionCall] = (
         else:
             links.add_happening(kind, steps[index], round(plan.steps[index].start + plan.steps[index].duration, _DIGITS), time)
     graph = delay_enclosing_starts(links.plan_graph(calls, problem.goal))
-    check_order(problem, graph, links, projected=True)
+    check_order(graph, problem, links, projected=True)
     return graph
 
 
@@ -72,23 +72,16 @@ def deordered(problem: Problem, calls: tuple[ActionCall, ...], order: Iterable[P
         else:
             links.add_happening(HappeningKind.END, call, end, now)
     graph = delay_enclosing_starts(links.plan_graph(calls, problem.goal))
-    check_order(problem, graph, links)
+    check_order(graph, problem, links, projected=False)
     return graph
 
 
-def check_order(problem: Problem, graph: PlanGraph, links: CausalLinks | None = None, *, projected: bool = False) -> None:
-    """Check that every order which the graph allows is as good as the plan.
-
-    Args:
-        problem: its initial state is the one that the plan starts from.
-        graph: the plan.
-        links: of the plan, for what counts as read; made anew if not given.
-        projected: whether the initial state is the one after all calls that are under way, and not the one before their ends.
+def check_order(graph: PlanGraph, problem: Problem, links: CausalLinks, *, projected: bool) -> None:
+    """Check that every order which the graph allows is as good as the plan; see `threats` for what is given.
 
     Raises:
         PlanGraphError: some order brings a wrong value to a reader.
     """
-    links = links or causal_links(problem, [call.action for call in graph.calls])
     for threat in threats(graph, problem, links, projected=projected):
         raise PlanGraphError(f"an ordering is missing: {threat}")
 

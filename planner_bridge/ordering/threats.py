@@ -1,4 +1,4 @@
-"""Is a plan graph its causes? In every order that it allows, each reader finds the values that it finds in one of them.
+"""Threats to the causal links of a plan graph: orders that it allows, and in which a reader finds a value that the plan does not have.
 
 The plan is carried through once, in an order that the graph allows, and every value that a happening reads or writes is noted. A
 reader of a fluent is *threatened* if a writer of another value may come before it, and no writer of the value that it needs must
@@ -149,48 +149,43 @@ class _Trace:
                 self.intrusions.append(_Intrusion(span, writer, changed, others, evaluate(span.condition, self.state) is True))
 
 
-@dataclass(frozen=True)
-class _Judge:
-    """Decides whether every order brings the values that are needed."""
-
-    trace: _Trace
-
-    def wrong_writer(self, need: _Need) -> int | None:
-        """Return a writer of another value that some order has last before the reader; None if the need is met in every order."""
-        order, reader, right, wrong = self.trace.order, need.reader, 0, 0
-        for value, writers in self.trace.writers.get(need.fluent, _NO_WRITERS).items():
-            if same_value(value, need.value):
-                right |= writers
-            else:
-                wrong |= writers
-        if need.afterwards:  # its own effects count; what may come later is judged as an intrusion
-            earlier = order.before[reader] | 1 << reader
-            right, wrong = right & earlier, wrong & earlier
+def wrong_writer(trace: _Trace, need: _Need) -> int | None:
+    """Return a writer of another value that some order has last before the reader; None if the need is met in every order."""
+    order, reader, right, wrong = trace.order, need.reader, 0, 0
+    for value, writers in trace.writers.get(need.fluent, _NO_WRITERS).items():
+        if same_value(value, need.value):
+            right |= writers
         else:
-            right, wrong = right & order.before[reader], wrong & ~(order.after[reader] | 1 << reader)
-        while right and wrong:
-            last = right.bit_length() - 1
-            right ^= 1 << last
-            wrong &= ~(order.before[last] | order.ahead.get(last, 0))
-        for change, ahead in order.ahead.items():
-            if ahead >> reader & 1:
-                wrong &= ~(1 << change)
-        return wrong.bit_length() - 1 if wrong else None
-
-    def is_harmless(self, intrusion: _Intrusion) -> bool:
-        """Return whether the condition holds all the same, wherever in its span the write comes."""
-        span, writer, order = intrusion.span, intrusion.writer, self.trace.order
-        change = order.happenings[writer]
-        if isinstance(change, TimedChange) and order.time(order.happenings[span.last]) <= change.time + NEAR:
-            return True
-        begun, changed = self.trace.begun[span], intrusion.changed
-        if all(need.fluent in changed and same_value(changed[need.fluent], need.value) for need in begun):
-            return True
-        begins_before = order.comes_before(span.first, writer) or order.ahead.get(writer, 0) >> span.first & 1
-        return bool(begins_before) and intrusion.leaves_true and all(self.wrong_writer(need) is None for need in intrusion.others)
+            wrong |= writers
+    if need.afterwards:  # its own effects count; what may come later is judged as an intrusion
+        earlier = order.before[reader] | 1 << reader
+        right, wrong = right & earlier, wrong & earlier
+    else:
+        right, wrong = right & order.before[reader], wrong & ~(order.after[reader] | 1 << reader)
+    while right and wrong:
+        last = right.bit_length() - 1
+        right ^= 1 << last
+        wrong &= ~(order.before[last] | order.ahead.get(last, 0))
+    for change, ahead in order.ahead.items():
+        if ahead >> reader & 1:
+            wrong &= ~(1 << change)
+    return wrong.bit_length() - 1 if wrong else None
 
 
-def threats(graph: PlanGraph, problem: Problem, links: CausalLinks, *, projected: bool = False) -> Iterator[str]:
+def is_harmless(trace: _Trace, intrusion: _Intrusion) -> bool:
+    """Return whether the condition holds all the same, wherever in its span the write comes."""
+    span, writer, order = intrusion.span, intrusion.writer, trace.order
+    change = order.happenings[writer]
+    if isinstance(change, TimedChange) and order.time(order.happenings[span.last]) <= change.time + NEAR:
+        return True
+    begun, changed = trace.begun[span], intrusion.changed
+    if all(need.fluent in changed and same_value(changed[need.fluent], need.value) for need in begun):
+        return True
+    begins_before = order.comes_before(span.first, writer) or order.ahead.get(writer, 0) >> span.first & 1
+    return bool(begins_before) and intrusion.leaves_true and all(wrong_writer(trace, need) is None for need in intrusion.others)
+
+
+def threats(graph: PlanGraph, problem: Problem, links: CausalLinks, *, projected: bool) -> Iterator[str]:
     """Yield what may go wrong in some order that the graph allows.
 
     Args:
@@ -201,7 +196,6 @@ def threats(graph: PlanGraph, problem: Problem, links: CausalLinks, *, projected
     """
     order = PartialOrder(graph, problem.timed)
     trace = _Trace(graph, order, links, initial_knowledge(problem), projected)
-    judge = _Judge(trace)
 
     def named(number: int) -> str:
         match order.happenings[number]:
@@ -213,11 +207,11 @@ def threats(graph: PlanGraph, problem: Problem, links: CausalLinks, *, projected
                 return "the goal" if number else "the initial state"
 
     for intrusion in trace.intrusions:
-        if not judge.is_harmless(intrusion):
+        if not is_harmless(trace, intrusion):
             span = intrusion.span
             yield f"{named(intrusion.writer)} may come between {named(span.first)} and {named(span.last)}, which needs {span.condition}"
     for need in trace.needs:
-        if (writer := judge.wrong_writer(need)) is not None:
+        if (writer := wrong_writer(trace, need)) is not None:
             needed = "no value" if need.value is None else statement_text(need.fluent, need.value)
             yield f"{named(need.reader)} needs {needed}, but {named(writer)} may be the last that writes it before"
     for kept in links.kept:

@@ -20,8 +20,8 @@ from pnm.errors import InputError
 DEFAULT_PLANNER: Final = "kairos"
 _POLL: Final = 0.05
 """Seconds between two looks at the cancel token."""
-_ADVICE: Final = re.compile(r"\s[^.()]*\(SolveOptions::\w+\)\.")
-"""A sentence of Kairos about one of its options."""
+_ADVICE: Final = re.compile(r"\s[^.()]*\(SolveOptions::\w+\)\.|\s\(see the note before\)")
+"""What Kairos says of its options, and of its own output."""
 _PATIENCE: Final = 1.0
 """Seconds without a better plan after which the best one is taken, where preferences are weighed."""
 _THREADS: Final = 1

@@ -135,6 +135,19 @@ def is_whole(problem: Problem, functions: frozenset[str]) -> bool:
     return all(map(_is_whole, expressions))
 
 
+def calculates_with_whole_numbers(problem: Problem) -> bool:
+    """Return whether every number that decides about a plan is whole and stays so, or none is ever compared.
+
+    Then all planners and we come to the same results. They calculate with floats or fractions, compare them exactly, and separate
+    events by a time of their own; we tolerate a millionth: where numbers are not whole, a plan that they have ruled out may be valid here.
+    """
+    derived = (rule.condition for rule in problem.domain.rules)
+    parts = (part for condition in chain(conditions_of(problem), derived) for part in every_part(condition))
+    sides = [side for part in parts if isinstance(part, Compare) for side in (part.left, part.right)]
+    is_exact = is_whole(replace(problem, metric=None), frozenset(problem.domain.functions)) and all(map(_is_whole, sides))
+    return is_exact or not (sides or problem.is_timed)
+
+
 def _is_whole(expression: Expression) -> bool:
     match expression:
         case Constant(float() | int() as number):

@@ -9,6 +9,7 @@ from typing import Final
 from planner_bridge.model.grounding import initial_knowledge, modelled_duration
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Problem
+from pnm.core.logic.expressions import State
 from pnm.errors import InputError, Position, suggestion
 
 _LINE: Final = re.compile(r"\s*(?:(?P<time>[0-9.eE+-]+)\s*:)?\s*\((?P<call>[^()]*)\)\s*(?:\[(?P<duration>[0-9.eE+-]+)\])?\s*")
@@ -23,17 +24,17 @@ def read_plan(text: str, problem: Problem, name: str = "plan") -> Plan:
     if len(text) > LONGEST:
         raise InputError(f"{name}: {len(text)} characters; a plan may have {LONGEST}")
     steps: list[PlanStep] = []
-    now = 0.0
+    state, now = initial_knowledge(problem), 0.0
     for number, line in enumerate(text.splitlines(), 1):
         content = line.partition(";")[0]
         if content.strip():
-            step = _step(content, problem, Position(name, number, len(content) - len(content.lstrip()) + 1), now)
+            step = _step(content, problem, state, Position(name, number, len(content) - len(content.lstrip()) + 1), now)
             steps.append(step)
             now = step.start + step.duration + _GAP
     return Plan(tuple(sorted(steps, key=attrgetter("start"))), problem.is_timed)
 
 
-def _step(line: str, problem: Problem, position: Position, now: float) -> PlanStep:
+def _step(line: str, problem: Problem, state: State, position: Position, now: float) -> PlanStep:
     match = _LINE.fullmatch(line)
     if match is None or not match["call"].split():
         raise InputError(f"expected a call such as (move r1 hall kitchen), found {line.strip()[:60]!r}", position)
@@ -53,7 +54,7 @@ def _step(line: str, problem: Problem, position: Position, now: float) -> PlanSt
             raise InputError(f"{argument!r} is no object for {variable.name} of {schema.name}; {hint}", position)
     duration = _number(match["duration"], position)
     if duration is None:
-        duration = modelled_duration(schema, tuple(arguments), initial_knowledge(problem))
+        duration = modelled_duration(schema, tuple(arguments), state)
     start = _number(match["time"], position)
     return PlanStep(action, tuple(arguments), now if start is None else start, duration or 0.0)
 

@@ -35,16 +35,17 @@ import kairos
 
 from planner_bridge.model.grounding import ground_action, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
-from planner_bridge.model.plan_simulation import ConstraintProgression, NotApplicable, PlanSimulation, expected_and_observed, snapshot
+from planner_bridge.model.plan_simulation import ConstraintProgression, NotApplicable, PlanSimulation, snapshot
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.kairos import validate
+from planner_bridge.planning.normal_form import calculates_with_whole_numbers
 from planner_bridge.planning.plan_text import plan_text
-from planner_bridge.planning.unreachable import why_unreachable
-from planner_bridge.planning.whole_numbers import calculates_with_whole_numbers
+from planner_bridge.planning.reachability import MAY_BE_UNSET
+from planner_bridge.planning.unreachable import why_unknown, why_unreachable
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import assignments, possible_assignments
-from pnm.core.logic.evaluation import TOLERANCE, evaluate
+from pnm.core.logic.evaluation import TOLERANCE, evaluate, explanation
 from pnm.core.logic.expressions import UNKNOWN, Constant, Expression, Fluent, State, Unknown, Value, fluent_text, value_of
 from pnm.core.logic.trajectory import moments, observed_of
 from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
@@ -52,7 +53,6 @@ from pnm.errors import PnmError
 
 DURATION_TOLERANCE: Final = 1e-3
 """Seconds by which a duration may miss its bounds."""
-_MAY_BE_UNSET: Final = "total-cost"
 _BY_ITSELF: Final = -1
 """Stands for a step where facts change by themselves."""
 _START, _END, _TIMED = range(3)
@@ -107,11 +107,12 @@ def _states(problem: Problem, plan: Plan, samples: Iterable[float] = ()) -> Iter
         except NotApplicable as error:
             raise InvalidPlan(f"{steps[error.call]} cannot {error.stage}{when}: {error}") from error
         for fluent, value in changes.items():
-            if value is UNKNOWN and fluent[0].lower() != _MAY_BE_UNSET:
+            if value is UNKNOWN and fluent[0].lower() != MAY_BE_UNSET:
                 raise InvalidPlan(f"{fluent_text(fluent)} is changed{when}, but it has no value, or is given none")
         yield happening.time, simulation.state
     if evaluate(problem.goal, simulation.state) is not True:
-        raise InvalidPlan(f"the goal does not hold at the end: {expected_and_observed(problem.goal, simulation.state)}")
+        expected, observed = explanation(problem.goal, simulation.state)
+        raise InvalidPlan(f"the goal does not hold at the end: expected {expected}; observed {observed}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,11 +263,17 @@ def validated(problem: Problem, result: PlanningResult, parsed: kairos.Problem |
 
 
 def explained(problem: Problem, result: PlanningResult) -> PlanningResult:
-    """Return a result without a plan with our own reason, if there is one; else nothing is proved but with whole numbers."""
+    """Return a result without a plan with our own reason, if there is one.
+
+    Without one, nothing is proved but with whole numbers and while everything is known.
+    """
     if result.status not in (PlanningStatus.UNSOLVABLE, PlanningStatus.NO_PLAN):
         return result
     if reason := why_unreachable(problem):
-        return replace(result, message=reason)
+        return replace(result, status=PlanningStatus.UNSOLVABLE, message=reason)
+    if problem.unknown:
+        facts = f"{len(problem.unknown)} {'facts are' if len(problem.unknown) > 1 else 'fact is'} unknown"
+        return replace(result, status=PlanningStatus.NO_PLAN, message=why_unknown(problem) or f"{facts}, and counted as false")
     if result.status is PlanningStatus.UNSOLVABLE and not calculates_with_whole_numbers(problem):
         message = f"{result.planner} says that there is none, which is not taken for proved: with decimals it calculates differently"
         return replace(result, status=PlanningStatus.NO_PLAN, message=message)

@@ -9,14 +9,16 @@ from uuid import UUID
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall, calls_acquiring, calls_served_by
 from planner_bridge.model.problem import Problem
-from planner_bridge.ordering.interference import ReadWriteSets
+from planner_bridge.ordering.interference import ReadWriteSets, read_write_sets
 from planner_bridge.tasks.control import TaskControl
 from planner_bridge.tasks.replanning import History
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from planner_bridge.tasks.task import Task
 from pnm.actions.backend import Backend
 from pnm.core.execution.resources import Resources
+from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.knowledge.sources.source import Source
 from pnm.tasks import OnConflict
@@ -128,6 +130,10 @@ class TaskContext:
     def world(self) -> KnowledgeBase:
         """The knowledge that all tasks share."""
         return self.knowledge.world
+
+    def under_way(self, run: Run) -> ReadWriteSets:
+        """Return what the calls of a run need and change that are still under way."""
+        return read_write_sets(run.unsettled, TRUE, self.world)
 
     def unusable(self, history: History) -> frozenset[ForbiddenCall]:
         """Return the calls whose action server was not there too often, or that need a resource that is withheld after a vain wait."""

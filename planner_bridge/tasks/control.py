@@ -6,7 +6,7 @@ import asyncio
 import threading
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Final, Protocol
+from typing import Final, Protocol, TypeVar
 
 from planner_bridge.ordering.interference import ReadWriteSets
 from planner_bridge.tasks.settings import TaskObserver
@@ -14,6 +14,8 @@ from pnm.clock import TimeLimit
 from pnm.core.execution.run import Run
 from pnm.executor import Executor
 from pnm.tasks import Code, TaskState
+
+T = TypeVar("T")
 
 _ALWAYS_SHOWN: Final = frozenset({TaskState.PAUSING, TaskState.PAUSED, TaskState.CANCELLING, TaskState.OVER})
 
@@ -197,16 +199,16 @@ class TaskControl:
         await self._is_unpaused.wait()
         self.check()
 
-    async def until(self, event: Awaitable[object]) -> None:
-        """Wait for something; raise `TaskEnded` if the task was stopped."""
-        waiting = asyncio.ensure_future(event), asyncio.ensure_future(self._is_stopped.wait())
+    async def until(self, event: Awaitable[T]) -> T:
+        """Wait for something, and return it; raise `TaskEnded` if the task was stopped."""
+        happening, stopping = asyncio.ensure_future(event), asyncio.ensure_future(self._is_stopped.wait())
         try:
-            await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait((happening, stopping), return_when=asyncio.FIRST_COMPLETED)
         finally:
-            for future in waiting:
-                future.cancel()
+            happening.cancel()
+            stopping.cancel()
         self.check()
-        await waiting[0]  # raises what has gone wrong
+        return await happening  # raises what has gone wrong
 
     async def wait(self, seconds: float) -> None:
         """Wait some seconds, or until the task is stopped."""

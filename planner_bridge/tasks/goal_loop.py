@@ -7,17 +7,17 @@ from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
 
-from planner_bridge.model.forbidden_actions import ForbiddenCall
 from planner_bridge.model.plan import Plan
-from planner_bridge.model.plan_simulation import NotProjectable
+from planner_bridge.model.plan_simulation import NotProjectable, snapshot
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
 from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.control import TaskEnded
-from planner_bridge.tasks.plan_execution import PlanExecution
+from planner_bridge.tasks.plan_execution import PlanExecution, proved_machine
 from planner_bridge.tasks.plan_search import NoPlan, PlanSearch
 from planner_bridge.tasks.replanning import Decision, GiveUp, History, PlanAgain, Progress, ResumePlan, decide, shortened, times_that_matter
 from planner_bridge.tasks.result import TaskLog, TaskResult, code_of_failures, code_of_planning, join_reasons, retry_reason
+from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.resources import who_keeps
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.machine.machine import OnFailure
@@ -61,7 +61,7 @@ class GoalLoop:
                     plan = await self._search.in_turn(partial(self._search.plan, self._context.forbidden(self._log.history)))
                 else:
                     plan = await self._search.in_turn(partial(self._search.given, self._given))
-                graph = self._accepted(plan)
+                graph = await self._accepted(plan)
                 while True:
                     graph = await self._execute(graph)
             except NoPlan as no_plan:
@@ -81,7 +81,9 @@ class GoalLoop:
         with suppress(TaskEnded):  # the run reports then that nothing of the plan was begun
             await self._control.until(context.backend.prepare({call.action: None for call in graph.calls}))
         self._retry_at = None
-        async with PlanExecution(context, self._monitor, self._log, graph, self._search.origin) as execution:
+        making = proved_machine(context, graph)  # also of a plan that is not begun any more: the result says what would have been called
+        machine = await (making if self._control.stopped else self._control.until(making))
+        async with PlanExecution(context, self._monitor, self._log, machine, self._search.origin) as execution:
             while True:
                 with context.task.stopwatch.of("execute"):
                     await execution.attention()
@@ -98,7 +100,7 @@ class GoalLoop:
         while True:
             if execution.is_over:
                 self._check_end(execution)
-            elif not self._is_to_be_replaced(execution):
+            elif not await self._is_to_be_replaced(execution) or execution.is_over:
                 return None
             if (delay := self._backoff(execution)) > 0.0:
                 if not execution.is_over:
@@ -114,8 +116,10 @@ class GoalLoop:
                 if not await execution.at_rest():
                     await self._catch_up(execution)
                     continue
-            history = self._next_history(execution)
-            decision = self._decide(execution, history)
+            was_over, under_way, history = execution.is_over, execution.under_way, self._next_history(execution)
+            decision = await self._decide(execution, history)
+            if execution.is_over is not was_over:
+                continue
             if isinstance(decision, GiveUp):
                 if not execution.is_over:
                     return None
@@ -126,7 +130,7 @@ class GoalLoop:
             if execution.is_over:
                 self._log.follow(execution.run.machine, execution.result, decision, history)
                 return await self._follower(execution, decision)
-            graph = await self._successor(execution, decision, history)
+            graph = await self._successor(execution, decision, history, under_way)
             if graph is None or not execution.is_over:
                 return None
             await self._catch_up(execution)  # it came to its end while its successor was planned
@@ -157,7 +161,7 @@ class GoalLoop:
     def _goal_holds(self) -> bool:
         return evaluate(self._context.problem.goal, self._context.knowledge) is True
 
-    def _is_to_be_replaced(self, execution: PlanExecution) -> bool:
+    async def _is_to_be_replaced(self, execution: PlanExecution) -> bool:
         """Return whether to replan while the run goes on. If it has nothing more to do, it is finished."""
         context = self._context
         if self._control.stopped or self._control.is_paused or execution.is_finishing:
@@ -173,8 +177,8 @@ class GoalLoop:
         if self._goal_holds() and not execution.waits_for_more():
             execution.finish("the goal holds already")
             return False
-        progress = execution.progress
-        return bool(execution.obstacle()) or shortened(progress, context.world) != progress
+        progress, world = execution.progress, snapshot(context.world)
+        return bool(execution.obstacle()) or await asyncio.to_thread(lambda: shortened(progress, world) != progress)
 
     def _next_history(self, execution: PlanExecution) -> History:
         """Return the history with this run, if another is to follow it."""
@@ -200,46 +204,58 @@ class GoalLoop:
             self._control.enter(state, retry_reason(backoff, execution.result))
         return self._retry_at - now
 
-    def _decide(self, execution: PlanExecution, history: History) -> Decision:
+    async def _decide(self, execution: PlanExecution, history: History) -> Decision:
         """Decide what follows the run. A failure makes nothing needless, but facts that have changed may."""
-        context, progress = self._context, execution.progress
-        if not (execution.is_over or execution.result.failures):
-            progress = shortened(progress, context.world)
-        limits, unusable = context.settings.limits, context.unusable(history)
-        return decide(self._monitor.now(), progress, context.world, history, limits, unusable)
+        context, progress, now, world = self._context, execution.progress, self._monitor.now(), snapshot(self._context.world)
+        has_failed, limits, unusable = execution.is_over or execution.result.failures, context.settings.limits, context.unusable(history)
+
+        def decision() -> Decision:
+            left = progress if has_failed else shortened(progress, world)
+            return decide(now, left, world, history, limits, unusable)
+
+        return await asyncio.to_thread(decision)
 
     async def _follower(self, execution: PlanExecution, decision: ResumePlan | PlanAgain) -> PlanGraph:
         if isinstance(decision, ResumePlan) and not execution.is_blocked:
             return decision.rest
         if self._given is None:
-            plan = await self._find_plan(execution, self._context.forbidden(self._log.history))
+            plan = await self._search.following(execution, self._context.forbidden(self._log.history))
             assert plan is not None, "a plan that is searched for in turn is in no conflict"
-            return self._accepted(plan)
+            return await self._accepted(plan)
         if isinstance(decision, PlanAgain):
             raise TaskEnded(Code.CONDITION_LOST, decision.why)
         return await self._search.in_turn(partial(self._search.rest, decision.rest))
 
-    async def _successor(self, execution: PlanExecution, decision: ResumePlan | PlanAgain, history: History) -> PlanGraph | None:
+    async def _successor(
+        self, execution: PlanExecution, decision: ResumePlan | PlanAgain, history: History, under_way: tuple[UnderWay, ...]
+    ) -> PlanGraph | None:
         """Replace a run that goes on by that of another plan. Return the plan; None if the run has to come to its end first.
 
-        If it does so meanwhile, the plan is returned all the same.
+        If it does so while a plan is searched for, the plan is returned all the same. What is under way was so when the decision was made.
         """
-        machine, result = execution.run.machine, execution.result
         try:
             if isinstance(decision, ResumePlan):
                 graph = decision.rest
             else:
                 self._control.enter(TaskState.REPLANNING, decision.why)
-                plan = await self._find_plan(execution, decision.forbidden)
+                plan = await self._search.following(execution, decision.forbidden)
                 if plan is None:
                     return None
-                graph = self._accepted(plan, execution if await execution.at_rest() else None)
+                under_way = execution.under_way if await execution.at_rest() else ()
+                graph = await self._accepted(plan, under_way)
                 if self._monitor.why_not(Progress.beginning(graph), self._context.forbidden(history)):
                     return None
             if not execution.is_over:
-                # Read again, because the run has gone on while its successor was planned.
+                successor = await proved_machine(self._context, graph)
+                reserved = self._control.reserved if isinstance(decision, PlanAgain) else None
+                is_stale = not await execution.at_rest() or execution.under_way != under_way
+                # Nothing waits from here on: what others have begun, and what has ended, while the machine was made is all that there is.
+                if is_stale or (reserved and self._context.scheduler.conflicts(self._context.task, reserved)):
+                    execution.call_attention_at(asyncio.get_running_loop().time())
+                    return None
+                self._control.check()
                 machine, result = execution.run.machine, execution.result
-                execution.succeed(graph)
+                execution.succeed(successor)
                 self._log.follow(machine, result, decision, history)
                 self._retry_at = None
         except (NoPlan, TaskEnded, NotProjectable, PlanGraphError, Unsound):  # what is under way may not fit into any plan
@@ -248,35 +264,15 @@ class GoalLoop:
             self._control.enter(TaskState.RUNNING)
         return graph
 
-    async def _find_plan(self, execution: PlanExecution, forbidden: frozenset[ForbiddenCall]) -> Plan | None:
-        """Find a plan from the state after what is under way; None if it is in conflict with those of other tasks.
-
-        If there is none, that may be because what has just happened has not been reported yet: the second attempt is the last one.
-        """
-        world = self._context.world
-        for is_last in (False, True):
-            facts = world.facts()
-            try:
-                if await execution.at_rest():
-                    return (await self._search.plan(forbidden, execution.run.under_way()))[0]
-                return await self._search.in_turn(partial(self._search.plan, forbidden))
-            except NoPlan:
-                if is_last:  # nothing new has been reported between the attempts, or it has not helped
-                    raise
-                await self._control.wait(world.longest_lag)
-                self._control.check()
-                if world.facts() == facts:
-                    raise
-        raise AssertionError("the last attempt finds a plan or fails")
-
-    def _accepted(self, plan: Plan, execution: PlanExecution | None = None) -> PlanGraph:
-        """Note that a plan will be executed, and return its graph, with the calls of an execution that are under way."""
+    async def _accepted(self, plan: Plan, under_way: tuple[UnderWay, ...] = ()) -> PlanGraph:
+        """Note that a plan will be executed, and return its graph, with calls that are under way."""
         limits = self._context.settings.limits
         self._log.plans += 1
         self._monitor.limit.allow(limits.allowed(plan.makespan if plan.temporal else 0.0))
         self._context.observer.planned(plan)
         with self._context.task.stopwatch.of("translate"):
-            return plan_graph(self._monitor.now(), plan, [running.call for running in execution.run.under_way()] if execution else [])
+            calls = [running.call for running in under_way]
+            return await self._control.until(asyncio.to_thread(plan_graph, self._monitor.now(), plan, calls))
 
     # --- the end --------------------------------------------------------------------------------
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Mapping
 from types import TracebackType
+from typing import TypeAlias
 
 from planner_bridge.ordering.interference import ReadWriteSets, read_write_sets
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
@@ -17,15 +18,16 @@ from pnm.core.execution.call_results import Failure, RunResult
 from pnm.core.execution.events import Observer
 from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.run import Run
-from pnm.core.logic.conditions import TRUE
 from pnm.core.logic.effects import names_written, possible_assignments
 from pnm.core.logic.expressions import Constant, Fluent, State, Unknown, Value
 from pnm.core.machine.generate import generate
-from pnm.core.machine.machine import CallOutcome
+from pnm.core.machine.machine import CallOutcome, PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, PlanGraph
-from pnm.core.machine.verification.verify import verify
+from pnm.core.machine.verification.verify import Proof, verify
 from pnm.executor import Executor
 from pnm.tasks import TaskState
+
+ProvedMachine: TypeAlias = tuple[PetriNetMachine, Proof]
 
 
 class PlanExecution(Observer):
@@ -39,14 +41,11 @@ class PlanExecution(Observer):
         context: of the task.
         monitor: of the task.
         log: what has failed before.
-        graph: the plan to begin with.
+        machine: of the plan to begin with, and its proof.
         origin: the time from which the times of plans count.
-
-    Raises:
-        Unsound: the plan cannot be executed.
     """
 
-    def __init__(self, context: TaskContext, monitor: TaskMonitor, log: TaskLog, graph: PlanGraph, origin: float) -> None:
+    def __init__(self, context: TaskContext, monitor: TaskMonitor, log: TaskLog, machine: ProvedMachine, origin: float) -> None:
         self._context = context
         self._monitor = monitor
         self._log = log
@@ -58,7 +57,7 @@ class PlanExecution(Observer):
         self.is_blocked = False
         """Whether others have begun, during a pause, with what the rest of the plan is in conflict with; its run ends then, even
         if they are over before it is."""
-        self.executor = Executor(self._run_of(graph, {}), context.backend.client, context.source, context.task.wanted.text)
+        self.executor = Executor(self._run_of(machine, {}), context.backend.client, context.source, context.task.wanted.text)
         self._future: asyncio.Future[RunResult] = asyncio.get_running_loop().create_future()
 
     async def __aenter__(self) -> PlanExecution:
@@ -111,9 +110,14 @@ class PlanExecution(Observer):
     def footprint(self) -> ReadWriteSets:
         """What the rest of the plan needs and changes; during a pause, what is still under way."""
         if self._context.control.is_paused:
-            return read_write_sets((*self.run.open_calls.values(), *self.run.settling), TRUE, self._context.world)
+            return self._context.under_way(self.run)
         progress = self.progress
         return read_write_sets(progress.rest, progress.plan.goal, self._context.world)
+
+    @property
+    def under_way(self) -> tuple[UnderWay, ...]:
+        """The requests that another run can take over."""
+        return () if self.is_over else self.run.under_way()
 
     @property
     def running(self) -> tuple[str, ...]:
@@ -201,30 +205,21 @@ class PlanExecution(Observer):
         while not self.executor.ended:
             # A request that is out but not accepted, or that is being cancelled, cannot be handed over yet.
             is_settled = all(result.kind is not CallOutcome.RUNNING for result in self.run.interim_result().calls)
-            if is_settled and set(self.run.open_requests) == {running.request for running in self.run.under_way()}:
+            if is_settled and set(self.run.open_requests) == {running.request for running in self.under_way}:
                 return True
             await self.executor.happens()
         await asyncio.wait((self._future,))  # which is done a moment after the executor has ended
         return False
 
-    def succeed(self, graph: PlanGraph) -> None:
-        """Go on with another plan, which takes over the calls that are under way.
-
-        Raises:
-            Unsound: the plan cannot be executed.
-        """
+    def succeed(self, successor: ProvedMachine) -> None:
+        """Go on with the machine of another plan, which takes over the calls that are under way."""
         under_way = {running.call.index: running for running in self.run.under_way()}
-        numbers = (call.index for call in graph.calls if call.under_way)  # in the order that they had in the old plan
-        self.executor.succeed(self._run_of(graph, dict(zip(numbers, (under_way[index] for index in sorted(under_way)), strict=True))))
+        numbers = (call.index for call in successor[0].plan.calls if call.under_way)  # in the order that they had in the old plan
+        self.executor.succeed(self._run_of(successor, dict(zip(numbers, (under_way[index] for index in sorted(under_way)), strict=True))))
 
-    def _run_of(self, graph: PlanGraph, adopted: Mapping[int, UnderWay]) -> Run:
-        """Generate and verify the machine of a plan, and return its run, which takes over requests."""
-        context, stopwatch = self._context, self._context.task.stopwatch
-        with stopwatch.of("translate"):
-            settings, capacities = context.settings, context.resources.capacities
-            machine = generate(graph, settings.bindings, on_failure=settings.on_failure, capacities=capacities)
-        with stopwatch.of("verify"):
-            proof = verify(machine)
+    def _run_of(self, proved: ProvedMachine, adopted: Mapping[int, UnderWay]) -> Run:
+        """Return the run of a machine, which takes over requests."""
+        context, (machine, proof) = self._context, proved
         context.observer.generated(machine, proof)
         return Run(
             machine,
@@ -240,6 +235,26 @@ class PlanExecution(Observer):
             priority=context.task.wanted.priority,
             adopted=adopted,
         )
+
+
+async def proved_machine(context: TaskContext, graph: PlanGraph) -> ProvedMachine:
+    """Generate and verify the machine of a plan, in a thread: for a long plan that takes seconds, in which the event loop goes on.
+
+    Raises:
+        Unsound: the plan cannot be executed.
+    """
+
+    def prove() -> ProvedMachine:
+        settings, stopwatch = context.settings, context.task.stopwatch
+        with stopwatch.of("translate"):
+            capacities = context.resources.capacities
+            machine = generate(graph, settings.bindings, on_failure=settings.on_failure, capacities=capacities)
+        with stopwatch.of("verify"):
+            proof = verify(machine)
+        _ = machine.compiled  # which its run needs, and which is kept
+        return machine, proof
+
+    return await asyncio.to_thread(prove)
 
 
 def is_relevant(progress: Progress, changed: Mapping[Fluent, object]) -> bool:

@@ -20,7 +20,9 @@ from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
 from planner_bridge.tasks.context import Conflict, RunningCalls, TaskContext
 from planner_bridge.tasks.control import TaskEnded
+from planner_bridge.tasks.plan_execution import PlanExecution
 from planner_bridge.tasks.replanning import Progress, shortened, why_not
+from pnm.clock import in_own_thread
 from pnm.core.execution.handover import UnderWay
 from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.plan_graph import ActionCall, PlanGraph
@@ -88,6 +90,27 @@ class PlanSearch:
                 if context.on_conflict is OnConflict.REFUSE:
                     raise TaskEnded(Code.CONFLICT, reason)
                 control.enter(TaskState.QUEUED, f"waits for {reason}")
+
+    async def following(self, execution: PlanExecution, forbidden: frozenset[ForbiddenCall]) -> Plan | None:
+        """Find a plan from the state after what is under way; None if it is in conflict with those of other tasks.
+
+        If there is none, that may be because what has just happened has not been reported yet: the second attempt is the last one.
+        """
+        world = self._context.world
+        for is_last in (False, True):
+            facts = world.facts()
+            try:
+                if await execution.at_rest():
+                    return (await self.plan(forbidden, execution.run.under_way()))[0]
+                return await self.in_turn(partial(self.plan, forbidden))
+            except NoPlan:
+                if is_last:  # nothing new has been reported between the attempts, or it has not helped
+                    raise
+                await self._control.wait(world.longest_lag)
+                self._control.check()
+                if world.facts() == facts:
+                    raise
+        raise AssertionError("the last attempt finds a plan or fails")
 
     # --- attempts -------------------------------------------------------------------------------
 
@@ -198,7 +221,7 @@ class PlanSearch:
 
         try:
             with self._context.task.stopwatch.of("plan"):
-                return await asyncio.to_thread(search)
+                return await in_own_thread(search)
         except asyncio.CancelledError:
             stop.set()
             if cast("asyncio.Task[object]", asyncio.current_task()).cancelling():

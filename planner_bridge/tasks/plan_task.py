@@ -18,6 +18,7 @@ from planner_bridge.tasks.goal_loop import GoalLoop
 from planner_bridge.tasks.replanning import History
 from planner_bridge.tasks.result import Episode, PlanResult, code_of_run
 from planner_bridge.yaml.reader import read
+from pnm.actions.backend import schedule
 from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, Cause
@@ -61,8 +62,12 @@ class PlanTask:
             context.control.enter(TaskState.RUNNING)
             began = asyncio.get_running_loop().time()
             context.observer.began(began)
-            with context.task.stopwatch.of("execute"):
-                run = await self._runner.execute(plan_run)
+            stop_time = schedule(context.world, program.plan.timed, began)
+            try:
+                with context.task.stopwatch.of("execute"):
+                    run = await self._runner.execute(plan_run)
+            finally:
+                stop_time()
         stopped = self._context.control.stopped
         code = code_of_run(run, stopped.code if stopped else Code.TIMED_OUT)  # what else stops it is its own limit
         reason = stopped.reason if stopped and run.stopped and not run.goal else run.reason
@@ -86,7 +91,7 @@ class PlanTask:
         """What the plan needs and changes: all calls that it may still reach; during a pause, those that are still under way."""
         run = self.executor.run
         if self._context.control.is_paused:
-            return read_write_sets((*run.open_calls.values(), *run.settling), TRUE, self._context.world)
+            return self._context.under_way(run)
         plan, calls = run.machine.plan, run.interim_result().calls
         is_flat = len(plan.every_step) == len(plan.calls)
         ended = {result.call.index for result in calls if result.ended is not None} if is_flat else set()
@@ -117,7 +122,7 @@ class PlanTask:
         unconfirmed = (call_result.call.action for call_result in result.calls if call_result.kind is CallOutcome.UNCONFIRMED)
         history = History(given_up, frozenset(map(ForbiddenCall.of, unconfirmed)))
         try:
-            problem = await self._problem()
+            problem = await self._problem(result.began)
             loop = GoalLoop(replace(context, problem=problem), history=history)
             rest = await loop.pursue()
         except InputError as error:
@@ -132,8 +137,8 @@ class PlanTask:
             preferences=rest.preferences,
         )
 
-    async def _problem(self) -> Problem:
-        """Return the problem of reaching the plan's goal from the world as it is."""
+    async def _problem(self, began: float) -> Problem:
+        """Return the problem of reaching the plan's goal from the world as it is, with the timed changes that are still to come."""
         plan = self._plan_run.program.plan
         if plan.goal == TRUE:
             raise InputError(f"the plan {plan.name} has no goal")
@@ -141,4 +146,5 @@ class PlanTask:
             raise InputError(f"the plan {plan.name} has no domain")
         contents = await asyncio.to_thread(read, Path(plan.domain_file))
         described = contents.problem or Problem(plan.name, contents.domain)
-        return replace(problem_now(replace(described, timed=()), self._context.world), goal=plan.goal)
+        elapsed = asyncio.get_running_loop().time() - began
+        return replace(problem_now(replace(described, timed=plan.timed), self._context.world, elapsed), goal=plan.goal)

@@ -11,14 +11,14 @@ from functools import cached_property
 from typing import Final
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall
-from planner_bridge.model.plan_simulation import ConstraintProgression, NotApplicable, PlanSimulation, observed_instead, snapshot
+from planner_bridge.model.plan_simulation import ConstraintProgression, NotApplicable, PlanSimulation, snapshot
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.plan_to_graph import deordered
 from pnm.core.execution.call_results import CallResult, Failure
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.evaluation import evaluate, explanation
 from pnm.core.logic.trajectory import Constraint
-from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.bindings import NO_BINDINGS, Bindings
 from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, Cause, Moment, PlanEvent, PlanGraph
 
@@ -31,7 +31,6 @@ A condition over all that breaks is none of them: the action was under way, as w
 """
 _SERVER: Final = frozenset({Cause.UNAVAILABLE, Cause.LOST})
 """Causes that speak against the action server: for whatever it is called, it would not be there."""
-_UNBOUND: Final = Bindings()
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +67,7 @@ class History:
     fruitless: int = 0
     """Runs in a row in which no call succeeded."""
 
-    def after(self, calls: Iterable[CallResult], failures: Iterable[Failure], bindings: Bindings = _UNBOUND) -> History:
+    def after(self, calls: Iterable[CallResult], failures: Iterable[Failure], bindings: Bindings = NO_BINDINGS) -> History:
         """Return the history with one more failed run."""
         calls, failures = tuple(calls), tuple(failures)
         failed, absent = dict(self.failed), dict(self.absent)
@@ -261,7 +260,7 @@ def why_not(
         if violated := progression.advance(simulation.state):
             return f"the {event.moment.value} of {plan.calls[event.call].action} would violate {violated}"
     if evaluate(plan.goal, simulation.state) is not True:
-        return f"the rest of the plan would leave {observed_instead(plan.goal, simulation.state)}"
+        return f"the rest of the plan would leave {explanation(plan.goal, simulation.state)[1]}"
     missing = progression.unfulfilled(simulation.state)
     return f"the rest of the plan would leave {', '.join(map(str, missing))} unfulfilled" if missing else ""
 

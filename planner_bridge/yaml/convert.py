@@ -18,9 +18,9 @@ from planner_bridge.planning.solve import solve
 from planner_bridge.yaml.first_implementation import write_original
 from planner_bridge.yaml.reader import read
 from planner_bridge.yaml.write_bindings import write_bindings
-from planner_bridge.yaml.write_domain import NO_BINDINGS, write_domain, write_problem
+from planner_bridge.yaml.write_domain import write_domain, write_problem
 from planner_bridge.yaml.write_plan import plan_entries
-from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.bindings import NO_BINDINGS, Bindings
 from pnm.errors import InputError, Tolerated, suggestion
 from pnm.files.text import read_any_text
 

@@ -33,8 +33,8 @@ from pnm.language.formulas.scope import FormulaScope, shown
 
 _LEFT_OUT: Final = ("instances", "external_knowledge_base", "knowledge", "action_types")
 """The keys of a domain that PDDL has nothing like."""
-_PDDL_PARTS: Final = ("params", "preconditions", "effects", "duration", "preferences")
-"""The keys of an action that PDDL has, too."""
+_KEPT: Final = ("params", "preconditions", "effects", "duration", "preferences", *BINDING_KEYS)
+"""The keys of an action that PDDL has, too, or a bindings file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,9 +71,7 @@ def parse(text: str, file: str) -> Contents:
     domain = _domain(model, top)
     section = top.filled("problem")
     problem = None if section is None else _problem(model, domain, section.mapped())
-    bound = {
-        name: read_own_binding(entry) for name, entry in top.mapping("actions").items() if not entry.nodes.keys().isdisjoint(BINDING_KEYS)
-    }
+    bound = {name: read_own_binding(entry) for name, entry in top.mapping("actions").items() if entry.nodes.keys() & BINDING_KEYS}
     return Contents(domain, problem, comments(text, nodes, top, domain) if "#" in text else {}, Bindings(bound))
 
 
@@ -92,9 +90,7 @@ def _domain(model: ProblemModel, top: Mapped) -> Domain:
         preference.mapped().needed("constraints")  # no state that could be preferred is known here
     left_out = [(f"{key!r}", top.nodes[key][0]) for key in _LEFT_OUT if key in top.nodes]
     for name, entry in top.mapping("actions").items():
-        left_out += [
-            (f"{key!r} of {name}", position) for key, (position, _) in entry.nodes.items() if key not in (*_PDDL_PARTS, *BINDING_KEYS)
-        ]
+        left_out += [(f"{key!r} of {name}", position) for key, (position, _) in entry.nodes.items() if key not in _KEPT]
     left_out.sort(key=lambda item: (item[1].line, item[1].column))
     return Domain(
         **{**_fields(model.domain), "actions": actions},

@@ -10,7 +10,7 @@ from typing import Final
 from planner_bridge.pddl.syntax.words import number_text
 from planner_bridge.yaml import emitter
 from planner_bridge.yaml.emitter import Bare, Entry, Value, document, items
-from pnm.core.machine.bindings import DEFAULT, Binding, Bindings
+from pnm.core.machine.bindings import DEFAULT, NO_BINDINGS, Binding, Bindings
 
 LANGUAGE_DEFAULT: Final = Binding(retries=0)
 """What an action in the language has that says nothing."""
@@ -29,6 +29,16 @@ def write_bindings(bindings: Bindings) -> str:
     parts = {name: tuple(binding_entries(binding, DEFAULT, type_key="type")) for name, binding in bindings.actions.items()}
     actions = tuple([Entry(emitter.Mapping(entries), name) for name, entries in parts.items() if entries])
     return document(emitter.Mapping((Entry(emitter.Mapping(actions), "actions"),))) if actions else ""
+
+
+def unwritten(bindings: Bindings, *, original: bool) -> tuple[str, ...]:
+    """Return the keys of a bindings file that have no place in exported YAML; for the first implementation, actions have none."""
+    parts = {
+        "actions": original and bool(bindings.actions),
+        "assumed": bindings.assumed != NO_BINDINGS.assumed,
+        "lag": bindings.lag != NO_BINDINGS.lag,
+    }
+    return tuple(key for key, is_left_out in parts.items() if is_left_out)
 
 
 def _value(value: object) -> Value:

@@ -19,12 +19,11 @@ from planner_bridge.yaml.write_formulas import conditions, constraints, duration
 from pnm.core.logic.conditions import TRUE
 from pnm.core.logic.domain import ActionSchema, Declaration
 from pnm.core.logic.rules import DerivationRule
-from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.bindings import NO_BINDINGS, Bindings
 from pnm.errors import InputError
 from pnm.files.yaml_loader import MAX_DEPTH
 from pnm.language.actions import RESERVED
 
-NO_BINDINGS: Final = Bindings()
 SCHEMA_MARK: Final = "# yaml-language-server:"
 """Begins a comment that is for editors."""
 SCHEMA: Final = ""

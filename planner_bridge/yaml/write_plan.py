@@ -82,11 +82,11 @@ class _StepWriter:
         """Write steps with what they wait for, where that is not what a step of such a list waits for anyway."""
         named = self._names({other for others in before.values() for other in others})
         steps: list[Mapping] = []
-        usual: tuple[int, ...] = ()
+        usual: set[int] = set()
         for call, others in before.items():
-            after = [] if others == usual else [Entry(items((named[other] for other in others), short=True), "after")]
+            after = [] if usual == {*others} else [Entry(items((named[other] for other in others), short=True), "after")]
             steps.append(Mapping((self._call(call), *_id(named, call), *after)))
-            usual = (call,) if in_sequence else ()
+            usual = {*usual, call}.difference(others) if in_sequence else usual
         return steps
 
     # --- events ---

@@ -64,12 +64,7 @@ class ClientBackend:
     """The backend of one action client in this process: nothing reports on the world, so all effects are assumed."""
 
     def __init__(self, client: ActionClient) -> None:
-        self._client = client
-
-    @property
-    def client(self) -> ActionClient:
-        """The client."""
-        return self._client
+        self.client = client
 
     async def open(self, knowledge: KnowledgeBase) -> None:
         """Do nothing: the client is ready."""

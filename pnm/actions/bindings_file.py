@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from dataclasses import fields
 from pathlib import Path
 
 from pnm.core.knowledge_base import parse_fluent
@@ -19,7 +20,7 @@ def read_bindings(path: Path, known: Vocabulary | None = None) -> Bindings:
     entries = top.mapping("actions")
     actions: dict[str, Binding] = {}
     for name, entry in entries.items():
-        entry.only("server", "several_servers", "type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask", "resources")
+        entry.only(*binding_keys("type"))
         actions[name] = read_binding(entry)
     if known is not None:
         for name, entry in entries.items():
@@ -37,6 +38,11 @@ def read_bindings(path: Path, known: Vocabulary | None = None) -> Bindings:
         for name in top.strings("assumed"):
             known.check_set(name, top.position("assumed"))
     return Bindings(actions, frozenset(top.strings("assumed")), top.number("lag", 1.0))
+
+
+def binding_keys(type_key: str) -> tuple[str, ...]:
+    """Return the keys of a binding, in files in which the type of the ROS action stands under `type_key`."""
+    return tuple(type_key if field.name == "type" else field.name for field in fields(Binding))
 
 
 def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAULT.retries) -> Binding:

@@ -31,21 +31,23 @@ class Complaints:
         """Log why a report is wrong: now, or with others at the end of the period."""
         if self._timer is None:
             self._log.warning("a report on %s is wrong: %s", self._source, reason)
-            self._timer = asyncio.get_running_loop().call_later(PERIOD, self._summarize)
+            self._timer = asyncio.get_running_loop().call_later(PERIOD, self._end_period)
         else:
             self._count += 1
             self._last = reason
 
     def close(self) -> None:
         """Log what has not been logged yet."""
-        for _ in range(2):  # a summary begins another period
-            if self._timer is not None:
-                self._timer.cancel()
-                self._summarize()
+        if self._timer is not None:
+            self._timer.cancel()
+            self._summarize()
+
+    def _end_period(self) -> None:
+        # as long as there are complaints, periods follow each other, with one line each
+        self._timer = asyncio.get_running_loop().call_later(PERIOD, self._end_period) if self._count else None
+        self._summarize()
 
     def _summarize(self) -> None:
-        self._timer = None
         if self._count:
             self._log.warning("%d more reports on %s were wrong; the last one: %s", self._count, self._source, self._last)
             self._count = 0
-            self._timer = asyncio.get_running_loop().call_later(PERIOD, self._summarize)

@@ -102,7 +102,9 @@ class StateReports:
     def record(self, names: Collection[str], facts: Mapping[Fluent, Value | Unknown], _sequence: int = 0) -> None:
         """Record a report that is complete about the names; those of which it says what cannot be so become unknown."""
         wrong = self._wrong(names, facts)
-        watched = self._watched(names) - wrong
+        if wrong:
+            self._complaints.note(next(iter(wrong.values())))
+        watched = self._watched(names) - wrong.keys()
         self._knowledge.sense(watched, lag=self._lag)
         returned = {fluent: value for name in watched for fluent, value in self._before.pop(name, {}).items()}
         reported = {fluent: value for fluent, value in facts.items() if fluent[0] in watched}
@@ -113,7 +115,7 @@ class StateReports:
             else:
                 silence = f"nothing was reported about {name} for {self._stale:g} s; it is unknown now" if self._stale else ""
                 self._watchdogs[name] = Watchdog(self._stale, partial(self._forget, name, silence))
-        self._distrust(wrong & self._watched(names))
+        self._distrust(self._watched(names) & wrong.keys())
 
     def refuse(self, names: Collection[str], reason: str) -> None:
         """Refuse a report about these names that cannot be read: they become unknown."""
@@ -126,31 +128,30 @@ class StateReports:
             if self._ignored[name]:
                 _log.warning("reports about %s are ignored: %s", name, self._ignored[name])
                 self._ignored[name] = ""
-        declared = names if self._known is None else self._known.fluents.intersection(names)
-        return frozenset(declared) - self._ignored.keys()
+        return frozenset(name for name in names if self._known is None or self._known.may_be_reported(name)) - self._ignored.keys()
 
-    def _wrong(self, names: Collection[str], facts: Mapping[Fluent, Value | Unknown]) -> frozenset[str]:
-        """Return the names of which the report says what cannot be so; the first reason is told."""
+    def _wrong(self, names: Collection[str], facts: Mapping[Fluent, Value | Unknown]) -> dict[str, str]:
+        """Return the names of which the report says what cannot be so, with the reasons."""
         wrong: dict[str, str] = {}
         if self._known is not None:
-            for name in sorted(frozenset(names) - self._known.fluents - self._ignored.keys()):
+            for name in sorted(name for name in names if not (self._known.may_be_reported(name) or name in self._ignored)):
                 wrong[name] = f"{name} is not declared; {suggestion(name, self._known.fluents) or 'nothing it says of that is recorded'}"
         for fluent, value in facts.items():
-            name = fluent[0]
-            if name in wrong or name in self._ignored or (isinstance(value, bool | str) and self._right.get(fluent) == value):
+            name, is_number = fluent[0], not isinstance(value, bool | str)
+            if name in wrong or name in self._ignored:
                 continue
-            try:
-                if name not in names:
-                    raise InputError(f"it says {statement_text(fluent, value)}, but does not name {name} among what it is complete about")
-                if self._known is not None:
+            if name not in names:  # then it is not known what it is about
+                reason = f"it says {statement_text(fluent, value)}, but does not name {name} among what it is complete about"
+                wrong |= {name: reason, **dict.fromkeys(names, reason)}
+            elif self._known is not None and (is_number or self._right.get(fluent) != value):
+                try:
                     self._known.check_report(fluent, value)
-                if isinstance(value, bool | str):  # numbers are new every time
-                    self._right[fluent] = value
-            except InputError as error:
-                wrong[name] = error.message
-        if wrong:
-            self._complaints.note(next(iter(wrong.values())))
-        return frozenset(wrong)
+                except InputError as error:
+                    wrong[name] = error.message
+                else:
+                    if not is_number:  # which are new every time
+                        self._right[fluent] = value
+        return wrong
 
     def close(self) -> None:
         """Cancel the watchdogs, and log the complaints that are left."""

@@ -7,7 +7,7 @@ from enum import Enum
 from functools import cached_property
 from typing import Final
 
-from pnm.actions.bindings_file import read_binding
+from pnm.actions.bindings_file import binding_keys, read_binding
 from pnm.core.logic.computed_values import Data, Query, parts
 from pnm.core.logic.conditions import TRUE, Condition, fluents, free_variables
 from pnm.core.logic.domain import ActionSchema
@@ -38,24 +38,12 @@ CLASSES: Final = {"ROSAtomicAction": ActionKind.ROS, "RPNAtomicAction": ActionKi
 """The classes that files for the original implementation name; none of them is imported."""
 OPERATION: Final = "operation"
 """The parameter of an `ActionKind.KB` action that has the operation on knowledge."""
+BINDING_KEYS: Final = binding_keys("ros_type")
+"""The keys of an action that bind it to its server."""
 ACTION_KEYS: Final = (
-    *("instances", "type", "params", "preconditions", "effects", "duration", "preferences", "recoveries", "resources"),
-    *("server", "several_servers", "ros_type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask", "simulated"),
+    *("instances", "type", "params", "preconditions", "effects", "duration", "preferences", "recoveries", "simulated"),
+    *BINDING_KEYS,
 )
-BINDING_KEYS: Final = (
-    "server",
-    "several_servers",
-    "ros_type",
-    "goal",
-    "store",
-    "timeout",
-    "accept",
-    "cancel",
-    "retries",
-    "ask",
-    "resources",
-)
-"""Those of them that bind the action to its server."""
 RESERVED: Final = frozenset({"while", "if", "then", "else", "concurrent_actions", "sequence"})
 """Words that steps begin with."""
 

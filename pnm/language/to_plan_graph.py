@@ -238,22 +238,48 @@ class _After:
 
 
 def _waits(steps: tuple[WrittenStep, ...], *, in_sequence: bool) -> list[tuple[_After, ...]]:
+    """Return what each step waits for: in a sequence, if it does not name any, all before it that wait for no later one themselves."""
     numbers = {step.place.id: number for number, step in enumerate(steps) if step.place.id is not None}
-    all_waits: list[tuple[_After, ...]] = []
+    written = [_written_waits(step, steps, numbers) for step in steps]
+    over: dict[int, list[int]] = {number: [] for number in range(len(steps) + 1)}  # the steps that can be over from this one on
+    for number, last in enumerate(_last_waited_for(written)):
+        over[last + 1].append(number)
+    waits: list[tuple[_After, ...]] = []
+    unwaited, waited = dict[int, None](), set[int]()  # of these, those for whose end no other waits
     for number, step in enumerate(steps):
-        waits = [_After(numbers[wait.id], wait.moment, wait.delay) for wait in step.place.after or ()]
-        if step.place.after is None and number and in_sequence:
-            waits = [_After(number - 1)]
-        waits += [_After(numbers[wait.id], wait.moment, wait.delay, Moment.END) for wait in step.place.end_after]
-        for wait in step.place.end_after:
-            if wait.delay:
-                raise InputError("an end cannot be delayed: it comes when the action's time is up", wait.position)
-        for wait in (*(step.place.after or ()), *step.place.end_after):
-            if wait.moment is Moment.START and not isinstance(steps[numbers[wait.id]], CallStep):
-                raise InputError(f"{wait.id!r} is no call; only the end of such a step can be waited for", wait.position)
-        all_waits.append(tuple(dict.fromkeys(waits)))
-    _check_cycles(steps, all_waits)
-    return all_waits
+        waited.update(wait.step for earlier in over[number] for wait in waits[earlier] if wait.moment is Moment.END)
+        unwaited |= dict.fromkeys(over[number])
+        for earlier in waited & unwaited.keys():
+            del unwaited[earlier]
+        usual = map(_After, sorted(unwaited)) if step.place.after is None and in_sequence else ()
+        waits.append((*usual, *written[number]))
+    _check_cycles(steps, waits)
+    return waits
+
+
+def _written_waits(step: WrittenStep, steps: tuple[WrittenStep, ...], numbers: Mapping[str, int]) -> tuple[_After, ...]:
+    for wait in step.place.end_after:
+        if wait.delay:
+            raise InputError("an end cannot be delayed: it comes when the action's time is up", wait.position)
+    for wait in (*(step.place.after or ()), *step.place.end_after):
+        if wait.moment is Moment.START and not isinstance(steps[numbers[wait.id]], CallStep):
+            raise InputError(f"{wait.id!r} is no call; only the end of such a step can be waited for", wait.position)
+    starts = (_After(numbers[wait.id], wait.moment, wait.delay) for wait in step.place.after or ())
+    ends = (_After(numbers[wait.id], wait.moment, wait.delay, Moment.END) for wait in step.place.end_after)
+    return tuple(dict.fromkeys((*starts, *ends)))
+
+
+def _last_waited_for(waits: Sequence[tuple[_After, ...]]) -> list[int]:
+    """Return for each step the last one of the list that its end waits for, itself included."""
+    last = {(number, moment): number for number in range(len(waits)) for moment in Moment}
+    before = dict[tuple[int, Moment], int]()
+    while last != before:
+        before = dict(last)
+        for number in (*reversed(range(len(waits))), *range(len(waits))):
+            for moment in (Moment.START, Moment.END):  # an end comes after the start
+                awaited = (last[wait.step, wait.moment] for wait in waits[number] if moment in (wait.own, Moment.END))
+                last[number, moment] = max(number, *awaited, last[number, Moment.START])
+    return [last[number, Moment.END] for number in range(len(waits))]
 
 
 def _check_cycles(steps: tuple[WrittenStep, ...], waits: list[tuple[_After, ...]]) -> None:

@@ -82,6 +82,7 @@ class Ros2Backend:
 
     def declare(self, known: Vocabulary) -> None:
         """Check reports against these names from now on."""
+        self._known = known
         if self._reports is not None:
             self._reports.declare(known)
 

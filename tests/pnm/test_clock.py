@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from pnm.clock import VirtualTimeLoop
+from pnm.clock import VirtualTimeLoop, in_own_thread
 from tests.support.processes import LIMIT
 
 
@@ -44,3 +44,14 @@ def test_no_time_is_too_late_for_a_timer(late):
         return moments
 
     assert in_virtual_time(main) == [late]
+
+
+def test_however_much_takes_long_there_are_threads_for_what_is_short():
+    async def main():
+        is_free = threading.Event()
+        long = [asyncio.create_task(in_own_thread(lambda: is_free.wait(LIMIT))) for _ in range(50)]
+        await asyncio.sleep(0)
+        await asyncio.to_thread(is_free.set)
+        assert await asyncio.gather(*long) == [True] * 50
+
+    in_virtual_time(main)

@@ -1,6 +1,7 @@
 """Preemption: a task is paused while one of higher priority, with which it is in conflict, goes on.
 
-It goes on by itself as soon as none of those goes on: they are over, are paused, or only wait for answers.
+It goes on by itself as soon as none of those goes on (they are over, are paused by an operator, or only wait for answers) and nothing
+of them is under way any more.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ class Preemption(TaskListener):
         running: list[RunningCalls] = []
         for other in self._tasks.values():
             run = other.control.run if other is not task else None
-            if run is not None and (calls := (*run.open_calls.values(), *run.settling)):
+            if run is not None and (calls := run.unsettled):
                 yields = other.is_active and other.wanted.priority < task.wanted.priority
                 running.append(RunningCalls(other.id, other.name, calls, yields))
         return tuple(running)

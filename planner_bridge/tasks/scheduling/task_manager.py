@@ -11,20 +11,22 @@ import logging
 import os
 from collections.abc import Callable, Collection, Coroutine
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 from uuid import UUID, uuid4
 
 from planner_bridge.model.grounding import problem_now
+from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Problem
-from planner_bridge.planning.plan_text import read_plan
 from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.goal_loop import GoalLoop
 from planner_bridge.tasks.plan_task import PlanTask
 from planner_bridge.tasks.result import Stopwatch, TaskResult, join_reasons
 from planner_bridge.tasks.scheduling.planning_queue import PlanningQueue
 from planner_bridge.tasks.scheduling.preemption import Preemption
+from planner_bridge.tasks.scheduling.task_text import TaskText, read_text
 from planner_bridge.tasks.settings import OnChange, Settings, TaskObserver
-from planner_bridge.tasks.task import StartTask, Task
+from planner_bridge.tasks.task import Task
 from pnm.actions.backend import Backend
 from pnm.broadcast import broadcast
 from pnm.clock import stop_then_cancel
@@ -36,10 +38,8 @@ from pnm.core.net.net import Marking
 from pnm.errors import InputError
 from pnm.knowledge.sources.source import Asker, Source
 from pnm.language.runner import PlanRunner
-from pnm.tasks import Code, OnConflict, TaskEnding, TaskListener, TaskRefused, TaskState, TaskStatus, TaskStep, Wanted
+from pnm.tasks import SHORT, Code, OnConflict, TaskEnding, TaskListener, TaskRefused, TaskState, TaskStatus, TaskStep, Wanted
 
-MAX_CALLS: Final = 1000
-"""Calls of a plan that is sent as a text: the event loop waits while its machine is made."""
 _REMEMBERED: Final = 20
 """Tasks that are over and still listed."""
 
@@ -105,6 +105,7 @@ class TaskManager:
         self._tasks: dict[UUID, Task] = {}
         self._past: list[Task] = []
         self._work: dict[UUID, asyncio.Task[None]] = {}
+        self._reading: set[asyncio.Task[None]] = set()
         self._listeners: list[TaskListener] = []
         self._order = 0
         self._is_held = False
@@ -221,6 +222,8 @@ class TaskManager:
     async def close(self) -> None:
         """Cancel all tasks, and wait until they are over; leave them alone when this is cancelled."""
         tasks = tuple(self._tasks.values())
+        for reading in self._reading:
+            reading.cancel()
         for task in tasks:
             self._stop(task, Code.CANCELLED, "the task manager is being shut down")
         try:
@@ -243,16 +246,11 @@ class TaskManager:
         if waiting >= self._limits.queue and self._is_full:
             self._end(task, TaskEnding(Code.QUEUE_FULL, f"{waiting} tasks are waiting already"))
             return
-        try:
-            if task.wanted.is_plan:
-                task.start = self._plan_start(task)
-            else:
-                goal = self._read_goal(task.wanted.text)
-                task.goal = str(goal)
-                task.start = lambda: GoalLoop(self._context(task, goal)).pursue()
-        except InputError as error:
-            task.error = error
-            self._end(task, TaskEnding(Code.INVALID_GOAL, str(error)))
+        programs = self._runner.programs if self._runner else {}
+        read = partial(read_text, task.wanted, self._read_goal, programs, self._now() if task.wanted.is_plan else self._problem)
+        if not (is_long := len(task.wanted.text) > SHORT):
+            self._understand(task, read)
+        if task.ending:
             return
         self._tasks[task.id] = task  # from here on the task is listed, and its deadline can end it even before it is admitted
         if task.wanted.deadline is not None:
@@ -260,21 +258,42 @@ class TaskManager:
             task.deadline = self._loop.call_later(task.wanted.deadline, self._stop, task, Code.DEADLINE_MISSED, reason)
         task.is_held = self._is_held
         task.entered(TaskState.QUEUED, "")
+        if is_long:
+            reading = self._loop.create_task(self._understand_beside(task, read))
+            self._reading.add(reading)
+            reading.add_done_callback(self._reading.discard)
         self._admit()
 
-    def _plan_start(self, task: Task) -> StartTask:
-        """Return what carries out the plan of a task: one that is loaded, or a text of calls."""
-        programs = self._runner.programs if self._runner else {}
-        if self._runner and (task.wanted.text in programs or (programs and "(" not in task.wanted.text)):
-            return PlanTask(self._runner, self._context(task, TRUE)).carry_out
-        if not self._problem.domain.actions:
-            raise InputError("a plan that is sent as a text needs a domain with actions, and none is loaded")
-        if task.wanted.parameters:
-            raise InputError(f"a plan that is sent as a text has no parameters; found {', '.join(task.wanted.parameters)}")
-        plan = read_plan(task.wanted.text, self._now())
-        if len(plan.steps) > MAX_CALLS:
-            raise InputError(f"the plan has {len(plan.steps)} calls; expected {MAX_CALLS} at most")
-        return lambda: GoalLoop(self._context(task, TRUE, on_change=OnChange.LAZY), given=plan).pursue()
+    async def _understand_beside(self, task: Task, read: Callable[[], TaskText]) -> None:
+        """Read a long text in a thread; the task may be over meanwhile."""
+        reading = asyncio.ensure_future(asyncio.to_thread(read))
+        try:
+            await asyncio.wait((reading,))
+        finally:
+            reading.cancel()
+        if task.ending is None:
+            self._understand(task, reading.result)
+            self._admit()
+
+    def _understand(self, task: Task, read: Callable[[], TaskText]) -> None:
+        """Note what carries the task out, as its text says, or end it if that is wrong."""
+        try:
+            match read():
+                case None:
+                    assert self._runner is not None, "a loaded plan has a runner"
+                    task.start = PlanTask(self._runner, self._context(task, TRUE)).carry_out
+                case Plan() as plan:
+                    task.start = lambda: GoalLoop(self._context(task, TRUE, on_change=OnChange.LAZY), given=plan).pursue()
+                case goal:
+                    task.goal = str(goal)
+                    task.start = lambda: GoalLoop(self._context(task, goal)).pursue()
+        except InputError as error:
+            task.error = error
+            self._end(task, TaskEnding(Code.INVALID_GOAL, str(error)))
+        except Exception as error:
+            _log.exception("%s cannot begin", task.name)
+            task.error = error
+            self._end(task, TaskEnding(Code.ERROR, f"{type(error).__name__}: {error}"))
 
     def _now(self) -> Problem:
         return problem_now(self._problem, self._knowledge, self._loop.time() - self._began)

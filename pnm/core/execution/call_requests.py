@@ -28,8 +28,9 @@ from pnm.core.logic.computed_values import (
     question_of,
     variable_name,
 )
-from pnm.core.logic.conditions import ground
+from pnm.core.logic.conditions import Condition, ground
 from pnm.core.logic.effects import Changes, ground_effects, is_fixed, undo, values_before
+from pnm.core.logic.evaluation import observed, unmet
 from pnm.core.logic.expressions import bind
 from pnm.core.logic.operators import CHANGING, Uncomputable
 from pnm.core.machine.bindings import Binding, Bindings, goal_data, open_parameters, placeholders
@@ -77,8 +78,8 @@ class Calls:
         """Values before what a call has written."""
         self._ended: dict[int, Changes] = {}
         """What calls have written at their ends."""
-        self._denied: dict[int, tuple[str, ...]] = {}
-        """What of the end conditions was not so at the end, and is reported by nothing."""
+        self._denied: dict[int, dict[Condition, str]] = {}
+        """Conditions over all and at the end that were not so, and what was so instead."""
         self.accepted: dict[int, float] = {}
         """Calls whose requests were accepted and are not being cancelled, and the times of acceptance."""
 
@@ -146,10 +147,16 @@ class Calls:
         """Return what the action has for itself while it is under way."""
         return self._bindings.resources(action)
 
-    def unseen(self, call: int, context: EvaluationContext) -> tuple[str, ...]:
+    def unseen(self, call: int, context: EvaluationContext) -> tuple[Condition, ...]:
         """Return what of the call's effects is not seen."""
         missing = unseen(self._intended[call].expected, self.action(call), context)
         return tuple(dict.fromkeys((*self._denied.get(call, ()), *missing)))
+
+    def explain_unseen(self, call: int, context: EvaluationContext) -> tuple[str, str]:
+        """Return what of the call's effects is not seen, and what is seen instead, as texts."""
+        denied, missing = self._denied.get(call, {}), self.unseen(call, context)
+        seen = dict.fromkeys(denied.get(part) or observed(part, context) for part in missing)
+        return " ".join(map(str, missing)), "; ".join(seen)
 
     def lag_of_effects(self, call: int, context: EvaluationContext) -> float:
         """Return how many seconds late the reports about its effects may come."""
@@ -192,7 +199,6 @@ class Calls:
                 self._begun[call] = values_before(start, context)
                 return self._write(start)
             case TransitionAction.FINISH:
-                self._denied[call] = denied_at_end(self.action(call), context)
                 end = self._ended[call] = finished(self.action(call), self._intended[call], context)
                 self._begun[call] = values_before(end, context) | self._begun.get(call, {})
                 return self._write(end)
@@ -233,10 +239,18 @@ class Calls:
         """No longer wait for the request of the call."""
         self.open.pop(self._requests[call], None)
 
-    def store(self, call: int, outcome: Outcome) -> None:
-        """Store the fields of the result, under their own names or those of the binding."""
+    def succeeded(self, call: int, outcome: Outcome) -> None:
+        """Store the fields of the result, under their own names or those of the binding, and note what the end relies on and was not so."""
         store = {**self.binding(call).store, **dict(self._plan.calls[call].store)}
         self._knowledge.local.store({store.get(name, name): value for name, value in outcome.result.items()})
+        # Now, before anything is written of its effects: they may change what it relies on.
+        self._denied[call] = {**self._denied.get(call, {}), **denied_at_end(self.action(call), self.context_of(call, None))}
+
+    def interrupt(self, call: int) -> None:
+        """Note what of the condition over all is not so: the call has not succeeded, whatever its server reports."""
+        context = self.context_of(call, None)
+        broken = {part: observed(part, context) for part in unmet(self.action(call).invariant, context)}
+        self._denied[call] = {**self._denied.get(call, {}), **broken}
 
     def _send(self, call: int, attempt: int, context: EvaluationContext) -> Performed:
         action = self.ready(call, context)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
-from pnm.core.machine.machine import CallOutcome, EffectsMissing, Rule, is_check
+from pnm.core.machine.machine import CallOutcome, Rule, is_check
 from pnm.core.machine.plan_graph import ActionCall, Cause, PlanGraph, Step
 from pnm.core.machine.requests import Outcome
+
+SUCCESS: Final = "success"
+"""What is expected of a call that ends otherwise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,9 +29,15 @@ class Failure:
     lacking: tuple[str, ...] = ()
     """The resources that it has waited for in vain: requests keep them that were given up and may still be at work."""
 
+    @property
+    def details(self) -> str:
+        """What was expected and what was observed, in words; of an end without success only the latter."""
+        expected = f"expected {self.expected}" if self.expected and not (self.expected == SUCCESS and self.observed) else ""
+        observed = f"observed {self.observed}" if expected and self.observed else self.observed
+        return "; ".join(filter(None, (expected, observed)))
+
     def __str__(self) -> str:
-        details = f": expected {self.expected}" if self.expected else ""
-        return f"{self.call}: {self.cause}{details}{f'; observed {self.observed}' if self.observed else ''}"
+        return f"{self.call}: {self.cause}{f': {self.details}' if self.details else ''}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +140,7 @@ class CallResults:
         self._messages[call] = outcome.message or outcome.kind.value
 
     def fired(
-        self, rule: Rule, call: int, now: float, check: Explanation | None, *, missing: tuple[str, ...], assumed: bool
+        self, rule: Rule, call: int, now: float, check: Explanation | None, *, unseen: tuple[str, str] | None, assumed: bool
     ) -> Explanation | None:
         """Record the firing of a transition: it sets the outcome of its call and the cause of a recovery or failure, which is returned.
 
@@ -140,7 +149,7 @@ class CallResults:
             call: its number.
             now: when it fires.
             check: the explanation if a check has led to a recovery.
-            missing: the effects not seen.
+            unseen: the effects that are not seen, and what is seen instead.
             assumed: whether some of the call's effects are reported by nothing.
         """
         result = self.current[call]
@@ -159,6 +168,8 @@ class CallResults:
                 self.current[call] = replace(result, kind=rule.outcome)
             case CallOutcome.SKIPPED if result.kind is CallOutcome.SUSPENDED:
                 self.current[call] = replace(result, kind=CallOutcome.CANCELED, ended=now)
+            case CallOutcome.SUCCEEDED | CallOutcome.CANCELED if result.kind is CallOutcome.FAILED:
+                pass  # how its request ended changes nothing about that
             case CallOutcome.PASSED_OVER:
                 if result.ended is None:
                     self.current[call] = replace(result, kind=rule.outcome, cause=self._causes[call].cause, ended=now)
@@ -168,9 +179,9 @@ class CallResults:
             self._causes[call] = check
             return check
         if rule.cause is not None and not is_check(rule.guard):
-            expected = " ".join(missing) if isinstance(rule.guard, EffectsMissing) else rule.expected or "success"
             message = self._messages.get(call, "")
-            self._causes[call] = Explanation(rule.cause, expected, rule.observed.format(message=message) or message)
+            expected, seen = unseen or (rule.expected or SUCCESS, rule.observed.format(message=message) or message)
+            self._causes[call] = Explanation(rule.cause, expected, seen)
             return self._causes[call]
         return None
 

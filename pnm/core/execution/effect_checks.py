@@ -11,11 +11,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from pnm.core.execution.questions import EvaluationContext
-from pnm.core.knowledge_base import statement_text
-from pnm.core.logic.conditions import TRUE, Condition, conjuncts, fluents, names
+from pnm.core.logic.computed_values import may_ask
+from pnm.core.logic.conditions import TRUE, Compare, Condition, Holds, Not, conjuncts, data_in, fluents, names
 from pnm.core.logic.effects import Changes, Effects, changes, decided, facts, is_fixed, names_written, written
-from pnm.core.logic.evaluation import evaluate, unmet
-from pnm.core.logic.expressions import UNKNOWN, Fluent, Value, same_value
+from pnm.core.logic.evaluation import evaluate, observed, unmet
+from pnm.core.logic.expressions import UNKNOWN, Constant, Fluent, Value, ValueOf, same_value
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 
 
@@ -74,23 +74,38 @@ def finished(action: GroundAction, intended: Intention, knowledge: EvaluationCon
     return {fluent: value if isinstance(value, bool | str) else now.get(fluent, value) for fluent, value in intended.end.items()}
 
 
-def unseen(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: EvaluationContext) -> tuple[str, ...]:
-    """Return, as PDDL, which expected facts are not reported and which end conditions and expectations do not hold.
+def unseen(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: EvaluationContext) -> tuple[Condition, ...]:
+    """Return which expected facts are not reported and which end conditions and expectations do not hold.
 
     Raises:
         Unanswered: a question has to be asked first.
     """
-    missing = (statement_text(fluent, value) for fluent, value in wanted.items() if not same_value(knowledge.world.value(fluent), value))
+    missing = (_statement(fluent, value) for fluent, value in wanted.items() if not same_value(knowledge.world.value(fluent), value))
     base, changed = knowledge.world.rules.base, names_written(action.end_effects)  # what the end itself changes cannot be checked any more
     checked = (part for part in conjuncts(action.end_condition) if not base(names(part)) & changed)
     denied = (part for part in checked if evaluate(part, knowledge) is not True)
-    return (*missing, *map(str, denied), *map(str, unmet(action.expected, knowledge)))
+    return (*missing, *denied, *unmet(action.expected, knowledge))
 
 
-def denied_at_end(action: GroundAction, knowledge: EvaluationContext) -> tuple[str, ...]:
-    """Return, as PDDL, which parts of the end condition do not hold at the end, of those that nothing reports: no report can come late."""
-    parts = unmet(action.end_condition, knowledge)
-    return tuple(str(part) for part in parts if not all(map(knowledge.world.is_sensed, fluents(part, knowledge))))
+def _statement(fluent: Fluent, value: Value) -> Condition:
+    if isinstance(value, bool):
+        return Holds(fluent) if value else Not(Holds(fluent))
+    return Compare("=", ValueOf(fluent), Constant(value))
+
+
+def denied_at_end(action: GroundAction, knowledge: EvaluationContext) -> dict[Condition, str]:
+    """Return which parts of the conditions over all and at the end do not hold at the end, and what is so instead.
+
+    No report about them can come late.
+    """
+    denied: dict[Condition, str] = {}
+    for condition, is_for_the_end in ((action.invariant, False), (action.end_condition, True)):
+        for part in unmet(condition, knowledge):
+            is_reported = all(map(knowledge.world.is_sensed, fluents(part, knowledge)))
+            is_excused = is_reported and (is_for_the_end or may_be_late(part, action, knowledge, has_held=False))
+            if not is_excused and not any(map(may_ask, data_in(part))):
+                denied[part] = observed(part, knowledge)
+    return denied
 
 
 def may_be_late(part: Condition, action: GroundAction, knowledge: EvaluationContext, *, has_held: bool) -> bool:

@@ -163,7 +163,7 @@ class Guards:
         """Return what guards of the call at the place are evaluated from."""
         return self._calls.context_of(call, None if place is None else self._questions.answers_at(place))
 
-    def unseen(self, call: int, place: int | None) -> tuple[str, ...]:
+    def unseen(self, call: int, place: int | None) -> tuple[Condition, ...]:
         """Return the effects of the call that are not seen."""
         return self._calls.unseen(call, self.context(call, place))
 

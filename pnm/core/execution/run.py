@@ -43,7 +43,7 @@ from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import Question, Unanswered
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import After, CallOutcome, Due, EffectsMissing, PetriNetMachine, Rule, TransitionAction, Withheld
-from pnm.core.machine.plan_graph import GroundAction, PlanGraph
+from pnm.core.machine.plan_graph import Cause, GroundAction, PlanGraph
 from pnm.core.machine.requests import BEFORE_ACCEPTANCE, Accepted, Ended, OutcomeKind, Postponed, Report
 from pnm.core.net.firing_engine import Engine
 from pnm.errors import RunError
@@ -210,7 +210,7 @@ class Run(RunView):
             del self._calls.open[report.request]  # before the firing, so that observers and guards see the request as over
             # results are stored before the firing: effects and checks after it may read them
             if report.outcome.kind is OutcomeKind.SUCCEEDED:
-                self._calls.store(call, report.outcome)
+                self._calls.succeeded(call, report.outcome)
                 self._has_changed_knowledge = True
             self._results.answered(call, report.outcome)  # before the firing as well: the explanation of a failure quotes the message
             self._observer.ended(self._calls.as_sent(call), report.outcome, self._state.now)
@@ -321,6 +321,8 @@ class Run(RunView):
             self._claims.take(rule.call, self._guards.claim(transition, place))
         if rule.call is not None and rule.call < len(self.machine.plan.calls):
             self._note(rule, rule.call, place, None if fails else check)
+            if check and check.cause is Cause.INVARIANT_FALSE:
+                self._calls.interrupt(rule.call)
             if rule.action is not None:
                 self._perform(rule.action, rule.call, place)
         self._results.last_check = check
@@ -348,9 +350,10 @@ class Run(RunView):
         self._observer.fired(compiled.transitions[transition], rule, state.now)
 
     def _note(self, rule: Rule, call: int, place: int | None, check: Explanation | None) -> None:
-        missing = self._guards.unseen(call, place) if isinstance(rule.guard, EffectsMissing) else ()
+        is_missing = isinstance(rule.guard, EffectsMissing)
+        unseen = self._calls.explain_unseen(call, self._guards.context(call, place)) if is_missing else None
         assumed = rule.outcome is CallOutcome.SUCCEEDED and is_assumed(self._calls.action(call), self._guards.context(call, place))
-        cause = self._results.fired(rule, call, self._state.now, check, missing=missing, assumed=assumed)
+        cause = self._results.fired(rule, call, self._state.now, check, unseen=unseen, assumed=assumed)
         if cause is not None:
             self._observer.hindered(self._calls.as_sent(call), cause, self._state.now)
         if rule.outcome is CallOutcome.ALREADY_TRUE:

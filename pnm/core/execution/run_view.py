@@ -108,6 +108,11 @@ class RunView:
         return self._calls.under_way(self._results.current)
 
     @property
+    def unsettled(self) -> tuple[ActionCall, ...]:
+        """The calls that are under way, and those whose effects are still being looked for."""
+        return (*self.open_calls.values(), *self.settling)
+
+    @property
     def settling(self) -> tuple[ActionCall, ...]:
         """The calls that have succeeded, and whose effects are still to be looked for: no other run can take them over."""
         return tuple(self._calls.as_sent(call) for place, call in self._index.settling.items() if self._engine.tokens[place])

@@ -47,6 +47,10 @@ class Vocabulary:
     """For every type, the type itself and its supertypes."""
     types_of: Mapping[str, frozenset[str]] = field(default_factory=dict)
     """For every object, its types and their supertypes."""
+    open: frozenset[str] = frozenset()
+    """The predicates and functions whose facts may also be about objects that are not declared."""
+    is_complete: bool = True
+    """Whether there are no other predicates and functions than those declared."""
 
     def check_action(self, name: str, position: Position) -> None:
         """Refuse an action that is not declared."""
@@ -84,7 +88,8 @@ class Vocabulary:
     def check_report(self, fluent: Fluent, value: Value | Unknown) -> None:
         """Refuse a reported value of undeclared names, of another kind, or with other arguments than declared."""
         name, text = fluent[0], fluent_text(fluent)
-        self.check_set(name, None)
+        if not self.may_be_reported(name) or name in self.fluents:
+            self.check_set(name, None)
         signature = self.signatures.get(name)
         if signature is None:
             return
@@ -94,11 +99,19 @@ class Vocabulary:
         if len(fluent) - 1 != len(signature.parameters):
             raise InputError(f"{text} has {len(fluent) - 1} arguments; expected {len(signature.parameters)}")
         for argument, types in zip(fluent[1:], signature.parameters, strict=True):
-            self.check_object(argument, types, None)
+            self._check_reported(name, argument, types)
         if isinstance(value, str) and value != UNDEFINED:
-            self.check_object(value, signature.values, None)
+            self._check_reported(name, value, signature.values)
         if isinstance(value, float) and not isfinite(value):
             raise InputError(f"{text} is reported as {value}; expected a finite number")
+
+    def may_be_reported(self, name: str) -> bool:
+        """Return whether there may be facts of this name."""
+        return name in self.fluents or not self.is_complete
+
+    def _check_reported(self, name: str, reported: str, types: Iterable[str]) -> None:
+        if reported in self.objects or name not in self.open:
+            self.check_object(reported, types, None)
 
     def check_type(self, name: str, position: Position) -> None:
         """Refuse a type that is not declared."""

@@ -48,19 +48,19 @@ def evaluate(condition: Condition, state: State, env: Environment = NOTHING) -> 
             value = state.value(bind(fluent, env))
             return value if value is UNKNOWN else bool(value)
         case All(operands):
-            return _all(evaluate(operand, state, env) for operand in operands)
+            return _joined((evaluate(operand, state, env) for operand in operands), False)
         case Not(operand):
             return negate(evaluate(operand, state, env))
         case Compare(operation, left, right):
             return _compare(operation, _recorded(left, state, env), _recorded(right, state, env))
         case Any(operands):
-            return _any(evaluate(operand, state, env) for operand in operands)
+            return _joined((evaluate(operand, state, env) for operand in operands), True)
         case Implies(left, right):
-            return _any(evaluate(operand, state, env) for operand in (Not(left), right))
+            return _joined((evaluate(operand, state, env) for operand in (Not(left), right)), True)
         case ForAll(variables, body):
-            return _all(evaluate(body, state, inner) for inner in choices(variables, state, env))
+            return _joined((evaluate(body, state, inner) for inner in choices(variables, state, env)), False)
         case Exists(variables, body):
-            return _any(evaluate(body, state, inner) for inner in choices(variables, state, env))
+            return _joined((evaluate(body, state, inner) for inner in choices(variables, state, env)), True)
         case Computed(data):
             if not isinstance(state, Answers):
                 return UNKNOWN
@@ -82,21 +82,12 @@ def negate(truth: Truth) -> Truth:
     return truth if truth is UNKNOWN else not truth
 
 
-def _all(truths: Iterator[Truth]) -> Truth:
-    result: Truth = True
+def _joined(truths: Iterator[Truth], decisive: bool) -> Truth:
+    """Return the decisive truth if there is one; else unknown if any is, and else the opposite."""
+    result: Truth = not decisive
     for truth in truths:
-        if truth is False:
-            return False
-        if truth is UNKNOWN:
-            result = UNKNOWN
-    return result
-
-
-def _any(truths: Iterator[Truth]) -> Truth:
-    result: Truth = False
-    for truth in truths:
-        if truth is True:
-            return True
+        if truth is decisive:
+            return decisive
         if truth is UNKNOWN:
             result = UNKNOWN
     return result

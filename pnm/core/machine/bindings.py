@@ -111,6 +111,10 @@ class Bindings:
         return chosen if chosen is not None else max(10.0, 2.0 * (action.duration or 0.0), 60.0 if action.duration is None else 0.0)
 
 
+NO_BINDINGS: Final = Bindings()
+"""Those of servers that are called as the actions, with goals that are filled by name."""
+
+
 def is_open(resource: str) -> bool:
     """Return whether the name of a resource depends on an argument that has no value before its call starts."""
     return "?" in resource  # such arguments begin with it

@@ -57,16 +57,15 @@ from pnm.core.machine.machine import (
     check_rule,
 )
 from pnm.core.machine.plan_graph import ActionCall, Cause, GroundAction, Moment, PlanEvent
-from pnm.core.machine.recovery_block import Recoveries, abandon, build_recoveries
+from pnm.core.machine.recovery_block import Recoveries, abandon, build_recoveries, succeeded_place
 from pnm.core.machine.requests import OutcomeKind
 from pnm.core.machine.step_block import Block
 
-_ANY = frozenset(OutcomeKind)
 _SUCCEEDED = frozenset({OutcomeKind.SUCCEEDED})
-_UNSUCCESSFUL = _ANY - _SUCCEEDED
+_UNSUCCESSFUL = frozenset(OutcomeKind) - _SUCCEEDED
 _EARLY = {OutcomeKind.REJECTED: Cause.REJECTED, OutcomeKind.UNAVAILABLE: Cause.UNAVAILABLE, OutcomeKind.LOST: Cause.LOST}
 """Ends of a request that may come before its acceptance."""
-_NOT_EARLY = _ANY - frozenset(_EARLY)
+_NOT_EARLY = frozenset(OutcomeKind) - frozenset(_EARLY)
 _LATE = {OutcomeKind.ABORTED: Cause.ABORTED, OutcomeKind.CANCELED: Cause.CANCELED, OutcomeKind.LOST: Cause.LOST}
 _ODD = _UNSUCCESSFUL - frozenset(_LATE)
 _SEND, _CANCEL, _UNDO = TransitionAction.SEND, TransitionAction.CANCEL, TransitionAction.UNDO
@@ -86,7 +85,8 @@ class CallBlock(Block[ActionCall]):
     def build(self) -> None:
         """Add the block to the machine."""
         announced = self._announced
-        for name in ("running", "overdue", "stopping", "suspending", "finished", "done", "failed"):
+        ending = ("returned", "ended", "finished") if self.awaited else ("finished",)
+        for name in ("running", "overdue", "stopping", "settling", "suspending", *ending, "done", "failed"):
             self.place(name)
         # A second set of places, because the token that announces the start must be given once only, however often the call is retried.
         for phase in ("", _RESTARTED) if announced else ("",):
@@ -129,7 +129,7 @@ class CallBlock(Block[ActionCall]):
         """Make a place of this block."""
         if self.name(name) in self._alive:
             self.builder.alive_places.add(self.name(name))
-        if name in ("returned", "ended", "finished"):
+        if name in ("returned", "ended", "finished", "settling"):
             self.builder.settling_places[self.name(name)] = self.step.index
         return super().place(name)
 
@@ -141,7 +141,8 @@ class CallBlock(Block[ActionCall]):
     def _alive(self) -> frozenset[str]:
         """Places of a call that is under way; what waits for others or for answers before its effects are looked for is not."""
         # The robot is at rest then, and its resources are free for others: nothing is asked while resources are held.
-        return frozenset(map(self.name, _ALIVE if self.awaited or self._asks_at_its_end else (*_ALIVE, "finished")))
+        settling = () if self._asks_at_its_end else ("settling",) if self.awaited else ("settling", "finished")
+        return frozenset(map(self.name, (*_ALIVE, *settling)))
 
     @property
     def _asks_at_its_end(self) -> bool:
@@ -211,8 +212,10 @@ class CallBlock(Block[ActionCall]):
         unanswered = Rule("unanswered", too_long, call, _CANCEL, cause=Cause.UNAVAILABLE, expected=_ANSWER, observed="none")
         # The goal may have arrived all the same, so it is cancelled and its end awaited before another attempt.
         add(unanswered, requested, [withdrawing])
-        # Any end will do, even a success: the request is over, so that another attempt has the robot to itself.
-        add(Rule("withdrawn", Ends(call, _ANY), call), withdrawing, unavailable)
+        # A success is one although it was not wanted any more; after any other end the robot is free for another attempt.
+        came_late = Rule("came_late", Ends(call, _SUCCEEDED), call, action=TransitionAction.BEGIN)
+        add(came_late, withdrawing, [succeeded_place(self), *announced])
+        add(Rule("withdrawn", Ends(call, _UNSUCCESSFUL), call), withdrawing, unavailable)
         unheard = Rule("unheard", in_vain, call, cause=Cause.UNAVAILABLE, expected=_ANSWER, observed="none", gives_up=True)
         add(unheard, withdrawing, failed)  # no retry here: the robot may still carry out the first request
 
@@ -235,11 +238,7 @@ class CallBlock(Block[ActionCall]):
 
     def _run(self, phase: str) -> None:
         """From acceptance to one exit per outcome."""
-        call = self.step.index
-        returned = "finished"
-        if self.awaited:
-            self.place("returned")
-            returned = "returned"
+        call, returned = self.step.index, "returned" if self.awaited else "finished"
         recover = [self.name(phase + "recover")]
         self.fire(Rule("succeeded", Ends(call, _SUCCEEDED), call), "running", returned)
         for kind, cause in _LATE.items():
@@ -278,9 +277,11 @@ class CallBlock(Block[ActionCall]):
         unconfirmed = Rule("unconfirmed_pause", in_vain, call, _UNDO, None, Cause.TIMED_OUT, confirmation, "none", gives_up=True)
         self.fire(unconfirmed, "suspending", "done", "failed")
 
-        # The effects have come about although the call was to stop; they are recorded, or knowledge would be wrong.
-        completed = Rule("completed", Ends(call, _SUCCEEDED), call, action=TransitionAction.FINISH, outcome=CallOutcome.SUCCEEDED)
-        self.fire(completed, "stopping", "done")
+        # The effects may have come about although the call was to stop: they are looked for, as after any other success.
+        self.fire(Rule("completed", Ends(call, _SUCCEEDED), call), "stopping", "settling")
+        self.fire(Rule("completely", EffectsSeen(call), call, TransitionAction.FINISH, CallOutcome.SUCCEEDED), "settling", "done")
+        incomplete = Rule("incompletely", EffectsMissing(call), call, _UNDO, CallOutcome.CANCELED, Cause.EFFECTS_MISSING)
+        self.fire(incomplete, "settling", "done")
         stopped = Rule("stopped", Ends(call, _UNSUCCESSFUL), call, _UNDO, CallOutcome.CANCELED)
         self.fire(stopped, "stopping", "done")
         unconfirmed_stop = Rule("unconfirmed_stop", in_vain, call, _UNDO, CallOutcome.UNCONFIRMED, gives_up=True)
@@ -290,7 +291,6 @@ class CallBlock(Block[ActionCall]):
         """From success to done, once the effects are seen."""
         call = self.step.index
         if self.awaited:
-            self.place("ended")
             self.fire(Rule("end", call=call, action=TransitionAction.FINISH), "returned", "ended")
             # The places are given back at once: here they are only looked at, and `fork` takes them in the end.
             self.add(Rule("await", call=call), [self.name("ended"), *self.awaited], [self.name("finished"), *self.awaited])
@@ -299,8 +299,8 @@ class CallBlock(Block[ActionCall]):
         finish = None if self.awaited else TransitionAction.FINISH
         effects_hold = Rule("effects_hold", EffectsSeen(call), call, action=finish, outcome=CallOutcome.SUCCEEDED)
         self.fire(effects_hold, "finished", "done")
-        not_so, recover = "the call is done, but that is not so", [self.name(phase + "recover")]
-        self._outcome(Cause.EFFECTS_MISSING.value, EffectsMissing(call), "finished", Cause.EFFECTS_MISSING, recover, observed=not_so)
+        recover = [self.name(phase + "recover")]
+        self._outcome(Cause.EFFECTS_MISSING.value, EffectsMissing(call), "finished", Cause.EFFECTS_MISSING, recover)
 
     # --- recovery -----------------------------------------------------------------------------
 

@@ -109,7 +109,7 @@ def _in_turn(block: Block[ActionCall], numbers: tuple[int, ...], built: dict[tup
 
 def _direct(block: Block[ActionCall], recovery: Recovery) -> list[str]:
     if recovery.then is Then.CONTINUE:
-        return [_succeeded(block)]
+        return [succeeded_place(block)]
     return [block.name(place) for place in _LEAVING[recovery.then]]
 
 
@@ -129,7 +129,7 @@ def _chained(block: Block[ActionCall], recovery: Recovery, number: int) -> None:
         case Then.RETRY:
             goal = [block.name("ready")]
         case Then.CONTINUE:
-            goal = [_succeeded(block)]
+            goal = [succeeded_place(block)]
         # After a failure the call is done as well: its successors get their tokens and skip, so that no token is left behind.
         case Then.SKIP | Then.FAIL | Then.REPLAN:
             goal = [block.name(place) for place in _LEAVING[then]]
@@ -142,7 +142,7 @@ def _chained(block: Block[ActionCall], recovery: Recovery, number: int) -> None:
     block.add(Rule(then.value, replans=then is Then.REPLAN), [recovered], goal, title=f"{then.value} {number}")
 
 
-def _succeeded(block: Block[ActionCall]) -> str:
+def succeeded_place(block: Block[ActionCall]) -> str:
     """Return the place that is marked when the request has succeeded."""
     return block.name("returned" if block.awaited else "finished")
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from math import isfinite
-from typing import Final, Never
+from typing import Final
 
 from pnm.core.logic.computed_values import MISSING, Question
 from pnm.core.logic.operators import MAX_SIZE
@@ -32,15 +32,15 @@ def read_value(text: str) -> object:
     if len(text) > MAX_SIZE:
         raise SourceError(f"{_short(text)} has {len(text)} characters; expected at most {MAX_SIZE}")
     try:
-        return json.loads(
-            text, parse_constant=_refuse, parse_float=lambda written: number if isfinite(number := float(written)) else _refuse(written)
-        )
+        return json.loads(text, parse_constant=_finite, parse_float=_finite)
     except (ValueError, RecursionError) as error:
         raise SourceError(f"{_short(text)!r} is not JSON: {error}") from error
 
 
-def _refuse(name: str) -> Never:
-    raise ValueError(f"JSON has no {name}")
+def _finite(written: str) -> float:
+    if isfinite(number := float(written)):
+        return number
+    raise ValueError(f"JSON has no {written}")
 
 
 def _short(text: str) -> str:

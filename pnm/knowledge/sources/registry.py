@@ -121,22 +121,25 @@ def open_sources(choices: Sequence[SourceChoice], surroundings: Surroundings, fi
     return Sources(
         [make_source(choice, surroundings) for choice in shared],
         make_source(people[0], surroundings),
-        limit=_patience(shared, LIMIT, LIMITS[Layer.GLOBAL]),
-        person_limit=_patience(people, PERSON_LIMIT, LIMITS[Layer.PERSON]),
+        limit=_limit_of(shared, LIMIT, LIMITS[Layer.GLOBAL]),
+        person_limit=_limit_of(people, PERSON_LIMIT, LIMITS[Layer.PERSON]),
     )
 
 
-def _patience(choices: Sequence[SourceChoice], default: float, most: float) -> float:
+def _limit_of(choices: Sequence[SourceChoice], default: float, most: float) -> float:
     """Return the time limit in seconds for any of them; a source with a ``limit`` of its own keeps that itself, hence the grace.
 
-    No source may take longer than runs wait.
+    Raises:
+        InputError: a source would take longer than runs wait.
     """
+    limits = [default]
     for choice in choices:
-        limit = choice.options.get("limit")
-        if isinstance(limit, int | float) and limit + GRACE > most:
-            raise InputError(f"{choice.name}: expected a limit of at most {most - GRACE:g} seconds, found {limit}", choice.position)
-    limits = (choice.options.get("limit") for choice in choices)
-    return max([default, *(limit + GRACE for limit in limits if isinstance(limit, int | float))])
+        own = choice.options.get("limit")
+        if isinstance(own, int | float):
+            limits.append(own + GRACE)
+            if limits[-1] > most:
+                raise InputError(f"{choice.name}: expected a limit of at most {most - GRACE:g} seconds, found {own}", choice.position)
+    return max(limits)
 
 
 def make_source(choice: SourceChoice, surroundings: Surroundings) -> Source:

@@ -42,6 +42,8 @@ class Goal:
     """The futures of the requests for the result."""
     unknown_since: float | None = None
     """When the server answered first that it does not know the goal: it was restarted, or has not taken it up yet."""
+    refused: str = ""
+    """Why it is cancelled though nobody has asked for that."""
     ended: bool = False
 
     def postpone(self, now: float) -> None:

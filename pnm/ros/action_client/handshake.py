@@ -66,12 +66,20 @@ class Handshake:
 
     def is_done(self, present: frozenset[bytes], now: float) -> bool:
         """Return True if all present processes have discovered us and none may be executing an abandoned goal."""
+        return self.is_met(present, now) and not self._abandoned
+
+    def is_met(self, present: frozenset[bytes], now: float) -> bool:
+        """Return True if all present processes have discovered us, and there was time for all that are alive to show that."""
         # Processes that have left are forgotten, and so are all after a time in which a cut could have gone unnoticed.
         if self._met is not None:
             self._met = self._met & present if now - self._looked < UNWATCHED else None
         self._looked = now
-        is_settled = len(present) < 2 or now - self._met_at >= SECOND_ANSWER
-        return self._met is not None and present <= self._met and is_settled and not self._abandoned
+        return self._met is not None and present <= self._met and (len(present) < 2 or now - self._met_at >= SECOND_ANSWER)
+
+    def renew(self) -> None:
+        """Probe all processes anew: one of them has answered what another one should have."""
+        self._met = None
+        self._probed = -math.inf
 
     def poll(self, present: frozenset[bytes], now: float) -> None:
         """Probe the present processes, or recall the abandoned goals; to be called when the server is ready."""

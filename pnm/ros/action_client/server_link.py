@@ -13,7 +13,6 @@ drops older ones, for which no answer ever comes. Goals are sent only after the 
 from __future__ import annotations
 
 import logging
-import math
 from collections import deque
 from functools import partial
 from time import monotonic
@@ -21,34 +20,22 @@ from typing import Any, Final
 from uuid import UUID
 
 from pnm.core.machine.requests import Accepted, OutcomeKind
-from pnm.errors import InputError, PnmError
+from pnm.errors import PnmError
+from pnm.ros.action_client.connection import Connection
 from pnm.ros.action_client.goal import OVER, UNKNOWN, Goal, message_in
-from pnm.ros.action_client.handshake import Handshake, ros_uuid
+from pnm.ros.action_client.handshake import ros_uuid
 from pnm.ros.action_client.liveness import AGAIN, ASKS, Liveness, Verdict
-from pnm.ros.node.graph import absence, processes, server_name, types
-from pnm.ros.node.messages import fields, import_type, to_data, to_message
+from pnm.ros.node.messages import fields, to_data, to_message
 
 IN_FLIGHT: Final = 8
 """Goals without an answer at a time."""
-RETURN: Final = 5.0
-"""Seconds that goals wait for a server that went away: how long a restart may take."""
-DISCOVERY: Final = 5.0
-"""Seconds in which a server that is running is discovered."""
 RESENSED: Final = 1.0
 """Seconds from the notice of a restart until its goals are lost: sensors should report the new state before a retry."""
-START: Final = 10.0
-"""Seconds after the start of the node in which servers that are started together with it are expected."""
-_DEPTH: Final = 1000
-"""Unread responses that our client keeps; they come in bursts when many goals end together."""
-
 _log = logging.getLogger(__name__)
 
 
 class ServerLink:
-    """The link to one action server, of a type that is given or found in the graph.
-
-    The mutable state is the client and its handshake, once the type is known, until when a missing server is expected, whether
-    something was answered twice, and the goals by how far they are.
+    """The link to one action server. The mutable state is the goals by how far they are, and that of the connection.
 
     Args:
         several: whether there may be several servers of this name, all of which carry out every goal.
@@ -56,92 +43,28 @@ class ServerLink:
     """
 
     def __init__(self, node: Any, server: str, type_name: str | None, joined: float, *, several: bool = False) -> None:
-        self._node = node
-        self.name = server_name(node, server)
-        self.wanted_type = type_name
-        self.type: Any = import_type(type_name) if type_name else None
-        self._several = several
-        self._answered_twice = False
-        self._client: Any = None
-        self._expected_until = max(joined + START, monotonic() + DISCOVERY)
         self._queued: deque[Goal] = deque()
         self._unanswered: set[Goal] = set()
         self._accepted: set[Goal] = set()
-        self._handshake: Any = None
-        if self.type is not None:
-            self._connect()
+        self._connection = Connection(node, server, type_name, joined, several=several, changed=self._pump, doubled=self._stop_doubled)
+        self.name = self._connection.name
 
     def __repr__(self) -> str:
         return f"<ServerLink {self.name} {len(self._queued)} queued, {len(self._unanswered)} unanswered, {len(self._accepted)} accepted>"
 
+    @property
+    def type(self) -> Any:
+        """The type of the server; None while it is not known."""
+        return self._connection.type
+
     def ready(self) -> bool:
-        """Return True if the server is there; connects to it when its type has become known."""
-        is_there = self._is_reached()
-        if is_there:  # polled on every look, so that the handshake is done before the first goal needs it
-            self._expected_until = math.inf
-            self._handshake.poll(processes(self._node, self.name), monotonic())
-        elif self._expected_until == math.inf:  # it was there until now
-            self._expected_until = monotonic() + RETURN
-        return is_there
-
-    def _is_reached(self) -> bool:
-        if self._client is None and (known := types(self._node, self.name)):
-            try:
-                self.type = import_type(known[0])
-            except InputError as error:
-                _log.debug("%s: %s", self.name, error)
-                return False
-            self._connect()  # only now, because a client needs the type, which the graph shows once the server is there
-            # The server is in the graph, but the new client has yet to be matched with it.
-            self._expected_until = max(self._expected_until, monotonic() + DISCOVERY)
-        return self._client is not None and bool(self._client.server_is_ready())
-
-    def _connect(self) -> None:
-        from rclpy.qos import QoSProfile  # here, because rclpy is an extra
-
-        from pnm.ros.action_client.attentive_client import AttentiveClient
-
-        deep = QoSProfile(depth=_DEPTH)  # the default keeps ten responses; more goals than that may end between two turns of the executor
-        self._client = AttentiveClient(
-            self._node,
-            self.type,
-            self.name,
-            goal_service_qos_profile=deep,
-            result_service_qos_profile=deep,
-            cancel_service_qos_profile=deep,
-            answered_twice=self._note_second_answer,
-        )
-        self._handshake = Handshake(self._client, self._pump)
-
-    def _may_send(self) -> bool:
-        """Return True if the handshake with the server, which is ready, is done, and it is the only one of its name."""
-        present = processes(self._node, self.name)
-        return bool(self._handshake.is_done(present, monotonic())) and not self._rivals(present)
-
-    # several servers of one name
-
-    def _rivals(self, present: frozenset[bytes]) -> str:
-        """Return why nothing may be sent: other servers would carry it out as well; empty when there are none, or they are allowed."""
-        self._answered_twice = self._answered_twice and len(present) > 1
-        if self._several or not self._answered_twice:
-            return ""
-        return f"there are {len(present)} action servers {self.name}, all of which would carry out every goal (see `several_servers`)"
-
-    def _note_second_answer(self, identity: UUID | None) -> None:
-        """Note that two servers have answered one request; if it was a goal, have both of them cancel it."""
-        self._answered_twice = True
-        if identity is None or self._several:
-            return
-        goal = next((sent for sent in (*self._unanswered, *self._accepted) if sent.request.id == identity), None)
-        if goal is not None:
-            self.cancel(goal)
-        else:
-            self._handshake.handle(identity).cancel_goal_async()
+        """Return True if the server is there."""
+        return self._connection.ready()
 
     @property
     def is_busy(self) -> bool:
         """Whether `look` has work besides goals: to find the server's type, or to recall abandoned goals."""
-        return self.type is None or bool(self._handshake and self._handshake.abandoned)
+        return self.type is None or bool(self._connection.abandoned)
 
     def close(self) -> None:
         """Forget all goals without reports, and destroy the client."""
@@ -150,8 +73,7 @@ class ServerLink:
         self._queued.clear()
         self._unanswered.clear()
         self._accepted.clear()
-        if self._client is not None:
-            self._client.destroy()
+        self._connection.close()
 
     # sending
 
@@ -162,8 +84,11 @@ class ServerLink:
 
     def _pump(self) -> None:
         # Asked for each goal: a dispatch may fail at once, and the server may go away meanwhile.
-        while self._queued and sum(not goal.cancel_asked for goal in self._unanswered) < IN_FLIGHT and self.ready() and self._may_send():
+        while self._queued and sum(not goal.cancel_asked for goal in self._unanswered) < IN_FLIGHT and self._may_send():
             self._dispatch(self._queued.popleft())
+
+    def _may_send(self) -> bool:
+        return self._connection.ready() and self._connection.may_send()
 
     def _dispatch(self, goal: Goal) -> None:
         known = fields(self.type.Goal)
@@ -174,7 +99,7 @@ class ServerLink:
             return
         try:
             message = to_message(self.type.Goal, goal.data(known))
-            future = self._client.send_goal_async(message, goal_uuid=ros_uuid(goal.request.id))
+            future = self._connection.client.send_goal_async(message, goal_uuid=ros_uuid(goal.request.id))
         except PnmError as error:
             goal.end(OutcomeKind.REJECTED, f"goal for {self.name}: {error}")
             return
@@ -186,7 +111,7 @@ class ServerLink:
         if goal.postponed:
             goal.postpone(goal.sent)
         # The processes of this moment: one that appears later cannot have this goal.
-        goal.liveness = Liveness(processes(self._node, self.name))
+        goal.liveness = Liveness(self._connection.processes())
         self._unanswered.add(goal)
         future.add_done_callback(partial(self._answered, goal))
 
@@ -205,7 +130,7 @@ class ServerLink:
             handle.cancel_goal_async()
         else:
             goal.handle, goal.unknown_since = handle, None  # kept by us, because `rclpy` refers to handles only weakly
-            goal.liveness = Liveness(processes(self._node, self.name), asked=monotonic())
+            goal.liveness = Liveness(self._connection.processes(), asked=monotonic())
             self._accepted.add(goal)
             goal.report(Accepted(goal.request.id))
             self._ask_result(goal)
@@ -217,7 +142,7 @@ class ServerLink:
 
     def _handle(self, goal: Goal) -> Any:
         """Return a handle of the goal, by its id alone if it was not accepted."""
-        return goal.handle or self._handshake.handle(goal.request.id)
+        return goal.handle or self._connection.handshake.handle(goal.request.id)
 
     def _ask_result(self, goal: Goal) -> None:
         future = self._handle(goal).get_result_async()
@@ -230,17 +155,22 @@ class ServerLink:
         answer = future.result()
         if answer.status == UNKNOWN:
             # Not over at once: the delay lets sensors report the new state first (`RESENSED`), or the server take the goal up.
-            goal.unknown_since = goal.unknown_since or monotonic()
+            if goal.unknown_since is None and not self._connection.are_several(self._connection.processes()):
+                goal.unknown_since = monotonic()
+                self._connection.handshake.renew()  # it may be another server that says so, while the goal's own is at work on it
         elif answer.status in OVER:
             self._accepted.discard(goal)
             self._unanswered.discard(goal)
             result = to_data(answer.result)
-            goal.end(OVER[answer.status], message_in(result), result)
+            if goal.refused and OVER[answer.status] is OutcomeKind.CANCELED:
+                goal.end(OutcomeKind.UNAVAILABLE, goal.refused)
+            else:
+                goal.end(OVER[answer.status], message_in(result), result)
 
     def _lose(self, goal: Goal, message: str) -> None:
         self._accepted.discard(goal)
         if not goal.unknown_since:  # a server that does not know the goal is not executing it
-            self._handshake.abandon(goal.request.id, goal.handle)
+            self._connection.handshake.abandon(goal.request.id, goal.handle)
         goal.end(OutcomeKind.LOST, message)
         for future in goal.results:  # their answers may still come when a link heals, for a goal that is over for us
             future.cancel()
@@ -268,6 +198,22 @@ class ServerLink:
         if not future.result().goals_canceling and not goal.ended:
             _log.info("%s does not cancel %s", self.name, goal.request.action)
 
+    # several servers of one name
+
+    def _stop_doubled(self, identity: UUID) -> None:
+        """Have all servers cancel a goal that several of them have answered."""
+        self._stop_for_rivals(self._connection.processes())
+        if all(goal.request.id != identity for goal in (*self._unanswered, *self._accepted)):  # one of them has ended it, or rejected it
+            self._connection.handshake.handle(identity).cancel_goal_async()
+
+    def _stop_for_rivals(self, present: frozenset[bytes]) -> None:
+        """Cancel all goals if there are several servers that all would carry them out, but are not to."""
+        if rivals := self._connection.rivals(present):
+            for goal in (*self._unanswered, *self._accepted):
+                if not goal.refused:
+                    goal.refused = rivals
+                    self.cancel(goal)
+
     # liveness
 
     def look(self) -> None:
@@ -275,40 +221,39 @@ class ServerLink:
         now = monotonic()
         self._look_at_queue(now)
         if self._unanswered or self._accepted:
-            present = processes(self._node, self.name)  # one look at the graph for all goals, so that their verdicts agree
+            present = self._connection.processes()  # one look at the graph for all goals, so that their verdicts agree
+            self._stop_for_rivals(present)
             for goal in tuple(self._unanswered):
                 self._look_at_unanswered(goal, present, now)
             self._look_at_accepted(present, now)
         self._pump()
-        if self._queued and self.ready() and self._may_send():  # then only the answers to others are waited for
+        if self._queued and self._may_send():  # then only the answers to others are waited for
             for goal in self._queued:
                 if now - goal.postponed >= goal.accept / 4.0:
                     goal.postpone(now)
 
     def _look_at_queue(self, now: float) -> None:
-        if not self.ready():
-            if self._queued and now >= self._expected_until:  # all queued goals together: they would all wait in vain for the same server
-                reason = absence(self._node, self.name, self.wanted_type)
-                while self._queued:
-                    self._queued.popleft().end(OutcomeKind.UNAVAILABLE, reason)
-        elif self._queued and (rivals := self._rivals(processes(self._node, self.name))):
+        is_ready = self.ready()
+        if not self._queued:
+            return
+        reason = self._connection.rivals(self._connection.processes()) if is_ready else self._connection.absence(now)
+        if reason:  # all queued goals together: they would all wait in vain for the same server
             while self._queued:
-                self._queued.popleft().end(OutcomeKind.UNAVAILABLE, rivals)
-        elif self._queued and not self._may_send():
-            abandoned = self._handshake.abandoned
+                self._queued.popleft().end(OutcomeKind.UNAVAILABLE, reason)
+        elif is_ready and not self._connection.may_send():
+            abandoned = self._connection.abandoned
             for goal in tuple(self._queued):
                 goal.sent = goal.sent or now  # the limit counts from here: the server is ready, the goal could have been sent
                 if now - goal.sent >= goal.accept:
                     given_up = f"did not end within {goal.accept:g} s what was given up: {abandoned} goal{'s' * (abandoned > 1)}"
-                    reason = given_up if abandoned else _silence(goal)
                     self._queued.remove(goal)
-                    goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {reason}")
+                    goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {given_up if abandoned else _silence(goal)}")
 
     def _look_at_unanswered(self, goal: Goal, present: frozenset[bytes], now: float) -> None:
         verdict = goal.liveness.check(present, False, now)
         if verdict is Verdict.LOST:
             reason = "went away before it answered"
-        elif verdict is Verdict.ASK and goal.liveness.asks == ASKS and not self._answered_twice:
+        elif verdict is Verdict.ASK and goal.liveness.asks == ASKS and not self._connection.are_several(present):
             reason = "was restarted before it answered"
         elif goal.unknown_since and now - max(goal.unknown_since, goal.sent + goal.accept) >= goal.accept:
             reason = f"{_silence(goal)}, and does not know the goal"
@@ -319,7 +264,7 @@ class ServerLink:
         self._unanswered.discard(goal)
         # Gone from the graph, it may only be cut off and have the goal: it is recalled before the next one is sent.
         if verdict is Verdict.LOST:
-            self._handshake.abandon(goal.request.id, None)
+            self._connection.handshake.abandon(goal.request.id, None)
         goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {reason}")
 
     def _look_at_accepted(self, present: frozenset[bytes], now: float) -> None:
@@ -338,7 +283,9 @@ class ServerLink:
                     goal.end(OVER[goal.handle.status], "its result never came")
                 case Verdict.FINE:
                     pass
-            if goal.unknown_since and now - goal.unknown_since >= RESENSED:
+            if goal.unknown_since and self._connection.are_several(present):
+                goal.unknown_since = None  # it was another server that does not know it
+            elif goal.unknown_since and now - goal.unknown_since >= RESENSED and not self._connection.are_unclear(present):
                 self._lose(goal, f"{self.name} no longer knows the goal; it was restarted")
             # Requests may be lost like any other, and cancelling twice does no harm.
             if not goal.ended and goal.wants_cancel and goal.cancel_sent is not None and now - goal.cancel_sent >= AGAIN:

@@ -30,7 +30,7 @@ else:
 
 T = TypeVar("T")
 
-DISCOVERY: Final = 4.0
+_DISCOVERY: Final = 4.0
 """Seconds in which a new node discovers the others: participants announce themselves every 3 s, and on one host often only then."""
 _STILL: Final = 0.5
 """Seconds without change after which the graph counts as settled."""
@@ -144,7 +144,7 @@ class RosThread:
             graph = await self.ask(lambda: (self.node.get_topic_names_and_types(), self.node.get_node_names()))
             if graph != seen:
                 seen, still_since = graph, now
-            if now - self.joined >= DISCOVERY and now - still_since >= _STILL:
+            if now - self.joined >= _DISCOVERY and now - still_since >= _STILL:
                 return
             await asyncio.sleep(0.1)
 

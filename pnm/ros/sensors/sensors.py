@@ -13,7 +13,9 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.errors import InputError
 from pnm.knowledge.sensor_model import ByService, ByTopic, Instance, Sensing, instances
 from pnm.ros.node.ros_thread import RosThread
-from pnm.ros.sensors.sensor import SensorRecorder, ServiceSensor, TopicSensor, checked
+from pnm.ros.sensors.sensor import SensorRecorder, checked
+from pnm.ros.sensors.service_sensor import ServiceSensor
+from pnm.ros.sensors.topic_sensor import TopicSensor
 
 LOOK: Final = 0.5
 """Seconds between two looks for new publishers."""
@@ -72,6 +74,7 @@ class Sensors:
         for recorder in self._recorders:
             if recorder.refused is not None:
                 raise recorder.refused
+            recorder.is_open = True
 
     async def close(self) -> None:
         """Unsubscribe, and stop polling."""

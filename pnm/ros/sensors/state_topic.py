@@ -28,17 +28,15 @@ class SensedReports:
     """Passes every report on ``knowledge/sensed`` to a listener, on the event loop's thread: names, true facts, sequence number.
 
     A report is complete about the predicates and functions it names: it replaces all earlier reports about them, from any
-    publisher. So several publishers need disjoint names.
-    What cannot be read goes to `refuse`, with the names of the report and the reason.
+    publisher. So several publishers need disjoint names. What cannot be read goes to `refuse`, with the names of the report
+    and the reason.
     """
 
-    def __init__(
-        self, ros: RosThread, loop: asyncio.AbstractEventLoop, listener: Listener, refuse: Refuse | None = None, topic: str = TOPIC
-    ) -> None:
+    def __init__(self, ros: RosThread, loop: asyncio.AbstractEventLoop, listener: Listener, refuse: Refuse, topic: str = TOPIC) -> None:
         self._ros = ros
         self._loop = loop
         self._listener = listener
-        self._refuse = refuse or (lambda _names, reason: _log.warning("ignored a report on %s: %s", topic, reason))
+        self._refuse = refuse
         self._topic = topic
         self._heard = asyncio.Event()
         self._closed = False
@@ -76,11 +74,13 @@ class SensedReports:
             heard.cancel()
         return self._heard.is_set() or bool(await self._ros.ask(lambda: self._subscription.get_publisher_count()))
 
-    def _pass_on(self, pass_on: Callable[[], None], *, is_report: bool) -> None:
+    def _pass_on(self, listener: Callable[..., None], *report: object) -> None:
         if not self._closed:
-            pass_on()
-            if is_report:
-                self._heard.set()
+            listener(*report)
+
+    def _hear(self, names: frozenset[str], facts: Facts, sequence: int) -> None:
+        self._listener(names, facts, sequence)
+        self._heard.set()
 
     # on the ROS thread
 
@@ -95,12 +95,13 @@ class SensedReports:
             self._ros.node.destroy_subscription(self._subscription)
 
     def _receive(self, message: Any) -> None:
-        names, is_report = frozenset(message.names), True
+        names = frozenset(message.names)
         try:
-            pass_on = partial(self._listener, names, read_state(message), int(message.sequence))
+            report = names, read_state(message), int(message.sequence)
         except InputError as error:
-            pass_on, is_report = partial(self._refuse, names, str(error)), False
-        call_on_loop(self._loop, partial(self._pass_on, pass_on, is_report=is_report))
+            call_on_loop(self._loop, self._pass_on, self._refuse, names, str(error))
+        else:
+            call_on_loop(self._loop, self._pass_on, self._hear, *report)
 
 
 def read_state(message: Any) -> Facts:

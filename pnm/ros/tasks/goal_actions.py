@@ -31,7 +31,7 @@ from pnm.ros.tasks.task_messages import (
     wanted_plan,
     wanted_run,
 )
-from pnm.tasks import Code, TaskEnding, TaskListener, TaskRefused, Tasks, TaskStatus, TaskStep, Wanted
+from pnm.tasks import SHORT, Code, TaskEnding, TaskListener, TaskRefused, Tasks, TaskStatus, TaskStep, Wanted
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,9 +49,6 @@ _ACTIONS: Final = {
     "execute_plan": _TaskAction("pnm_interfaces/action/ExecutePlan", wanted_plan, plan_ending_fields),
 }
 NAMES: Final = tuple(_ACTIONS)
-
-_SHORT: Final = 1000
-"""Characters of a goal that are read at once; longer ones are read in a thread, while the event loop goes on."""
 
 _log = logging.getLogger(__name__)
 
@@ -121,7 +118,7 @@ class TaskServers(TaskListener):
         self._open[id] = name
         read = partial(self._actions[name].read, id, request)
         texts = (getattr(request, field) for field in ("goal", "plan", "parameters") if hasattr(request, field))
-        if sum(map(len, texts)) <= _SHORT:
+        if sum(map(len, texts)) <= SHORT:
             self._start(id, read)
         else:
             reading = self._loop.create_task(asyncio.to_thread(read))

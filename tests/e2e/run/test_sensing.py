@@ -50,6 +50,20 @@ def test_what_is_unknown_because_its_sensor_was_killed_fails_a_call_and_is_plann
     assert any("nothing was heard on /r1/battery for 1 s; what it reports is unknown" in line for line in run.err)
 
 
+def test_reports_of_another_world_leave_unknown_what_they_are_about(deploy):
+    deployment = deploy("workshop", texts=(DOMAIN, PROBLEM))
+    report = {"topic": "knowledge/sensed", "type": "pnm_interfaces/msg/State", "fields": {"names": ["charged"], "facts": ["(charged r9)"]}}
+    sensor = deployment.start(Program(["-m", "tests.support.ros.sensors", json.dumps(report)], deployment.environment))
+    sensor.until(lambda: "ready" in sensor.out)
+    run = deployment.run()
+    assert run.ended() == 1
+    assert any("a report on knowledge/sensed is wrong: there is no object 'r9' in the domain" in line for line in run.err)
+    (result,) = run.objects()
+    assert result["reason"] == (
+        "no plan: no plan found: (done r1) cannot be reached with what is known: work(r1) would do it, but (charged r1) is unknown"
+    )
+
+
 def test_sensors_that_are_wrong_are_refused_before_anything_starts(deploy):
     deployment = deploy("workshop", texts=(DOMAIN, PROBLEM))
     for text, said in {
@@ -64,4 +78,5 @@ def test_sensors_that_are_wrong_are_refused_before_anything_starts(deploy):
     sensor.until(lambda: "ready" in sensor.out)
     run = deployment.run("--sensing", str(written(deployment.folder / "sensing.yaml", SENSING)))
     assert run.ended() == 2
-    assert "sensing.yaml:6:15: Strings has no field 'float32_value'; it has string_value" in run.err[-1]
+    (line,) = [line for line in run.err if "Strings" in line]  # and not in the log as well
+    assert "sensing.yaml:6:15: Strings has no field 'float32_value'; it has string_value" in line

@@ -155,6 +155,16 @@ def test_the_demo_tells_the_whole_story() -> None:
     assert "is false" not in done.stdout
 
 
+def test_net_says_what_is_proved_and_which_transitions_never_fire() -> None:
+    short, long = pnm("net", *DELIVERY), pnm("net", *DELIVERY, "-v")
+    (line,) = short.stderr.splitlines()
+    assert line.startswith("proved sound: 8 calls of ")
+    assert "; 8 of " in line
+    assert line.endswith(" transitions can never fire, -v lists them")
+    assert "unload(r2, parcel1, hall)#7 ended_early: such an end implies that the request was accepted" in long.stderr
+    assert long.stdout == short.stdout
+
+
 @pytest.mark.parametrize("command", [["run", *DELIVERY], ["plan", *DELIVERY], ["net", *DELIVERY], ["demo"]])
 def test_nobody_has_to_read_to_the_end(command: list[str]) -> None:
     with subprocess.Popen(

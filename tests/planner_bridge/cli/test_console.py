@@ -37,9 +37,9 @@ TWICE = """(define (domain d) (:requirements :durative-actions) (:predicates (a)
 @pytest.mark.parametrize(
     ("fault", "start", "why"),
     [
-        ("hang", "10.00", "timed_out"),
+        ("hang", "10.00", "timed_out: expected an end in time; observed none; then cancelled on request"),
         ("abort", " 1.50", "aborted"),
-        ("no_effect", " 3.01", "effects_missing: expected (a)"),
+        ("no_effect", " 3.01", "effects_missing: expected (a); observed (a) is false"),
     ],
 )
 def test_why_a_call_is_tried_again_stands_beside_the_attempt(tmp_path: Path, fault: str, start: str, why: str) -> None:
@@ -54,3 +54,13 @@ def test_a_call_that_is_not_needed_is_said(tmp_path: Path) -> None:
     (tmp_path / "plan.yaml").write_text("facts: [(b)]\nactions: {go: {effects: [(b)]}}\nplan: [go:]\n")
     lines = pnm("run", "--plan", str(tmp_path / "plan.yaml")).stdout.splitlines()
     assert "      0.00 s  spared go(): its effects hold already" in lines
+
+
+def test_the_same_reason_is_printed_once_and_again_at_the_end(tmp_path: Path) -> None:
+    (tmp_path / "d.pddl").write_text(TWICE)
+    (tmp_path / "p.pddl").write_text("(define (problem p) (:domain d) (:init) (:goal (b)))")
+    (tmp_path / "f.yaml").write_text("faults: [{action: first, do: abort, times: 9, message: out of tea}]")
+    done = pnm("run", str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl"), "--faults", str(tmp_path / "f.yaml"))
+    told = [line for line in done.stdout.splitlines() if "out of tea" in line]
+    assert [line.split()[2] for line in told] == ["ended", "reached:"]
+    assert "      3.00 s  failed first(): aborted" in done.stdout.splitlines()

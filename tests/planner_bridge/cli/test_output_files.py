@@ -58,3 +58,9 @@ def test_a_new_file_is_named_and_no_folder_is_made(domain: Path) -> None:
     done = pnm("import", str(new), "-o", str(domain.parent / "a" / "b"))
     assert (done.returncode, (domain.parent / "a").exists()) == (2, False)
     assert done.stderr == f"{domain.parent}/a/b: not a folder, and none can be made there: No such file or directory\n"
+
+
+def test_a_name_that_is_too_long_is_refused_as_any_that_cannot_be_written(domain: Path) -> None:
+    for path, reason in (("a" * 300, "File name too long"), ("a" * 300 + "/x.yaml", f"there is no folder {'a' * 300}")):
+        done = pnm("export", str(domain), "-o", path)
+        assert (done.returncode, done.stderr) == (2, f"{path}: cannot be written: {reason}\n")

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import Awaitable, Callable
+from concurrent.futures import Executor, Future
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -11,14 +15,16 @@ from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.node import timed_state
 from planner_bridge.node.plan_request import make_plan
 from planner_bridge.node.problem_folder import ProblemFolder
-from planner_bridge.node.problem_service import LoadedProblem, ServedProblem
+from planner_bridge.node.problem_service import NOTHING, LoadedProblem, ServedProblem
 from planner_bridge.node.world_queries import MAX_CHARACTERS, MAX_GOAL_CHOICES
 from planner_bridge.tasks.settings import Settings
-from pnm.clock import run_async
+from pnm.clock import in_own_thread, run_async
+from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.domain import MAX_CHOICES
 from pnm.errors import InputError
 from pnm.tasks import Code
-from tests.support.tasks.world import DOMAIN, PROBLEM, world
+from tests.support.processes import LIMIT
+from tests.support.tasks.world import PROBLEM, world
 
 LONG = f"(and {'(not (dark)) ' * 5000}(charged r1))"
 
@@ -66,6 +72,25 @@ def test_the_event_loop_goes_on_while_a_request_is_worked_on(tmp_path, what):
     serve(scene, tmp_path)
 
 
+class KnowledgeOfOneThread(KnowledgeBase):
+    """Knowledge that the event loop may change at any moment: no other thread may look at it."""
+
+    def facts(self):
+        assert threading.current_thread() is threading.main_thread()
+        return super().facts()
+
+
+@pytest.mark.parametrize("problem", [PROBLEM, NOTHING], ids=lambda problem: problem.name)
+def test_changes_are_read_from_a_snapshot(problem):
+    async def scene():
+        loaded = LoadedProblem(problem, KnowledgeOfOneThread(objects=problem.objects_by_type), {}, Settings())
+        served = ServedProblem(loaded, ProblemFolder(Path()), lambda _: None)
+        with pytest.raises(InputError, match="unknown predicate"):
+            await served.update(["(flies r1)"], [], [])
+
+    run_async(scene())
+
+
 def test_requests_have_their_turns_in_order_each_from_what_is_known_then(tmp_path):
     async def scene(served, loaded):
         ended = []
@@ -85,6 +110,38 @@ def test_requests_have_their_turns_in_order_each_from_what_is_known_then(tmp_pat
         assert loaded.knowledge.value(("dark",)) is True
 
     serve(scene, tmp_path)
+
+
+class BusyPlanners(Executor):
+    """Planners that have no answer before they are told to stop."""
+
+    def __init__(self) -> None:
+        self.searches: list[Future[Any]] = []
+        self.are_both_busy = threading.Event()
+
+    def submit(self, *_: object, **__: object) -> Future[Any]:
+        self.searches.append(Future())
+        if len(self.searches) == 2:
+            self.are_both_busy.set()
+        return self.searches[-1]
+
+
+def test_plan_requests_have_their_turns_and_leave_threads_to_others(tmp_path):
+    planners = BusyPlanners()
+
+    async def scene() -> None:
+        loaded = LoadedProblem(PROBLEM, initial_knowledge(PROBLEM), {}, Settings(planner="race:kairos,aries", executor=planners))
+        served = ServedProblem(loaded, ProblemFolder(tmp_path), lambda _: None)
+        requests = [asyncio.create_task(loaded.make("(dark)", "", LIMIT)) for _ in range(40)]
+        assert await in_own_thread(lambda: planners.are_both_busy.wait(LIMIT))
+        async with asyncio.timeout(LIMIT):
+            assert await served.query(["(dark)"]) == [("(dark)", "false")]
+        for request in reversed(requests):
+            request.cancel()
+        await asyncio.wait(requests)
+        assert len(planners.searches) == 2, "each of the two planners has searched for the first request"
+
+    run_async(scene())
 
 
 def test_a_request_has_a_budget(tmp_path, monkeypatch):
@@ -116,7 +173,6 @@ def test_a_plan_request_whose_goal_cannot_be_read_raises_what_is_wrong():
             await make_plan(world(), Settings(), "(flies r1)", "", 5.0)
         assert (await make_plan(world(), Settings(), "(dark)", "", 5.0)).code is Code.GOAL_REACHED
 
-    assert DOMAIN.actions
     run_async(scene(), virtual=False)
 
 

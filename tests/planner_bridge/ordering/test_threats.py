@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Domain, Problem
-from planner_bridge.ordering.plan_to_graph import check_order, plan_graph
+from planner_bridge.ordering.plan_to_graph import causal_links, check_order, plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.planning.validate import why_invalid
 from pnm.core.logic.conditions import TRUE, All, Holds, Not
@@ -32,9 +32,13 @@ from tests.support.pddl.real_plans import planned, solved
 FACTS = ("p", "q", "r")
 
 
+def check(problem: Problem, graph: PlanGraph, *, projected: bool = False) -> None:
+    check_order(graph, problem, causal_links(problem, [call.action for call in graph.calls]), projected=projected)
+
+
 def is_noticed(problem: Problem, graph: PlanGraph) -> bool:
     try:
-        check_order(problem, graph)
+        check(problem, graph)
     except PlanGraphError:
         return True
     return False
@@ -146,16 +150,16 @@ def test_what_an_action_needs_all_the_time_is_protected_until_its_end() -> None:
     graph = plan_graph(problem, MATCH)
     start, end = graph.orderings
     with pytest.raises(PlanGraphError, match=r"end of strike\(m0\)#0 may come between .* mend\(f0, m0\)#1.* needs \(light m0\)"):
-        check_order(problem, without(graph, end))
+        check(problem, without(graph, end))
     with pytest.raises(PlanGraphError, match=r"start of mend\(f0, m0\)#1 needs \(light m0\), but the initial state"):
-        check_order(problem, without(graph, start))
+        check(problem, without(graph, start))
 
 
 def test_the_message_names_the_reader_the_fact_and_the_writer() -> None:
     problem = rooms(goal="(at r1 c)")
     graph = plan_graph(problem, Plan((PlanStep("move", ("r1", "a", "b"), 0.0), PlanStep("move", ("r1", "b", "c"), 1.0))))
     with pytest.raises(PlanGraphError) as refusal:
-        check_order(problem, without(graph, *graph.orderings))
+        check(problem, without(graph, *graph.orderings))
     assert str(refusal.value) == (
         "an ordering is missing: the start of move(r1, b, c)#1 needs (at r1 b), but the initial state may be the last that writes it before"
     )
@@ -167,7 +171,7 @@ def test_an_order_that_a_constraint_asks_for_is_missed() -> None:
     graph = plan_graph(problem, Plan((PlanStep("move", ("r1", "a", "b"), 0.0), PlanStep("move", ("r2", "a", "b"), 1.0))))
     assert graph.orderings
     with pytest.raises(PlanGraphError, match="does not keep"):
-        check_order(problem, without(graph, *graph.orderings))
+        check(problem, without(graph, *graph.orderings))
 
 
 DOORS = """(define (domain d) (:requirements :durative-actions :timed-initial-literals) (:predicates (open) (in))
@@ -178,7 +182,7 @@ def test_a_call_that_needs_a_timed_fact_may_not_come_before_it() -> None:
     problem = parse_problem("(define (problem p) (:domain d) (:init (at 70 (open))) (:goal (in)))", parse_domain(DOORS))
     graph = plan_graph(problem, Plan((PlanStep("pass", (), 70.0, 5.0),), temporal=True))
     with pytest.raises(PlanGraphError, match="needs"):
-        check_order(problem, replace(graph, steps=tuple(replace(call, release=0.0) for call in graph.calls)))
+        check(problem, replace(graph, steps=tuple(replace(call, release=0.0) for call in graph.calls)))
 
 
 def test_calls_that_are_under_way_end_before_what_needs_them() -> None:
@@ -186,4 +190,4 @@ def test_calls_that_are_under_way_end_before_what_needs_them() -> None:
     move = plan_graph(rooms(), Plan((PlanStep("move", ("r1", "a", "b"), 0.0),))).calls[0]
     graph = plan_graph(problem, Plan((PlanStep("move", ("r1", "b", "c"), 0.0),)), [move])
     with pytest.raises(PlanGraphError, match="the initial state"):
-        check_order(problem, without(graph, *graph.orderings), projected=True)
+        check(problem, without(graph, *graph.orderings), projected=True)

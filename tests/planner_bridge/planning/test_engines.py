@@ -59,7 +59,7 @@ def test_fast_downward_proves_that_there_is_no_plan() -> None:
 
 @needs_java
 def test_what_enhsp_says_is_no_proof() -> None:
-    assert solve(rooms(ways="ba"), planner="enhsp").status is PlanningStatus.NO_PLAN
+    assert solve(rooms(goal="(and (at r1 a) (at r1 b))"), planner="enhsp").status is PlanningStatus.NO_PLAN
 
 
 def test_what_an_engine_cannot_do_is_named() -> None:

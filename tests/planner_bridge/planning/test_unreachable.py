@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import pytest
+from hypothesis import HealthCheck, given, settings
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall, forbid
+from planner_bridge.model.grounding import initial_knowledge, problem_now
 from planner_bridge.model.plan import PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.planning.solve import solve
 from planner_bridge.planning.unreachable import why_unreachable
+from pnm.core.logic.expressions import UNKNOWN
 from tests.support.pddl.problems import fleet, hard, matches, rooms, tanks
+from tests.support.pddl.random_problems import problems as random_problems
 
 FETCH = """
 (define (domain fetch)
@@ -56,7 +60,7 @@ def test_a_closed_door_is_the_reason() -> None:
 def test_goals_with_the_same_reason_have_it_said_once() -> None:
     nowhere = rooms(ways="ab", goal="(and (at r1 b) (at r1 c) (clean c))")
     assert why_unreachable(nowhere) == (
-        "(at r1 c) and (clean c) cannot be reached: move(r1, a, c) would do it, but (way a c) is never true"
+        "(at r1 c) and (clean c) cannot be reached: move(r1, a, c) would do the first, but (way a c) is never true"
     )
     closed = parse_problem(CLOSED.replace("(at r1 dock))))", "(at r1 kitchen))))"), parse_domain(FETCH))
     assert why_unreachable(closed).startswith("(holding r1 cup) and (at r1 kitchen) cannot be reached: ")
@@ -64,9 +68,7 @@ def test_goals_with_the_same_reason_have_it_said_once() -> None:
 
 def test_an_action_that_is_not_to_be_tried_again_is_the_reason() -> None:
     forbidden = forbid(rooms(ways="ab bc", goal="(at r1 c)"), frozenset({ForbiddenCall("move", ("r1", "b", "c"))}))
-    assert why_unreachable(forbidden) == (
-        "(at r1 c) cannot be reached: move(r1, b, c) would do it, but (not (forbidden-move r1 b c)) is never true"
-    )
+    assert why_unreachable(forbidden) == ("(at r1 c) cannot be reached: move(r1, b, c) would do it, but move(r1, b, c) must not be used")
 
 
 @pytest.mark.parametrize(
@@ -89,6 +91,82 @@ def test_an_action_that_is_not_to_be_tried_again_is_the_reason() -> None:
 )
 def test_the_condition_that_is_never_true_is_named(goal: str, init: str, actions: str, reason: str) -> None:
     assert reason in why_unreachable(small(goal, init, actions=actions))
+
+
+TURTLE = """
+(define (domain turtle) (:requirements :typing :fluents :durative-actions) (:types waypoint robot)
+  (:predicates (robot_at ?v - robot ?wp - waypoint) (visited ?wp - waypoint) (undocked ?v - robot) (docked ?v - robot)
+    (dock_at ?wp - waypoint) (way ?a ?b - waypoint) (charger ?wp - waypoint))
+  (:functions (speed ?v - robot) (battery ?v - robot) (distance ?a ?b - waypoint))
+  (:durative-action go :parameters (?v - robot ?from ?to - waypoint) :duration (= ?duration (/ (distance ?from ?to) (speed ?v)))
+    :condition (and (at start (robot_at ?v ?from)) (at start (way ?from ?to)) (over all (undocked ?v))
+      (at start (>= (battery ?v) (distance ?from ?to))))
+    :effect (and (at end (visited ?to)) (at end (robot_at ?v ?to)) (at start (not (robot_at ?v ?from)))
+      (at end (decrease (battery ?v) (distance ?from ?to)))))
+  (:durative-action charge :parameters (?v - robot ?wp - waypoint) :duration (= ?duration 3)
+    :condition (and (over all (charger ?wp)) (over all (robot_at ?v ?wp))) :effect (at end (assign (battery ?v) 10)))
+  (:durative-action dock :parameters (?v - robot ?wp - waypoint) :duration (= ?duration 3)
+    :condition (and (over all (dock_at ?wp)) (at start (robot_at ?v ?wp)) (at start (undocked ?v)))
+    :effect (and (at end (docked ?v)) (at start (not (undocked ?v)))))
+  (:durative-action undock :parameters (?v - robot ?wp - waypoint) :duration (= ?duration 2)
+    :condition (and (over all (dock_at ?wp)) (at start (docked ?v)))
+    :effect (and (at start (not (docked ?v))) (at end (undocked ?v)))))
+"""
+TOUR = """
+(define (problem tour) (:domain turtle) (:objects a b c - waypoint t - robot)
+  (:init (robot_at t a) (docked t) (dock_at a) (charger b) (way a b) (way b c) (= (speed t) 0.5) (= (battery t) 3)
+    (= (distance a b) 2) (= (distance b c) 2))
+  (:goal (visited c)))
+"""
+
+
+def test_a_tour_that_is_possible_has_a_plan() -> None:
+    assert solve(parse_problem(TOUR, parse_domain(TURTLE))).plan
+
+
+@pytest.mark.parametrize(
+    ("gone", "instead", "why"),
+    [
+        ("(docked t)", "", "undock(t, a) needs (docked t), which is never true"),
+        ("(dock_at a)", "", "undock(t, a) needs (dock_at a), which is never true"),
+        ("(robot_at t a)", "", "(robot_at t b) is never true"),
+        ("(way a b)", "", "go(t, a, b) needs (way a b), which is never true"),
+        ("(= (speed t) 0.5)", "", "(speed t) has no value"),
+        ("(= (distance b c) 2)", "", "(distance b c) has no value"),
+        ("(= (battery t) 3)", "(= (battery t) 1)", "go(t, a, b) needs (>= (battery t) (distance a b)), which is never true"),
+        ("(= (distance b c) 2)", "(= (distance b c) 12)", "(>= (battery t) (distance b c)) is never true"),
+        ("(= (distance a b) 2)", "(= (distance a b) 12)", "go(t, a, b) needs (>= (battery t) (distance a b)), which is never true"),
+    ],
+)
+def test_what_is_missing_for_a_tour_is_named(gone: str, instead: str, why: str) -> None:
+    found = solve(parse_problem(TOUR.replace(gone, instead), parse_domain(TURTLE)))
+    assert found.reason == f"proved unsolvable: (visited c) cannot be reached: go(t, b, c) would do it, but {why}"
+
+
+def test_an_action_is_said_to_need_only_what_it_needs_itself() -> None:
+    shut = "(:action open :parameters () :precondition (q) :effect (r)) (:action go :parameters () :precondition (and (r) (s)) :effect (p))"
+    assert why_unreachable(small("(p)", actions=shut)) == "(p) cannot be reached: go() would do it, but (s) is never true"
+
+
+def test_a_robot_whose_place_is_unknown_may_be_anywhere() -> None:
+    problem = parse_problem(CLOSED.replace("(on cup", "(door_open) (on cup"), parse_domain(FETCH))
+    world = initial_knowledge(problem)
+    world.update({("at", "r1", place): UNKNOWN for place in ("dock", "hall", "kitchen")})
+    found = solve(problem_now(problem, world))
+    assert found.status is PlanningStatus.NO_PLAN
+    assert found.message == (
+        "(holding r1 cup) cannot be reached with what is known: grasp(r1, cup, kitchen) would do it, but (at r1 kitchen) is unknown; "
+        "(at r1 dock) cannot be reached with what is known: (at r1 dock) is unknown"
+    )
+    world.update({("door_open",): False, ("at", "r1", "kitchen"): False})
+    assert solve(problem_now(problem, world)).status is PlanningStatus.UNSOLVABLE  # wherever it is: the door is closed
+
+
+@given(random_problems())
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+def test_what_a_plan_reaches_is_not_called_unreachable(problem: Problem) -> None:
+    found = solve(problem, timeout=2.0)
+    assert not (found.plan and why_unreachable(problem))
 
 
 @pytest.mark.parametrize(

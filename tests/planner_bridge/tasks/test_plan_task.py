@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
 from io import StringIO
+from pathlib import Path
+
+import pytest
 
 from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.node_console import TaskConsole
+from planner_bridge.pipeline import carry_out
 from planner_bridge.tasks.settings import Settings
+from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.language.plan import HandWrittenPlan, parse_plans
@@ -87,3 +92,48 @@ def test_goals_share_resources_with_the_capacities_that_plans_give_them() -> Non
         assert first == second < third
 
     simulate_tasks(scenario, fleet(robots=3), chosen=chosen, programs={"spare": Program.of(plan)})
+
+
+SHOP = """
+requirements: [durative-actions, timed-initial-literals]
+predicates: [(open), (bought), (ready)]
+actions:
+  knock: {duration: %d, effects: {at_end: [(ready)]}}
+  buy: {duration: 3, preconditions: {over_all: [(open)]}, effects: {at_end: [(bought)]}}
+problem:
+  init: [{at: 10, facts: [(open)]}, {at: 20, facts: [(not (open))]}]
+  goal: (bought)
+plan:
+  - knock: {}
+    recoveries: {during: {aborted: [replan]}}
+  - buy: {}
+"""
+
+
+@pytest.mark.parametrize(("duration", "bought"), [(2, [10.0]), (38, [])])
+def test_a_planner_that_takes_over_knows_which_facts_are_still_to_change_by_themselves(
+    duration: int, bought: list[float], tmp_path: Path
+) -> None:
+    file = tmp_path / "shop.yaml"
+    file.write_text(SHOP % duration)
+    result = carry_out(file, faults=Faults((Fault("knock", FaultKind.ABORT),)))
+    assert result.goal_reached is bool(bought), result.reason
+    assert [call.started for call in result.calls if call.call.action.name == "buy" and call.outcome == "succeeded"] == bought
+
+
+TIDE = """
+predicates: [(tide), (wet)]
+actions: {wave: {duration: 1, effects: [(wet)]}}
+problem: {init: [{at: 5, facts: [(tide)]}], goal: [(tide), (wet)]}
+plan: [wave: ]
+"""
+
+
+def test_facts_change_by_themselves_for_a_plan_of_a_node_as_well() -> None:
+    (plan,) = parse_plans(TIDE).values()
+
+    async def scenario(simulation: TaskSimulation) -> None:
+        task = simulation.want("beach", is_plan=True)
+        assert await simulation.ended_with(task) == [Code.GOAL_REACHED], simulation.endings[task]
+
+    simulate_tasks(scenario, chosen=Settings(), programs={"beach": Program.of(plan)})

@@ -18,7 +18,6 @@ from tests.support.processes import pnm
 DELIVERY = ROOT / "domains/delivery/domain.pddl", ROOT / "problems/delivery/p01.pddl"
 EVERYTHING = Binding(
     server="/{robot}/move",
-    several_servers=True,
     type="nav2_msgs/action/NavigateToPose",
     goal={"pose": "$pose", "to": "?to", "deep": {"list": [1, 2.5, True, None, "on"], "x": "(distance ?from ?to)"}},
     store={"time": "travel time"},
@@ -27,6 +26,7 @@ EVERYTHING = Binding(
     cancel=1.0,
     retries=2,
     ask={"place": "Where to, {robot}?"},
+    several_servers=True,
     resources=("{robot}/base", "lift"),
 )
 

@@ -171,7 +171,21 @@ plan:
     after: nothing
 """
     )
-    assert orderings(plan) == {(0, 1), (0, 2), (3, 4), (2, 6), (0, 6), (6, 5)}
+    assert orderings(plan) == {(0, 1), (0, 2), (1, 4), (2, 4), (3, 4), (2, 6), (0, 6), (6, 5)}
+
+
+def test_a_step_that_names_none_waits_for_all_before_it_that_do_not_wait_for_it(read: Read) -> None:
+    light = f"""\
+{ACTIONS}plan:
+  - {{go: , id: light, end_after: [look]}}
+  - {{go: , after: [{{start: light}}]}}
+  - {{go: }}
+  - {{go: , id: look}}
+  - {{go: }}
+"""
+    ends = {pair for pair in orderings(read(light)) if 0 not in pair}
+    assert ends == {(1, 2), (2, 3)}
+    assert (0, 4) in orderings(read(light))
 
 
 def test_starts_ends_and_times_are_waited_for(read: Read) -> None:

@@ -179,7 +179,7 @@ free: {plan: [a: ]}
 
 WRONG = [
     *refused(BAD_INPUT / "plans.yaml"),
-    ("plan: [{any: , id: x, after: [y]}, {any: , id: y}]", "1:8: steps wait for each other: "),
+    ("plan: [{any: , id: x, after: [y]}, {any: , id: y, after: [x]}]", "1:8: steps wait for each other: "),
     ("x: {plan: [y: ]}\ny: {plan: [z: ]}\nz: {plan: [x: ]}", "the plan would never end: "),
 ]
 

@@ -51,10 +51,16 @@ def size(tree: Tree) -> int:
 
 
 def earlier(block: Block) -> set[tuple[int, int]]:
-    """Which parts of the block come before which: as it is said, and all that follows from it."""
-    usual = [(number - 1,) if number and block.kind == "sequence" else () for number in range(len(block.parts))]
-    waits = usual if block.waits is None else [unsaid if said is None else said for said, unsaid in zip(block.waits, usual, strict=True)]
-    return closure({(one, number) for number, befores in enumerate(waits) for one in befores}, range(len(block.parts)))
+    """Which parts of the block come before which: as it is said, and all that follows from it.
+
+    In a sequence, a part of which nothing is said comes after all before it that come after none from there on, as it is said.
+    """
+    numbers = range(len(block.parts))
+    waits = [None for _ in numbers] if block.waits is None else block.waits
+    said = closure({(one, number) for number, befores in enumerate(waits) for one in befores or ()}, numbers)
+    unsaid = [number for number in numbers if waits[number] is None and block.kind == "sequence"]
+    usual = {(one, number) for number in unsaid for one in range(number) if not any((later, one) in said for later in numbers[number:])}
+    return closure(said | usual, numbers)
 
 
 def closure(pairs: set[tuple[int, int]], numbers: Iterable[int]) -> set[tuple[int, int]]:
@@ -154,9 +160,8 @@ def blocks(draw: st.DrawFn, parts: st.SearchStrategy[Tree]) -> Block:
         return Block(kind, inside)
     ranks = draw(st.permutations(range(length)))
     waits: list[tuple[int, ...] | None] = []
-    for number, rank in enumerate(ranks):
-        may_be_left_unsaid = kind == "concurrent_actions" or number == 0 or ranks[number - 1] < rank
-        if may_be_left_unsaid and draw(st.booleans()):
+    for rank in ranks:
+        if draw(st.booleans()):
             waits.append(None)
         else:
             waits.append(tuple(one for one in range(length) if ranks[one] < rank and draw(st.booleans())))

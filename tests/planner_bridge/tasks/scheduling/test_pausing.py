@@ -195,7 +195,7 @@ async def test_a_paused_task_keeps_nobody_waiting(simulation: TaskSimulation):
 async def test_a_task_that_a_pause_leaves_without_a_plan_keeps_nobody_waiting(simulation: TaskSimulation):
     paused = await simulation.begun("(at r0 a1)")
     await simulation.master.pause(paused, at_once=True)
-    assert simulation.seen(paused, "replanned"), "its server has not confirmed that it has stopped"
+    await simulation.sees(paused, "replanned")  # its server has not confirmed that it has stopped
     for goal in ("(at r1 a2)", "(at r1 a1)"):
         await simulation.reaches(simulation.want(goal))
 

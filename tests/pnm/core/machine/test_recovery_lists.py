@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from pnm.core.logic.conditions import Holds
+from pnm.core.logic.conditions import Holds, Not
+from pnm.core.logic.effects import Set
+from pnm.core.logic.expressions import Constant
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, Cause, Flow, GroundAction, PlanGraph, PlanGraphError, Recovery, Then
 from pnm.core.machine.verification.verify import explore, verify
@@ -46,9 +48,13 @@ def test_lists_of_two_causes_share_the_uses_of_a_recovery() -> None:
 
 
 def test_start_effects_stay_only_for_the_recovery_that_goes_on() -> None:
-    graph = bad(Recovery(ABORTED, Then.RETRY, FIX), Recovery(ABORTED, Then.CONTINUE, Flow()))
-    verify(generate(graph))
-    assert drive(graph, answering_with(bad=["aborted"] * 2)).result.goal
+    lit = Holds(("lit",))
+    light = GroundAction("light", start_effects=(Set(("lit",), Constant(True)),), duration=1.0)
+    in_the_dark = Flow((ActionCall(1, GroundAction("fix", precondition=Not(lit)), retries=0),))
+    recoveries = (Recovery(ABORTED, Then.RETRY, in_the_dark), Recovery(ABORTED, Then.CONTINUE, Flow()))
+    graph = PlanGraph((ActionCall(0, light, recoveries=recoveries, retries=0),), goal=lit)
+    trace = drive(graph, answering_with(light=["aborted"] * 2))
+    assert (trace.actions, trace.result.goal) == (["light", "fix", "light"], True), trace.result.reason
 
 
 def test_checks_of_ones_own_are_tried_in_order_where_their_conditions_hold() -> None:

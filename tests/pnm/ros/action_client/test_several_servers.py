@@ -53,7 +53,7 @@ def test_a_binding_allows_them(with_client, start, names):
     with_client(scenario, act=Binding(server=name, several_servers=True))
 
 
-def test_a_second_server_is_noticed_while_the_first_one_is_at_work(with_client, start, names):
+def test_a_second_server_ends_what_the_first_one_is_at_work_on_with_the_reason(with_client, start, names):
     name = names()
     start(name)
 
@@ -61,8 +61,23 @@ def test_a_second_server_is_noticed_while_the_first_one_is_at_work(with_client, 
         sent = client.send("act", action="hang")
         await sent.accepted()
         await asyncio.to_thread(start, name)
-        await until(client, OutcomeKind.UNAVAILABLE)
-        client.cancel(sent)
-        assert (await sent.ended()).kind is OutcomeKind.CANCELED
+        outcome = await sent.ended()
+        assert outcome.kind is OutcomeKind.UNAVAILABLE
+        assert outcome.message.startswith(f"there are 2 action servers /{name}, all of which would carry out every goal")
+        assert (await client.send("act", action="succeed").ended()).message == outcome.message
 
     with_client(scenario, act=Binding(server=name))
+
+
+def test_a_second_server_that_is_allowed_does_not_make_the_first_one_lost(with_client, start, names):
+    name = names()
+    start(name)
+
+    async def scenario(client):
+        sent = client.send("act", action="slow", arguments=["15"])
+        await sent.accepted()
+        await asyncio.to_thread(start, name)
+        outcome = await sent.ended()
+        assert (outcome.kind, outcome.message) == (OutcomeKind.SUCCEEDED, "done")
+
+    with_client(scenario, act=Binding(server=name, several_servers=True))

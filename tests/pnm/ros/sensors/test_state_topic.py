@@ -27,6 +27,10 @@ FACTS = {
 }
 
 
+def ignore(*_):
+    pass
+
+
 def test_a_report_is_handed_on_and_recorded(ros, start):
     report = {"names": ["at", "battery"], "facts": ["(at r1 hall)"], "fluents": ["(battery r1)"], "values": [80.0], "sequence": 7}
     world = KnowledgeBase({("at", "r1", "kitchen"): True})
@@ -37,7 +41,7 @@ def test_a_report_is_handed_on_and_recorded(ros, start):
         sequences.append(sequence)
 
     async def scenario():
-        sensing = SensedReports(ros, asyncio.get_running_loop(), record)
+        sensing = SensedReports(ros, asyncio.get_running_loop(), record, ignore)
         await asyncio.to_thread(start, "--report", json.dumps(report))
         async with asyncio.timeout(LIMIT):
             while not await sensing.first(5.0):
@@ -51,7 +55,7 @@ def test_a_report_is_handed_on_and_recorded(ros, start):
 
 def test_nobody_who_reports_is_not_waited_for(ros):
     async def scenario():
-        sensing = SensedReports(ros, asyncio.get_running_loop(), lambda *_: None, topic="nobody/reports")
+        sensing = SensedReports(ros, asyncio.get_running_loop(), ignore, ignore, topic="nobody/reports")
         await ros.settled()
         since = monotonic()
         assert not await sensing.first(LIMIT)
@@ -61,11 +65,12 @@ def test_nobody_who_reports_is_not_waited_for(ros):
     assert asyncio.run(scenario()) < LIMIT / 2
 
 
-def test_a_malformed_report_is_ignored_and_logged(ros, caplog):
-    heard = []
+def test_a_malformed_report_is_refused_with_its_names_and_the_reason(ros):
+    heard, refused = [], []
 
     async def scenario():
-        sensing = SensedReports(ros, asyncio.get_running_loop(), lambda *report: heard.append(report), topic="knowledge/malformed")
+        loop, topic = asyncio.get_running_loop(), "knowledge/malformed"
+        sensing = SensedReports(ros, loop, lambda *report: heard.append(report), lambda *report: refused.append(report), topic)
         publisher = await ros.ask(lambda: ros.node.create_publisher(State, "knowledge/malformed", LATCHED))
         await ros.ask(lambda: publisher.publish(State(names=["at"], facts=["at r1 hall"])))
         await ros.ask(lambda: publisher.publish(State(names=["at"], sequence=2)))
@@ -75,7 +80,9 @@ def test_a_malformed_report_is_ignored_and_logged(ros, caplog):
 
     asyncio.run(scenario())
     assert heard == [(frozenset({"at"}), {}, 2)]
-    assert "ignored a report on knowledge/malformed: not a fact: 'at r1 hall'" in caplog.text
+    ((names, reason),) = refused
+    assert names == {"at"}
+    assert reason.startswith("not a fact: 'at r1 hall'")
 
 
 def test_what_is_written_is_read():

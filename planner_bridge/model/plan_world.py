@@ -1,4 +1,4 @@
-"""The world of hand-written plans as a problem without actions, so that facts of it can be queried and updated as PDDL."""
+"""The world of hand-written plans as a problem without actions: facts of it can be queried and updated as PDDL, and reports checked."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Final, TypeAlias
 from planner_bridge.model.problem import Domain, Problem
 from pnm.core.logic.computed_values import fluents_in
 from pnm.core.logic.conditions import Compare, Computed, Condition, Holds, every_part
+from pnm.core.logic.declared_names import Vocabulary
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.effects import Effects, Set, When, every_effect
 from pnm.core.logic.expressions import DURATION, UNDEFINED, Constant, Fluent, Value, Variable, expression_fluents
@@ -38,6 +39,30 @@ def world_of_plans(plans: Iterable[HandWrittenPlan]) -> Problem:
     rules = tuple({str(rule): rule for plan in plans for rule in plan.rules.rules}.values())
     domain = Domain("plans", types=types, predicates=declarations.predicates, functions=declarations.functions, rules=rules)
     return Problem("plans", domain, objects or dict.fromkeys(declarations.objects, ("object",)))
+
+
+def names_of_world(problem: Problem | None, plans: Iterable[HandWrittenPlan]) -> Vocabulary:
+    """Return the names that reports about a world may have: those of its problem, and those that its plans declare or use.
+
+    Plans get objects while they run, in parameters and results, so their facts may also be about objects that are not declared.
+    """
+    plans, own = tuple(plans), problem.vocabulary if problem else Vocabulary({}, is_complete=False)
+    declared = {name: types for plan in plans for name, types in plan.declared.objects.items()}
+    theirs = replace(world_of_plans(plans), own_objects=declared).vocabulary
+    names = theirs.fluents.union(fluent[0] for plan in plans for fluent, _ in _uses(plan)) - own.fluents
+    domains = [plan.declared.domain.fluents for plan in plans]
+    disputed = {name for name in names if len({fluents[name] for fluents in domains if name in fluents}) > 1}
+    return Vocabulary(
+        own.actions,
+        own.fluents | names,
+        own.objects | theirs.objects,
+        own.derived | (theirs.derived & names),
+        {name: signature for name, signature in {**theirs.signatures, **own.signatures}.items() if name not in disputed},
+        {**theirs.types, **own.types},
+        {**theirs.types_of, **own.types_of},
+        frozenset(names),
+        is_complete=problem is not None or (bool(plans) and all(domains)),
+    )
 
 
 def with_names_of(problem: Problem, plans: Iterable[HandWrittenPlan], texts: Iterable[str]) -> Problem:

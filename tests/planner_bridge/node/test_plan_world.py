@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Awaitable, Callable
 
 import pytest
 
 from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.plan_world import names_of_world
 from planner_bridge.node.problem_folder import ProblemFolder
 from planner_bridge.node.problem_service import NOTHING, LoadedProblem, ServedProblem
 from planner_bridge.tasks.settings import Settings
 from pnm.clock import run_async
 from pnm.errors import InputError
 from pnm.language.plan import parse_plans
+from tests.support.tasks.world import PROBLEM
 
 UNDECLARED = """
 actions:
@@ -126,6 +130,49 @@ def test_declarations_of_plans_count_as_those_of_a_problem_do() -> None:
             await world.load("  ", "(define (problem p) (:domain plans) (:goal (open)))")
 
     with_node_of(DECLARED, scene)
+
+
+REPORTS = [
+    (DECLARED, ("at", "r1", "hall"), True, ""),
+    (DECLARED, ("at", "visitor", "hall"), True, ""),
+    (DECLARED, ("place", "r1"), "hall", ""),
+    (DECLARED, ("at", "hall", "r1"), True, "hall is a room; expected a robot"),
+    (DECLARED, ("at", "r1"), True, "(at r1) has 1 arguments; expected 2"),
+    (DECLARED, ("battery", "r1"), True, "(battery r1) is reported as a predicate"),
+    (DECLARED, ("battery", "r1"), math.inf, "expected a finite number"),
+    (DECLARED, ("ready", "r1"), True, "facts of ready follow from rules"),
+    (DECLARED, ("flies", "r1"), True, "there is no predicate or function 'flies'"),
+    (UNDECLARED, ("flies", "r1"), True, ""),
+    (UNDECLARED, ("at", "r9", "cellar"), True, ""),
+    (UNDECLARED, ("at", "r1"), True, "(at r1) has 1 arguments; expected 2"),
+    (UNDECLARED, ("battery", "r1"), True, "(battery r1) is reported as a predicate"),
+]
+
+
+@pytest.mark.parametrize(("text", "fluent", "value", "said"), REPORTS)
+def test_reports_are_checked_as_far_as_plans_declare_or_use_names(text, fluent, value, said) -> None:
+    names = names_of_world(None, parse_plans(text).values())
+    if said:
+        with pytest.raises(InputError, match=re.escape(said)):
+            names.check_report(fluent, value)
+    else:
+        names.check_report(fluent, value)
+
+
+def test_beside_a_problem_its_names_are_those_that_count() -> None:
+    names = names_of_world(PROBLEM, parse_plans(UNDECLARED).values())
+    names.check_report(("rainy",), True)
+    names.check_report(("lost", "anything"), True)
+    for fluent, said in ((("charged", "anything"), "there is no object 'anything'"), (("flies", "r1"), "there is no predicate")):
+        with pytest.raises(InputError, match=said):
+            names.check_report(fluent, True)
+
+
+def test_plans_that_declare_a_name_differently_leave_it_unchecked() -> None:
+    other = DECLARED.replace("(battery ?r - robot) - number", "(battery) - number")
+    names = names_of_world(None, (*parse_plans(DECLARED).values(), *parse_plans(other).values()))
+    names.check_report(("battery", "r1"), 1.0)
+    names.check_report(("battery",), 1.0)
 
 
 def test_without_a_problem_there_are_no_goals() -> None:

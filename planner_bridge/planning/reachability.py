@@ -1,0 +1,278 @@
+"""Reachability: which facts actions can bring about if nothing is ever undone, and how far away the others are.
+
+Times are left out, a number may have any value once something can change it, and so may the objects that fluents have; what was
+true once counts as true for ever. Whatever cannot be reached this way cannot be reached at all, by whatever arithmetic. Every fact
+that the goal may need gets the cheapest *lack*: conditions that are never true, and that are all it would take. What lacks nothing
+can be reached.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Final, NamedTuple, TypeAlias
+
+from planner_bridge.model.grounding import dynamic_names, initial_knowledge
+from planner_bridge.model.problem import Problem
+from planner_bridge.planning.normal_form import Assignment, assignments
+from pnm.core.logic.conditions import All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, fluents
+from pnm.core.logic.domain import ActionSchema
+from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.expressions import (
+    DURATION,
+    NOTHING,
+    Constant,
+    Environment,
+    Expression,
+    Fluent,
+    ValueOf,
+    Variable,
+    bind,
+    choices,
+    expression_fluents,
+    ground_expression,
+    is_number,
+    value_of,
+)
+
+MAY_BE_UNSET: Final = "total-cost"
+"""The number that actions may change although it has no value."""
+_LIMIT: Final = 20_000
+"""Ground actions that are looked at."""
+_FAR: Final = range(1000, 500, -1)
+"""The weights of what actions are there for, if none can bring it about: the farther from the goal, the lighter."""
+
+
+class TooLarge(Exception):
+    """There are more ground actions than can be looked at."""
+
+
+Lack: TypeAlias = frozenset[Condition]
+
+
+class Literal(NamedTuple):
+    """A fact that is to be true or false, or a comparison that is to be so or not."""
+
+    subject: Fluent | Compare
+    truth: bool
+
+    @property
+    def condition(self) -> Condition:
+        """The literal as a condition."""
+        subject = self.subject if isinstance(self.subject, Compare) else Holds(self.subject)
+        return subject if self.truth else Not(subject)
+
+
+class Achiever(NamedTuple):
+    """A ground action, or a rule without a name, that may make a literal true if its condition holds."""
+
+    name: str
+    condition: Condition
+    env: Environment
+
+
+@dataclass
+class Way:
+    """How a literal may become true: what is lacking for it, and what would make it true then; None if that is the literal itself."""
+
+    weight: int
+    lack: Lack
+    achievers: list[Achiever]
+    by: Achiever | None = None
+
+
+_Part: TypeAlias = tuple[Condition, Environment, bool]
+"""A condition, with objects for its variables, that is to be true or false."""
+
+
+class Reachability:
+    """The literals that the goal may need, each with its lack. The mutable state is these, and the number of ground actions.
+
+    Args:
+        problem: what cannot be solved.
+        possible: facts and numbers that may have any value.
+    """
+
+    def __init__(self, problem: Problem, possible: frozenset[Fluent]) -> None:
+        self._problem = problem
+        self.state = initial_knowledge(problem)
+        self._changing = dynamic_names(problem)
+        self._possible = possible
+        timed = [pair for change in problem.timed for pair in change.changes.items()]
+        self._timed = {(fluent, truth) for fluent, value in timed for truth in ({value} if isinstance(value, bool) else (True, False))}
+        self._in_tables = {fluent[0] for fluent in problem.init}
+        self._ways: dict[Literal, Way] = {}
+        self._count = 0
+
+    def settle(self, goal: Condition) -> None:
+        """Work the lacks out: each only ever gets cheaper."""
+        self.of(goal)
+        is_settled = False
+        while not is_settled:
+            known, is_settled = [*self._ways.values()], True
+            for way in known:
+                for achiever in way.achievers:
+                    lack = self.of(achiever.condition, achiever.env)
+                    if self.cost(lack) < self.cost(way.lack):
+                        way.lack, way.by, is_settled = lack, achiever, False
+            is_settled = is_settled and len(known) == len(self._ways)
+
+    def of(self, condition: Condition, env: Environment = NOTHING, truth: bool = True) -> Lack:
+        """Return the cheapest lack of the condition, or of its opposite; empty if it can be reached."""
+        if literal := literal_of(condition, env, truth):
+            return self.way(literal).lack
+        parts, is_every = self.parts(condition, env, truth)
+        lacks = (self.of(*part) for part in parts)
+        return frozenset().union(*lacks) if is_every else min(lacks, key=self.cost, default=frozenset({condition}))
+
+    def cost(self, lack: Lack) -> int:
+        """Return how far the conditions are from true."""
+        return sum(self.way(literal).weight if (literal := literal_of(condition)) else 1 for condition in lack)
+
+    def lacking(self, condition: Condition, env: Environment = NOTHING, truth: bool = True) -> tuple[Condition, ...]:
+        """Return what of the condition cannot be reached; of alternatives the cheapest."""
+        if not self.of(condition, env, truth):
+            return ()
+        if literal := literal_of(condition, env, truth):
+            return (literal.condition,)
+        parts, is_every = self.parts(condition, env, truth)
+        chosen = parts if is_every else [min(parts, key=lambda part: self.cost(self.of(*part)))] if parts else []
+        lacks = dict.fromkeys(lack for part in chosen for lack in self.lacking(*part))
+        return tuple(lacks) or (condition if truth else Not(condition),)
+
+    def parts(self, condition: Condition, env: Environment, truth: bool) -> tuple[list[_Part], bool]:
+        """Return the parts of a condition, or of its opposite, and whether every one of them is needed."""
+        match condition:
+            case Not(operand):
+                return [(operand, env, not truth)], True
+            case All(operands) | Any(operands):
+                return [(operand, env, truth) for operand in operands], isinstance(condition, All) is truth
+            case Implies(left, right):
+                return [(left, env, not truth), (right, env, truth)], not truth
+            case ForAll(variables, body) | Exists(variables, body):
+                return [(body, inner, truth) for inner in choices(variables, self.state, env)], isinstance(condition, ForAll) is truth
+            case _:  # what is computed at run time may come out either way
+                return [], True
+
+    def way(self, literal: Literal) -> Way:
+        """Return how the literal may become true."""
+        if literal not in self._ways:
+            self._ways[literal] = way = Way(0, frozenset(), [])
+            if not self.may_be(literal):
+                way.achievers += self.achievers(literal)
+                way.weight = self.weight(literal)
+                way.lack = frozenset({literal.condition})
+        return self._ways[literal]
+
+    def weight(self, literal: Literal) -> int:
+        """Return how far what is not true is from true: most what actions are there for, then maps and tables, least a single switch."""
+        subject, truth = literal
+        if isinstance(subject, Compare):
+            return 2 * max((len(fluent) for fluent in self.without_value(subject)), default=1)
+        if not self.is_end(literal.condition):
+            return _FAR[min(len(self._ways), len(_FAR)) - 1]
+        return len(subject) if truth and subject[0] in self._in_tables else 1
+
+    def may_be(self, literal: Literal) -> bool:
+        """Return whether the literal is true at first, or may become so by itself."""
+        subject, truth = literal
+        mentioned = fluents(literal.condition, self.state)
+        if mentioned & self._possible or any((fluent, truth) in self._timed for fluent in mentioned):
+            return True
+        if isinstance(subject, Compare):
+            is_known = {fluent[0] for fluent in mentioned} <= self._problem.domain.functions.keys()
+            return not is_known or (not self.without_value(subject) and evaluate(subject, self.state) is truth)
+        return bool(self.state.value(subject)) is truth or (not truth and subject[0] in self.state.rules.derived)
+
+    def without_value(self, comparison: Compare) -> list[Fluent]:
+        """Return the fluents of the comparison that have no value at first and never get one."""
+        mentioned = sorted(fluents(comparison, self.state))
+        return [fluent for fluent in mentioned if fluent[0] not in self._changing and self.state.value(fluent) is None]
+
+    def achievers(self, literal: Literal) -> Iterator[Achiever]:
+        """Yield what may make the literal true."""
+        subject, truth = literal
+        if isinstance(subject, tuple) and subject[0] in self.state.rules.derived:
+            for rule in self.state.rules.rules:
+                if rule.name == subject[0]:
+                    env = dict(zip((variable.name for variable in rule.variables), subject[1:], strict=True))
+                    yield Achiever("", rule.condition, env)
+        elif isinstance(subject, tuple):
+            yield from self.actions(subject, lambda effect, _: effect.value == Constant(truth))
+        elif not self.without_value(subject):
+            for fluent in sorted(fluents(subject, self.state)):
+                yield from self.actions(fluent, partial(self.may_help, subject, truth, fluent))
+
+    def actions(self, fluent: Fluent, helps: Callable[[Assignment, Environment], bool]) -> Iterator[Achiever]:
+        """Yield the ground actions with an effect on the fluent that helps."""
+        for schema in self._problem.domain.actions.values():
+            at_end, defined = All((schema.precondition, schema.invariant, schema.end_condition)), _defined(schema)
+            for effects, needed in ((schema.start_effects, schema.precondition), (schema.end_effects, at_end)):
+                for effect in assignments(effects, schema.parameters):
+                    if effect.fluent[0] != fluent[0]:
+                        continue
+                    for env in self.matches(effect.fluent, fluent, (*schema.parameters, *effect.variables)):
+                        self._count += 1
+                        if self._count > _LIMIT:
+                            raise TooLarge
+                        if helps(effect, env):
+                            name = f"{schema.name}({', '.join(str(env[variable.name]) for variable in schema.parameters)})"
+                            yield Achiever(name, All((needed, effect.condition, *defined)), env)
+
+    def matches(self, pattern: Fluent, fluent: Fluent, variables: tuple[Variable, ...]) -> Iterator[Environment]:
+        """Yield the choices of objects for the variables with which the pattern is the fluent."""
+        types = {variable.name: variable.types for variable in variables}
+        env: dict[str, object] = {}
+        for term, name in zip(pattern, fluent, strict=True):
+            if (env.setdefault(term, name) if term in types else term) != name:
+                return
+        if all(name in self.state.objects(types[term]) for term, name in env.items()):
+            yield from choices(tuple(variable for variable in variables if variable.name not in env), self.state, env)
+
+    def may_help(self, comparison: Compare, truth: bool, fluent: Fluent, effect: Assignment, env: Environment) -> bool:
+        """Return whether an effect on a number may make a comparison true, or false; not if it moves the number the other way."""
+        left, right = comparison.left, comparison.right
+        sides = ((left, right, 1), (right, left, -1))
+        alone = [(other, sign) for side, other, sign in sides if side == ValueOf(fluent) and fluent not in expression_fluents(other)]
+        if comparison.operation == "=" or not alone or not self.is_static(effect.value):
+            return True
+        amount = value_of(effect.value, self.state, env)
+        if not is_number(amount):
+            return False
+        other, sign = alone[0]
+        if effect.operation == "assign":
+            numbers = (Constant(amount), other) if sign > 0 else (other, Constant(amount))
+            return not self.is_static(other) or evaluate(Compare(comparison.operation, *numbers), self.state) is truth
+        wanted = sign if comparison.operation.startswith(">") is truth else -sign
+        return (amount if effect.operation == "increase" else -amount) * wanted > 0
+
+    def is_static(self, expression: Expression) -> bool:
+        """Return whether the expression always has the same value."""
+        return not any(fluent == DURATION or fluent[0] in self._changing for fluent in expression_fluents(expression))
+
+    def is_end(self, lack: Condition) -> bool:
+        """Return whether nothing brings the condition about, or nobody knows whether it holds."""
+        literal = literal_of(lack)
+        return literal is None or not self.way(literal).achievers or bool(self._problem.unknown & fluents(lack, self.state))
+
+
+def _defined(schema: ActionSchema) -> tuple[Condition, ...]:
+    """Return what must have a value if the action is to be possible: its duration, and the numbers that it always changes."""
+    changes = [*assignments(schema.start_effects, schema.parameters), *assignments(schema.end_effects, schema.parameters)]
+    values = [change.value for change in changes if change.is_plain and change.fluent[0].lower() != MAY_BE_UNSET]
+    expressions = [*(constraint.bound for constraint in schema.duration or ()), *values]
+    return tuple(Compare("=", expression, expression) for expression in dict.fromkeys(expressions) if any(expression_fluents(expression)))
+
+
+def literal_of(condition: Condition, env: Environment = NOTHING, truth: bool = True) -> Literal | None:
+    """Return the literal that the condition, or its opposite, is; None if it has several parts."""
+    match condition:
+        case Holds(fluent):
+            return Literal(bind(fluent, env), truth)
+        case Compare(operation, left, right):
+            return Literal(Compare(operation, ground_expression(left, env), ground_expression(right, env)), truth)
+        case Not(operand):
+            return literal_of(operand, env, not truth)
+        case _:
+            return None

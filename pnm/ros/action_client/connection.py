@@ -1,0 +1,159 @@
+"""The connection to one action server: its type, our client, the handshake, and whether there is one server of the name, none, or several.
+
+Everything here runs on the ROS thread.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from time import monotonic
+from typing import Any, Final
+from uuid import UUID
+
+from pnm.errors import InputError
+from pnm.ros.action_client.handshake import Handshake
+from pnm.ros.node.graph import absence, processes, server_name, types
+from pnm.ros.node.messages import import_type
+
+RETURN: Final = 5.0
+"""Seconds that goals wait for a server that went away: how long a restart may take."""
+DISCOVERY: Final = 5.0
+"""Seconds in which a server that is running is discovered."""
+START: Final = 10.0
+"""Seconds after the start of the node in which servers that are started together with it are expected."""
+_DEPTH: Final = 1000
+"""Unread responses that our client keeps; they come in bursts when many goals end together."""
+
+_log = logging.getLogger(__name__)
+
+
+class Connection:
+    """The connection to one action server, of a type that is given or found in the graph.
+
+    The mutable state is the client and its handshake, once the type is known, until when a missing server is expected, and when
+    something was answered twice last.
+
+    Args:
+        several: whether there may be several servers of this name, all of which carry out every goal.
+        joined: when the node joined the ROS graph, on the monotonic clock.
+        changed: called when goals may be sent that could not be sent before.
+        doubled: called with a goal that several servers have answered, though there may not be several.
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        server: str,
+        type_name: str | None,
+        joined: float,
+        *,
+        several: bool,
+        changed: Callable[[], None],
+        doubled: Callable[[UUID], None],
+    ) -> None:
+        self._node = node
+        self.name = server_name(node, server)
+        self._wanted_type = type_name
+        self.type: Any = import_type(type_name) if type_name else None
+        self._several = several
+        self._changed = changed
+        self._doubled = doubled
+        self._doubled_at = -math.inf
+        self.client: Any = None
+        self.handshake: Any = None
+        self._expected_until = max(joined + START, monotonic() + DISCOVERY)
+        if self.type is not None:
+            self._connect()
+
+    def __repr__(self) -> str:
+        return f"<Connection {self.name} {self.handshake}>"
+
+    def ready(self) -> bool:
+        """Return True if the server is there; connects to it when its type has become known."""
+        is_there = self._is_reached()
+        if is_there:  # polled on every look, so that the handshake is done before the first goal needs it
+            self._expected_until = math.inf
+            self.handshake.poll(self.processes(), monotonic())
+        elif self._expected_until == math.inf:  # it was there until now
+            self._expected_until = monotonic() + RETURN
+        return is_there
+
+    def _is_reached(self) -> bool:
+        if self.client is None and (known := types(self._node, self.name)):
+            try:
+                self.type = import_type(known[0])
+            except InputError as error:
+                _log.debug("%s: %s", self.name, error)
+                return False
+            self._connect()  # only now, because a client needs the type, which the graph shows once the server is there
+            # The server is in the graph, but the new client has yet to be matched with it.
+            self._expected_until = max(self._expected_until, monotonic() + DISCOVERY)
+        return self.client is not None and bool(self.client.server_is_ready())
+
+    def _connect(self) -> None:
+        from rclpy.qos import QoSProfile  # here, because rclpy is an extra
+
+        from pnm.ros.action_client.attentive_client import AttentiveClient
+
+        deep = QoSProfile(depth=_DEPTH)  # the default keeps ten responses; more goals than that may end between two turns of the executor
+        self.client = AttentiveClient(
+            self._node,
+            self.type,
+            self.name,
+            goal_service_qos_profile=deep,
+            result_service_qos_profile=deep,
+            cancel_service_qos_profile=deep,
+            answered_twice=self._note_second_answer,
+        )
+        self.handshake = Handshake(self.client, self._changed)
+
+    def absence(self, now: float) -> str:
+        """Return why the server, which is not ready, is not expected any more; empty while it is."""
+        return absence(self._node, self.name, self._wanted_type) if now >= self._expected_until else ""
+
+    def processes(self) -> frozenset[bytes]:
+        """Return the processes that serve the action."""
+        return processes(self._node, self.name)
+
+    def may_send(self) -> bool:
+        """Return True if the handshake with the server, which is ready, is done, and it is the only one of its name."""
+        present = self.processes()
+        return bool(self.handshake.is_done(present, monotonic())) and not self.rivals(present)
+
+    @property
+    def abandoned(self) -> int:
+        """The number of abandoned goals that the server may still be executing."""
+        return self.handshake.abandoned if self.handshake else 0
+
+    def close(self) -> None:
+        """Destroy the client."""
+        if self.client is not None:
+            self.client.destroy()
+
+    # several servers of one name
+
+    def are_several(self, present: frozenset[bytes]) -> bool:
+        """Return whether several servers of the name are alive, as far as is known."""
+        # Of servers that have answered, the graph of a busy machine may show one a little later.
+        return (len(present) > 1 and self._doubled_at > -math.inf) or monotonic() - self._doubled_at < DISCOVERY
+
+    def are_unclear(self, present: frozenset[bytes]) -> bool:
+        """Return whether it is not known yet how many of several processes are alive."""
+        return len(present) > 1 and not (self.are_several(present) or self.handshake.is_met(present, monotonic()))
+
+    def rivals(self, present: frozenset[bytes]) -> str:
+        """Return why nothing may be sent: other servers would carry it out as well; empty when there are none, or they are allowed."""
+        if not self.are_several(present):
+            self._doubled_at = -math.inf
+        elif not self._several:
+            number = max(2, len(present))
+            return f"there are {number} action servers {self.name}, all of which would carry out every goal (see `several_servers`)"
+        return ""
+
+    def _note_second_answer(self, goal: UUID | None) -> None:
+        """Note that two servers have answered one request, and the goal that it has sent, if it was one."""
+        self._doubled_at = monotonic()
+        if goal is not None and not self._several:
+            self._doubled(goal)
