@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from pnm.core.machine.machine import Accepts, AlreadyTrue, CallOutcome, Due, EffectsSeen, Ending, Ends, PetriNetMachine
-from pnm.core.machine.requests import OutcomeKind
+from pnm.core.machine.machine import Accepts, AlreadyTrue, CallOutcome, Due, EffectsMissing, EffectsSeen, Ending, Ends, PetriNetMachine
 from pnm.core.machine.verification.part import Part, Step, Unsound
 
 
@@ -100,9 +99,9 @@ def _is_true(step: Step) -> bool:
         case CallOutcome.ALREADY_TRUE:
             return isinstance(guard, AlreadyTrue)
         case CallOutcome.SUCCEEDED:
-            return isinstance(guard, EffectsSeen) or (isinstance(guard, Ends) and guard.kinds == {OutcomeKind.SUCCEEDED})
+            return isinstance(guard, EffectsSeen)
         case CallOutcome.CANCELED:
-            return isinstance(guard, Ends)
+            return isinstance(guard, Ends | EffectsMissing)
         case CallOutcome.UNCONFIRMED:
             return step.gives_up
         case CallOutcome.FAILED | CallOutcome.HANDED_OVER:
