@@ -194,7 +194,9 @@ class Run(RunView):
             raise RunError("the run has begun already")
         state.has_begun = True
         state.origin = state.now if state.origin is None else state.origin
-        self._agenda.extend(place for place, tokens in enumerate(self._engine.tokens) if tokens and place not in self._index.records)
+        first = [place for place, tokens in enumerate(self._engine.tokens) if tokens and place not in self._index.records]
+        state.marked_at.update(dict.fromkeys(first, state.now))
+        self._agenda.extend(first)
 
     def _report(self, report: Report) -> None:
         call = self._calls.open.get(report.request)
