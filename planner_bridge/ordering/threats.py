@@ -184,16 +184,16 @@ def is_harmless(trace: _Trace, intrusion: _Intrusion) -> bool:
     return bool(begins_before) and intrusion.leaves_true and all(wrong_writer(trace, need) is None for need in intrusion.others)
 
 
-def threats(graph: PlanGraph, problem: Problem, links: CausalLinks, *, projected: bool) -> Iterator[str]:
+def threats(graph: PlanGraph, order: PartialOrder, problem: Problem, links: CausalLinks, *, projected: bool) -> Iterator[str]:
     """Yield what may go wrong in some order that the graph allows.
 
     Args:
         graph: the plan.
+        order: of its happenings.
         problem: its initial state is the one that the plan starts from.
         links: what counts as read: the objects, the rules, the fluents that can order anything, and orders that must be kept.
         projected: whether the initial state is the one after all calls that are under way, and not the one before their ends.
     """
-    order = PartialOrder(graph, problem.timed)
     trace = _Trace(graph, order, links, initial_knowledge(problem), projected)
 
     def named(number: int) -> str:
