@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Final, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
@@ -35,11 +35,8 @@ _Value: TypeAlias = Value | Unknown | None
 _Writers: TypeAlias = dict[_Value, int]
 """The writers of every value of a fluent: a set of happenings."""
 
-_NO_WRITERS: Final[_Writers] = {}
 
-
-@dataclass(frozen=True, slots=True)
-class _Need:
+class _Need(NamedTuple):
     """A happening needs a value: just before its own effects, or just after them."""
 
     reader: int
@@ -151,9 +148,11 @@ class _Trace:
 
 def wrong_writer(trace: _Trace, need: _Need) -> int | None:
     """Return a writer of another value that some order has last before the reader; None if the need is met in every order."""
+    if need.fluent not in trace.writers:
+        return None
     order, reader, right, wrong = trace.order, need.reader, 0, 0
-    for value, writers in trace.writers.get(need.fluent, _NO_WRITERS).items():
-        if same_value(value, need.value):
+    for value, writers in trace.writers[need.fluent].items():
+        if value is need.value or same_value(value, need.value):
             right |= writers
         else:
             wrong |= writers

@@ -18,7 +18,7 @@ from pnm.core.knowledge_base import parse_fluent
 from pnm.core.logic.computed_values import MISSING
 from pnm.core.logic.expressions import UNDEFINED, Fluent, Unknown, Value, bind
 from pnm.core.machine.plan_graph import GroundAction
-from pnm.errors import InputError, check_seconds
+from pnm.errors import InputError, check_counts, check_kinds, check_seconds
 
 ABOUT_THE_CALL: Final = frozenset({"action", "arguments", "duration"})
 """Goal fields about the call itself; they are filled as long as the fields of the goal are not known."""
@@ -53,6 +53,7 @@ class Binding:
 
     def __post_init__(self) -> None:
         check_seconds(f"the binding of {self.server or 'an action'}", self.timeout, self.accept, self.cancel)
+        check_counts(f"the binding of {self.server or 'an action'}", retries=self.retries)
 
 
 DEFAULT = Binding()
@@ -71,6 +72,7 @@ class Bindings:
 
     def __post_init__(self) -> None:
         check_seconds("a report", self.lag)
+        check_kinds("bindings", {name: (binding, Binding) for name, binding in self.actions.items()})
 
     def of(self, action: str) -> Binding:
         """Return the binding of the action, or the default one."""

@@ -167,10 +167,6 @@ class CallBlock(Block[ActionCall]):
         """Retries of the call, from the plan or else from its binding."""
         return self.binding.retries if self.step.retries is None else self.step.retries
 
-    @property
-    def _timeout(self) -> float:
-        return self.builder.bindings.timeout(self.step.action) if self.step.timeout is None else self.step.timeout
-
     def _attempt(self, phase: str, announced: list[str]) -> None:
         """From `ready` to acceptance, and from `recover` back or out."""
         call, action = self.step.index, self.step.action
@@ -255,7 +251,8 @@ class CallBlock(Block[ActionCall]):
         if isfinite(self.step.deadline):
             missed = check_rule(Cause.DEADLINE_MISSED, Due(self.step.deadline), call, _CANCEL)
             self.fire(missed, "running", "stopping", "failed")
-        self.fire(Rule("timed_out", After(self._timeout), call, action=_CANCEL), "running", "overdue")
+        timeout = self.builder.bindings.timeout(self.step.action) if self.step.timeout is None else self.step.timeout
+        self.fire(Rule("timed_out", After(timeout), call, action=_CANCEL), "running", "overdue")
 
         in_vain = After(self.binding.cancel)
         # A success after the limit is a success: cancelling is a race with the server that it may win.

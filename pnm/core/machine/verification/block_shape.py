@@ -68,13 +68,13 @@ def _arcs_and_roles(part: Part) -> dict[str, object]:
         *(part.early, part.restarts, part.resources, part.alive, part.settling),
     )
     special = frozenset(part.initial).union(*sets, *part.supplies)
-    places: dict[str, object] = {}
+    numbered, places = part.records | part.finals, dict[str, object]()
     for number, (place, connected) in enumerate(arcs.items()):
         roles: object = None
         if place in special:
             memberships = tuple(place in members for members in (*part.supplies, *sets))
             # Records and finals keep their number, because tokens in two of them differ from two tokens in one.
-            roles = part.initial.get(place, 0), memberships, number if place in part.records | part.finals else None
+            roles = part.initial.get(place, 0), memberships, number if place in numbered else None
         places[place] = (tuple(connected), roles)
     return places
 
