@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from pnm.core.machine.machine import Accepts, AlreadyTrue, CallOutcome, Due, EffectsMissing, EffectsSeen, Ending, Ends, PetriNetMachine
 from pnm.core.machine.verification.part import Part, Step, Unsound
@@ -67,23 +67,30 @@ def check_causes(part: Part) -> None:
     Raises:
         Unsound: something of that is not so.
     """
-    reached = set(part.initial).union(*part.supplies, *(step.outputs for step in part.steps if step.outcome is CallOutcome.WAITING))
-    reached -= part.records
     for step in part.steps:
         if not _is_true(step):
             raise Unsound(f"{step.name} makes its call {step.outcome}, whatever has become of it")
-    without = [step for step in part.steps if not step.finds_cause and (step.outcome is None or step.outcome in _NO_END)]
     # Of loops and choices the run keeps no cause: what marks their failure finds it.
-    new = [step for step in without if step.call is None and not part.failures.isdisjoint(step.outputs)]
-    while new := new or [step for step in without if step.call is not None and step.inputs.keys() - part.records <= reached]:
-        for step in new:
-            if not part.failures.isdisjoint(step.outputs):
-                raise Unsound(f"{step.name} marks a failure, and no rule has found its cause")
-            if step.outcome is CallOutcome.PASSED_OVER:
-                raise Unsound(f"{step.name} leaves a call that has not come to an end")
-            reached |= step.outputs.keys() - part.records
-        without = [step for step in without if step not in new]
-        new = []
+    others = [step for step in part.steps if step.call is None]
+    for step in (*others, *_until(part, lambda step: step.finds_cause)):
+        if not step.finds_cause and not part.failures.isdisjoint(step.outputs):
+            raise Unsound(f"{step.name} marks a failure, and no rule has found its cause")
+    for step in _until(part, lambda step: step.finds_cause or not (step.outcome is None or step.outcome in _NO_END)):
+        if step.outcome is CallOutcome.PASSED_OVER:
+            raise Unsound(f"{step.name} leaves a call that has not come to an end")
+
+
+def _until(part: Part, settles: Callable[[Step], bool]) -> list[Step]:
+    """Return the steps of calls that may happen, since their call was entered, before one that settles something or as that one."""
+    happening = list[Step]()
+    for call in dict.fromkeys(step.call for step in part.steps if step.call is not None):
+        left = [step for step in part.steps if step.call == call]
+        reached = set(part.initial).union(*part.supplies, *(step.outputs for step in left if step.outcome is CallOutcome.WAITING))
+        while new := [step for step in left if step.inputs.keys() - part.records <= reached]:
+            happening += new
+            reached.update(*(step.outputs for step in new if not settles(step)))
+            left = [step for step in left if step not in new]
+    return happening
 
 
 _NO_END = (CallOutcome.WAITING, CallOutcome.RUNNING, CallOutcome.SUSPENDED, CallOutcome.PASSED_OVER)
