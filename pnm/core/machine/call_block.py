@@ -115,9 +115,9 @@ class CallBlock(Block[ActionCall]):
             if is_alive and not was_alive and not isinstance(rule.guard, Adopted):
                 name = title or rule.name
                 out = [self.name("done"), *(self._announced if name == "start" else []), self.name("failed")]
-                unserved = self._after(Cause.UNAVAILABLE, out) if name.endswith("start") else out  # as if the server were not there
-                # A recovery may lead straight to an alive place; without resources it must not, so the call fails instead.
-                marked_then = unserved if self._alive.isdisjoint(unserved) else out
+                # Before the start as if the server were not there. But a recovery that goes on as if it had succeeded needs a request.
+                is_unserved = name.endswith("start") and Cause.UNAVAILABLE not in self.recoveries.kept
+                marked_then = self._after(Cause.UNAVAILABLE, out) if is_unserved else out
                 withheld = check_rule(Cause.WITHHELD, Withheld(self.step.index, self.binding.accept, rule.action), self.step.index)
                 # Added before the transition itself: a wait for resources must have a way out that does not need them.
                 super().add(withheld, taken, marked_then, title=f"{withheld.name} before {name}")

@@ -36,7 +36,9 @@ def lamps(goal: str, timed_facts: str = "") -> Problem:
         (("0 5 mend",), "(at 9 (light))", False),  # nothing says that the call has ended by then
     ],
 )
-def test_a_start_effect_is_expected_at_the_end_unless_something_may_overwrite_it(plan: tuple[str, ...], timed_facts: str, lasts: bool) -> None:
+def test_a_start_effect_is_expected_at_the_end_unless_something_may_overwrite_it(
+    plan: tuple[str, ...], timed_facts: str, lasts: bool
+) -> None:
     mend = plan_graph(lamps("(mended)", timed_facts), timed(*plan)).calls[0]
     assert mend.lasting == ({("light",)} if lasts else frozenset())
 
