@@ -13,7 +13,6 @@ from typing import Any, Final
 from tests.support.files import ROOT
 from tests.support.processes import LIMIT
 
-
 _ORDERLY: Final = 15.0
 """Seconds for a process to end in order."""
 
