@@ -13,7 +13,7 @@ from planner_bridge.pddl import read_domain, read_problem
 from pnm.actions.bindings_file import read_bindings
 from pnm.core.logic.declared_names import Vocabulary
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings
-from pnm.errors import Tolerated
+from pnm.errors import InputError, Tolerated
 
 _SHOWN: Final = 20
 """Warnings about a file that are shown, at most."""
@@ -29,6 +29,8 @@ def load(domain: Path | str | Domain | None, problem: Path | str | Problem | Any
     if isinstance(problem, Problem):
         return problem
     if not isinstance(problem, Path | str):
+        if not hasattr(problem, "kind"):
+            raise InputError(f"expected a file, a Problem or a Problem of unified-planning, found {problem!r}")
         from planner_bridge.planning.unified_planning import from_unified_planning  # here, because unified-planning takes seconds to import
 
         return from_unified_planning(problem)

@@ -67,6 +67,9 @@ def achieve(
         loaded = load(domain, problem)
         if settings.bindings == NO_BINDINGS and isinstance(domain, Path | str):
             settings = replace(settings, bindings=bindings_for(Path(domain), None, loaded.vocabulary))
+    for name in sorted(settings.bindings.actions.keys() - loaded.domain.actions.keys()):
+        hint = suggestion(name, loaded.domain.actions)
+        raise InputError(f"there is no action {name!r} in the domain, of which the bindings speak{hint and f'; {hint}'}")
     backend = backend_of(actions, loaded, settings, faults)
     task = achieve_at(backend, loaded, settings, observer, seconds)
     return run_async(task, virtual=actions == "simulated")

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
-from math import inf
+from math import isfinite
+from typing import TypeGuard
 
 
 class PnmError(Exception):
@@ -47,8 +48,26 @@ class Tolerated:
 def check_seconds(what: str, *seconds: float | None) -> None:
     """Refuse waits that never end, or that are no number; raise `InputError`. None stands for a default."""
     for wait in seconds:
-        if wait is not None and not 0.0 <= wait < inf:
-            raise InputError(f"{what} waits for {wait} seconds; expected a number from 0")
+        if wait is not None and not (_is_number(wait) and wait >= 0.0):
+            raise InputError(f"{what} waits for {wait!r} seconds; expected a finite number from 0")
+
+
+def check_counts(what: str, **counts: int) -> None:
+    """Refuse what is no whole number from 0 among the named ones; raise `InputError`."""
+    for name, count in counts.items():
+        if not (_is_number(count) and count == int(count) >= 0):
+            raise InputError(f"{what}: expected a whole number from 0 for {name}, found {count!r}")
+
+
+def check_kinds(what: str, values: Mapping[str, tuple[object, type]]) -> None:
+    """Refuse named values that are of another kind than expected; raise `InputError`."""
+    for name, (value, kind) in values.items():
+        if not isinstance(value, kind):
+            raise InputError(f"{what}: expected {kind.__name__} for {name}, found {value!r}")
+
+
+def _is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
 
 
 class NotEnabled(PnmError):

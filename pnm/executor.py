@@ -206,6 +206,7 @@ class Executor:
                 answer = await self._source.query(question, self._asker)
         except SourceError as error:
             message = str(error)
+            _log.warning("%s has no answer: %s", question, message)  # the run may go on with that, as a choice does
         except (Exception, asyncio.CancelledError):  # of a foreign knowledge base: the run waits for an answer
             if _is_cancelled():
                 raise

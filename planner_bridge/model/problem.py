@@ -61,7 +61,7 @@ class Problem(ProblemModel):
     """The initial task network, as its HDDL text: only a hierarchical planner reads it."""
     requirements: tuple[str, ...] = ()
     """The problem's own; those of the domain come besides."""
-    unknown: frozenset[Fluent] = frozenset()
+    unknown: frozenset[Fluent] = field(default=frozenset(), compare=False)  # which PDDL cannot write
     """The fluents that may be so or not: for planners, which know no such thing, they are false or without a value."""
     guards: Mapping[Fluent, str] = field(default_factory=dict)
     """Facts of the initial state that only keep actions from being used: for each, which calls these are, in words."""

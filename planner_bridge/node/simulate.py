@@ -23,7 +23,6 @@ from pnm.actions.simulated_robots import SimulatedRobots
 from pnm.clock import run_async
 from pnm.core.knowledge_base import statement_text
 from pnm.core.logic.domain import ActionSchema
-from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.core.machine.bindings import Bindings, placeholders
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Report, Reporter, Request
@@ -155,7 +154,7 @@ class LoggedRobots:
     _began: float = field(default_factory=lambda: asyncio.get_running_loop().time())
 
     def __post_init__(self) -> None:
-        self.robots.world.truth.listen(self._changed)
+        self.robots.world.truth.listen(lambda changes: self.write("change", facts=sorted(starmap(statement_text, changes.items()))))
 
     def goal_fields(self, action: GroundAction, /) -> tuple[str, ...] | None:
         """Return the fields of the action's goal."""
@@ -190,6 +189,3 @@ class LoggedRobots:
         for text in self.robots.clashes[self._clashes :]:
             self.write("clash", text=text)
         self._clashes = len(self.robots.clashes)
-
-    def _changed(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
-        self.write("change", facts=sorted(starmap(statement_text, changes.items())))

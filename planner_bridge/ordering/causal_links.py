@@ -85,8 +85,6 @@ class CausalLinks:
     deadlines: dict[int, float] = field(default_factory=dict)
     latest_starts: dict[int, float] = field(default_factory=dict)
     actions: dict[int, GroundAction] = field(default_factory=dict)
-    lasting: dict[int, frozenset[Fluent]] = field(default_factory=dict)
-    """For every call, the start effects that nothing overwrites before its end."""
     clocked: set[int] = field(default_factory=set)
     """The calls that must not start before their planned time."""
 
@@ -135,9 +133,6 @@ class CausalLinks:
                     if len(group) > 1:
                         self.open_conditions.append((call, group, end))
             case HappeningKind.END:
-                # Start effects that are overwritten before the end cannot be seen after it, so they are not expected then.
-                own = (fluent for fluent in written(start, self.knowledge) if self.writer.get(fluent) == start_event)
-                self.lasting[call] = frozenset(own)
                 self._add_point(end_event, end_event, self._reads(action.end_condition, ending), written(ending, self.knowledge), now)
 
     def _reads(self, condition: Condition, effects: Effects = ()) -> frozenset[Fluent]:
@@ -195,7 +190,6 @@ class CausalLinks:
                 release=max(call.release, self.releases.get(call.index, 0.0), call.planned if call.index in self.clocked else 0.0),
                 latest_start=min(call.latest_start, self.latest_starts.get(call.index, inf)),
                 deadline=min(call.deadline, self.deadlines.get(call.index, inf)),
-                lasting=self.lasting.get(call.index, frozenset()),
             )
             for call in calls
         )

@@ -15,9 +15,10 @@ from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.causal_links import CausalLinks, HappeningKind, OrderKept
 from planner_bridge.ordering.enclosing_actions import delay_enclosing_starts
+from planner_bridge.ordering.partial_order import Happening, PartialOrder
 from planner_bridge.ordering.threats import threats
 from pnm.core.logic.conditions import fluents, names
-from pnm.core.logic.effects import Set, When, every_effect, written
+from pnm.core.logic.effects import Set, TimedChange, When, every_effect, written
 from pnm.core.logic.expressions import UNKNOWN, Fluent, expression_fluents
 from pnm.core.logic.rules import Rules
 from pnm.core.logic.trajectory import instances, names_in
@@ -54,8 +55,7 @@ def plan_graph(problem: Problem, plan: Plan, under_way: Sequence[ActionCall] = (
         else:
             links.add_happening(kind, steps[index], round(plan.steps[index].start + plan.steps[index].duration, _DIGITS), time)
     graph = delay_enclosing_starts(links.plan_graph(calls, problem.goal))
-    check_order(graph, problem, links, projected=True)
-    return graph
+    return _with_lasting_effects(graph, check_order(graph, problem, links, projected=True), links)
 
 
 def deordered(problem: Problem, calls: tuple[ActionCall, ...], order: Iterable[PlanEvent]) -> PlanGraph:
@@ -72,18 +72,49 @@ def deordered(problem: Problem, calls: tuple[ActionCall, ...], order: Iterable[P
         else:
             links.add_happening(HappeningKind.END, call, end, now)
     graph = delay_enclosing_starts(links.plan_graph(calls, problem.goal))
-    check_order(graph, problem, links, projected=False)
-    return graph
+    return _with_lasting_effects(graph, check_order(graph, problem, links, projected=False), links)
 
 
-def check_order(graph: PlanGraph, problem: Problem, links: CausalLinks, *, projected: bool) -> None:
-    """Check that every order which the graph allows is as good as the plan; see `threats` for what is given.
+def check_order(graph: PlanGraph, problem: Problem, links: CausalLinks, *, projected: bool) -> PartialOrder:
+    """Return the partial order of the graph, every order of which is as good as the plan; see `threats` for what is given.
 
     Raises:
         PlanGraphError: some order brings a wrong value to a reader.
     """
-    for threat in threats(graph, problem, links, projected=projected):
+    order = PartialOrder(graph, problem.timed)
+    for threat in threats(graph, order, problem, links, projected=projected):
         raise PlanGraphError(f"an ordering is missing: {threat}")
+    return order
+
+
+def _with_lasting_effects(graph: PlanGraph, order: PartialOrder, links: CausalLinks) -> PlanGraph:
+    """Return the graph with what is expected at the end of each call of its start effects: those that nothing else can overwrite before."""
+    writers: dict[Fluent, list[int]] = {}
+    for number, happening in enumerate(order.happenings):
+        for fluent in _written(happening, graph, links):
+            writers.setdefault(fluent, []).append(number)
+    calls = []
+    for call in graph.calls:
+        start, end = (order.number[PlanEvent(call.index, moment)] for moment in Moment)
+        lasting = frozenset(
+            fluent
+            for fluent in written(call.action.start_effects, links.knowledge)
+            if fluent[0] in links.relevant
+            and all(order.comes_before(writer, start) or order.comes_before(end, writer) for writer in writers.get(fluent, ()))
+        )
+        calls.append(replace(call, lasting=lasting) if lasting else call)
+    return replace(graph, steps=tuple(calls))
+
+
+def _written(happening: Happening, graph: PlanGraph, links: CausalLinks) -> Iterable[Fluent]:
+    match happening:
+        case PlanEvent(index, moment):
+            action = graph.calls[index].action
+            return written(action.start_effects if moment is Moment.START else action.end_effects, links.knowledge)
+        case TimedChange(_, changed):
+            return changed
+        case None:
+            return ()
 
 
 def calls_of(problem: Problem, plan: Plan, first: int = 0) -> list[ActionCall]:

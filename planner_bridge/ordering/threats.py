@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Final, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
@@ -35,11 +35,8 @@ _Value: TypeAlias = Value | Unknown | None
 _Writers: TypeAlias = dict[_Value, int]
 """The writers of every value of a fluent: a set of happenings."""
 
-_NO_WRITERS: Final[_Writers] = {}
 
-
-@dataclass(frozen=True, slots=True)
-class _Need:
+class _Need(NamedTuple):
     """A happening needs a value: just before its own effects, or just after them."""
 
     reader: int
@@ -151,9 +148,11 @@ class _Trace:
 
 def wrong_writer(trace: _Trace, need: _Need) -> int | None:
     """Return a writer of another value that some order has last before the reader; None if the need is met in every order."""
+    if need.fluent not in trace.writers:
+        return None
     order, reader, right, wrong = trace.order, need.reader, 0, 0
-    for value, writers in trace.writers.get(need.fluent, _NO_WRITERS).items():
-        if same_value(value, need.value):
+    for value, writers in trace.writers[need.fluent].items():
+        if value is need.value or same_value(value, need.value):
             right |= writers
         else:
             wrong |= writers
@@ -185,16 +184,16 @@ def is_harmless(trace: _Trace, intrusion: _Intrusion) -> bool:
     return bool(begins_before) and intrusion.leaves_true and all(wrong_writer(trace, need) is None for need in intrusion.others)
 
 
-def threats(graph: PlanGraph, problem: Problem, links: CausalLinks, *, projected: bool) -> Iterator[str]:
+def threats(graph: PlanGraph, order: PartialOrder, problem: Problem, links: CausalLinks, *, projected: bool) -> Iterator[str]:
     """Yield what may go wrong in some order that the graph allows.
 
     Args:
         graph: the plan.
+        order: of its happenings.
         problem: its initial state is the one that the plan starts from.
         links: what counts as read: the objects, the rules, the fluents that can order anything, and orders that must be kept.
         projected: whether the initial state is the one after all calls that are under way, and not the one before their ends.
     """
-    order = PartialOrder(graph, problem.timed)
     trace = _Trace(graph, order, links, initial_knowledge(problem), projected)
 
     def named(number: int) -> str:

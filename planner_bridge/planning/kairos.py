@@ -14,6 +14,7 @@ import kairos
 from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl.write.writer import write_domain, write_problem
+from planner_bridge.planning.normal_form import in_whole_numbers
 from planner_bridge.planning.plan_text import plan_text
 from pnm.errors import InputError
 
@@ -42,7 +43,7 @@ _STATUS: Final[Mapping[kairos.Status, PlanningStatus]] = {
 
 
 def parse_for_kairos(problem: Problem) -> kairos.Problem:
-    """Return the problem as Kairos reads it, without its task network; it may refuse what our reader accepted."""
+    """Return the problem as Kairos reads it: without its task network, in whole numbers. It may refuse what our reader accepted."""
     try:
         return _parsed(problem)
     except kairos.PddlError as error:
@@ -62,6 +63,7 @@ def validate(problem: Problem, plan: Plan, parsed: kairos.Problem | None = None)
 
 
 def _parsed(problem: Problem) -> kairos.Problem:
+    problem = in_whole_numbers(problem)
     primitive = replace(problem.domain, hierarchy=())
     domain = kairos.parse_domain(write_domain(primitive), f"{primitive.name}.pddl")
     return kairos.parse_problem(write_problem(replace(problem, domain=primitive, network="")), domain, f"{problem.name}.pddl")

@@ -1,20 +1,35 @@
 """Compilation of effects and numbers into a normal form for other planners: the same plans, fewer constructs.
 
-Kairos needs none of this. Other planners differ in how they treat nested quantifiers, a fact that is
+Kairos calculates with floats: for it decimals become whole numbers. Others differ in how they treat nested quantifiers, a fact that is
 deleted and added at once, scaling effects, and counters that no condition reads.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass, fields, replace
+from decimal import Decimal
 from itertools import chain, count
+from typing import Any, Final
 
 from planner_bridge.model.problem import Metric, Problem
-from pnm.core.logic.conditions import TRUE, All, Compare, Condition, Exists, Not, conjuncts, every_part, ground, names
+from pnm.core.logic.conditions import TRUE, All, Compare, Condition, Exists, Holds, Not, conjuncts, every_part, ground, names
 from pnm.core.logic.domain import ActionSchema
-from pnm.core.logic.effects import Effects, ForEach, Set, When, ground_effects
-from pnm.core.logic.expressions import Arithmetic, Constant, Expression, Fluent, ValueOf, Variable, bind, expression_fluents
+from pnm.core.logic.effects import Effects, ForEach, Set, TimedChange, When, ground_effects
+from pnm.core.logic.expressions import (
+    DURATION,
+    Arithmetic,
+    Constant,
+    Expression,
+    Fluent,
+    Value,
+    ValueOf,
+    Variable,
+    bind,
+    expression_fluents,
+    is_number,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,11 +156,8 @@ def calculates_with_whole_numbers(problem: Problem) -> bool:
     Then all planners and we come to the same results. They calculate with floats or fractions, compare them exactly, and separate
     events by a time of their own; we tolerate a millionth: where numbers are not whole, a plan that they have ruled out may be valid here.
     """
-    derived = (rule.condition for rule in problem.domain.rules)
-    parts = (part for condition in chain(conditions_of(problem), derived) for part in every_part(condition))
-    sides = [side for part in parts if isinstance(part, Compare) for side in (part.left, part.right)]
-    is_exact = is_whole(replace(problem, metric=None), frozenset(problem.domain.functions)) and all(map(_is_whole, sides))
-    return is_exact or not (sides or problem.is_timed)
+    without_metric = replace(problem, metric=None)
+    return is_whole(without_metric, functions_in_use(without_metric))
 
 
 def _is_whole(expression: Expression) -> bool:
@@ -161,6 +173,7 @@ def _is_whole(expression: Expression) -> bool:
 def conditions_of(problem: Problem) -> Iterator[Condition]:
     """Yield every condition that decides about the validity of a plan."""
     yield problem.goal
+    yield from (rule.condition for rule in problem.domain.rules)
     for schema in problem.domain.actions.values():
         yield from (schema.precondition, schema.invariant, schema.end_condition)
     yield from (change.condition for change in action_assignments(problem))
@@ -184,3 +197,91 @@ def cost_function(problem: Problem) -> str | None:
             if only_added and name not in functions_in_use(replace(problem, metric=None)):
                 return name
     return None
+
+
+# --- decimals -------------------------------------------------------------------------------------
+
+_FACTORS: Final = (10, 100, 1000, 10_000, 100_000)
+"""Decimals that are closer to each other than that count as equal, by our tolerance."""
+_EXACT: Final = 2**53
+"""Whole numbers up to here are floats as well."""
+
+
+def in_whole_numbers(problem: Problem) -> Problem:
+    """Return the problem with the same plans in which all that is compared is whole; the problem itself if that cannot be done.
+
+    Sums of decimals are made whole, all by the same factor, which changes nothing about what is larger than what.
+    """
+    if calculates_with_whole_numbers(problem):
+        return problem
+    concerned = functions_in_use(replace(problem, metric=None))
+    elsewhere = [bound.bound for schema in problem.domain.actions.values() for bound in schema.duration or ()]
+    elsewhere += (change.value for change in action_assignments(problem) if change.fluent[0] not in concerned)
+    elsewhere += () if problem.metric is None else (problem.metric.expression,)
+    watched = problem.has_preferences or problem.constraints or problem.domain.constraints
+    if watched or any(fluent[0] in concerned for expression in elsewhere for fluent in expression_fluents(expression)):
+        return problem
+    for factor in _FACTORS:
+        with suppress(_NotWhole):
+            if calculates_with_whole_numbers(scaled := _Scale(factor, concerned).problem(problem)):
+                return scaled
+    return problem
+
+
+class _NotWhole(Exception):
+    """A number is not whole after all."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Scale:
+    """A factor for these functions, and for what they are compared with."""
+
+    factor: int
+    concerned: frozenset[str]
+
+    def problem(self, problem: Problem) -> Problem:
+        domain = problem.domain
+        actions = {name: self.inside(schema) for name, schema in domain.actions.items()}
+        timed = tuple(TimedChange(change.time, self.values(change.changes.items())) for change in problem.timed)
+        domain = replace(domain, actions=actions, rules=self.inside(domain.rules))
+        return replace(problem, domain=domain, init=self.values(problem.init.items()), timed=timed, goal=self.inside(problem.goal))
+
+    def values(self, values: Iterable[tuple[Fluent, Value]]) -> dict[Fluent, Value]:
+        return {fluent: self.value(value) if fluent[0] in self.concerned else value for fluent, value in values}
+
+    def value(self, value: Value) -> Value:
+        if not is_number(value):
+            return value
+        scaled = Decimal(repr(value)) * self.factor
+        if scaled % 1 or abs(scaled) > _EXACT:
+            raise _NotWhole
+        return float(scaled)
+
+    def inside(self, part: Any) -> Any:
+        """Return a part of the problem with what is compared and assigned in it scaled."""
+        match part:
+            case Compare(operation, left, right):
+                return Compare(operation, self.expression(left), self.expression(right))
+            case Set(fluent, value, "scale-up" | "scale-down") if fluent[0] in self.concerned:
+                return part
+            case Set(fluent, value, operation) if fluent[0] in self.concerned:
+                return Set(fluent, self.expression(value), operation)
+            case tuple():
+                return tuple(map(self.inside, part))
+            case Holds() | Set() | str() | bool() | int() | float() | None:
+                return part
+            case _:
+                return replace(part, **{inner.name: self.inside(getattr(part, inner.name)) for inner in fields(part)})
+
+    def expression(self, expression: Expression) -> Expression:
+        match expression:
+            case Constant(value):
+                return Constant(self.value(value))
+            case Arithmetic("+" | "-" as operation, operands):
+                return Arithmetic(operation, tuple(map(self.expression, operands)))
+            case Arithmetic("*", (Constant() as times, operand)) | Arithmetic("*", (operand, Constant() as times)):
+                return Arithmetic("*", (times, self.expression(operand)))
+            case ValueOf(fluent) if fluent != DURATION:
+                return expression
+            case _:
+                raise _NotWhole

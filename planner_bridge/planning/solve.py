@@ -14,12 +14,15 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.planning.kairos import DEFAULT_PLANNER, parse_for_kairos
 from planner_bridge.planning.search import search
 from planner_bridge.planning.validate import validated
+from pnm.errors import check_kinds, check_seconds
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
 PORTFOLIO: Final = "race"
 """The planner's name for a portfolio of what is installed; ``race:kairos,aries`` names its members."""
+_LONGEST: Final = 1e9
+"""Seconds that a search may take: the clocks of planners overflow with far more."""
 _PORTFOLIO_OF: Final = f"{PORTFOLIO}:"
 
 
@@ -43,7 +46,9 @@ def solve(
     Raises:
         InputError: the planner refuses the problem, is not known, or is not installed.
     """
-    stop = cancel or threading.Event()
+    check_kinds("solve", {"problem": (problem, Problem), "planner": (planner, str)})
+    check_seconds("the search for a plan", timeout)
+    stop, timeout = cancel or threading.Event(), min(timeout, _LONGEST)
     if planner == PORTFOLIO or planner.startswith(_PORTFOLIO_OF):
         from planner_bridge.planning.portfolio import solve_with_portfolio  # here, because most searches use one planner
 

@@ -37,8 +37,8 @@ from planner_bridge.model.grounding import ground_action, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
 from planner_bridge.model.plan_simulation import ConstraintProgression, NotApplicable, PlanSimulation, snapshot
 from planner_bridge.model.problem import Problem
-from planner_bridge.planning.kairos import validate
-from planner_bridge.planning.normal_form import calculates_with_whole_numbers
+from planner_bridge.planning.kairos import DEFAULT_PLANNER, validate
+from planner_bridge.planning.normal_form import calculates_with_whole_numbers, in_whole_numbers
 from planner_bridge.planning.plan_text import plan_text
 from planner_bridge.planning.reachability import MAY_BE_UNSET
 from planner_bridge.planning.unreachable import why_unknown, why_unreachable
@@ -274,7 +274,8 @@ def explained(problem: Problem, result: PlanningResult) -> PlanningResult:
     if problem.unknown:
         facts = f"{len(problem.unknown)} {'facts are' if len(problem.unknown) > 1 else 'fact is'} unknown"
         return replace(result, status=PlanningStatus.NO_PLAN, message=why_unknown(problem) or f"{facts}, and counted as false")
-    if result.status is PlanningStatus.UNSOLVABLE and not calculates_with_whole_numbers(problem):
+    asked = in_whole_numbers(problem) if result.planner == DEFAULT_PLANNER else problem
+    if result.status is PlanningStatus.UNSOLVABLE and not calculates_with_whole_numbers(asked):
         message = f"{result.planner} says that there is none, which is not taken for proved: with decimals it calculates differently"
         return replace(result, status=PlanningStatus.NO_PLAN, message=message)
     return result

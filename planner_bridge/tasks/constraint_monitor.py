@@ -173,7 +173,10 @@ class TaskMonitor:
         self.constraints = ConstraintMonitor(context.problem, context.knowledge)
         # state
         self.began = 0.0
-        self.limit = TimeLimit(context.settings.limits.allowed(), self._exceeded)
+        self.limit = TimeLimit(
+            context.settings.limits.allowed(),
+            lambda seconds: context.control.stop(Code.TIMED_OUT, f"the limit of {seconds:g} s is reached"),
+        )
         """The seconds that the task may take, pauses left out."""
         self._next_look: asyncio.TimerHandle | None = None
 
@@ -227,9 +230,6 @@ class TaskMonitor:
         """Return why the rest of a plan does not lead from here to its goal; empty when it does."""
         left = self.constraints.rest_of(self._context.problem, self.elapsed)
         return why_not(progress, self._context.world, forbidden, (*left.domain.constraints, *left.constraints))
-
-    def _exceeded(self, seconds: float) -> None:
-        self._context.control.stop(Code.TIMED_OUT, f"the limit of {seconds:g} s is reached")
 
     def _end_looking(self) -> None:
         if self._next_look:

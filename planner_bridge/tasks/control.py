@@ -124,12 +124,13 @@ class TaskControl:
             if self._time_limit:
                 self._time_limit.pause()
             self._is_unpaused.clear()
+            executor = self.execution.executor if self.execution else None
+            if executor:  # before the state is shown, upon which it may be decided that the task goes on
+                executor.pause(at_once=at_once)
             if self.has_begun and self.state is not TaskState.PAUSED:
                 self.enter(TaskState.PAUSING, reason)
-            if self.execution:
-                self.execution.executor.pause(at_once=at_once)
-                while self.is_paused and not (self.execution.executor.paused or self.execution.executor.ended):
-                    await self.execution.executor.happens()
+            while executor and self.is_paused and not (executor.paused or executor.ended):
+                await executor.happens()
             if self.is_paused:
                 self.enter(TaskState.PAUSED, reason)
         if self.state is TaskState.CANCELLING:

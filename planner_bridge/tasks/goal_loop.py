@@ -245,6 +245,9 @@ class GoalLoop:
                 graph = await self._accepted(plan, under_way)
                 if self._monitor.why_not(Progress.beginning(graph), self._context.forbidden(history)):
                     return None
+                if execution.is_over and under_way:  # it has ended meanwhile, and there is nothing to be taken over any more
+                    execution.call_attention_at(asyncio.get_running_loop().time())
+                    return None
             if not execution.is_over:
                 successor = await proved_machine(self._context, graph)
                 reserved = self._control.reserved if isinstance(decision, PlanAgain) else None

@@ -22,7 +22,7 @@ from pnm.core.logic.effects import names_written, possible_assignments
 from pnm.core.logic.expressions import Constant, Fluent, State, Unknown, Value
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import CallOutcome, PetriNetMachine
-from pnm.core.machine.plan_graph import ActionCall, PlanGraph
+from pnm.core.machine.plan_graph import PlanGraph
 from pnm.core.machine.verification.verify import Proof, verify
 from pnm.executor import Executor
 from pnm.tasks import TaskState
@@ -267,13 +267,9 @@ def is_relevant(progress: Progress, changed: Mapping[Fluent, object]) -> bool:
 def is_foreseen(progress: Progress, changed: Mapping[Fluent, Value | Unknown], state: State) -> bool:
     """Return whether calls that have begun make these changes: each to what one of them writes, or a number it computes."""
     mentioned = {fluent[0] for fluent in changed}
-    begun = [result.call for result in progress.calls if result.kind is not CallOutcome.WAITING and _writes(result.call) & mentioned]
+    begun = (result.call.action for result in progress.calls if result.kind is not CallOutcome.WAITING)
     written: dict[Fluent, list[Value | None]] = {}
-    for call in begun:
-        for fluent, effect, _ in possible_assignments((*call.action.start_effects, *call.action.end_effects), state):
+    for effects in ((*action.start_effects, *action.end_effects) for action in begun):
+        for fluent, effect, _ in possible_assignments(effects, state) if names_written(effects) & mentioned else ():
             written.setdefault(fluent, []).append(effect.value.value if isinstance(effect.value, Constant) else None)
     return all(value in written.get(fluent, ()) or None in written.get(fluent, ()) for fluent, value in changed.items())
-
-
-def _writes(call: ActionCall) -> frozenset[str]:
-    return names_written((*call.action.start_effects, *call.action.end_effects))

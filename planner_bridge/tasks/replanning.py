@@ -21,6 +21,7 @@ from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings
 from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, Cause, Moment, PlanEvent, PlanGraph
+from pnm.errors import check_counts, check_seconds
 
 MAX_SHORTENED: Final = 100
 """Calls of the longest rest of a plan that needless calls are removed from."""
@@ -46,6 +47,12 @@ class Limits:
     backoff: float = 0.5
     """Seconds before the second replan in a row without progress; doubled each time."""
     longest_backoff: float = 30.0
+
+    def __post_init__(self) -> None:
+        """Refuse what is no limit."""
+        check_counts("limits", replans=self.replans, forbid_after=self.forbid_after)
+        check_seconds("a task", self.seconds)
+        check_seconds("a new plan", self.backoff, self.longest_backoff)
 
     def allowed(self, planned: float = 0.0) -> float:
         """Return how many seconds a task may take, given the seconds of its plan: three times as long by default."""

@@ -15,7 +15,7 @@ from pnm.core.execution.events import Observer
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.verification.verify import Proof
-from pnm.errors import InputError
+from pnm.errors import InputError, check_kinds, check_seconds
 from pnm.knowledge.sensor_model import NO_SENSING, Sensing
 from pnm.tasks import TaskState
 
@@ -79,6 +79,9 @@ class Settings:
     """Which topics and services of ROS 2 speak of what."""
 
     def __post_init__(self) -> None:
-        """Refuse the name of a file in place of its bindings."""
+        """Refuse what has another meaning than it seems to have, such as a name in place of what it names."""
         if not isinstance(self.bindings, Bindings):
             raise InputError(f"expected Bindings, found {self.bindings!r}; `pnm.read_bindings` reads a file")
+        kinds = {"planner": str, "limits": Limits, "sensing": Sensing, "on_failure": OnFailure, "on_change": OnChange}
+        check_kinds("settings", {name: (getattr(self, name), kind) for name, kind in kinds.items()})
+        check_seconds("the search for a plan", self.planner_timeout)

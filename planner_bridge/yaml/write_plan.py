@@ -17,6 +17,7 @@ from planner_bridge.pddl.syntax.words import number_text
 from planner_bridge.yaml.emitter import Bare, Entry, Mapping, Sequence, Value, items
 from planner_bridge.yaml.series_parallel import Block, Mesh, Parallel, Series, blocks, reduced
 from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
+from pnm.errors import InputError
 
 _NO_PLAN: Final = Entry(Sequence(), "plan", apart=True)
 
@@ -85,7 +86,7 @@ class _StepWriter:
         usual: set[int] = set()
         for call, others in before.items():
             after = [] if usual == {*others} else [Entry(items((named[other] for other in others), short=True), "after")]
-            steps.append(Mapping((self._call(call), *_id(named, call), *after)))
+            steps.append(_step(self._call(call), *_id(named, call), *after))
             usual = {*usual, call}.difference(others) if in_sequence else usual
         return steps
 
@@ -109,7 +110,7 @@ class _StepWriter:
                 ("deadline", call.deadline if call.deadline < inf else None),
             ]
             options += [Entry(Bare(number_text(seconds)), key) for key, seconds in times if seconds is not None]
-            steps.append(Mapping((self._call(call.index), *_id(named, call.index), *options)))
+            steps.append(_step(self._call(call.index), *_id(named, call.index), *options))
         return steps
 
     # --- calls ---
@@ -133,6 +134,12 @@ class _StepWriter:
 
 def _listed(key: str, steps: list[Mapping]) -> Mapping:
     return Mapping((Entry(Sequence(tuple([Entry(step) for step in steps])), key),))
+
+
+def _step(call: Entry, *options: Entry) -> Mapping:
+    if call.key in [option.key for option in options]:
+        raise InputError(f"this plan needs {call.key!r} as a word of the language; an action cannot be called so, expected another name")
+    return Mapping((call, *options))
 
 
 def _id(named: dict[int, str], call: int) -> tuple[Entry, ...]:

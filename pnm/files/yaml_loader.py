@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from itertools import count
 from typing import Any, Final
@@ -16,6 +17,8 @@ MAX_DEPTH: Final = 60
 MAX_DOCUMENTS: Final = 100
 NO_ANCHORS: Final[Mapping[str, Mapping[str, str]]] = {}
 
+_PDDL: Final = re.compile(r"(?:\s|;.*\n)*\(\s*define\b", re.IGNORECASE)
+
 CORE: Final = "tag:yaml.org,2002:"
 TEXTS: Final = frozenset({"str", "timestamp", "value", "merge"})
 """Kinds of values that stay text; so do dates, which no action server and no JSON has."""
@@ -28,6 +31,8 @@ def compose(text: str, file: str, anchors: Mapping[str, Mapping[str, str]] = NO_
     `anchors` has the mappings for aliases that the text does not define.
     """
     start = Position(file, 1, 1)
+    if _PDDL.match(text):
+        raise InputError("this is PDDL; expected YAML", start)
     loader: _Loader | None = None
     try:
         loader = _Loader(text, anchors)
@@ -35,7 +40,8 @@ def compose(text: str, file: str, anchors: Mapping[str, Mapping[str, str]] = NO_
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         where = Position(file, mark.line + 1, mark.column + 1) if mark else start
-        hint = "; inside braces and brackets a '?' needs quotes" if "'?'" in str(error.problem) else ""
+        unquoted = next((sign for sign in ("?", "{", ":") if f"'{sign}'" in str(error.problem)), "")
+        hint = f"; inside braces and brackets {'a text with ' if unquoted in '{:' else 'a '}'{unquoted}' needs quotes" if unquoted else ""
         raise InputError(f"not YAML: {error.problem}{hint}", where) from error
     except yaml.YAMLError as error:
         raise InputError(f"not YAML: {str(error).splitlines()[0]}", start) from error

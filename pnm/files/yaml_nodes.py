@@ -105,6 +105,10 @@ class Mapped:
             nodes[key.value] = (position(key, file), value)
         return Mapped(file, position(node, file), {**merged, **nodes})
 
+    def without(self, key: str) -> Mapped:
+        """Return the other keys."""
+        return Mapped(self.file, self.start, {name: value for name, value in self.nodes.items() if name != key})
+
     def only(self, *known: str) -> None:
         """Refuse every key but the known ones, naming the nearest."""
         for key, (where, _) in self.nodes.items():
@@ -158,7 +162,9 @@ class Mapped:
         if value is None:
             return default
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= float_info.max:
-            raise InputError(f"expected a number of at least 0 under {key!r}, found {value!r}", self.position(key))
+            is_quoted = isinstance(value, str) and value.replace(".", "", 1).isdecimal()
+            hint = "; a number has no quotes" if is_quoted else ""
+            raise InputError(f"expected a number of at least 0 under {key!r}, found {value!r}{hint}", self.position(key))
         return float(value)
 
     def whole(self, key: str, default: T) -> int | T:

@@ -56,6 +56,8 @@ class Watchdog:
 
 MAX_INSTANCES: Final = 10_000
 """Fluents of one name that become unknown when it is stale; if there are more, only the recorded ones do."""
+RETURNS: Final = 3
+"""How often the count of reports goes back before they count as those of several senders."""
 _ABSENT: Final[Mapping[FluentKind, Value | Unknown]] = {FluentKind.FACT: False, FluentKind.OBJECT: UNDEFINED, FluentKind.NUMBER: UNKNOWN}
 
 _log = logging.getLogger(__name__)
@@ -64,8 +66,8 @@ _log = logging.getLogger(__name__)
 class StateReports:
     """Records reports that are complete about the names they give, and makes names unknown that become stale or are reported wrongly.
 
-    The mutable state is what is declared, the watchdog of every name reported so far, the values that unknown names had before, the
-    statements that were found to be right, and the warnings given.
+    The mutable state is what is declared; of every name reported so far its watchdog, its last count of reports, and how often that went
+    back; the values that unknown names had before; the statements that were found to be right; and the warnings given.
 
     Args:
         knowledge: records the reports.
@@ -93,13 +95,14 @@ class StateReports:
         self.declare(known)
         self._watchdogs: dict[str, Watchdog] = {}
         self._before: dict[str, dict[Fluent, Value | Unknown]] = {}
+        self._senders: dict[str, tuple[int, int]] = {}
 
     def declare(self, known: Vocabulary | None) -> None:
         """Check reports against these names from now on."""
         self._known = known
         self._right: dict[Fluent, Value | Unknown] = {}
 
-    def record(self, names: Collection[str], facts: Mapping[Fluent, Value | Unknown], _sequence: int = 0) -> None:
+    def record(self, names: Collection[str], facts: Mapping[Fluent, Value | Unknown], sequence: int = 0) -> None:
         """Record a report that is complete about the names; those of which it says what cannot be so become unknown."""
         wrong = self._wrong(names, facts)
         if wrong:
@@ -108,14 +111,24 @@ class StateReports:
         self._knowledge.sense(watched, lag=self._lag)
         returned = {fluent: value for name in watched for fluent, value in self._before.pop(name, {}).items()}
         reported = {fluent: value for fluent, value in facts.items() if fluent[0] in watched}
-        self._knowledge.replace(watched, {**returned, **reported})
+        changed = {fluent[0] for fluent in self._knowledge.replace(watched, {**returned, **reported})}
         for name in watched:
+            self._note_sender(name, sequence, name in changed)
             if name in self._watchdogs:
                 self._watchdogs[name].reset()
             else:
                 silence = f"nothing was reported about {name} for {self._stale:g} s; it is unknown now" if self._stale else ""
                 self._watchdogs[name] = Watchdog(self._stale, partial(self._forget, name, silence))
         self._distrust(self._watched(names) & wrong.keys())
+
+    def _note_sender(self, name: str, sequence: int, has_changed: bool) -> None:
+        """Complain about several senders that contradict each other: each counts its reports, and one that is restarted begins with 1."""
+        last, returns = self._senders.get(name, (0, 0))
+        if has_changed and 1 < sequence <= last:
+            returns += 1
+            if returns >= RETURNS:
+                self._complaints.note(f"several senders contradict each other about {name}; expected names of its own from each")
+        self._senders[name] = sequence, returns
 
     def refuse(self, names: Collection[str], reason: str) -> None:
         """Refuse a report about these names that cannot be read: they become unknown."""

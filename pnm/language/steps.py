@@ -82,9 +82,11 @@ class StepReader:
             hint = f"; write '- {node.text}:'" if node.text else ""
             raise node.wrong(f"expected a step such as '- action: {{parameter: value}}', found {shown(node)}{hint}")
         entry = node.mapped()
-        after, end_after = _waits(entry.node("after")), _waits(entry.node("end_after"))
-        place = StepPlacement(entry.start, entry.string("id"), after, end_after or ())
-        match self._head(entry):
+        head = self._head(entry)
+        options = entry.without(head)
+        after, end_after = _waits(options.node("after")), _waits(options.node("end_after"))
+        place = StepPlacement(entry.start, options.string("id"), after, end_after or ())
+        match head:
             case "concurrent_actions":
                 entry.only("concurrent_actions", *_PLACE)
                 return ConcurrentStep(place, self.steps(entry.needed("concurrent_actions")).steps)
@@ -145,7 +147,7 @@ class StepReader:
         arguments = Mapped(entry.file, entry.start, {}) if argument.is_null else argument.mapped()
         entries = [entry for entry in arguments.entries() if action.kind is not ActionKind.KB or entry[0] != OPERATION]
         given = {key: self._given(action, key, where, node) for key, where, node in entries}
-        options = Mapped(entry.file, entry.start, {key: value for key, value in entry.nodes.items() if key != name})
+        options = entry.without(name)
         resources = tuple(options.strings("resources"))
         if action.kind is not ActionKind.KB:
             names = given if action.is_open else [variable.name[1:] for variable in action.schema.parameters]

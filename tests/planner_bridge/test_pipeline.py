@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from math import inf, nan
 from pathlib import Path
 from typing import Any
 from uuid import UUID
 
 import pytest
 
+from planner_bridge.loading import load
 from planner_bridge.pipeline import achieve, carry_out
+from planner_bridge.planning.solve import solve
+from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import Fault, FaultKind, Faults
+from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Reporter, Request
 from pnm.errors import InputError
@@ -93,12 +98,41 @@ def test_what_would_be_ignored_is_refused() -> None:
         ({"settings": {"planner": "kairos"}}, "expected Settings, found {'planner': 'kairos'}"),
         ({"observer": print}, "expected TaskObserver, found <built-in function print>"),
         ({"faults": "faults.yaml"}, "expected Faults, found 'faults.yaml'"),
+        (
+            {"settings": Settings(bindings=Bindings({"moev": Binding()}))},
+            "there is no action 'moev' in the domain, of which the bindings speak; did you mean 'move'?",
+        ),
     ],
 )
 def test_what_is_of_another_kind_is_refused(wrong: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError) as error:
         achieve(None, ring(), **wrong)
     assert str(error.value) == message
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Settings(on_failure="cancel"), "settings: expected OnFailure for on_failure, found 'cancel'"),
+        (lambda: Settings(on_change="eager"), "settings: expected OnChange for on_change, found 'eager'"),
+        (lambda: Settings(limits={"replans": 3}), "settings: expected Limits for limits, found {'replans': 3}"),
+        (lambda: Settings(planner_timeout=nan), "the search for a plan waits for nan seconds; expected a finite number from 0"),
+        (lambda: Limits(replans=-1), "limits: expected a whole number from 0 for replans, found -1"),
+        (lambda: Limits(seconds=nan), "a task waits for nan seconds; expected a finite number from 0"),
+        (lambda: Binding("/move", retries=1.5), "the binding of /move: expected a whole number from 0 for retries, found 1.5"),
+        (lambda: Bindings({"move": {"server": "/move"}}), "bindings: expected Binding for move, found {'server': '/move'}"),
+        (lambda: solve(ring(), timeout=inf), "the search for a plan waits for inf seconds; expected a finite number from 0"),
+        (lambda: load("d.pddl", None), "expected a file, a Problem or a Problem of unified-planning, found None"),
+    ],
+)
+def test_values_that_would_be_ignored_or_misunderstood_are_refused(make: Callable[[], object], message: str) -> None:
+    with pytest.raises(InputError) as error:
+        make()
+    assert str(error.value) == message
+
+
+def test_a_limit_that_the_clock_of_the_planner_cannot_count_is_no_time_out() -> None:
+    assert solve(ring(), timeout=1e300).plan
 
 
 def test_the_name_of_a_file_is_no_bindings() -> None:

@@ -82,6 +82,8 @@ class Calls:
         """What calls have written at their ends."""
         self._denied: dict[int, dict[Condition, str]] = {}
         """Conditions over all and at the end that were not so, and what was so instead."""
+        self._interrupted: dict[int, float] = {}
+        """When conditions over all broke."""
         self.accepted: dict[int, float] = {}
         """Calls whose requests were accepted and are not being cancelled, and the times of acceptance."""
 
@@ -241,7 +243,7 @@ class Calls:
         """No longer wait for the request of the call."""
         self.open.pop(self._requests[call], None)
 
-    def succeeded(self, call: int, outcome: Outcome) -> None:
+    def succeeded(self, call: int, outcome: Outcome, now: float) -> None:
         """Store the fields of the result, under their own names or those of the binding, and note what the end relies on and was not so."""
         store = {**self.binding(call).store, **dict(self._plan.calls[call].store)}
         values = {name: value for name, value in outcome.result.items() if name not in store}
@@ -249,14 +251,17 @@ class Calls:
             with suppress(Unreadable):  # simulated servers may have no result
                 values[variable] = value_in(outcome.result, parse_field(name))
         self._knowledge.local.store(values)
-        # Now, before anything is written of its effects: they may change what it relies on.
-        self._denied[call] = {**self._denied.get(call, {}), **denied_at_end(self.action(call), self.context_of(call, None))}
+        # Over all means until just before the end: what breaks at the very moment of the end does no harm.
+        if self._interrupted.get(call) == now:
+            self._denied.pop(call, None)
+        else:  # now, before anything is written of its effects: they may change what it relies on
+            self._denied[call] = {**self._denied.get(call, {}), **denied_at_end(self.action(call), self.context_of(call, None))}
 
-    def interrupt(self, call: int) -> None:
+    def interrupt(self, call: int, now: float) -> None:
         """Note what of the condition over all is not so: the call has not succeeded, whatever its server reports."""
         context = self.context_of(call, None)
         broken = {part: observed(part, context) for part in unmet(self.action(call).invariant, context)}
-        self._denied[call] = {**self._denied.get(call, {}), **broken}
+        self._denied[call], self._interrupted[call] = broken, now
 
     def _send(self, call: int, attempt: int, context: EvaluationContext) -> Performed:
         action = self.ready(call, context)
@@ -265,6 +270,7 @@ class Calls:
         self._begun.pop(call, None)
         self._ended.pop(call, None)
         self._denied.pop(call, None)
+        self._interrupted.pop(call, None)
         self.accepted.pop(call, None)
         identity = self._next(call)
         self._sent[call] = self._sent.get(call, 0) + 1

@@ -168,7 +168,7 @@ class CallResults:
                 self.current[call] = replace(result, kind=rule.outcome)
             case CallOutcome.SKIPPED if result.kind is CallOutcome.SUSPENDED:
                 self.current[call] = replace(result, kind=CallOutcome.CANCELED, ended=now)
-            case CallOutcome.SUCCEEDED | CallOutcome.CANCELED if result.kind is CallOutcome.FAILED:
+            case CallOutcome.CANCELED if result.kind is CallOutcome.FAILED:
                 pass  # how its request ended changes nothing about that
             case CallOutcome.PASSED_OVER:
                 if result.ended is None:

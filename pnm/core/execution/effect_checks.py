@@ -80,17 +80,15 @@ def unseen(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: Eval
     Raises:
         Unanswered: a question has to be asked first.
     """
-    missing = (_statement(fluent, value) for fluent, value in wanted.items() if not same_value(knowledge.world.value(fluent), value))
+    absent = ((fluent, value) for fluent, value in wanted.items() if not same_value(knowledge.world.value(fluent), value))
+    missing: list[Condition] = []
+    for fluent, value in absent:
+        fact = Holds(fluent) if isinstance(value, bool) else Compare("=", ValueOf(fluent), Constant(value))
+        missing.append(Not(fact) if value is False else fact)
     base, changed = knowledge.world.rules.base, names_written(action.end_effects)  # what the end itself changes cannot be checked any more
     checked = (part for part in conjuncts(action.end_condition) if not base(names(part)) & changed)
     denied = (part for part in checked if evaluate(part, knowledge) is not True)
     return (*missing, *denied, *unmet(action.expected, knowledge))
-
-
-def _statement(fluent: Fluent, value: Value) -> Condition:
-    if isinstance(value, bool):
-        return Holds(fluent) if value else Not(Holds(fluent))
-    return Compare("=", ValueOf(fluent), Constant(value))
 
 
 def denied_at_end(action: GroundAction, knowledge: EvaluationContext) -> dict[Condition, str]:
@@ -101,7 +99,7 @@ def denied_at_end(action: GroundAction, knowledge: EvaluationContext) -> dict[Co
     denied: dict[Condition, str] = {}
     for condition, is_for_the_end in ((action.invariant, False), (action.end_condition, True)):
         for part in unmet(condition, knowledge):
-            is_reported = all(map(knowledge.world.is_sensed, fluents(part, knowledge)))
+            is_reported = any(knowledge.world.is_sensed((name,)) for name in knowledge.world.rules.base(names(part)))
             is_excused = is_reported and (is_for_the_end or may_be_late(part, action, knowledge, has_held=False))
             if not is_excused and not any(map(may_ask, data_in(part))):
                 denied[part] = observed(part, knowledge)

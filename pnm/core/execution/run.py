@@ -194,7 +194,9 @@ class Run(RunView):
             raise RunError("the run has begun already")
         state.has_begun = True
         state.origin = state.now if state.origin is None else state.origin
-        self._agenda.extend(place for place, tokens in enumerate(self._engine.tokens) if tokens and place not in self._index.records)
+        first = [place for place, tokens in enumerate(self._engine.tokens) if tokens and place not in self._index.records]
+        state.marked_at.update(dict.fromkeys(first, state.now))
+        self._agenda.extend(first)
 
     def _report(self, report: Report) -> None:
         call = self._calls.open.get(report.request)
@@ -210,7 +212,7 @@ class Run(RunView):
             del self._calls.open[report.request]  # before the firing, so that observers and guards see the request as over
             # results are stored before the firing: effects and checks after it may read them
             if report.outcome.kind is OutcomeKind.SUCCEEDED:
-                self._calls.succeeded(call, report.outcome)
+                self._calls.succeeded(call, report.outcome, self._state.now)
                 self._has_changed_knowledge = True
             self._results.answered(call, report.outcome)  # before the firing as well: the explanation of a failure quotes the message
             self._observer.ended(self._calls.as_sent(call), report.outcome, self._state.now)
@@ -322,7 +324,7 @@ class Run(RunView):
         if rule.call is not None and rule.call < len(self.machine.plan.calls):
             self._note(rule, rule.call, place, None if fails else check)
             if check and check.cause is Cause.INVARIANT_FALSE:
-                self._calls.interrupt(rule.call)
+                self._calls.interrupt(rule.call, state.now)
             if rule.action is not None:
                 self._perform(rule.action, rule.call, place)
         self._results.last_check = check

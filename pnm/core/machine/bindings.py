@@ -21,7 +21,7 @@ from pnm.core.logic.expressions import UNDEFINED, Fluent, Unknown, Value, bind
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Outcome, OutcomeKind
 from pnm.core.message_fields import FieldValue, Test, Unreadable, succeeds, value_in, written
-from pnm.errors import InputError, check_seconds
+from pnm.errors import InputError, check_counts, check_kinds, check_seconds
 
 ABOUT_THE_CALL: Final = frozenset({"action", "arguments", "duration"})
 """Goal fields about the call itself; they are filled as long as the fields of the goal are not known."""
@@ -70,6 +70,7 @@ class Binding:
 
     def __post_init__(self) -> None:
         check_seconds(f"the binding of {self.server or 'an action'}", self.timeout, self.accept, self.cancel)
+        check_counts(f"the binding of {self.server or 'an action'}", retries=self.retries)
 
     def judged(self, outcome: Outcome) -> Outcome:
         """Return the outcome as the result's fields tell it: a success that they deny is an abort, and a failure has its reason."""
@@ -103,6 +104,7 @@ class Bindings:
 
     def __post_init__(self) -> None:
         check_seconds("a report", self.lag)
+        check_kinds("bindings", {name: (binding, Binding) for name, binding in self.actions.items()})
 
     def of(self, action: str) -> Binding:
         """Return the binding of the action, or the default one."""

@@ -115,9 +115,9 @@ class CallBlock(Block[ActionCall]):
             if is_alive and not was_alive and not isinstance(rule.guard, Adopted):
                 name = title or rule.name
                 out = [self.name("done"), *(self._announced if name == "start" else []), self.name("failed")]
-                unserved = self._after(Cause.UNAVAILABLE, out) if name.endswith("start") else out  # as if the server were not there
-                # A recovery may lead straight to an alive place; without resources it must not, so the call fails instead.
-                marked_then = unserved if self._alive.isdisjoint(unserved) else out
+                # Before the start as if the server were not there. But a recovery that goes on as if it had succeeded needs a request.
+                is_unserved = name.endswith("start") and Cause.UNAVAILABLE not in self.recoveries.kept
+                marked_then = self._after(Cause.UNAVAILABLE, out) if is_unserved else out
                 withheld = check_rule(Cause.WITHHELD, Withheld(self.step.index, self.binding.accept, rule.action), self.step.index)
                 # Added before the transition itself: a wait for resources must have a way out that does not need them.
                 super().add(withheld, taken, marked_then, title=f"{withheld.name} before {name}")
@@ -166,10 +166,6 @@ class CallBlock(Block[ActionCall]):
     def retries(self) -> int:
         """Retries of the call, from the plan or else from its binding."""
         return self.binding.retries if self.step.retries is None else self.step.retries
-
-    @property
-    def _timeout(self) -> float:
-        return self.builder.bindings.timeout(self.step.action) if self.step.timeout is None else self.step.timeout
 
     def _attempt(self, phase: str, announced: list[str]) -> None:
         """From `ready` to acceptance, and from `recover` back or out."""
@@ -255,7 +251,8 @@ class CallBlock(Block[ActionCall]):
         if isfinite(self.step.deadline):
             missed = check_rule(Cause.DEADLINE_MISSED, Due(self.step.deadline), call, _CANCEL)
             self.fire(missed, "running", "stopping", "failed")
-        self.fire(Rule("timed_out", After(self._timeout), call, action=_CANCEL), "running", "overdue")
+        timeout = self.builder.bindings.timeout(self.step.action) if self.step.timeout is None else self.step.timeout
+        self.fire(Rule("timed_out", After(timeout), call, action=_CANCEL), "running", "overdue")
 
         in_vain = After(self.binding.cancel)
         # A success after the limit is a success: cancelling is a race with the server that it may win.

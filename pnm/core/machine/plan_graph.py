@@ -1,9 +1,8 @@
 """The neutral plan: steps, and which event of which step must wait for which.
 
-A step is a call of an action, or holds steps itself: a loop, a choice. It has two events, its
-start and its end. An ordering makes one event come after another and names the facts that
-the order protects. Any partial order can be expressed this way, sequential and time-triggered plans
-included. Planners make plans of calls alone; people write the rest. Knows nothing of PDDL or of nets.
+A step is a call of an action, or holds steps itself: a loop, a choice. It has two events, its start and its end. An ordering makes one
+event come after another and names the facts that the order protects. Any partial order can be expressed this way, sequential and
+time-triggered plans included. Planners make plans of calls alone; people write the rest. Knows nothing of PDDL or of nets.
 """
 
 from __future__ import annotations
@@ -316,9 +315,9 @@ class PlanGraph:
             if waits or call.index not in outermost:
                 raise PlanGraphError(f"{call} is under way: it cannot wait for others, or be part of another step")
         inside = tuple(inner for step in self.every_step for inner in flows(step))
-        for flow in (self.flow, *inside):
-            _check_orderings(flow)
+        _check_orderings(self.flow)
         for flow in inside:
+            _check_orderings(flow)
             in_order(flow)
         self.in_order()
 
@@ -378,8 +377,7 @@ def _check_orderings(flow: Flow) -> None:
             raise PlanGraphError(f"{ordering} would wait for {ordering.delay} seconds; expected a number from 0")
         if ordering.delay and ordering.after.moment is Moment.END:
             raise PlanGraphError(f"{ordering} would delay an end, which comes when the action's time is up")
-        between = (ordering.before, Moment.START), (ordering.after, Moment.END)
-        for event, special in between:
+        for event, special in ((ordering.before, Moment.START), (ordering.after, Moment.END)):
             if event.moment is special and (event.call not in calls or calls[event.call].recoveries):
                 raise PlanGraphError(f"{ordering} speaks of the {special.value} of a step that is no call, or has recoveries of its own")
 
@@ -390,11 +388,9 @@ def in_order(flow: Flow) -> tuple[PlanEvent, ...]:
     Raises:
         PlanGraphError: there is none.
     """
-    before: dict[PlanEvent, list[PlanEvent]] = {}
+    before = {PlanEvent(step.index, moment): list[PlanEvent]() for step in flow.steps for moment in Moment}
     for step in flow.steps:
-        start, end = PlanEvent(step.index, Moment.START), PlanEvent(step.index, Moment.END)
-        before.setdefault(start, [])
-        before.setdefault(end, []).append(start)
+        before[PlanEvent(step.index, Moment.END)].append(PlanEvent(step.index, Moment.START))
     for ordering in flow.orderings:
         before[ordering.after].append(ordering.before)
     try:

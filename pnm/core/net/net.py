@@ -120,7 +120,9 @@ class NetBuilder:
 
     def _weights(self, name: str, connected: Weights | Iterable[str]) -> Weights:
         # lists first: to ask whether something is a mapping takes long, as does counting
-        if not isinstance(connected, list) and isinstance(connected, Mapping):
+        if not isinstance(connected, list) and isinstance(connected, Mapping | str):
+            if isinstance(connected, str):
+                raise NetError(f"expected a list of places to connect {name!r} to, found {connected!r}")
             weights = dict(connected)
         else:
             arcs = [*connected]

@@ -78,10 +78,6 @@ class SensedReports:
         if not self._closed:
             listener(*report)
 
-    def _hear(self, names: frozenset[str], facts: Facts, sequence: int) -> None:
-        self._listener(names, facts, sequence)
-        self._heard.set()
-
     # on the ROS thread
 
     def _subscribe(self, state: Any) -> None:
@@ -101,7 +97,8 @@ class SensedReports:
         except InputError as error:
             call_on_loop(self._loop, self._pass_on, self._refuse, names, str(error))
         else:
-            call_on_loop(self._loop, self._pass_on, self._hear, *report)
+            call_on_loop(self._loop, self._pass_on, self._listener, *report)
+            call_on_loop(self._loop, self._heard.set)
 
 
 def read_state(message: Any) -> Facts:

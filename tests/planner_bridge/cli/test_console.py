@@ -64,3 +64,11 @@ def test_the_same_reason_is_printed_once_and_again_at_the_end(tmp_path: Path) ->
     told = [line for line in done.stdout.splitlines() if "out of tea" in line]
     assert [line.split()[2] for line in told] == ["ended", "reached:"]
     assert "      3.00 s  failed first(): aborted" in done.stdout.splitlines()
+
+
+def test_a_question_without_an_answer_is_told_also_where_the_plan_goes_on(tmp_path: Path) -> None:
+    choice = "{if: {Comparison: [eq, [PersonQuery: bell, rung]]}, then: [ring: ]}"
+    (tmp_path / "p.yaml").write_text(f"actions: {{ring: }}\nplan: [{choice}]\n")
+    done = pnm("run", "--plan", str(tmp_path / "p.yaml"))
+    assert done.returncode == 0
+    assert done.stderr == "person[bell] has no answer: a person was to be asked or told something, but there is no terminal to do it on\n"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import resource
 from contextlib import contextmanager
+from dataclasses import replace
 
 import pytest
 
@@ -26,7 +27,7 @@ def test_a_problem_is_saved_as_it_is_now(tmp_path):
     path = folder.write("today/p.pddl", shared.problem_text())
     assert path == (tmp_path / "today" / "p.pddl").resolve()
     saved = read_problem(path, DOMAIN)
-    assert saved == problem_now(PROBLEM, knowledge, 2.0)
+    assert saved == replace(problem_now(PROBLEM, knowledge, 2.0), unknown=frozenset()), "PDDL does not say what is unknown"
     assert [change.time for change in saved.timed] == [3.0]
     assert saved.init == {("battery", "r1"): 0.5, ("battery", "R2"): 0.1, ("location", "a1"): "hall"}
     nothing = parse_domain("(define (domain nothing))")

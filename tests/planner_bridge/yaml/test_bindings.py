@@ -84,3 +84,26 @@ def test_an_action_that_is_called_as_a_word_of_the_language_is_not_exported(tmp_
     done = pnm("export", str(tmp_path / "d.pddl"), "-o", str(tmp_path / "x.yaml"))
     message = f"'{word}' is a word of the language; an action cannot be called so, expected another name in the domain\n"
     assert (done.returncode, done.stderr, (tmp_path / "x.yaml").exists()) == (2, message, False)
+
+
+@pytest.mark.parametrize("word", ["id", "after", "release", "timeout", "plan"])
+def test_a_plan_with_an_action_that_is_called_as_an_option_of_steps_is_run_as_it_is_exported(tmp_path: Path, word: str) -> None:
+    (tmp_path / "d.pddl").write_text(
+        f"(define (domain d) (:predicates (p) (q)) (:action {word} :effect (p)) (:action b :precondition (p) :effect (q)))"
+    )
+    (tmp_path / "p.pddl").write_text("(define (problem p) (:domain d) (:init) (:goal (q)))")
+    assert pnm("export", str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl"), "--plan", "-o", str(tmp_path / "x.yaml")).returncode == 0
+    done = pnm("run", "--plan", str(tmp_path / "x.yaml"))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert f"done   {word}()" in done.stdout
+
+
+def test_a_plan_that_needs_the_option_that_an_action_is_called_as_is_not_exported(tmp_path: Path) -> None:
+    (tmp_path / "d.pddl").write_text(
+        "(define (domain d) (:requirements :durative-actions :timed-initial-literals) (:predicates (p) (q))"
+        "(:durative-action release :parameters () :duration (= ?duration 1) :condition (at start (p)) :effect (at end (q))))"
+    )
+    (tmp_path / "p.pddl").write_text("(define (problem p) (:domain d) (:init (at 5 (p))) (:goal (q)))")
+    done = pnm("export", str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl"), "--plan", "-o", str(tmp_path / "x.yaml"))
+    assert (done.returncode, (tmp_path / "x.yaml").exists()) == (2, False)
+    assert done.stderr == "this plan needs 'release' as a word of the language; an action cannot be called so, expected another name\n"

@@ -21,6 +21,14 @@ BOMB = "a: &a0 [x, x]\n" + "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)
 BAD_YAML = [
     *refused(BAD_INPUT / "plain_data.yaml"),
     ("", "FILE:1:1: the file is empty; expected a mapping"),
+    (
+        "a: {server: /{robot}/move}",
+        "FILE:1:14: not YAML: expected ',' or '}', but got '{'; inside braces and brackets a text with '{' needs quotes",
+    ),
+    (
+        "a: {b: Hello: you}",
+        "FILE:1:13: not YAML: expected ',' or '}', but got ':'; inside braces and brackets a text with ':' needs quotes",
+    ),
     ("a: 1\nb: {x: 1\n", "FILE:3:1: not YAML: expected ',' or '}', but got '<stream end>'"),
     ("\n  text", "FILE:2:3: expected a mapping (key: value)"),
     ("a: \x07", "FILE:1:1: not YAML: unacceptable character #x0007: special characters are not allowed"),
@@ -96,3 +104,8 @@ def test_anything_is_read_or_refused_with_a_position(tmp_path_factory: pytest.Te
         position = Position(str(path), 1, 1)
     assert position is not None
     assert position.file == str(path)
+
+
+def test_pddl_is_named_as_such(tmp_path: Path) -> None:
+    (tmp_path / "domain.pddl").write_text("; robots: they deliver\n\n(define (domain d))\n")
+    assert error(load_yaml, tmp_path / "domain.pddl") == "FILE:1:1: this is PDDL; expected YAML"

@@ -86,3 +86,26 @@ def test_a_number_that_is_not_finite_is_not_recorded():
         reports.close()
 
     run_async(main(), virtual=True)
+
+
+def test_senders_that_contradict_each_other_are_told_of_and_restarted_ones_are_not(caplog):
+    async def main():
+        world = KnowledgeBase({("at", "r1", "hall"): True}, objects=PROBLEM.objects_by_type)
+        reports = StateReports(world, {}, 1.0, None, KNOWN)
+        for _ in range(10):
+            for sequence, place in enumerate(("hall", "kitchen", "hall"), 1):
+                reports.record({"at"}, {("at", "r1", place): True}, sequence)
+        for sequence in range(101, 110):
+            reports.record({"at"}, {("at", "r1", "hall"): True}, sequence)
+            reports.record({"at"}, {("at", "r1", "hall"): True}, sequence - 50)
+        assert not caplog.records
+        for sequence in range(201, 210):
+            reports.record({"at"}, {("at", "r1", "hall"): True}, sequence)
+            reports.record({"at"}, {("at", "r1", "kitchen"): True}, sequence - 50)
+        reports.close()
+
+    run_async(main(), virtual=True)
+    first, _ = [record.getMessage() for record in caplog.records]
+    assert (
+        first == "a report on the state topic is wrong: several senders contradict each other about at; expected names of its own from each"
+    )

@@ -2,25 +2,61 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import isfinite
 
 from pnm.core.logic.conditions import Condition
 from pnm.core.machine.machine import After, ConditionFalse, ConditionTrue, ConditionUnknown, Due, Ends, Withheld
 from pnm.core.machine.verification.exits import is_timed
 from pnm.core.machine.verification.part import Part, Step
+from pnm.core.net.net import Weights
 
 
 def shape_of(part: Part) -> object:
     """Return everything about a part but names, times and what its conditions say.
 
-    Of every step it is what its guard depends on, and of every place its arcs and its roles. Places that have all of
-    this in common always hold the same tokens, so one stands for all of them; only records and the final places, of which
-    one must be marked and not two, are told apart.
+    Of every step it is what its guard depends on, and of every place its arcs and its roles.
     """
     conditions: list[Condition] = []
-    guards = tuple(
-        [(_kind(step, conditions), step.action, step.gives_up, step.finds_cause, step.counted and step.counted[1:]) for step in part.steps]
+    steps = tuple(
+        [
+            (_kind(step, conditions), step.action, step.gives_up, step.outcome, step.finds_cause, step.counted and step.counted[1:])
+            for step in part.steps
+        ]
     )
+    places = frozenset(_arcs_and_roles(part).values())
+    return steps, len(part.supplies), places, bool(part.finals), part.cancels, part.others_restart, part.repeats
+
+
+def without_twins(part: Part) -> Part:
+    """Return the part with one place for all that have the same arcs and roles: they always hold the same tokens."""
+    kept: dict[object, str] = {}
+    for place, alike in _arcs_and_roles(part).items():
+        kept.setdefault(alike, place)
+    if len(kept) == len(part.places):
+        return part
+    places = dict.fromkeys(kept.values())
+
+    def of(arcs: Weights) -> Weights:
+        return {place: weight for place, weight in arcs.items() if place in places}
+
+    return replace(
+        part,
+        places=tuple(places),
+        steps=tuple(step._replace(inputs=of(step.inputs), outputs=of(step.outputs)) for step in part.steps),
+        initial=of(part.initial),
+        supplies=tuple(tuple(place for place in together if place in places) for together in part.supplies),
+        outputs=part.outputs & places.keys(),
+        early=part.early & places.keys(),
+        resources=part.resources & places.keys(),
+    )
+
+
+def _arcs_and_roles(part: Part) -> dict[str, object]:
+    """Return for every place all that decides which tokens it holds, and what they mean.
+
+    Only records and the final places, of which one must be marked and not two, are told apart.
+    """
     arcs: dict[str, list[tuple[int, int]]] = {place: [] for place in part.places}
     for number, step in enumerate(part.steps):
         for place, weight in step.inputs.items():
@@ -32,15 +68,15 @@ def shape_of(part: Part) -> object:
         *(part.early, part.restarts, part.resources, part.alive, part.settling),
     )
     special = frozenset(part.initial).union(*sets, *part.supplies)
-    places: set[object] = set()
+    numbered, places = part.records | part.finals, dict[str, object]()
     for number, (place, connected) in enumerate(arcs.items()):
         roles: object = None
         if place in special:
             memberships = tuple(place in members for members in (*part.supplies, *sets))
             # Records and finals keep their number, because tokens in two of them differ from two tokens in one.
-            roles = part.initial.get(place, 0), memberships, number if place in part.records | part.finals else None
-        places.add((tuple(connected), roles))
-    return guards, len(part.supplies), frozenset(places), bool(part.finals), part.cancels, part.others_restart, part.repeats
+            roles = part.initial.get(place, 0), memberships, number if place in numbered else None
+        places[place] = (tuple(connected), roles)
+    return places
 
 
 def _kind(step: Step, conditions: list[Condition]) -> object:

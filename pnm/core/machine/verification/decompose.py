@@ -11,7 +11,7 @@ from functools import cached_property
 from itertools import chain
 from typing import Final, TypeAlias
 
-from pnm.core.machine.machine import Accepts, Ends, OnFailure, PetriNetMachine, Region, is_check
+from pnm.core.machine.machine import InvariantFalse, OnFailure, PetriNetMachine, Region, is_check
 from pnm.core.machine.plan_graph import Moment
 from pnm.core.machine.verification.counters import without_counts
 from pnm.core.machine.verification.part import Inside, Part, Step, Unsound
@@ -272,10 +272,10 @@ def step_of(machine: PetriNetMachine, name: str) -> Step:
     if about != rule.call:
         raise Unsound(f"{name} listens to another call")
     if rule.call is None or rule.call >= len(machine.plan.calls):
-        if rule.action is not None or isinstance(rule.guard, Accepts | Ends):
+        if rule.action is not None or isinstance(rule.guard, InvariantFalse) or hasattr(rule.guard, "call"):
             raise Unsound(f"{name} is about a request, and belongs to no call")
         return Step(name, rule.guard, inputs, outputs, finds_cause=rule.cause is not None and is_check(rule.guard))
-    return Step(name, rule.guard, inputs, outputs, rule.call, rule.action, rule.gives_up, rule.cause is not None)
+    return Step(name, rule.guard, inputs, outputs, rule.call, rule.action, rule.gives_up, rule.outcome, rule.cause is not None)
 
 
 def _may_come(place: str) -> str:

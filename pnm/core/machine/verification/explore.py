@@ -8,6 +8,7 @@ from typing import Final, NamedTuple, TypeAlias
 
 from pnm.core.machine.machine import Accepts, Ends, PauseAsked
 from pnm.core.machine.requests import BEFORE_ACCEPTANCE
+from pnm.core.machine.verification.block_shape import without_twins
 from pnm.core.machine.verification.moves import AGAIN, FROM_OUTSIDE, Moves, State
 from pnm.core.machine.verification.part import Inside, Part, Step, Unsound
 from pnm.core.machine.verification.place_roles import check_causes, check_steps
@@ -40,7 +41,7 @@ def explore_part(part: Part) -> Exploration:
         raise Unsound(f"a step is called {confusing[0]!r}, as is what happens from outside")
     check_steps(part)
     check_causes(part)
-    moves = Moves(part)
+    moves = Moves(without_twins(part))
     faults = StateFaults(moves)
     # Pauses and entries come from outside, as often as they like: what follows from there is walked through apart. A cycle through
     # them is no error: pauses are assumed to be finitely many, and entries are counted by whatever holds the block. So is what is

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
-from pnm.core.machine.machine import Guard, TransitionAction
+from pnm.core.machine.machine import CallOutcome, Guard, TransitionAction
 from pnm.core.net.net import Weights
 from pnm.errors import PnmError
 
@@ -59,8 +59,10 @@ class Step(NamedTuple):
     action: TransitionAction | None = None
     gives_up: bool = False
     """The request of the call is no longer waited for."""
+    outcome: CallOutcome | None = None
+    """The outcome of the call from then on; None when that stays as it is."""
     finds_cause: bool = False
-    """Whether the run knows from then on why the call fails, if it does."""
+    """Whether the run knows from then on why the call fails or is passed over, if it is."""
     counted: Count | None = None
     """What it asks of a counter, which may be so or not at any time."""
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
-from pnm.core.machine.machine import Accepts, Due, EffectsSeen, Ends, PetriNetMachine
-from pnm.core.machine.verification.part import Part, Unsound
+from pnm.core.machine.machine import Accepts, AlreadyTrue, CallOutcome, Due, EffectsMissing, EffectsSeen, Ending, Ends, PetriNetMachine
+from pnm.core.machine.verification.part import Part, Step, Unsound
 
 
 def check_roles(machine: PetriNetMachine) -> str:
@@ -62,19 +62,56 @@ def check_steps(part: Part) -> None:
 
 
 def check_causes(part: Part) -> None:
-    """Check that no step of the plan fails without a cause that a rule has found.
+    """Check that no step of the plan fails or is left without a cause that a rule has found, or an outcome; and that outcomes are true.
 
     Raises:
-        Unsound: a failure place may be marked although no cause was found since the step was entered.
+        Unsound: something of that is not so.
     """
-    reached = set(part.initial).union(*part.supplies) - part.records
-    without = [step for step in part.steps if not step.finds_cause]
+    for step in part.steps:
+        if not _is_true(step):
+            raise Unsound(f"{step.name} makes its call {step.outcome}, whatever has become of it")
     # Of loops and choices the run keeps no cause: what marks their failure finds it.
-    new = [step for step in without if step.call is None and not part.failures.isdisjoint(step.outputs)]
-    while new := new or [step for step in without if step.call is not None and not reached.isdisjoint(step.inputs)]:
-        for step in new:
-            if not part.failures.isdisjoint(step.outputs):
-                raise Unsound(f"{step.name} marks a failure, and no rule has found its cause")
-            reached |= step.outputs.keys() - part.records
-        without = [step for step in without if step not in new]
-        new = []
+    others = [step for step in part.steps if step.call is None]
+    for step in (*others, *_until(part, lambda step: step.finds_cause)):
+        if not step.finds_cause and not part.failures.isdisjoint(step.outputs):
+            raise Unsound(f"{step.name} marks a failure, and no rule has found its cause")
+    for step in _until(part, lambda step: step.finds_cause or not (step.outcome is None or step.outcome in _NO_END)):
+        if step.outcome is CallOutcome.PASSED_OVER:
+            raise Unsound(f"{step.name} leaves a call that has not come to an end")
+
+
+def _until(part: Part, settles: Callable[[Step], bool]) -> list[Step]:
+    """Return the steps of calls that may happen, since their call was entered, before one that settles something or as that one."""
+    happening = list[Step]()
+    for call in dict.fromkeys(step.call for step in part.steps if step.call is not None):
+        left = [step for step in part.steps if step.call == call]
+        reached = set(part.initial).union(*part.supplies, *(step.outputs for step in left if step.outcome is CallOutcome.WAITING))
+        while new := [step for step in left if step.inputs.keys() - part.records <= reached]:
+            happening += new
+            reached.update(*(step.outputs for step in new if not settles(step)))
+            left = [step for step in left if step not in new]
+    return happening
+
+
+_NO_END = (CallOutcome.WAITING, CallOutcome.RUNNING, CallOutcome.SUSPENDED, CallOutcome.PASSED_OVER)
+"""Outcomes after which something is still to come, or which a call has only if it has no other."""
+
+
+def _is_true(step: Step) -> bool:
+    """Return whether the outcome that the call has after the step is what has happened."""
+    guard = step.guard
+    match step.outcome:
+        case CallOutcome.SKIPPED:
+            return isinstance(guard, Ending)
+        case CallOutcome.ALREADY_TRUE:
+            return isinstance(guard, AlreadyTrue)
+        case CallOutcome.SUCCEEDED:
+            return isinstance(guard, EffectsSeen)
+        case CallOutcome.CANCELED:
+            return isinstance(guard, Ends | EffectsMissing)
+        case CallOutcome.UNCONFIRMED:
+            return step.gives_up
+        case CallOutcome.FAILED | CallOutcome.HANDED_OVER:
+            return False
+        case _:
+            return True

@@ -3,8 +3,8 @@
 *Sound* means: whatever its servers and the world answer, and whenever it is stopped, the
 machine ends, with exactly one token on its goal place or on its failed place and none elsewhere
 but on record places, and with no request alive; the goal is not reached once a step has failed or the run was stopped; nothing is
-sent once it is ending, and no second request of a call while one is alive; no place ever holds two tokens, a
-budget never more than it began with. A run
+sent once it is ending, and no second request of a call while one is alive; a call is left only with an outcome that is so, or with
+the cause of why it has none; no place ever holds two tokens, a budget never more than it began with. A run
 that is paused goes on when it is resumed, and each pause may have calls begin anew: so it ends if it
 is paused finitely often.
 

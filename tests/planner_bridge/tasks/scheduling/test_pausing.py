@@ -200,6 +200,17 @@ async def test_a_task_that_a_pause_leaves_without_a_plan_keeps_nobody_waiting(si
         await simulation.reaches(simulation.want(goal))
 
 
+@pytest.mark.parametrize("at_once", [False, True])
+@simulated()
+async def test_a_resumption_at_the_moment_of_a_pause_lets_the_task_go_on(simulation: TaskSimulation, at_once: bool):
+    task = await simulation.begun("(at r0 a2)")
+    pausing = asyncio.ensure_future(simulation.master.pause(task, at_once=at_once))
+    await asyncio.sleep(0)
+    await simulation.master.resume(task)
+    await pausing
+    await simulation.reaches(task)
+
+
 @simulated()
 async def test_a_pause_right_after_the_end_was_asked_for_holds_nothing_up(simulation: TaskSimulation):
     task = simulation.want("(at r0 a2)")

@@ -18,11 +18,13 @@ from pnm.core.logic.effects import Effect, Set, When
 from pnm.core.logic.expressions import UNKNOWN, Constant, Unknown, Value
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import After
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Postponed
 from pnm.core.net.firing_rule import fire
 from pnm.errors import RunError
 from tests.support.runs.commands import RUN, begun, cancelled, sent
+from tests.support.runs.mutation.changes import with_rule
 from tests.support.runs.plan_graphs import plan, plans
 from tests.support.runs.simulated import FiringLog
 
@@ -42,6 +44,13 @@ def test_a_run_begins_once() -> None:
     run, _ = begun(plan(1))
     with pytest.raises(RunError, match="begun already"):
         run.handle(Begin(), 1.0)
+
+
+def test_a_wait_at_the_place_that_is_marked_at_first_counts_from_the_beginning() -> None:
+    machine = with_rule(generate(plan(1)), "begin", guard=After(2.0))
+    run = Run(machine, Layered(KnowledgeBase()), id=RUN)
+    assert sent(run.handle(Begin(), 1.0)) == []
+    assert sent(run.handle(Tick(), 3.0)) == ["a0"]
 
 
 def test_an_unfinished_run_has_no_result() -> None:

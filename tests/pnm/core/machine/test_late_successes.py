@@ -115,3 +115,12 @@ def test_others_that_wait_for_its_start_go_on() -> None:
     run, _ = begun(plan_of(OPEN, GroundAction("look"), orders=("0s<1s",)), Bindings({"open": Binding(accept=5.0, retries=3)}))
     run.handle(Tick(), 5.0)
     assert sent(run.handle(Ended(run.open_requests[0], SUCCEEDED), 6.0)) == ["look"]
+
+
+def test_what_breaks_at_the_very_moment_of_the_end_does_no_harm() -> None:
+    run = going(MEND, world=KnowledgeBase({LIT: True}))
+    (request,) = run.open_requests
+    change(run, LIT, False, 6.0)
+    run.handle(Ended(request, SUCCEEDED), 6.0)
+    assert run.knowledge.value(MENDED)
+    assert outcomes(run) == ["succeeded"]

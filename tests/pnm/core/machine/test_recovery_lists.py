@@ -57,6 +57,14 @@ def test_start_effects_stay_only_for_the_recovery_that_goes_on() -> None:
     assert (trace.actions, trace.result.goal) == (["light", "fix", "light"], True), trace.result.reason
 
 
+def test_a_call_whose_resources_are_withheld_has_no_request_that_a_recovery_could_go_on_with() -> None:
+    unavailable = frozenset({Cause.UNAVAILABLE})
+    recoveries = (Recovery(unavailable, Then.RETRY, FIX), Recovery(unavailable, Then.CONTINUE, Flow()))
+    machine = generate(PlanGraph((ActionCall(0, GroundAction("grasp", resources=("arm",)), recoveries=recoveries, retries=0),)))
+    verify(machine)
+    explore(machine)
+
+
 def test_checks_of_ones_own_are_tried_in_order_where_their_conditions_hold() -> None:
     crowded = Holds(("crowded",))
     before = frozenset({Cause.BEFORE})

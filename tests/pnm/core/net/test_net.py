@@ -198,6 +198,7 @@ BAD_ARCS = [
     ({"borrow": 1}, "'t' is connected to 'borrow', which is not a place"),
     ({"home": 0}, "the arc between 't' and 'home' weighs 0; a whole number of at least 1 expected"),
     ({"home": -1}, "the arc between 't' and 'home' weighs -1; a whole number of at least 1 expected"),
+    ("home", "expected a list of places to connect 't' to, found 'home'"),
     ({"home": 1.5}, "the arc between 't' and 'home' weighs 1.5; a whole number of at least 1 expected"),
 ]
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
+from math import inf
 from random import Random
 from typing import Final
 
-from pnm.core.machine.machine import Always, Ends, PetriNetMachine, TransitionAction
-from pnm.core.machine.plan_graph import Moment
+from pnm.core.machine.machine import After, Always, CallOutcome, Due, Ends, PetriNetMachine, TransitionAction, Withheld
+from pnm.core.machine.plan_graph import Cause, Moment
 from pnm.core.machine.requests import OutcomeKind
 from pnm.core.net.net import Marking, PetriNet, Weights
 from tests.support.runs.mutation.changes import with_rule, without_place, without_transition
@@ -139,9 +140,90 @@ def rules_reordered(machine: PetriNetMachine, random: Random) -> PetriNetMachine
     return replace(machine, net=net, rules={one: machine.rules[one] for one in names})
 
 
+def places_merged(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
+    one, other = random.sample(machine.net.places, 2)
+
+    def merged(arcs: Arcs) -> Arcs:
+        return {
+            name: {place: weights.get(place, 0) + (weights.get(other, 0) if place == one else 0) for place in _renamed(weights, other, one)}
+            for name, weights in arcs.items()
+        }
+
+    net = PetriNet(tuple(place for place in machine.net.places if place != other), merged(machine.net.inputs), merged(machine.net.outputs))
+    tokens = dict(machine.initial)
+    tokens[one] = tokens.get(one, 0) + tokens.pop(other, 0)
+    return replace(machine, net=net, initial=Marking({place: count for place, count in tokens.items() if count}))
+
+
+def _renamed(places: Iterable[str], old: str, new: str) -> list[str]:
+    return [*dict.fromkeys(new if place == old else place for place in places)]
+
+
+def twin(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
+    """Let two steps of the net do the same, the second perhaps elsewhere in the order, or from elsewhere."""
+    name = random.choice(machine.net.transitions)
+    net, copy = machine.net, f"{name} again"
+    inputs = net.inputs[name] if random.random() < 0.5 else {random.choice(net.places): 1}
+    names = [*net.transitions]
+    names.insert(random.randrange(len(names) + 1), copy)
+    arcs = {**net.inputs, copy: inputs}, {**net.outputs, copy: net.outputs[name]}
+    ordered = PetriNet(net.places, *({one: every[one] for one in names} for every in arcs))
+    rules = {**machine.rules, copy: machine.rules[name]}
+    return replace(machine, net=ordered, rules={one: rules[one] for one in names})
+
+
+def owner(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
+    numbers = [None, *(step.index for step in machine.plan.every_step)]
+    return with_rule(machine, random.choice(machine.net.transitions), call=random.choice(numbers))
+
+
+def guard_moved(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
+    """Give a step of the net the guard of another, made to fit."""
+    name, other = random.sample(machine.net.transitions, 2)
+    guard, call = machine.rules[other].guard, machine.rules[name].call
+    fits = replace(guard, call=call) if getattr(guard, "call", None) is not None and call is not None else guard
+    return with_rule(machine, name, guard=fits)
+
+
+def remark(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
+    """Change what a rule says besides its guard and its action."""
+    name = random.choice(machine.net.transitions)
+    rule = machine.rules[name]
+    changes: tuple[dict[str, object], ...] = (
+        {"gives_up": not rule.gives_up},
+        {"cause": random.choice([None, *Cause])},
+        {"outcome": random.choice([None, *CallOutcome])},
+    )
+    return with_rule(machine, name, **random.choice(changes))
+
+
+def region(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
+    number = random.randrange(len(machine.regions))
+    changed, place = machine.regions[number], random.choice(machine.net.places)
+    match random.randrange(4):
+        case 0:
+            changed = replace(changed, first=(*changed.first[1:], place))
+        case 1:
+            changed = replace(changed, last=(*changed.last[1:], place))
+        case 2:
+            changed = replace(changed, steps=frozenset([*changed.steps][1:]))
+        case _:
+            changed = replace(changed, owner=random.choice([None, *(step.index for step in machine.plan.every_step)]))
+    return replace(machine, regions=(*machine.regions[:number], changed, *machine.regions[number + 1 :]))
+
+
+def limit_lost(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
+    """Let a limit be infinite."""
+    timed = [(name, rule.guard) for name, rule in machine.rules.items() if isinstance(rule.guard, After | Due | Withheld)]
+    if not timed:
+        return machine
+    name, guard = random.choice(timed)
+    return with_rule(machine, name, guard=replace(guard, seconds=inf))
+
+
 EDITS: Final[tuple[Edit, ...]] = (
     *(arc_lost, arc_more, arc_moved, weight, transition_lost, guard_open, guards_swapped, kinds, deed, marking, roles),
-    *(ordering_lost, ordering_turned, rules_reordered),
+    *(ordering_lost, ordering_turned, rules_reordered, places_merged, twin, owner, guard_moved, remark, region, limit_lost),
 )
 
 

@@ -8,7 +8,7 @@ from random import Random
 from pnm.core.execution.events import Event
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.machine.machine import CallOutcome, PetriNetMachine
 from pnm.core.machine.plan_graph import Moment
 from pnm.core.machine.requests import Ended
 from tests.support.runs.direct import RUN
@@ -61,6 +61,10 @@ def _execute(machine: PetriNetMachine, random: Random) -> None:
     assert left == ({machine.goal_place: 1} if result.goal else {machine.failed_place: 1}), f"it ends in {left}"
     assert not run.open_requests, "it ends while a request is alive"
     assert not (result.goal and (result.failures or run.stopped)), "goal after a failure or a stop"
+    for call in result.calls if result.goal else ():
+        if call.kind is CallOutcome.SUCCEEDED or (call.call in machine.plan.steps and call.kind is not CallOutcome.ALREADY_TRUE):
+            is_spared = call.kind is CallOutcome.PASSED_OVER and call.call.recoveries
+            assert is_spared or call.call.action.name in sent, f"goal, and {call.call} was not carried out: {call.kind}"
     for place in machine.resource_places:
         assert run.marking[place] == machine.initial[place], f"{place} is kept"
 

@@ -12,7 +12,7 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Holds
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
-from pnm.core.machine.machine import Always, ConditionTrue, PetriNetMachine, Rule, TransitionAction
+from pnm.core.machine.machine import Always, CallOutcome, ConditionTrue, DataMissing, PetriNetMachine, Rule, TransitionAction
 from pnm.core.machine.plan_graph import (
     ActionCall,
     Cause,
@@ -109,6 +109,17 @@ UNSOUND: dict[str, tuple[PetriNetMachine, str]] = {
         with_rule(LOOP, "while((free))#1 condition_unknown", guard=Always()),
         "marks a failure, and no rule has found its cause",
     ),
+    "a call that is left without having begun": (
+        with_outputs(CHAIN, "a1()#1 join", {"a1()#1 done": 1}),
+        "leaves a call that has not come to an end",
+    ),
+    "a failure of a call that was skipped": (with_output(CHAIN, "a1()#1 skip", "a1()#1 failed"), "no rule has found its cause"),
+    "a call that is passed over before its cause is known": (
+        with_rule(CHAIN, "a1()#1 aborted", outcome=CallOutcome.PASSED_OVER),
+        "leaves a call that has not come to an end",
+    ),
+    "an outcome that is not so": (with_rule(CHAIN, "a1()#1 join", outcome=CallOutcome.SKIPPED), "whatever has become of it"),
+    "a loop that asks for the data of a call": (with_rule(LOOP, "while((free))#1 skip", guard=DataMissing(1)), "belongs to no call"),
     "an end before the request is over": (
         with_rule(CHAIN, "a0()#0 unconfirmed", gives_up=False),
         "a request is alive, and no place is marked that says so",
