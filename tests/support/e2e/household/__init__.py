@@ -1,0 +1,1 @@
+"""The household domain in PyRoboSim's simulator: its worlds, in this process and as a ROS 2 node."""

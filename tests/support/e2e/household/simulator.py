@@ -1,0 +1,102 @@
+"""PyRoboSim's simulator without a window: its worlds, what it says of them, and its task actions, as plain data."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from pyrobosim.core import World
+from pyrobosim.core.yaml_utils import WorldYamlLoader
+from pyrobosim.navigation import execution
+from pyrobosim.planning.actions import ExecutionResult, TaskAction
+
+AT_ONCE = -1.0
+"""The real-time factor of a robot that does not take its time."""
+
+
+def load_world(file: Path, seed: int) -> World:
+    """Load a world in which everything that happens by chance follows from the seed."""
+    for name in ("pyrobosim", "robot"):
+        logging.getLogger(name).disabled = True
+    np.random.seed(seed)
+    world = WorldYamlLoader().from_file(file)
+    for robot in world.robots:
+        for position, options in enumerate(robot.action_execution_options.values()):
+            options.rng = np.random.default_rng([seed, position])
+    return world
+
+
+@contextmanager
+def without_waiting() -> Iterator[None]:
+    """Have robots wait for nobody while they drive: not for the time it takes, nor for threads that look at it."""
+    execution.time = SimpleNamespace(time=time.time, sleep=lambda seconds: None)
+    try:
+        yield
+    finally:
+        execution.time = time
+
+
+def perform(world: World, action: Mapping[str, Any], realtime_factor: float = AT_ONCE) -> ExecutionResult:
+    """Have a robot perform an action, given the fields of a `pyrobosim_msgs/msg/TaskAction`."""
+    robot = world.get_robot_by_name(action["robot"])
+    wanted = {name: action.get(name) or None for name in ("robot", "object", "room", "source_location", "target_location")}
+    return robot.execute_action(TaskAction(action["type"], **wanted), realtime_factor)
+
+
+def world_state(world: World) -> dict[str, Any]:
+    """Return the state of a world, in the fields of a `pyrobosim_msgs/msg/WorldState` but for poses."""
+    return {
+        "robots": [
+            {
+                "name": robot.name,
+                "battery_level": float(robot.battery_level),
+                "executing_action": robot.executing_action,
+                "holding_object": robot.manipulated_object is not None,
+                "manipulated_object": robot.manipulated_object.name if robot.manipulated_object else "",
+                "last_visited_location": robot.location.name if robot.location else "",
+            }
+            for robot in world.robots
+        ],
+        "locations": [
+            {
+                "name": location.name,
+                "category": location.category,
+                "spawns": [spawn.name for spawn in location.children],
+                "parent": location.get_room_name(),
+                "is_open": location.is_open,
+                "is_locked": location.is_locked,
+            }
+            for location in world.locations
+        ],
+        "hallways": [
+            {
+                "name": hallway.name,
+                "room_start": hallway.room_start.name,
+                "room_end": hallway.room_end.name,
+                "is_open": hallway.is_open,
+                "is_locked": hallway.is_locked,
+            }
+            for hallway in world.hallways
+        ],
+        "objects": [{"name": item.name, "category": item.category, "parent": item.parent.name} for item in world.objects],
+    }
+
+
+def has_reached(world: World, problem: int) -> bool:
+    """Return whether the goal of the workshop's problem is so, by the simulator's own state."""
+
+    def is_in(place: str, *items: str) -> bool:
+        return all(world.get_object_by_name(item).parent.name == place for item in items)
+
+    def is_shut(*places: str) -> bool:
+        return not any(world.get_location_by_name(place).is_open for place in places)
+
+    is_tidy = is_in("dumpster_disposal", "waste0", "waste1") and is_shut("dumpster")
+    is_laid = is_in("table_tabletop", "bread0", "butter0") and is_shut("fridge", "pantry")
+    return {1: is_in("table_tabletop", "snacks0"), 2: is_tidy, 3: is_laid, 4: is_tidy and is_laid}[problem]
