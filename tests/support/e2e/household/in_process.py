@@ -18,20 +18,31 @@ from pnm.knowledge.sensor_model import Instance, Sensing, instances, read
 from tests.support.e2e.household.simulator import perform, world_state
 
 
-class SimulatorClient:
-    """Performs each request at once, and has what has changed reported before its end.
+class SimulatorBackend(ClientBackend):
+    """The robots of a world: an action client that performs every request at once, after which sensors report what is so.
 
     Attributes:
+        world: the simulator's.
         actions: how many were performed, attempts that failed included.
         spent: whether a battery was ever empty.
     """
 
-    def __init__(self, world: World, bindings: Bindings) -> None:
+    def __init__(self, world: World, bindings: Bindings, sensing: Sensing) -> None:
+        super().__init__(self)
         self.world = world
         self.actions = 0
         self.spent = False
-        self.report_state = lambda: None
         self._bindings = bindings
+        self._sensing = sensing
+        self._sensors: tuple[Instance, ...] = ()
+
+    async def open(self, knowledge: KnowledgeBase) -> None:
+        """Report the state of the world, from now on after every action."""
+        for name in self._sensing.names:
+            knowledge.sense((name,), lag=0.0)
+        self._knowledge = knowledge
+        self._sensors = instances(self._sensing, knowledge.objects)
+        self._report()
 
     def goal_fields(self, action: GroundAction, /) -> tuple[str, ...]:
         """Return the fields of an `ExecuteTaskAction` goal."""
@@ -49,30 +60,13 @@ class SimulatorClient:
         result = perform(self.world, request.goal["action"])
         self.actions += 1
         self.spent |= any(robot.battery_level <= 0 for robot in self.world.robots)
-        self.report_state()
-        reached = Outcome(OutcomeKind.SUCCEEDED, {"execution_result": {"status": int(result.status), "message": result.message or ""}})
-        report(Ended(request.id, self._bindings.of(request.action.name).judged(reached)))
+        self._report()
+        ended = Outcome(OutcomeKind.SUCCEEDED, {"execution_result": {"status": int(result.status), "message": result.message or ""}})
+        report(Ended(request.id, self._bindings.of(request.action.name).judged(ended)))
 
-
-class SimulatorBackend(ClientBackend):
-    """The robots of a world, whose state is read by the sensors of a file after every action."""
-
-    def __init__(self, world: World, bindings: Bindings, sensing: Sensing) -> None:
-        super().__init__(SimulatorClient(world, bindings))
-        self._world = world
-        self._sensing = sensing
-
-    async def open(self, knowledge: KnowledgeBase) -> None:
-        """Report the state of the world, from now on after every action."""
-        for name in self._sensing.names:
-            knowledge.sense((name,), lag=0.0)
-        sensors = instances(self._sensing, knowledge.objects)
-        self.client.report_state = partial(self._report, knowledge, sensors)
-        self.client.report_state()
-
-    def _report(self, knowledge: KnowledgeBase, sensors: tuple[Instance, ...]) -> None:
-        answer = {"state": world_state(self._world)}
-        for sensor in sensors:
-            reading = read(sensor, partial(value_in, answer), knowledge.objects)
+    def _report(self) -> None:
+        answer = {"state": world_state(self.world)}
+        for sensor in self._sensors:
+            reading = read(sensor, partial(value_in, answer), self._knowledge.objects)
             assert not reading.unread, reading.unread
-            knowledge.update(reading.facts)
+            self._knowledge.update(reading.facts)

@@ -8,28 +8,60 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
+import yaml
 from pyrobosim.core import World
 from pyrobosim.core.yaml_utils import WorldYamlLoader
 from pyrobosim.navigation import execution
 from pyrobosim.planning.actions import ExecutionResult, TaskAction
 
-AT_ONCE = -1.0
+WORLDS: Final = Path(__file__).parent / "worlds"
+CHANCES_AND_USAGES: Final = {
+    "navigate": (0.9, 0.5),
+    "pick": (0.5, 5.0),
+    "place": (0.5, 5.0),
+    "open": (0.75, 8.0),
+    "close": (0.75, 8.0),
+    "detect": (0.8, 0.0),
+}
+"""How likely each action succeeds, and how much of the battery it uses; navigating, for a metre."""
+AT_ONCE: Final = -1.0
 """The real-time factor of a robot that does not take its time."""
 
 
-def load_world(file: Path, seed: int) -> World:
-    """Load a world in which everything that happens by chance follows from the seed."""
-    for name in ("pyrobosim", "robot"):
+def load_world(problem: int, seed: int, folder: Path | None = None) -> World:
+    """Load the world of a problem, in which everything that happens by chance follows from the seed.
+
+    Args:
+        folder: with the workshop's own worlds, world1.yaml and so on; by default the house of this project.
+    """
+    for name in ("pyrobosim", "robot", "house", f"delib_ws_problem_{problem}"):
         logging.getLogger(name).disabled = True
     np.random.seed(seed)
-    world = WorldYamlLoader().from_file(file)
+    world = WorldYamlLoader().from_file(folder / f"world{problem}.yaml") if folder else WorldYamlLoader().from_yaml(_house(problem), WORLDS)
     for robot in world.robots:
         for position, options in enumerate(robot.action_execution_options.values()):
             options.rng = np.random.default_rng([seed, position])
     return world
+
+
+def _house(problem: int) -> dict[str, Any]:
+    """Return the house as it is in a problem: doors are shut in the second, chance comes with the third, a battery with the fourth."""
+    house = yaml.safe_load((WORLDS / "house.yaml").read_text(encoding="utf-8"))
+    if problem > 1:
+        for hallway in house["hallways"]:
+            hallway["is_open"] = {hallway["room_start"], hallway["room_end"]} in ({"dining", "office"}, {"dining", "kitchen"})
+        for furniture in house["locations"]:
+            furniture["is_open"] = furniture["name"] not in ("dumpster", "fridge", *(("pantry",) if problem > 2 else ()))
+    if problem > 2:
+        for robot in house["robots"]:
+            robot["action_execution_options"] = {
+                action: {"success_probability": chance, "battery_usage": usage if problem > 3 else 0.0}
+                for action, (chance, usage) in CHANCES_AND_USAGES.items()
+            }
+    return house
 
 
 @contextmanager
