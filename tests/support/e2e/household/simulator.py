@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 import yaml
-from pyrobosim.core import World
+from pyrobosim.core import Robot, World
 from pyrobosim.core.yaml_utils import WorldYamlLoader
 from pyrobosim.navigation import execution
 from pyrobosim.planning.actions import ExecutionResult, TaskAction
@@ -81,20 +81,22 @@ def perform(world: World, action: Mapping[str, Any], realtime_factor: float = AT
     return robot.execute_action(TaskAction(action["type"], **wanted), realtime_factor)
 
 
+def robot_state(robot: Robot) -> dict[str, Any]:
+    """Return the state of a robot, in the fields of a `pyrobosim_msgs/msg/RobotState` but for its pose."""
+    return {
+        "name": robot.name,
+        "battery_level": float(robot.battery_level),
+        "executing_action": robot.executing_action,
+        "holding_object": robot.manipulated_object is not None,
+        "manipulated_object": robot.manipulated_object.name if robot.manipulated_object else "",
+        "last_visited_location": robot.location.name if robot.location else "",
+    }
+
+
 def world_state(world: World) -> dict[str, Any]:
     """Return the state of a world, in the fields of a `pyrobosim_msgs/msg/WorldState` but for poses."""
     return {
-        "robots": [
-            {
-                "name": robot.name,
-                "battery_level": float(robot.battery_level),
-                "executing_action": robot.executing_action,
-                "holding_object": robot.manipulated_object is not None,
-                "manipulated_object": robot.manipulated_object.name if robot.manipulated_object else "",
-                "last_visited_location": robot.location.name if robot.location else "",
-            }
-            for robot in world.robots
-        ],
+        "robots": [robot_state(robot) for robot in world.robots],
         "locations": [
             {
                 "name": location.name,
