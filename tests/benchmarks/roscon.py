@@ -19,17 +19,10 @@ from pathlib import Path
 from statistics import mean
 from typing import Final
 
-from planner_bridge.loading import load
-from planner_bridge.pipeline import achieve_at
-from planner_bridge.tasks.settings import Settings
-from pnm.actions.bindings_file import read_bindings
-from pnm.clock import run_async
-from pnm.knowledge.sensor_file import read_sensing
-from tests.support.e2e.household.in_process import SimulatorBackend
+from tests.support.e2e.household.in_process import in_world, pursue
 from tests.support.e2e.household.simulator import has_reached, load_world, perform, without_waiting
-from tests.support.files import ROOT
+from tests.support.files import SHARED
 
-HOUSEHOLD: Final = ROOT / "domains" / "household"
 SNACKS: Final = ("navigate pantry", "pick snacks0", "navigate table", "place snacks0")
 WASTE: Final = (
     *("navigate hall_dining_trash", "open hall_dining_trash", "navigate dumpster", "open dumpster"),
@@ -67,12 +60,8 @@ class Trial:
 
 def our_way(problem: int, folder: Path | None, seed: int) -> Trial:
     """Pursue the goal with planner, executor and replanning."""
-    loaded = load(HOUSEHOLD / "domain.pddl", HOUSEHOLD / f"problem{problem}.pddl")
-    bindings = read_bindings(HOUSEHOLD / "bindings.yaml", loaded.vocabulary)
-    backend = SimulatorBackend(load_world(problem, seed, folder), bindings, read_sensing(HOUSEHOLD / "sensing.yaml", loaded.vocabulary))
-    began = time.perf_counter()
-    with without_waiting():
-        result = run_async(achieve_at(backend, loaded, Settings(bindings=bindings)), virtual=True)
+    backend, began = in_world(problem, seed, folder), time.perf_counter()
+    result = pursue(backend)
     seconds, reached = time.perf_counter() - began, has_reached(backend.world, problem)
     why = "" if result.goal_reached and reached else f"{'the battery is empty' if backend.spent else result.code.word}: {result.reason}"
     ours = sum(result.seconds[part] for part in ("plan", "translate", "verify"))
@@ -116,9 +105,11 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--problem", type=int, choices=LINEAR, help="only this one")
     parser.add_argument("--retries", type=int, default=3, help="of each action in the second baseline")
+    there = SHARED / "pyrobosim" / "worlds"
     parser.add_argument(
-        "--worlds", type=Path, help="folder of the workshop's world1.yaml to world4.yaml; by default a house of this project"
+        "--worlds", type=Path, help="folder of the workshop's worlds, world1.yaml to world4.yaml; else a house of this project"
     )
+    parser.set_defaults(worlds=there if there.is_dir() else None)
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--no-baselines", action="store_true", help="only planner and executor")
     options = parser.parse_args()
@@ -126,6 +117,7 @@ def main() -> None:
     if not options.no_baselines:
         ways |= {"linear": partial(linear_way, 0), f"linear, {options.retries} retries": partial(linear_way, options.retries)}
     seeds = range(options.first, options.first + options.seeds)
+    print(f"worlds of {options.worlds or 'this project'}, seeds {seeds.start} to {seeds.stop - 1}")
     print(f"problem  {'':<22}{'reached':>10}{'false':>7}{'actions':>8}{'replans':>8}{'seconds':>8}{'ours':>8}")
     with ProcessPoolExecutor(options.jobs) as processes:
         for problem in [options.problem] if options.problem else LINEAR:

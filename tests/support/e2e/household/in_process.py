@@ -3,19 +3,48 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from functools import partial
+from pathlib import Path
+from typing import Final
 from uuid import UUID
 
 from pyrobosim.core import World
 
+from planner_bridge.loading import load
+from planner_bridge.model.problem import Problem
+from planner_bridge.pipeline import achieve_at
+from planner_bridge.tasks.result import TaskResult
+from planner_bridge.tasks.settings import Settings
 from pnm.actions.backend import ClientBackend
+from pnm.actions.bindings_file import read_bindings
+from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
 from pnm.core.message_fields import value_in
-from pnm.knowledge.sensor_model import Instance, Sensing, instances, read
-from tests.support.e2e.household.simulator import perform, world_state
+from pnm.knowledge.sensor_file import read_sensing
+from pnm.knowledge.sensor_model import Instance, instances, read
+from tests.support.e2e.household.simulator import load_world, perform, without_waiting, world_state
+from tests.support.files import ROOT
+
+HOUSEHOLD: Final = ROOT / "domains" / "household"
+
+
+def problem_of(number: int) -> Problem:
+    """Load one of the four problems."""
+    return load(HOUSEHOLD / "domain.pddl", HOUSEHOLD / f"problem{number}.pddl")
+
+
+def in_world(number: int, seed: int, folder: Path | None = None) -> SimulatorBackend:
+    """Return the robots of a problem's world; see `load_world`."""
+    return SimulatorBackend(load_world(number, seed, folder), problem_of(number))
+
+
+def pursue(backend: SimulatorBackend) -> TaskResult:
+    """Pursue the goal of the problem with planner, executor and replanning, as fast as it goes."""
+    with without_waiting():
+        return run_async(achieve_at(backend, backend.problem, Settings(bindings=backend.bindings)), virtual=True)
 
 
 class SimulatorBackend(ClientBackend):
@@ -25,15 +54,18 @@ class SimulatorBackend(ClientBackend):
         world: the simulator's.
         actions: how many were performed, attempts that failed included.
         spent: whether a battery was ever empty.
+        performed: called with the type of each action, before what has changed is reported.
     """
 
-    def __init__(self, world: World, bindings: Bindings, sensing: Sensing) -> None:
+    def __init__(self, world: World, problem: Problem) -> None:
         super().__init__(self)
         self.world = world
+        self.problem = problem
+        self.bindings = read_bindings(HOUSEHOLD / "bindings.yaml", problem.vocabulary)
         self.actions = 0
         self.spent = False
-        self._bindings = bindings
-        self._sensing = sensing
+        self.performed: Callable[[str], None] = lambda kind: None
+        self._sensing = read_sensing(HOUSEHOLD / "sensing.yaml", problem.vocabulary)
         self._sensors: tuple[Instance, ...] = ()
 
     async def open(self, knowledge: KnowledgeBase) -> None:
@@ -60,9 +92,10 @@ class SimulatorBackend(ClientBackend):
         result = perform(self.world, request.goal["action"])
         self.actions += 1
         self.spent |= any(robot.battery_level <= 0 for robot in self.world.robots)
+        self.performed(request.goal["action"]["type"])
         self._report()
         ended = Outcome(OutcomeKind.SUCCEEDED, {"execution_result": {"status": int(result.status), "message": result.message or ""}})
-        report(Ended(request.id, self._bindings.of(request.action.name).judged(ended)))
+        report(Ended(request.id, self.bindings.of(request.action.name).judged(ended)))
 
     def _report(self) -> None:
         answer = {"state": world_state(self.world)}

@@ -1,0 +1,61 @@
+"""The household's four problems in PyRoboSim's simulator, in this process: what is said of the goal is what the simulator says."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("pyrobosim", reason="the simulator is not installed")
+
+from planner_bridge.tasks.result import TaskResult
+from tests.support.e2e.household.in_process import SimulatorBackend, in_world, pursue
+from tests.support.e2e.household.simulator import has_reached
+
+
+def pursued(problem: int, backend: SimulatorBackend) -> TaskResult:
+    result = pursue(backend)
+    assert result.goal_reached is has_reached(backend.world, problem)
+    return result
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("problem", [1, 2, 3, 4])
+def test_the_goal_is_reached(problem: int, seed: int) -> None:
+    backend = in_world(problem, seed)
+    assert pursued(problem, backend).goal_reached
+    assert not backend.spent
+
+
+def test_attempts_that_fail_by_chance_are_made_again() -> None:
+    result = pursued(3, backend := in_world(3, seed=1))
+    assert backend.actions == sum(call.attempts for call in result.calls) > len(result.calls)
+    assert not result.replans
+
+
+def test_the_robot_charges_before_its_battery_is_empty() -> None:
+    result = pursued(4, in_world(4, seed=1))
+    assert "charge" in {call.call.action.name for call in result.calls if call.attempts}
+
+
+def test_what_cannot_be_done_has_the_simulators_reason() -> None:
+    backend = in_world(3, seed=1)
+    backend.world.get_location_by_name("fridge").is_locked = True
+    result = pursued(3, backend)
+    assert not result.goal_reached
+    assert "Location: fridge is locked." in {failure.observed for failure in result.failures}
+
+
+def test_a_door_that_falls_shut_is_opened_again() -> None:
+    backend = in_world(2, seed=1)
+    doors = backend.world.get_hallways_attached_to_room("dining")
+    performed = backend.performed
+
+    def shut(kind: str) -> None:
+        if kind == "place":
+            for door in doors:
+                backend.world.close_location(door)
+        performed(kind)
+
+    backend.performed = shut
+    result = pursued(2, backend)
+    assert result.goal_reached
+    assert result.replans
