@@ -21,7 +21,7 @@ from pnm.core.machine.requests import OutcomeKind
 from pnm.tasks import OnConflict, TaskState
 
 if TYPE_CHECKING:
-    from pnm.ros.tasks.node_client import NodeClient
+    from pnm.ros.node_client import NodeClient
 
 T = TypeVar("T")
 
@@ -187,7 +187,7 @@ def _with_node(namespace: str, work: Callable[[NodeClient], Awaitable[T]]) -> T:
     async def connected() -> T:
         ros = RosThread("pnm_client", namespace=namespace)
         try:
-            from pnm.ros.tasks.node_client import NodeClient  # needs rclpy, which is there by now
+            from pnm.ros.node_client import NodeClient  # needs rclpy, which is there by now
 
             return await work(NodeClient(ros))
         finally:
