@@ -133,4 +133,5 @@ def has_reached(world: World, problem: int) -> bool:
 
     is_tidy = is_in("dumpster_disposal", "waste0", "waste1") and is_shut("dumpster")
     is_laid = is_in("table_tabletop", "bread0", "butter0") and is_shut("fridge", "pantry")
-    return {1: is_in("table_tabletop", "snacks0"), 2: is_tidy, 3: is_laid, 4: is_tidy and is_laid}[problem]
+    is_powered = all(robot.battery_level > 0 for robot in world.robots)
+    return {1: is_in("table_tabletop", "snacks0"), 2: is_tidy, 3: is_laid, 4: is_tidy and is_laid and is_powered}[problem]
