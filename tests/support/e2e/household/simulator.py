@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import logging
 import time
 from collections.abc import Iterator, Mapping
@@ -14,7 +15,7 @@ import numpy as np
 import yaml
 from pyrobosim.core import Robot, World
 from pyrobosim.core.yaml_utils import WorldYamlLoader
-from pyrobosim.navigation import execution
+from pyrobosim.navigation import execution, rrt
 from pyrobosim.planning.actions import ExecutionResult, TaskAction
 
 WORLDS: Final = Path(__file__).parent / "worlds"
@@ -66,12 +67,13 @@ def _house(problem: int) -> dict[str, Any]:
 
 @contextmanager
 def without_waiting() -> Iterator[None]:
-    """Have robots wait for nobody while they drive: not for the time it takes, nor for threads that look at it."""
+    """Have robots not wait while they drive, and plan their paths without copies of whole trees. What happens is the same."""
     execution.time = SimpleNamespace(time=time.time, sleep=lambda seconds: None)
+    rrt.copy = SimpleNamespace(deepcopy=copy.copy)  # of a node that is given another parent at once; its old one is not looked at
     try:
         yield
     finally:
-        execution.time = time
+        execution.time, rrt.copy = time, copy
 
 
 def perform(world: World, action: Mapping[str, Any], realtime_factor: float = AT_ONCE) -> ExecutionResult:
