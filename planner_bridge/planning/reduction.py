@@ -6,20 +6,25 @@ with it all steps that cannot be carried out then; if the goal is reached all th
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
+from planner_bridge.model.grounding import ground_action, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult
+from planner_bridge.model.plan_simulation import NotApplicable, PlanSimulation
 from planner_bridge.model.problem import TOTAL_TIME, Metric, Problem
 from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.validate import InvalidPlan, last_state
+from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import Fluent, State, Unknown, Value, value_of
+from pnm.core.machine.plan_graph import Moment, PlanEvent
 
 if TYPE_CHECKING:
     import kairos
 
 MAX_STEPS: Final = 60
-"""Steps of a plan that is reduced: the work grows with the cube of their number."""
+"""Steps of a plan that is reduced: the work grows with the square of their number, with times in the plan with its cube."""
 
 
 def reduced(problem: Problem, result: PlanningResult, parsed: kairos.Problem | None = None) -> PlanningResult:
@@ -43,6 +48,17 @@ def reduced(problem: Problem, result: PlanningResult, parsed: kairos.Problem | N
 def _without(problem: Problem, plan: Plan, number: int) -> Plan | None:
     """Return the plan without the step, and those after it that cannot be carried out without it; None if that is no better plan."""
     steps = [*plan.steps[:number], *plan.steps[number + 1 :]]
+    if not (plan.temporal or problem.timed):
+        # One simulation finds all that cannot be carried out; what reaches the goal then is checked as a whole.
+        simulation, every = PlanSimulation(initial_knowledge(problem)), steps
+        steps = []
+        for step in every:
+            action = ground_action(problem.domain.actions[step.action], step.arguments, None)
+            with suppress(NotApplicable):
+                simulation.advance([(PlanEvent(0, moment), action) for moment in (Moment.START, Moment.END)])
+                steps.append(step)
+        if evaluate(problem.goal, simulation.state) is not True:
+            return None
     while True:
         shorter = replace(plan, steps=tuple(steps))
         try:
