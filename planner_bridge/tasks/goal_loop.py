@@ -58,7 +58,8 @@ class GoalLoop:
                 self._monitor.begin(cleanup)
                 await self._monitor.settle()  # before anything is planned: a constraint may only look violated because a report is late
                 if self._given is None:
-                    plan = await self._search.in_turn(partial(self._search.plan, self._context.forbidden(self._log.history)))
+                    search = partial(self._search.plan, self._context.forbidden(self._log.history))
+                    plan = await self._search.patiently(lambda: self._search.in_turn(search))
                 else:
                     plan = await self._search.in_turn(partial(self._search.given, self._given))
                 graph = await self._accepted(plan)
@@ -219,7 +220,8 @@ class GoalLoop:
         if isinstance(decision, ResumePlan) and not execution.is_blocked:
             return decision.rest
         if self._given is None:
-            plan = await self._search.following(execution, self._context.forbidden(self._log.history))
+            forbidden = self._context.forbidden(self._log.history)
+            plan = await self._search.patiently(lambda: self._search.following(execution, forbidden))
             assert plan is not None, "a plan that is searched for in turn is in no conflict"
             return await self._accepted(plan)
         if isinstance(decision, PlanAgain):
