@@ -16,7 +16,7 @@ times, if the constraint depends on times other than a deadline.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from math import inf
@@ -72,7 +72,11 @@ class CausalLinks:
     """Has the objects, and the rules of derived facts."""
     relevant: frozenset[str]
     """The predicates and functions that can order anything."""
-    kept: tuple[OrderKept, ...] = ()
+    actions: Sequence[GroundAction]
+    """Those of the calls, by number."""
+    kept: list[OrderKept] = field(default_factory=list)
+    writes: dict[PlanEvent, frozenset[Fluent]] = field(init=False)
+    """What each event may write that can order anything, whether or not the conditions of its effects hold."""
     writer: dict[Fluent, PlanEvent] = field(default_factory=dict)
     """The event that wrote the fluent last."""
     changed_at: dict[Fluent, float] = field(default_factory=dict)
@@ -84,9 +88,17 @@ class CausalLinks:
     releases: dict[int, float] = field(default_factory=dict)
     deadlines: dict[int, float] = field(default_factory=dict)
     latest_starts: dict[int, float] = field(default_factory=dict)
-    actions: dict[int, GroundAction] = field(default_factory=dict)
     clocked: set[int] = field(default_factory=set)
     """The calls that must not start before their planned time."""
+
+    def __post_init__(self) -> None:
+        effects = {PlanEvent(call, Moment.START): action.start_effects for call, action in enumerate(self.actions)}
+        effects |= {PlanEvent(call, Moment.END): action.end_effects for call, action in enumerate(self.actions)}
+        self.writes = {event: self.relevant_of(written(made, self.knowledge)) for event, made in effects.items()}
+
+    def relevant_of(self, fluents: frozenset[Fluent]) -> frozenset[Fluent]:
+        """Return what the fluents rest on, as far as it can order anything."""
+        return frozenset(fluent for fluent in self.knowledge.rests_on(fluents) if fluent[0] in self.relevant)
 
     def add_timed_change(self, time: float, changed: Mapping[Fluent, Value]) -> None:
         """Add a change of fluents by themselves; calls that end before it and could not have gone on get a deadline.
@@ -111,49 +123,45 @@ class CausalLinks:
     def add_happening(self, kind: HappeningKind, called: ActionCall, end: float, now: float) -> None:
         """Add the reads and writes of one happening of a call, which ends at `end`."""
         call, action = called.index, called.action
-        self.actions[call] = action
         start_event, end_event = PlanEvent(call, Moment.START), PlanEvent(call, Moment.END)
-        start, ending = action.start_effects, action.end_effects
         match kind:
             case _ if action.duration is None:
                 if kind is not HappeningKind.START:
                     return
-                self._add_point(start_event, end_event, self._reads(action.precondition, ending), written(ending, self.knowledge), now)
+                self._add_point(start_event, end_event, self._reads(action.precondition, action.end_effects), now)
             case HappeningKind.START:
                 # Early conditions of end effects are decided at the start, so their reads belong there.
-                reads = self._reads(action.precondition, start) | self.knowledge.rests_on(read_early(ending, self.knowledge))
-                self._add_point(start_event, start_event, reads, written(start, self.knowledge), now)
+                early = self.relevant_of(read_early(action.end_effects, self.knowledge))
+                self._add_point(start_event, start_event, self._reads(action.precondition, action.start_effects) | early, now)
             case HappeningKind.OPEN:
-                for fluent in self._relevant(self._reads(action.invariant)):
+                for fluent in sorted(self._reads(action.invariant)):
                     self._after_writer(fluent, start_event, now)
                     self.readers.setdefault(fluent, []).append(_FluentReader(call, end_event, end))
                 for part in conjuncts(action.invariant):
-                    group = frozenset(self._relevant(self._reads(part)))
+                    group = self._reads(part)
                     # A write may leave such a part true thanks to another of its fluents, which a reader of single fluents would not show.
                     if len(group) > 1:
                         self.open_conditions.append((call, group, end))
             case HappeningKind.END:
-                self._add_point(end_event, end_event, self._reads(action.end_condition, ending), written(ending, self.knowledge), now)
+                self._add_point(end_event, end_event, self._reads(action.end_condition, action.end_effects), now)
 
     def _reads(self, condition: Condition, effects: Effects = ()) -> frozenset[Fluent]:
-        return self.knowledge.rests_on(fluents(condition, self.knowledge) | read(effects, self.knowledge))
+        return self.relevant_of(fluents(condition, self.knowledge) | read(effects, self.knowledge))
 
-    def _relevant(self, fluents: frozenset[Fluent]) -> list[Fluent]:
-        return sorted(fluent for fluent in fluents if fluent[0] in self.relevant)
-
-    def _add_point(self, waits: PlanEvent, releases: PlanEvent, reads: frozenset[Fluent], writes: frozenset[Fluent], now: float) -> None:
-        """Add reads and writes at one point in time: `waits` comes after earlier events, later events after `releases`."""
+    def _add_point(self, waits: PlanEvent, releases: PlanEvent, reads: frozenset[Fluent], now: float) -> None:
+        """Add the reads, and what `releases` writes, at one point in time: it waits as `waits`, and later events wait for `releases`."""
+        writes = self.writes[releases]
         # A write that leaves an over-all condition true may do so only because of the values of its other fluents.
         relied = [group - writes for call, group, until in self.open_conditions if until > now and call != waits.call and group & writes]
         # Reads before writes: an event that does both waits for others and not for itself.
-        for fluent in self._relevant(reads.union(*relied)):
+        for fluent in sorted(reads.union(*relied)):
             self._after_writer(fluent, waits, now)
             self.readers.setdefault(fluent, []).append(_FluentReader(releases.call, releases, now))
         concerned = [kept for kept in self.kept if kept.fluents is None or kept.fluents & writes]
         if any(kept.timed for kept in concerned):
             self.clocked.add(waits.call)
         # A write comes after the last write and after every read of that value since: else it would break a causal link.
-        for fluent in (*self._relevant(writes), *(kept.token for kept in concerned)):
+        for fluent in (*sorted(writes), *(kept.token for kept in concerned)):
             self._after_writer(fluent, waits, now)
             still_open = []
             for reader in self.readers.get(fluent, ()):
