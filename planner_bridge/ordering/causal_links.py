@@ -19,12 +19,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from itertools import chain
 from math import inf
 
 from planner_bridge.ordering.enclosing_actions import SLACK
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import All, Condition, conjuncts, fluents
-from pnm.core.logic.effects import Effects, read, read_early, written
+from pnm.core.logic.effects import TimedChange, read, read_early, written
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNKNOWN, Fluent, State, Unknown, Value
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
@@ -74,9 +75,14 @@ class CausalLinks:
     """The predicates and functions that can order anything."""
     actions: Sequence[GroundAction]
     """Those of the calls, by number."""
+    timed: Sequence[TimedChange] = ()
     kept: list[OrderKept] = field(default_factory=list)
     writes: dict[PlanEvent, frozenset[Fluent]] = field(init=False)
     """What each event may write that can order anything, whether or not the conditions of its effects hold."""
+    reads: dict[PlanEvent, frozenset[Fluent]] = field(init=False)
+    """What each event reads that can order anything; early conditions of end effects are decided at the start, so it reads them."""
+    throughout: list[tuple[tuple[Condition, frozenset[Fluent]], ...]] = field(init=False)
+    """The parts of what must hold from the start of each call to its end, with what of their fluents can order anything."""
     writer: dict[Fluent, PlanEvent] = field(default_factory=dict)
     """The event that wrote the fluent last."""
     changed_at: dict[Fluent, float] = field(default_factory=dict)
@@ -92,9 +98,23 @@ class CausalLinks:
     """The calls that must not start before their planned time."""
 
     def __post_init__(self) -> None:
-        effects = {PlanEvent(call, Moment.START): action.start_effects for call, action in enumerate(self.actions)}
-        effects |= {PlanEvent(call, Moment.END): action.end_effects for call, action in enumerate(self.actions)}
-        self.writes = {event: self.relevant_of(written(made, self.knowledge)) for event, made in effects.items()}
+        knowledge, self.writes, self.reads, self.throughout = self.knowledge, {}, {}, []
+        for call, action in enumerate(self.actions):
+            self.writes[PlanEvent(call, Moment.START)] = self.relevant_of(written(action.start_effects, knowledge))
+            self.writes[PlanEvent(call, Moment.END)] = self.relevant_of(written(action.end_effects, knowledge))
+        # Facts that stay as they are may be evaluated away, so that a derived fact orders less.
+        if knowledge.rules.rules:  # what they read is known only as far as neither the plan nor time may change it
+            changing = chain(*self.writes.values(), *(change.changes for change in self.timed))
+            knowledge.update(dict.fromkeys(changing, UNKNOWN))
+        for call, action in enumerate(self.actions):
+            early = read_early(action.end_effects, knowledge)
+            before = fluents(action.precondition, knowledge) | read(action.start_effects, knowledge) | early
+            self.reads[PlanEvent(call, Moment.START)] = self.relevant_of(before)
+            ending = fluents(action.end_condition, knowledge) | read(action.end_effects, knowledge)
+            self.reads[PlanEvent(call, Moment.END)] = self.relevant_of(ending)
+            # what an action without duration needs must be there as long as the robot takes for it
+            parts = conjuncts(action.precondition if action.duration is None else action.invariant)
+            self.throughout.append(tuple((part, self.relevant_of(fluents(part, knowledge))) for part in parts))
 
     def relevant_of(self, fluents: frozenset[Fluent]) -> frozenset[Fluent]:
         """Return what the fluents rest on, as far as it can order anything."""
@@ -128,25 +148,17 @@ class CausalLinks:
             case _ if action.duration is None:
                 if kind is not HappeningKind.START:
                     return
-                self._add_point(start_event, end_event, self._reads(action.precondition, action.end_effects), now)
-            case HappeningKind.START:
-                # Early conditions of end effects are decided at the start, so their reads belong there.
-                early = self.relevant_of(read_early(action.end_effects, self.knowledge))
-                self._add_point(start_event, start_event, self._reads(action.precondition, action.start_effects) | early, now)
+                self._add_point(start_event, end_event, self.reads[start_event] | self.reads[end_event], now)
             case HappeningKind.OPEN:
-                for fluent in sorted(self._reads(action.invariant)):
+                groups = [group for _, group in self.throughout[call]]
+                for fluent in sorted(frozenset().union(*groups)):
                     self._after_writer(fluent, start_event, now)
                     self.readers.setdefault(fluent, []).append(_FluentReader(call, end_event, end))
-                for part in conjuncts(action.invariant):
-                    group = self._reads(part)
-                    # A write may leave such a part true thanks to another of its fluents, which a reader of single fluents would not show.
-                    if len(group) > 1:
-                        self.open_conditions.append((call, group, end))
-            case HappeningKind.END:
-                self._add_point(end_event, end_event, self._reads(action.end_condition, action.end_effects), now)
-
-    def _reads(self, condition: Condition, effects: Effects = ()) -> frozenset[Fluent]:
-        return self.relevant_of(fluents(condition, self.knowledge) | read(effects, self.knowledge))
+                # A write may leave such a part true thanks to another of its fluents, which a reader of single fluents would not show.
+                self.open_conditions += [(call, group, end) for group in groups if len(group) > 1]
+            case _:
+                event = start_event if kind is HappeningKind.START else end_event
+                self._add_point(event, event, self.reads[event], now)
 
     def _add_point(self, waits: PlanEvent, releases: PlanEvent, reads: frozenset[Fluent], now: float) -> None:
         """Add the reads, and what `releases` writes, at one point in time: it waits as `waits`, and later events wait for `releases`."""
@@ -202,7 +214,7 @@ class CausalLinks:
             for call in calls
         )
         # A goal that time itself fulfils last must not be looked at before.
-        due = max((self.changed_at.get(fluent, 0.0) for fluent in self._reads(goal)), default=0.0)
+        due = max((self.changed_at.get(fluent, 0.0) for fluent in self.relevant_of(fluents(goal, self.knowledge))), default=0.0)
         return PlanGraph(timed, tuple(_strongest(self.orderings)), goal, self.knowledge.rules, due)
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import chain
 from typing import Final
 
 from planner_bridge.model.grounding import dynamic_names, ground_action, initial_knowledge
@@ -20,7 +19,7 @@ from planner_bridge.ordering.partial_order import PartialOrder
 from planner_bridge.ordering.threats import threats
 from pnm.core.logic.conditions import fluents, names
 from pnm.core.logic.effects import Set, TimedChange, When, every_effect
-from pnm.core.logic.expressions import UNKNOWN, Fluent, expression_fluents
+from pnm.core.logic.expressions import Fluent, expression_fluents
 from pnm.core.logic.rules import Rules
 from pnm.core.logic.trajectory import instances, names_in
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph, PlanGraphError
@@ -142,11 +141,7 @@ def _happenings(problem: Problem, plan: Plan) -> list[tuple[float, HappeningKind
 def causal_links(problem: Problem, actions: Sequence[GroundAction]) -> CausalLinks:
     """Return the causal links of a plan of these calls, without any happening."""
     knowledge = initial_knowledge(problem)
-    links = CausalLinks(knowledge, _relevant(problem), actions)
-    # Facts that stay as they are may be evaluated away, so that a derived fact orders less.
-    if knowledge.rules.rules:  # what they read is known only as far as neither the plan nor time may change it
-        changing = chain(*links.writes.values(), *(change.changes for change in problem.timed))
-        knowledge.update(dict.fromkeys(changing, UNKNOWN))
+    links = CausalLinks(knowledge, _relevant(problem), actions, problem.timed)
     # A network of tasks fixes the order of its steps in ways that reads and writes do not show.
     if problem.network:
         links.kept.append(OrderKept(_NETWORK))
