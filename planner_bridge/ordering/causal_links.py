@@ -204,6 +204,7 @@ class CausalLinks:
 
     def plan_graph(self, calls: Iterable[ActionCall], goal: Condition) -> PlanGraph:
         """Return the plan graph; of two orderings between the same calls only the stronger is kept."""
+        bound = self.clocked.union(self.releases, self.deadlines, self.latest_starts)
         timed = tuple(
             replace(
                 call,
@@ -211,6 +212,8 @@ class CausalLinks:
                 latest_start=min(call.latest_start, self.latest_starts.get(call.index, inf)),
                 deadline=min(call.deadline, self.deadlines.get(call.index, inf)),
             )
+            if call.index in bound
+            else call
             for call in calls
         )
         # A goal that time itself fulfils last must not be looked at before.
