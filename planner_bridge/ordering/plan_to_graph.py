@@ -103,7 +103,7 @@ def _with_lasting_effects(graph: PlanGraph, order: PartialOrder, links: CausalLi
             if all(order.comes_before(writer, start) or order.comes_before(end, writer) for writer in writers.get(fluent, ()))
         )
         calls.append(replace(call, lasting=lasting) if lasting else call)
-    return replace(graph, steps=tuple(calls))
+    return replace(graph, steps=tuple(calls)) if any(call.lasting for call in calls) else graph
 
 
 def calls_of(problem: Problem, plan: Plan, first: int = 0) -> list[ActionCall]:
