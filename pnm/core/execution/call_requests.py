@@ -231,17 +231,9 @@ class Calls:
     def under_way(self, results: Sequence[CallResult]) -> tuple[UnderWay, ...]:
         """Return the requests that another run may take over; `results` are the interim results of the calls."""
         return tuple(
-            UnderWay(
-                self.as_sent(call),
-                request,
-                attempt.accepted,
-                results[call],
-                attempt.intended,
-                attempt.begun,
-                self.resources(attempt.action),
-            )
+            UnderWay(self.as_sent(call), request, last.accepted, results[call], last.intended, last.begun, self.resources(last.action))
             for request, call in self.open.items()
-            if (attempt := self._attempts[call]).accepted is not None
+            if (last := self._attempts[call]).accepted is not None
         )
 
     def forget(self, call: int) -> None:
