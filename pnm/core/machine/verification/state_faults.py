@@ -10,7 +10,7 @@ from pnm.core.machine.verification.counters import in_each_case
 from pnm.core.machine.verification.exits import asks_the_world, lacking_exit, missing_exit
 from pnm.core.machine.verification.moves import Moves, State
 from pnm.core.machine.verification.part import Inside
-from pnm.core.machine.verification.request_life import Life, untaken
+from pnm.core.machine.verification.request_life import SETTLED, Life, untaken
 
 
 class StateFaults:
@@ -88,8 +88,14 @@ class StateFaults:
             return f"{name} is marked although {busy[0]} still is"
         if Life.ALIVE in state.requests or Life.ADOPTABLE in state.requests:
             return f"{name} is marked although a request is alive"
-        if self._part.goal in map(places.__getitem__, ended) and self._moves.moods(state).ending:
+        is_ending, is_goal = self._moves.moods(state).ending, self._part.goal in map(places.__getitem__, ended)
+        if is_goal and is_ending:
             return f"{name} is marked although the run is ending"
+        if (is_goal or not self._part.finals) and not is_ending:
+            for owner in self._part.owed:
+                if state.accounts[self._moves.calls[owner]] not in SETTLED:
+                    what = "what it is for" if owner is None else f"call {owner}"
+                    return f"{name} is marked although {what} was not carried out, and the plan does not pass it over"
         return ""
 
     def _loses_reports(self, state: State) -> str:
