@@ -169,11 +169,10 @@ class Anatomy:
         # Where restarts are alike only some are explored, and the transitions of the others are left out with them.
         left_out = machine.restart_places.keys() - set(own_records) if owner is None else frozenset[str]()
         own = [step_of(machine, name) for name in self.transitions[owner]]
-        steps = (
-            (*(step for step in own if left_out.isdisjoint(step.inputs)), *self._inside(regions)) if owner is None or regions else (*own,)
-        )
-        if owner is None or owner in self.holding:
-            steps = tuple(self._marked_out(owner, step) for step in steps)
+        steps = (*(step for step in own if left_out.isdisjoint(step.inputs)), *self._inside(regions))
+        owed: tuple[Owner, ...] = (owner,) if owner in range(len(machine.plan.calls)) else ()  # a junction owes nothing
+        if owner in self.holding or (owner is None and regions):
+            owed, steps = (None,), tuple(self._holding(owner, step) for step in steps)
         places = dict.fromkeys(chain.from_iterable(connected for step in steps for connected in (step.inputs, step.outputs)))
         held = {place for region in regions for place in (*region.first, *region.last)}
         ends = frozenset((machine.goal_place, machine.failed_place))
@@ -220,7 +219,7 @@ class Anatomy:
             resources=resources,
             alive=machine.alive_places.intersection(places),
             settling=frozenset(place for place in places if machine.settling_places.get(place, -1) == owner),
-            owed=self._owed(owner),
+            owed=owed,
         )
         return Block(owner, part, first, rest, early)
 
@@ -257,7 +256,7 @@ class Anatomy:
                 for place in self._restarts:
                     yield Step("restart asked", Inside(), {**first, _may_come(place): 1}, {**first, place: 1})
 
-    def _marked_out(self, owner: Owner, step: Step) -> Step:
+    def _holding(self, owner: Owner, step: Step) -> Step:
         """Return a step of a loop, a choice or the frame with what it means for that: what it holds is entered, or it may be left."""
         entered = frozenset[int]().union(
             *(region.steps for region in self.regions.get(owner, ()) if not step.outputs.keys().isdisjoint(region.first))
@@ -271,12 +270,6 @@ class Anatomy:
             case None:
                 settles = isinstance(step.guard, Inside) and not entered
         return step._replace(settles=settles, outcome=CallOutcome.WAITING if entered and not settles else None)
-
-    def _owed(self, owner: Owner) -> tuple[Owner, ...]:
-        """Return what must be so before the block is left: its call is carried out, or what it holds; a junction holds nothing."""
-        if owner is None or owner in self.holding:
-            return (None,) if self.regions.get(owner) or owner is not None else ()
-        return (owner,) if owner < len(self.machine.plan.calls) else ()
 
     def note_waits(self, block: Block, waits: dict[Event, set[Event]]) -> None:
         """Note which events of other blocks of the same region the events of this block wait for."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from operator import gt
 
 from pnm.core.machine.machine import Always, Ends
@@ -55,7 +55,12 @@ class StateFaults:
         if missing:  # more inputs are to come, so to be at rest is no end yet
             return ""
         left = {place: tokens for place, tokens in zip(part.places, state.tokens, strict=True) if tokens and place not in part.records}
-        return self._why_improper(left)
+        kept = {place: part.initial[place] for place in part.resources - part.records if place in part.initial}
+        ends = [place for place in left if place in part.finals]
+        expected = {**kept, **dict.fromkeys(sorted(part.outputs), 1), **dict.fromkeys(ends[:1], 1)}
+        if part.finals and (len(ends) != 1 or left != expected):
+            return f"it ends in {left}"
+        return "" if left == expected else f"it leaves {left} in place of {expected}"
 
     def _may_be_unanswered(self, place: int) -> bool:
         """Return whether the world is asked at the place, and the exits that need nothing else are not enough."""
@@ -109,13 +114,3 @@ class StateFaults:
             if lost := untaken(self._moves.reports_now(call, state)):
                 return f"nothing takes the report that a request has {'/'.join(sorted(kind.value for kind in lost))}"
         return ""
-
-    def _why_improper(self, left: Mapping[str, int]) -> str:
-        """Return what is wrong with a final marking of all but record places; empty when it is proper."""
-        part = self._part
-        kept = {place: part.initial[place] for place in part.resources - part.records if place in part.initial}
-        ends = [place for place in left if place in part.finals]
-        expected = {**kept, **dict.fromkeys(sorted(part.outputs), 1), **dict.fromkeys(ends[:1], 1)}
-        if part.finals and (len(ends) != 1 or left != expected):
-            return f"it ends in {dict(left)}"
-        return "" if left == expected else f"it leaves {dict(left)} in place of {expected}"

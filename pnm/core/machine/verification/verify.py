@@ -5,9 +5,9 @@ machine ends, with exactly one token on its goal place or on its failed place an
 but on record places, and with no request alive; the goal is not reached once a step has failed or the run was stopped; nothing is
 sent once it is ending, and no second request of a call while one is alive; a call is left only with an outcome that is so, or with
 the cause of why it has none; unless the run is ending, it is left only once it is done, or for a cause after which the plan has a
-recovery that goes on without it, and a loop or a choice only as its condition says; no place ever holds two tokens, a budget never more than it began with. A run
-that is paused goes on when it is resumed, and each pause may have calls begin anew: so it ends if it
-is paused finitely often.
+recovery that goes on without it, and a loop or a choice only as its condition says; no place ever holds two tokens, a budget never
+more than it began with. A run that is paused goes on when it is resumed, and each pause may have calls begin anew: so it ends if it is
+paused finitely often.
 
 `explore` walks through all states: the oracle, for machines of a few calls. `verify` is linear
 in the number of calls, and trusts nothing but the net and the rules. Every block (the transitions
