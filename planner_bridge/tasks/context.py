@@ -137,10 +137,10 @@ class TaskContext:
 
     def unusable(self, history: History) -> frozenset[ForbiddenCall]:
         """Return the calls whose action server was not there too often, or that need a resource that is withheld after a vain wait."""
-        domain, bindings = self.problem.domain, self.settings.bindings
+        bindings = self.settings.bindings
         names = self.resources.withheld_from(history.lacking)
-        served = calls_served_by(domain, bindings, history.absent_servers(self.settings.limits))
-        return served | calls_acquiring(domain, bindings, names.keys())
+        served = calls_served_by(self.problem, bindings, history.absent_servers(self.settings.limits))
+        return served | calls_acquiring(self.problem, bindings, names.keys())
 
     def forbidden(self, history: History) -> frozenset[ForbiddenCall]:
         """Return the calls that no plan may use now."""
