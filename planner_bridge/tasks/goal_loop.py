@@ -247,17 +247,14 @@ class GoalLoop:
                 graph = await self._accepted(plan, under_way)
                 if self._monitor.why_not(Progress.beginning(graph), self._context.forbidden(history)):
                     return None
-                if execution.is_over and under_way:  # it has ended meanwhile, and there is nothing to be taken over any more
-                    execution.call_attention_at(asyncio.get_running_loop().time())
-                    return None
-            if not execution.is_over:
-                successor = await proved_machine(self._context, graph)
-                reserved = self._control.reserved if isinstance(decision, PlanAgain) else None
-                is_stale = not await execution.at_rest() or execution.under_way != under_way
-                # Nothing waits from here on: what others have begun, and what has ended, while the machine was made is all that there is.
-                if is_stale or (reserved and self._context.scheduler.conflicts(self._context.task, reserved)):
-                    execution.call_attention_at(asyncio.get_running_loop().time())
-                    return None
+            successor = None if execution.is_over else await proved_machine(self._context, graph)
+            reserved = self._control.reserved if successor and isinstance(decision, PlanAgain) else None
+            goes_on = await execution.at_rest()
+            # Nothing waits from here on: what others have begun, and what has ended, while the machine was made is all that there is.
+            if execution.under_way != under_way or (reserved and self._context.scheduler.conflicts(self._context.task, reserved)):
+                execution.call_attention_at(asyncio.get_running_loop().time())
+                return None
+            if goes_on and successor:
                 self._control.check()
                 machine, result = execution.run.machine, execution.result
                 execution.succeed(successor)
