@@ -69,11 +69,12 @@ def test_limits_pass_with_the_simulation_and_stand_still_with_it(ros, follower):
             at(100)
             await asyncio.wait((following,), timeout=0.1)
         following.result()
-        start, hour = loop.time(), asyncio.ensure_future(asyncio.sleep(3600.0))
+        start, hour = loop.time(), asyncio.Event()
+        loop.call_at(start + 3600.0, hour.set)
         assert await heard(3599) == pytest.approx(3599.0)
-        assert not hour.done()
+        assert not hour.is_set()
         await heard(3601)
-        await hour
+        await hour.wait()
         await ros.ask(lambda: ros.node.destroy_publisher(publisher))
 
     in_real_time(main)
