@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from planner_bridge.model.plan import Plan, PlanningResult
-from planner_bridge.model.problem import TOTAL_TIME, Metric, Problem
+from planner_bridge.model.problem import TOTAL_TIME, Problem
 from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.validate import InvalidPlan, last_state
 from pnm.core.logic.expressions import Fluent, State, Unknown, Value, value_of
@@ -52,7 +52,8 @@ def _without(problem: Problem, plan: Plan, number: int) -> Plan | None:
                 return None
             del steps[error.step]
         else:
-            is_worse = cost is not None and plan.cost is not None and _sign(problem.metric) * (cost - plan.cost) > 0.0
+            rises = 0.0 if cost is None or plan.cost is None else cost - plan.cost
+            is_worse = rises < 0.0 if problem.metric and problem.metric.direction == "maximize" else rises > 0.0
             return None if is_worse else replace(shorter, cost=cost)
 
 
@@ -62,10 +63,6 @@ def _cost(problem: Problem, plan: Plan, state: State) -> float | None:
     total_time = plan.makespan if plan.temporal else float(len(plan.steps))
     cost = value_of(problem.metric.expression, _Timed(state, total_time))
     return float(cost) if isinstance(cost, int | float) else plan.cost
-
-
-def _sign(metric: Metric | None) -> int:
-    return -1 if metric and metric.direction == "maximize" else 1
 
 
 @dataclass(frozen=True, slots=True)
