@@ -1,4 +1,4 @@
-"""The handle of one goal that is pursued on the event loop that runs here: awaited for its result; paused, resumed and stopped meanwhile."""
+"""The handle of a goal that is pursued on the event loop that runs here: awaited for its result; paused, resumed, stopped meanwhile."""
 
 from __future__ import annotations
 
