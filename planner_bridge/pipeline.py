@@ -18,13 +18,16 @@ from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.result import PlanResult, Stopwatch, TaskResult
 from planner_bridge.tasks.scheduling.task_manager import TaskManager
 from planner_bridge.tasks.settings import Settings, TaskObserver
-from pnm.actions.backend import Backend, ClientBackend
+from pnm.actions.backend import Backend, ClientBackend, check_ready
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import run_async
+from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition
 from pnm.core.machine.bindings import NO_BINDINGS
 from pnm.core.machine.machine import OnFailure
+from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import ActionClient
+from pnm.core.readiness import Readiness
 from pnm.errors import InputError, Tolerated, suggestion
 from pnm.knowledge.sensor_model import NO_SENSING
 from pnm.knowledge.sources.registry import Surroundings, open_sources
@@ -86,11 +89,41 @@ async def achieve_at(
     try:
         try:
             await backend.open(knowledge)
+            await check_ready(backend)
         except asyncio.CancelledError:
             cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
             return TaskResult(Code.CANCELLED, "cancelled", 0, (), stopwatch.seconds)
         manager = TaskManager(problem, knowledge, backend, settings, lambda _: problem.goal)
         return await manager.run(Wanted(uuid4(), ""), observer or TaskObserver(), stopwatch)
+    finally:
+        await backend.close()
+
+
+def readiness(problem: Problem, settings: Settings, wait: float = 0.0) -> tuple[Readiness, ...]:
+    """Return how ready the action servers and sensors for a problem are in the ROS graph; `wait` seconds are given to them to appear.
+
+    Raises:
+        InputError: an input is wrong.
+        RosError: ROS 2 is not there.
+    """
+    backend = backend_of("ros2", problem, settings, NO_FAULTS)
+    return run_async(_look(backend, initial_knowledge(problem), (), wait))
+
+
+def readiness_for_plan(file: Path, name: str | None, settings: Settings, wait: float = 0.0) -> tuple[Readiness, ...]:
+    """Return how ready the action servers and sensors for a hand-written plan are, and for the plans it calls; see `readiness`."""
+    plans = {plan: _with_settings(described, settings, None) for plan, described in read_plans(file).items()}
+    chosen = chosen_plan(plans, name)
+    bound = replace(settings, bindings=merge_bindings(plans.values()))
+    backend, world = backend_of("ros2", plans[chosen], bound, NO_FAULTS, tuple(plans.values())), initial_knowledge(plans[chosen])
+    programs = {called: Program.of(plans[called]) for called in called_plans(plans, chosen)}
+    return run_async(_look(backend, world, PlanRunner(programs, backend, world).actions, wait))
+
+
+async def _look(backend: Backend, world: KnowledgeBase, actions: Iterable[GroundAction], wait: float) -> tuple[Readiness, ...]:
+    try:
+        await backend.open(world)
+        return await backend.check(actions, wait)
     finally:
         await backend.close()
 
@@ -145,6 +178,7 @@ def carry_out(
             sources = open_sources(sources_of(plans.values()), Surroundings(getattr(backend, "ros", None), file.parent), knowledge)
             try:
                 runner = PlanRunner(programs, backend, world, sources)
+                await check_ready(backend, runner.actions)
                 await runner.check(runner.prepare_run(wanted.text, wanted.parameters))  # before anything is prepared
                 await backend.share(runner.prefix, runner.knowledge_of, sources)
                 await runner.prepare()

@@ -43,19 +43,24 @@ if TYPE_CHECKING:
 
 
 class Commands(click.Group):
-    """The commands. `serve` is imported when it is looked up: its options come from modules that no other command needs."""
+    """The commands. Some have modules of their own, which are imported when they are looked up."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the commands."""
-        return sorted((*super().list_commands(ctx), "serve"))
+        return sorted((*super().list_commands(ctx), "check", "serve"))
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Return a command by name."""
-        if cmd_name != "serve":
-            return super().get_command(ctx, cmd_name)
-        from planner_bridge.cli.serve import serve
+        match cmd_name:
+            case "check":
+                from planner_bridge.cli.check import check
 
-        return serve
+                return check
+            case "serve":
+                from planner_bridge.cli.serve import serve
+
+                return serve
+        return super().get_command(ctx, cmd_name)
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})

@@ -6,6 +6,7 @@ A backend is opened with the knowledge base that it keeps up to date, and closed
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Callable, Iterable
 from typing import Protocol
 from uuid import UUID
@@ -16,7 +17,10 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.effects import TimedChange
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import ActionClient
+from pnm.core.readiness import Readiness, ReadyState, refuse_unfit
 from pnm.knowledge.sources.source import FindKnowledge, Source
+
+_log = logging.getLogger(__name__)
 
 
 class Backend(Protocol):
@@ -38,11 +42,26 @@ class Backend(Protocol):
     def over(self, request: UUID, /) -> None:
         """Note that a request is over: its server needs no knowledge any more."""
 
+    async def check(self, actions: Iterable[GroundAction] = (), wait: float = 0.0) -> tuple[Readiness, ...]:
+        """Return how ready the servers of all declared actions and of these, and all sensors are.
+
+        What is not there yet is waited for, for `wait` seconds.
+        """
+
     async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
         """Look for the servers of these actions; return the names of those that are not there yet."""
 
     async def close(self) -> None:
         """Disconnect."""
+
+
+async def check_ready(backend: Backend, actions: Iterable[GroundAction] = ()) -> None:
+    """Log what is not ready yet of what the backend needs; raise an `InputError` if something can never work."""
+    rows = await backend.check(actions)
+    refuse_unfit(rows)
+    for row in rows:
+        if row.state is not ReadyState.READY:
+            _log.warning("%s%s", row, f"; {row.waits}" if row.waits else "")
 
 
 def schedule(knowledge: KnowledgeBase, timed: Iterable[TimedChange], began: float) -> Callable[[], None]:
@@ -74,6 +93,10 @@ class ClientBackend:
 
     def over(self, request: UUID, /) -> None:
         """Do nothing."""
+
+    async def check(self, actions: Iterable[GroundAction] = (), wait: float = 0.0) -> tuple[Readiness, ...]:
+        """Do nothing: servers and sensors are nothing that could be looked at."""
+        return ()
 
     async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
         """Do nothing: the client finds its servers itself."""

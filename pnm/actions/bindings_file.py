@@ -40,7 +40,7 @@ def read_bindings(path: Path, known: Vocabulary | None = None) -> Bindings:
 
 def binding_keys(type_key: str) -> tuple[str, ...]:
     """Return the keys of a binding, in files in which the type of the ROS action stands under `type_key`."""
-    return tuple(type_key if field.name == "type" else field.name for field in fields(Binding))
+    return tuple(type_key if field.name == "type" else field.name for field in fields(Binding) if field.compare)
 
 
 def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAULT.retries) -> Binding:
@@ -68,6 +68,7 @@ def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAUL
         retries=entry.whole("retries", retries),
         ask=read_texts(entry, "ask", "expected variables, and what a person is asked when nobody knows them"),
         resources=tuple(dict.fromkeys(name for name, _ in _read_resources(entry))),
+        position=entry.start,
     )
 
 

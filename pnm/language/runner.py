@@ -178,18 +178,20 @@ class PlanRunner:
         self.resources = Resources(capacities)
         self.programs = {name: program.sharing(self.resources) for name, program in self.programs.items()}
 
-    async def prepare(self) -> tuple[str, ...]:
-        """Prepare the backend for all actions of the plans whose servers the bindings name.
-
-        Returns the names of servers that are not there yet.
-        """
-        needed = [
+    @property
+    def actions(self) -> tuple[GroundAction, ...]:
+        """The actions of the plans whose servers the bindings name."""
+        needed = (
             call.action
             for program in self.programs.values()
             for call in program.plan.graph.calls
             if call.action.operation is None and call.action.name not in self.programs and program.plan.bindings.names_server(call.action)
-        ]
-        return await self.backend.prepare(dict.fromkeys(needed))
+        )
+        return tuple(dict.fromkeys(needed))
+
+    async def prepare(self) -> tuple[str, ...]:
+        """Prepare the backend for the actions of the plans; return the names of servers that are not there yet."""
+        return await self.backend.prepare(self.actions)
 
     def prepare_run(
         self,

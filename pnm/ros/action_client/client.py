@@ -16,6 +16,7 @@ from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Report, Repor
 from pnm.errors import PnmError
 from pnm.ros.action_client.goal import Goal
 from pnm.ros.action_client.server_link import ServerLink
+from pnm.ros.node.graph import server_name
 from pnm.ros.node.messages import fields
 from pnm.ros.node.ros_thread import RosThread, call_on_loop
 
@@ -101,9 +102,16 @@ class Ros2ActionClient:
     # on the ROS thread
 
     def _link(self, key: _Key) -> ServerLink:
+        """Return the link to a server: one for each, by whatever name and type bindings speak of it."""
         if key not in self._links:
             server, type_name, several = key
-            self._links[key] = ServerLink(self._ros.node, server, type_name, self._ros.joined, several=several)
+            name = server_name(self._ros.node, server)
+            same = next((link for link in self._links.values() if link.name == name), None)
+            if same is None:
+                same = ServerLink(self._ros.node, server, type_name, self._ros.joined, several=several)
+            else:
+                same.expect(type_name, several=several)
+            self._links[key] = same
         return self._links[key]
 
     def _send(self, request: Request, report: Reporter, is_blind: bool) -> None:
@@ -139,7 +147,7 @@ class Ros2ActionClient:
             self._timer.reset()
 
     def _look(self) -> None:
-        for link in self._links.values():
+        for link in set(self._links.values()):
             link.look()
         if not self._goals and not any(link.is_busy for link in self._links.values()):
             self._timer.cancel()
@@ -151,6 +159,6 @@ class Ros2ActionClient:
     def _end(self) -> None:
         if self._timer is not None:
             self._timer.destroy()
-        for link in self._links.values():
+        for link in set(self._links.values()):
             link.close()
         self._goals.clear()

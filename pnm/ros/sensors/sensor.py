@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from pnm.core.knowledge_base import KnowledgeBase
@@ -79,6 +79,18 @@ class SensorRecorder:
         changed = {name: value for name, value in reading.variables.items() if value != (None if known[name] is MISSING else known[name])}
         if changed:
             self._knowledge.store(changed)
+
+
+@dataclass(frozen=True, slots=True)
+class SensorUse:
+    """How one sensor is doing."""
+
+    instance: Instance
+    name: str
+    """The full name of its topic or service."""
+    is_heard: bool
+    refused: InputError | None
+    """Why it cannot be used."""
 
 
 def checked(instance: Instance, name: str) -> tuple[Any, Instance]:

@@ -64,7 +64,7 @@ class ServiceSensor:
 
     def resolve(self) -> None:
         """Resolve the full name; raise an `InputError` if it is not valid in ROS."""
-        self._full_name = resolved(self._ros.node.resolve_service_name, self.recorder.instance, "service")
+        self.name = resolved(self._ros.node.resolve_service_name, self.recorder.instance, "service")
 
     def _types(self) -> list[str]:
-        return [kind for name, kinds in self._ros.node.get_service_names_and_types() if name == self._full_name for kind in kinds]
+        return [kind for name, kinds in self._ros.node.get_service_names_and_types() if name == self.name for kind in kinds]

@@ -147,12 +147,24 @@ def test_a_server_that_carried_something_out_since_is_there() -> None:
     assert history.after((success,), (), bindings).after((), (gone,), bindings).absent_servers(Limits()) == frozenset()
 
 
-def test_a_call_that_lacks_a_value_twice_is_not_tried_for_ever() -> None:
+def test_a_call_that_lacks_a_value_is_not_tried_again_while_nothing_new_is_known() -> None:
     bindings = Bindings({"move": Binding(goal={"speed": "$speed"})})
     result, _ = pursued(rooms(init="(at r1 a)", goal="(at r1 b)"), bindings=bindings)
-    assert result.replans == 1
-    assert [failure.cause for failure in result.failures] == ["data_missing"] * 2
+    assert result.replans == 0
+    assert [failure.cause for failure in result.failures] == ["data_missing"]
     assert "move(r1, a, b)#0: data_missing: expected values for speed" in result.reason
+
+
+def test_a_call_that_lacked_a_value_is_used_once_there_is_one() -> None:
+    domain = parse_domain("""(define (domain d) (:requirements :durative-actions :numeric-fluents)
+      (:predicates (walked) (measured)) (:functions (level))
+      (:durative-action walk :parameters () :duration (= ?duration 5) :condition () :effect (at end (walked)))
+      (:durative-action measure :parameters () :duration (= ?duration 1) :condition () :effect (at end (measured))))""")
+    problem = parse_problem("(define (problem p) (:domain d) (:init) (:goal (and (walked) (measured))))", domain)
+    known = Faults(changes=(HiddenChange({("level",): 3.0}, at=2.0),))
+    result, _ = pursued(problem, known, bindings=Bindings({"measure": Binding(goal={"level": "(level)"}, retries=0)}))
+    assert [failure.cause for failure in result.failures] == ["data_missing"]
+    assert result.goal_reached
 
 
 def test_a_fact_that_no_action_changes_may_change_all_the_same() -> None:

@@ -46,9 +46,10 @@ async def test_a_field_that_the_type_does_not_have_is_refused(ros, sensing, fact
     file = sensing(f"sensors:\n  - topic: nobody\n    type: {BASIC}\n    facts: [{facts}]")
 
     with pytest.raises(InputError) as caught:
-        Sensors(ros, file, KnowledgeBase(objects=PROBLEM.objects_by_type), 1.0)
+        async with listening(ros, file):
+            pass
     assert said in str(caught.value)
-    assert caught.value.position.line == 4
+    assert "sensing.yaml:4:" in str(caught.value)
 
 
 def test_types_found_in_the_graph_are_checked_as_well(ros, names, sensing, sensors):

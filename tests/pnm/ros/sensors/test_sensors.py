@@ -137,9 +137,8 @@ def test_services_are_polled_and_unknown_when_they_do_not_answer(ros, names, sen
 
 
 @bounded
-async def test_nobody_is_waited_for_who_is_not_there(ros, sensing, caplog):
+async def test_nobody_is_waited_for_who_is_not_there(ros, sensing):
     async with listening(ros, sensing("sensors: [{topic: nobody, facts: [{fact: (dark), field: x}]}]")) as world:
         assert world.facts() == {}
     gc.collect()
-    assert "nothing has been heard on nobody yet" in caplog.text
     assert "never retrieved" not in caplog.text

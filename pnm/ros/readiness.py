@@ -1,0 +1,174 @@
+"""How ready action servers and sensors are: what bindings and sensors expect, compared with a snapshot of the ROS graph.
+
+Pure: `pnm.ros.backend` takes the snapshot.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
+from itertools import product
+from typing import Any
+
+from pnm.core.knowledge_base import parse_fluent
+from pnm.core.logic.computed_values import MISSING
+from pnm.core.logic.declared_names import FluentKind, Vocabulary
+from pnm.core.logic.expressions import fluent_text
+from pnm.core.machine.bindings import Binding, Bindings, placeholders
+from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.readiness import Readiness, ReadyState
+from pnm.errors import InputError
+from pnm.knowledge.sensor_model import ByTopic, Stored
+from pnm.ros.action_client.fitted_binding import fitted_binding
+from pnm.ros.node.graph import GraphSnapshot, absence, similar
+from pnm.ros.node.messages import fields, import_type
+from pnm.ros.sensors.sensor import SensorUse, checked
+
+_EXAMPLES: dict[FluentKind, object] = {FluentKind.FACT: True, FluentKind.NUMBER: 1.0, FluentKind.OBJECT: "object"}
+
+
+def server_calls(known: Vocabulary, bindings: Bindings) -> Iterator[GroundAction]:
+    """Yield for every declared action a call to each server that it may be sent to."""
+    for name, parameters in known.actions.items():
+        deciding = set(placeholders(bindings.of(name).server or ""))
+        choices = [known.arguments(name, parameter) for parameter in parameters]
+        some = [chosen if parameter in deciding else chosen[:1] for parameter, chosen in zip(parameters, choices, strict=True)]
+        yield from (GroundAction(name, arguments, tuple(parameters)) for arguments in product(*some))
+
+
+# --- actions -------------------------------------------------------------------------------
+
+
+def action_readiness(
+    servers: Mapping[GroundAction, str],
+    bindings: Bindings,
+    known: Vocabulary,
+    graph: GraphSnapshot,
+    variables: Collection[str],
+    patience: float,
+) -> Iterator[Readiness]:
+    """Yield how ready the servers of the actions are.
+
+    Args:
+        servers: their full names.
+        bindings: of the actions.
+        known: the declared names; of actions that it does not know, only a plan knows what goals are filled from.
+        graph: what is there.
+        variables: the names of variables that have values, or that sensors give values to.
+        patience: seconds for which a server that is not there is waited for.
+    """
+    by_server: defaultdict[str, dict[str, Binding]] = defaultdict(dict)
+    for action, server in servers.items():
+        by_server[server][action.name] = bindings.of(action.name)
+    stored = {name for binding in map(bindings.of, known.actions) for name in (*binding.store.values(), *binding.ask)}
+    for server in by_server:
+        stored.update(*map(_result_fields, graph.servers.get(server, ())))
+    obtainable = stored.union(variables)
+    done: set[tuple[str, str]] = set()
+    for action, server in servers.items():
+        if (action.name, server) not in done:
+            done.add((action.name, server))
+            yield _action_row(action, server, by_server[server], known, graph, obtainable, patience)
+
+
+def _result_fields(type_name: str) -> tuple[str, ...]:
+    try:
+        return fields(import_type(type_name).Result)
+    except InputError:
+        return ()
+
+
+def _action_row(
+    action: GroundAction,
+    server: str,
+    bound: Mapping[str, Binding],
+    known: Vocabulary,
+    graph: GraphSnapshot,
+    obtainable: Collection[str],
+    patience: float,
+) -> Readiness:
+    binding, there = bound[action.name], graph.servers.get(server, ())
+    wanted = next((one.type for one in (binding, *bound.values()) if one.type), None)
+    row = Readiness(action.name, server, wanted or ", ".join(there), ReadyState.UNFIT, position=binding.position)
+    for name, other in bound.items():
+        if other.type and binding.type and other.type != binding.type:
+            where = f" ({other.position})" if other.position else ""
+            reason = f"{server} is a {binding.type} here, and a {other.type} in the binding of {name}{where}"
+            return replace(row, advice=f"{reason}; expected one type for one server")
+    if there and wanted and wanted not in there:
+        return replace(row, type=", ".join(there), advice=absence(graph.servers, server, wanted))
+    if not wanted and len(there) > 1:
+        advice = f"there are servers of several types under this name, {row.type}; expected one, or a 'type' in the binding"
+        return replace(row, state=ReadyState.ABSENT, advice=advice)
+    if row.type:
+        try:
+            _fit(action, binding, import_type(row.type), known, obtainable)
+        except InputError as error:
+            return replace(row, advice=error.message)
+    if there:
+        return replace(row, state=ReadyState.READY)
+    waits = f"it is waited for where it is needed, {patience:.0f} s at most"
+    return replace(row, state=ReadyState.ABSENT, advice=absence(graph.servers, server, wanted), waits=waits)
+
+
+def _fit(action: GroundAction, binding: Binding, action_type: Any, known: Vocabulary, obtainable: Collection[str]) -> None:
+    """Refuse goals that can never be filled, or not with these values."""
+    if action.name not in known.actions:  # what it is given is in a plan: values of all kinds, computed while it runs
+        fitted_binding(binding, action_type)
+        return
+    names = fields(action_type.Goal)
+    arguments = dict(zip(action.parameters, action.arguments, strict=True))
+    own = {"action": action.name, "arguments": list(action.arguments), "duration": 1.0, **arguments}
+    by_name = {name: f"${name}" for name in names if name in own}
+    fitted_binding(replace(binding, goal=by_name if binding.goal is None else binding.goal), action_type, partial(_example, own, known))
+    unbound = [name for name in names if name not in own and name not in obtainable] if binding.goal is None else []
+    if unbound:
+        goal = ", ".join(f"{name}: …" for name in unbound)
+        only = ", ".join(arguments) or "none"
+        reason = f"nothing gives a value for {', '.join(unbound)} of its goal (parameters: {only})"
+        raise InputError(f"{reason}; expected 'goal: {{{goal}}}' in the binding of {action.name}, which may leave fields out")
+
+
+def _example(own: Mapping[str, object], known: Vocabulary, source: str) -> object:
+    """Return a value of the kind that a parameter, a variable or a fluent has; `MISSING` if that is not known."""
+    if source.startswith("("):
+        signature = known.signatures.get(parse_fluent(source)[0])
+        return _EXAMPLES[signature.kind] if signature else MISSING
+    return own.get(source[1:], MISSING)
+
+
+# --- sensors -------------------------------------------------------------------------------
+
+
+def sensor_readiness(uses: Iterable[SensorUse], graph: GraphSnapshot) -> Iterator[Readiness]:
+    """Yield how ready sensors are."""
+    for use in uses:
+        is_topic = isinstance(use.instance.sensor.way, ByTopic)
+        yield _sensor_row(use, "topic" if is_topic else "service", graph.topics if is_topic else graph.services)
+
+
+def _sensor_row(use: SensorUse, kind: str, known: Mapping[str, tuple[str, ...]]) -> Readiness:
+    sensor, there = use.instance.sensor, known.get(use.name, ())
+    first, *others = [part.name if isinstance(part, Stored) else fluent_text(part.fluent) for part in sensor.statements]
+    wanted = sensor.type
+    type_name = wanted or ", ".join(there)
+    row = Readiness(f"{first}{', …' if others else ''}", use.name, type_name, ReadyState.UNFIT, position=sensor.position)
+    if use.refused is not None:
+        return replace(row, advice=use.refused.message, position=use.refused.position)
+    if wanted and there and wanted not in there:
+        return replace(
+            row, type=", ".join(there), advice=f"the {kind} {use.name} has the type {', '.join(there)}, the sensor says {wanted}"
+        )
+    if wanted or len(there) == 1:
+        try:
+            checked(use.instance, type_name)
+        except InputError as error:
+            return replace(row, advice=error.message, position=error.position)
+    if not there:
+        return replace(row, state=ReadyState.ABSENT, advice=f"there is no {kind} {use.name}{similar(use.name, known)}")
+    if not use.is_heard:
+        heard = f"nothing was heard on {use.name} yet" if kind == "topic" else f"{use.name} has not answered yet"
+        return replace(row, state=ReadyState.SILENT, advice=f"{heard}; until then what it reports is unknown")
+    return replace(row, state=ReadyState.READY)
