@@ -56,6 +56,7 @@ class GoalLoop:
         with ExitStack() as cleanup:
             try:
                 self._monitor.begin(cleanup)
+                await self._control.until(self._context.backend.refresh())
                 await self._monitor.settle()  # before anything is planned: a constraint may only look violated because a report is late
                 if self._given is None:
                     plan = await self._search.in_turn(partial(self._search.plan, self._context.forbidden(self._log.history)))
@@ -112,6 +113,7 @@ class GoalLoop:
                 continue
             if not execution.is_over:
                 execution.hold()
+                await self._context.backend.refresh()
                 # Only requests that are settled can be handed over; the run has come to its end while it was waited for.
                 if not await execution.at_rest():
                     await self._catch_up(execution)
@@ -140,6 +142,7 @@ class GoalLoop:
                 return graph
 
     async def _catch_up(self, execution: PlanExecution) -> None:
+        await self._context.backend.refresh()
         if not (execution.is_eager or execution.result.goal) or not self._monitor.constraints.idle:
             await asyncio.sleep(self._context.world.longest_lag)
         await self._monitor.settle()

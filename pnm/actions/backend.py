@@ -48,6 +48,9 @@ class Backend(Protocol):
         What is not there yet is waited for, for `wait` seconds.
         """
 
+    async def refresh(self) -> None:
+        """Ask for what is reported only when it is asked for: the knowledge is to be up to date for a plan."""
+
     async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
         """Look for the servers of these actions; return the names of those that are not there yet."""
 
@@ -97,6 +100,9 @@ class ClientBackend:
     async def check(self, actions: Iterable[GroundAction] = (), wait: float = 0.0) -> tuple[Readiness, ...]:
         """Do nothing: servers and sensors are nothing that could be looked at."""
         return ()
+
+    async def refresh(self) -> None:
+        """Do nothing: nothing has to be asked for."""
 
     async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
         """Do nothing: the client finds its servers itself."""

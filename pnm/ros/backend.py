@@ -74,9 +74,9 @@ class Ros2Backend:
         """Join the ROS 2 graph and wait for the first report about the world, if there is a publisher of reports."""
         loop, self._knowledge = asyncio.get_running_loop(), knowledge
         self.ros = self._shared or RosThread("pnm_run")  # `pnm` is the one that serves
-        self._client = Ros2ActionClient(self.ros, self._bindings, loop)
         lag, sensing = self._bindings.lag, self._sensing
         self._sensors = Sensors(self.ros, sensing, knowledge, lag)
+        self._client = Ros2ActionClient(self.ros, self._bindings, loop, self._sensors.want)
         ignored = {
             **dict.fromkeys(knowledge.rules.derived, "its facts follow from rules"),
             **dict.fromkeys(sensing.names, "there is a sensor for it"),
@@ -112,6 +112,11 @@ class Ros2Backend:
                 has_settled = True
             else:
                 await asyncio.sleep(_LOOK)
+
+    async def refresh(self) -> None:
+        """Ask the services that are sensors, and wait for their answers, within their limits."""
+        if self._sensors is not None:
+            await self._sensors.refresh()
 
     def declare(self, known: Vocabulary) -> None:
         """Check reports against these names from now on."""

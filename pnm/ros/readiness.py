@@ -16,10 +16,10 @@ from pnm.core.knowledge_base import parse_fluent
 from pnm.core.logic.computed_values import MISSING
 from pnm.core.logic.declared_names import FluentKind, Vocabulary
 from pnm.core.logic.expressions import fluent_text
-from pnm.core.machine.bindings import Binding, Bindings, placeholders
+from pnm.core.machine.bindings import Binding, Bindings, Table, placeholders
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.readiness import Readiness, ReadyState
-from pnm.errors import InputError
+from pnm.errors import InputError, suggestion
 from pnm.knowledge.sensor_model import ByTopic, Stored
 from pnm.ros.action_client.fitted_binding import fitted_binding
 from pnm.ros.node.graph import GraphSnapshot, absence, similar
@@ -104,20 +104,23 @@ def _action_row(
         return replace(row, state=ReadyState.ABSENT, advice=advice)
     if row.type:
         try:
-            _fit(action, binding, import_type(row.type), known, obtainable)
+            unknown = _fit(action, binding, import_type(row.type), known, obtainable)
         except InputError as error:
             return replace(row, advice=error.message)
+        if unknown and there:
+            reason = f"nothing here gives a value to the variable {unknown[0]}; {suggestion(unknown[0], obtainable)}".rstrip("; ")
+            return replace(row, state=ReadyState.ABSENT, advice=f"{reason}, unless something does while it runs")
     if there:
         return replace(row, state=ReadyState.READY)
     waits = f"it is waited for where it is needed, {patience:.0f} s at most"
     return replace(row, state=ReadyState.ABSENT, advice=absence(graph.servers, server, wanted), waits=waits)
 
 
-def _fit(action: GroundAction, binding: Binding, action_type: Any, known: Vocabulary, obtainable: Collection[str]) -> None:
-    """Refuse goals that can never be filled, or not with these values."""
+def _fit(action: GroundAction, binding: Binding, action_type: Any, known: Vocabulary, obtainable: Collection[str]) -> tuple[str, ...]:
+    """Refuse goals that can never be filled, or not with these values; return variables that the binding names and that have none."""
     if action.name not in known.actions:  # what it is given is in a plan: values of all kinds, computed while it runs
         fitted_binding(binding, action_type)
-        return
+        return ()
     names = fields(action_type.Goal)
     arguments = dict(zip(action.parameters, action.arguments, strict=True))
     own = {"action": action.name, "arguments": list(action.arguments), "duration": 1.0, **arguments}
@@ -129,6 +132,21 @@ def _fit(action: GroundAction, binding: Binding, action_type: Any, known: Vocabu
         only = ", ".join(arguments) or "none"
         reason = f"nothing gives a value for {', '.join(unbound)} of its goal (parameters: {only})"
         raise InputError(f"{reason}; expected 'goal: {{{goal}}}' in the binding of {action.name}, which may leave fields out")
+    return tuple(name for name in _variables(binding.goal) if name not in own and name not in obtainable)
+
+
+def _variables(source: object) -> Iterator[str]:
+    """Yield the variables that goal fields are filled from."""
+    match source:
+        case Table(of, rows):
+            yield from _variables([of, *rows.values()])
+        case Mapping():
+            yield from _variables([*source.values()])
+        case list() | tuple():
+            for part in source:
+                yield from _variables(part)
+        case str() if source.startswith("$"):
+            yield source[1:]
 
 
 def _example(own: Mapping[str, object], known: Vocabulary, source: str) -> object:

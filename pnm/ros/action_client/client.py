@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
 from time import monotonic
 from typing import Any, Final
@@ -37,13 +37,19 @@ class Ros2ActionClient:
     its fields counts as rejected. Every request that was sent is answered by exactly one `Ended` until `close`,
     even when the ROS thread is closed before.
 
+    Args:
+        ended: called on the event loop's thread when a request is over, before its end is reported.
+
     The mutable state is on the ROS thread (the links and the open goals), except `_closed`.
     """
 
-    def __init__(self, ros: RosThread, bindings: Bindings, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(
+        self, ros: RosThread, bindings: Bindings, loop: asyncio.AbstractEventLoop, ended: Callable[[], object] = lambda: None
+    ) -> None:
         self._ros = ros
         self._bindings = bindings
         self._loop = loop
+        self._ended = ended
         self._links: dict[_Key, ServerLink] = {}
         self._goals: dict[UUID, tuple[Goal, ServerLink]] = {}
         self._closed = False
@@ -136,6 +142,7 @@ class Ros2ActionClient:
     def _pass_on(self, report: Reporter, what: Report) -> None:
         if isinstance(what, Ended):
             self._goals.pop(what.request, None)
+            call_on_loop(self._loop, self._ended)
         if not self._closed:
             call_on_loop(self._loop, report, what)
 

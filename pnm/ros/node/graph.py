@@ -53,8 +53,9 @@ class GraphSnapshot:
 
 def snapshot(node: Any) -> GraphSnapshot:
     """Return what is in the ROS graph now."""
-    topics = {name: {info.topic_type for info in node.get_publishers_info_by_topic(name)} for name, _ in node.get_topic_names_and_types()}
-    services = {name: tuple(kinds) for name, kinds in node.get_service_names_and_types() if node.count_services(name)}
+    named = [name for name, _ in node.get_topic_names_and_types() if "/_" not in name]  # the others are hidden: parts of actions
+    topics = {name: {info.topic_type for info in node.get_publishers_info_by_topic(name)} for name in named}
+    services = {name: tuple(kinds) for name, kinds in node.get_service_names_and_types() if "/_" not in name and node.count_services(name)}
     return GraphSnapshot(servers(node), {name: tuple(sorted(kinds)) for name, kinds in topics.items() if kinds}, services)
 
 

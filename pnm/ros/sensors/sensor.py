@@ -52,7 +52,14 @@ class SensorRecorder:
         self._unread = frozenset(reading.unread)
         self._store(reading)
         self._watchdog.reset()
+        if isinstance(self.instance.sensor.way, ByService):
+            self._watchdog.rest()
         self.heard.set()
+
+    def expect(self) -> None:
+        """Note that an answer is expected from now on; topics are always expected to say something."""
+        if not self._closed:
+            self._watchdog.expect()
 
     def refuse(self, error: InputError) -> None:
         """Note that the sensor cannot be used: what it reports is unknown. While sensors are opened, this is raised, not logged."""

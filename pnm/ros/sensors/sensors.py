@@ -1,4 +1,4 @@
-"""The sensors of a file: topics that are subscribed to, and services that are polled.
+"""The sensors of a file: topics that are subscribed to, and services that are asked.
 
 Publishers and their types are looked up in the ROS graph periodically.
 """
@@ -28,7 +28,7 @@ _log = logging.getLogger(__name__)
 class Sensors:
     """The sensors of a file, for every choice of their objects. To be used on the event loop's thread.
 
-    The mutable state is the recorders, and the tasks that poll services. `lag` is that of sensors that do not specify it, in seconds.
+    The mutable state is the recorders, and the tasks that ask services. `lag` is that of sensors that do not specify it, in seconds.
     Raises `InputError` if two sensors report the same facts, or one reports derived facts. A sensor whose type is not installed, or
     lacks a field, is refused: its use says why.
     """
@@ -57,7 +57,7 @@ class Sensors:
         return f"<Sensors: {len(self._topics)} topics, {len(self._polls)} services>"
 
     async def open(self) -> None:
-        """Subscribe and poll, and wait for the first message of all publishers and services that are there."""
+        """Subscribe and ask, and wait for the first message of all publishers and services that are there."""
         for sensor in self._sensors:
             await self._ros.ask(sensor.resolve)
         if self._topics:
@@ -75,8 +75,17 @@ class Sensors:
             for sensor in self._sensors
         )
 
+    def want(self) -> None:
+        """Have all services asked at once: the world may have changed."""
+        for poll in self._polls:
+            poll.want()
+
+    async def refresh(self) -> None:
+        """Have all services asked at once, and wait for their answers, each for twice its limit at most."""
+        await asyncio.gather(*(poll.refresh() for poll in self._polls))
+
     async def close(self) -> None:
-        """Unsubscribe, and stop polling."""
+        """Unsubscribe, and stop asking."""
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)

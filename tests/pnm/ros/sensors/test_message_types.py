@@ -18,7 +18,7 @@ from pnm.ros.node.service_client import until_true
 from pnm.ros.node.typed_fields import find_field, value_at
 from pnm.ros.sensors.fitted import fitted
 from pnm.ros.sensors.sensors import Sensors
-from tests.support.pddl.sensed_world import DOMAIN, PROBLEM
+from tests.support.pddl.sensed_world import DOMAIN
 from tests.support.ros.child_process import bounded, run_bounded
 from tests.support.ros.listening import becomes, listening
 

@@ -137,7 +137,7 @@ def test_services_are_polled_and_unknown_when_they_do_not_answer(ros, names, sen
 
 
 @bounded
-async def test_nobody_is_waited_for_who_is_not_there(ros, sensing):
+async def test_nobody_is_waited_for_who_is_not_there(ros, sensing, caplog):
     async with listening(ros, sensing("sensors: [{topic: nobody, facts: [{fact: (dark), field: x}]}]")) as world:
         assert world.facts() == {}
     gc.collect()
