@@ -24,7 +24,7 @@ from pnm.knowledge.complaints import Complaints
 class Watchdog:
     """A staleness watchdog: calls a function when it was not reset for `limit` seconds, and again after every later reset.
 
-    The limit is on the clock of the event loop; None for none. The mutable state is the time of expiry, the one timer, and whether it rests.
+    The limit is on the clock of the event loop; None for none. Its state: the time of expiry, the one timer, and whether it rests.
     """
 
     def __init__(self, limit: float | None, expired: Callable[[], object]) -> None:
