@@ -9,8 +9,9 @@ import json
 import signal
 import sys
 from contextlib import nullcontext
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import click
 
@@ -42,25 +43,28 @@ if TYPE_CHECKING:
     from planner_bridge.pipeline import Actions
 
 
+_ELSEWHERE: Final = {
+    "check": "check",
+    "serve": "serve",
+    **dict.fromkeys(("status", "watch", "goal", "pause", "resume", "cancel", "facts"), "running_node"),
+}
+"""Commands in modules of their own, which are imported when they are looked up: their options come from what no other needs."""
+
+
 class Commands(click.Group):
-    """The commands. Some have modules of their own, which are imported when they are looked up."""
+    """The commands, here and elsewhere."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the commands."""
-        return sorted((*super().list_commands(ctx), "check", "serve"))
+        return sorted((*super().list_commands(ctx), *_ELSEWHERE))
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Return a command by name."""
-        match cmd_name:
-            case "check":
-                from planner_bridge.cli.check import check
-
-                return check
-            case "serve":
-                from planner_bridge.cli.serve import serve
-
-                return serve
-        return super().get_command(ctx, cmd_name)
+        if cmd_name not in _ELSEWHERE:
+            return super().get_command(ctx, cmd_name)
+        found = getattr(import_module(f"planner_bridge.cli.{_ELSEWHERE[cmd_name]}"), cmd_name)
+        assert isinstance(found, click.Command)
+        return found
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
+from itertools import product
 from string import Formatter
 from typing import Final
 
@@ -61,24 +62,26 @@ def forbid(problem: Problem, forbidden: frozenset[ForbiddenCall]) -> Problem:
     return replace(problem, domain=with_guards(domain, predicates, actions), init=init, guards={**problem.guards, **guards})
 
 
-def calls_acquiring(domain: Domain, bindings: Bindings, names: Collection[str]) -> frozenset[ForbiddenCall]:
+def calls_acquiring(problem: Problem, bindings: Bindings, names: Collection[str]) -> frozenset[ForbiddenCall]:
     """Return the calls that acquire one of these resources, by the patterns of the bindings."""
-    return _calls_naming(domain, names, lambda action: bindings.of(action).resources)
+    return _calls_naming(problem, names, lambda action: bindings.of(action).resources)
 
 
-def calls_served_by(domain: Domain, bindings: Bindings, servers: Collection[str]) -> frozenset[ForbiddenCall]:
+def calls_served_by(problem: Problem, bindings: Bindings, servers: Collection[str]) -> frozenset[ForbiddenCall]:
     """Return the calls that one of these action servers carries out, by the patterns of the bindings."""
-    return _calls_naming(domain, servers, lambda action: (bindings.of(action).server or action,))
+    return _calls_naming(problem, servers, lambda action: (bindings.of(action).server or action,))
 
 
-def _calls_naming(domain: Domain, names: Collection[str], patterns: Callable[[str], Iterable[str]]) -> frozenset[ForbiddenCall]:
+def _calls_naming(problem: Problem, names: Collection[str], patterns: Callable[[str], Iterable[str]]) -> frozenset[ForbiddenCall]:
     calls: set[ForbiddenCall] = set()
-    for schema in domain.actions.values() if names else ():
-        for pattern in patterns(schema.name):
-            for name in names:
-                if (values := _match_pattern(pattern, name)) is not None:
-                    arguments = (values.get(variable.name.removeprefix("?"), ANY) for variable in schema.parameters)
-                    calls.add(ForbiddenCall(schema.name, tuple(arguments)))
+    for schema in problem.domain.actions.values() if names else ():
+        for pattern, name in product(patterns(schema.name), names):
+            values = _match_pattern(pattern, name)
+            given = [(variable.types, (values or {}).get(variable.name.removeprefix("?"), ANY)) for variable in schema.parameters]
+            # /d1/navigate may match the pattern of an action of other robots, which d1 is none of
+            are_objects = (argument == ANY or problem.domain.matches(problem.objects.get(argument, ()), types) for types, argument in given)
+            if values is not None and all(are_objects):
+                calls.add(ForbiddenCall(schema.name, tuple(argument for _, argument in given)))
     return frozenset(calls)
 
 

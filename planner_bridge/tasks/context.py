@@ -139,13 +139,13 @@ class TaskContext:
 
     def unusable(self, history: History) -> frozenset[ForbiddenCall]:
         """Return the calls that would fail: their action server was not there too often, a resource is withheld, or a value is lacking."""
-        domain, bindings = self.problem.domain, self.settings.bindings
+        bindings = self.settings.bindings
         names = self.resources.withheld_from(history.lacking)
-        served = calls_served_by(domain, bindings, history.absent_servers(self.settings.limits))
+        served = calls_served_by(self.problem, bindings, history.absent_servers(self.settings.limits))
         # With a source outside, something new may be known without a trace here.
         uninformed = history.uninformed if self.source is None else ()
         lacking = {ForbiddenCall.of(action) for action in uninformed if self._lacks_value(action)}
-        return served | calls_acquiring(domain, bindings, names.keys()) | lacking
+        return served | calls_acquiring(self.problem, bindings, names.keys()) | lacking
 
     def _lacks_value(self, action: GroundAction) -> bool:
         binding = self.settings.bindings.of(action.name)

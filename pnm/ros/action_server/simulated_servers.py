@@ -32,8 +32,6 @@ DECISION: Final = 5.0
 """Seconds the client may take to accept a request; the goal is rejected then."""
 FEEDBACK: Final = 0.5
 """Seconds between two feedback messages about the progress of an action."""
-_REPORTS: Final = 10
-"""Reports that slow subscribers may be behind, and that late ones get."""
 
 _log = logging.getLogger(__name__)
 
@@ -183,7 +181,7 @@ async def publish_state(ros: RosThread, world: SimulatedWorld, names: frozenset[
     Args:
         matched: called at every new subscription.
     """
-    publisher = Publisher(ros, "pnm_interfaces/msg/State", TOPIC, is_latched=True, depth=_REPORTS, matched=matched)
+    publisher = Publisher(ros, "pnm_interfaces/msg/State", TOPIC, is_latched=True, matched=matched)
     numbers = count(1)
 
     def report(_: None) -> None:

@@ -23,7 +23,7 @@ class Publisher:
     The mutable state is the publisher of `rclpy`, on the ROS thread, and the number of subscriptions, on the event loop's.
 
     Args:
-        depth: messages that are kept for subscribers that are slow, or late if latched; by default 1 if latched, else `DEPTH`.
+        is_latched: whether late subscribers get the last message, and no earlier one: until the last came they would believe that.
         matched: called on the event loop's thread at every new subscription.
     """
 
@@ -34,7 +34,6 @@ class Publisher:
         name: str,
         *,
         is_latched: bool = False,
-        depth: int | None = None,
         matched: Callable[[], None] = lambda: None,
     ) -> None:
         self._ros = ros
@@ -42,7 +41,6 @@ class Publisher:
         self._type = import_type(type_name)
         self._name = name
         self._is_latched = is_latched
-        self._depth = depth or (1 if is_latched else DEPTH)
         self._matched = matched
         self._publisher: Any = None
         self.subscriptions = 0
@@ -75,7 +73,7 @@ class Publisher:
         callbacks = PublisherEventCallbacks(
             matched=lambda info: call_on_loop(self._loop, self._count, info.current_count, info.current_count_change)
         )
-        qos = QoSProfile(depth=self._depth, durability=durability)
+        qos = QoSProfile(depth=1 if self._is_latched else DEPTH, durability=durability)
         self._publisher = self._ros.node.create_publisher(self._type, self._name, qos, event_callbacks=callbacks)
 
     def _publish(self, fields: Mapping[str, object] | Callable[[], Mapping[str, object]]) -> None:

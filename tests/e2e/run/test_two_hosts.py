@@ -46,6 +46,13 @@ def end_outcomes(simulation):
     return [event["outcome"] for event in simulation.objects() if event["event"] == "end"]
 
 
+def reached(run):
+    """The result of a run that reaches its goal; what it said when it does not."""
+    status, result = run.result()
+    assert (status, result["goal_reached"]) == (0, True), f"{result}\n{run}"
+    return result
+
+
 def assert_lost(failure):
     """Whether the answer to the goal came through before the cut, only the network knows."""
     assert (failure["call"], failure["cause"], failure["observed"]) in (
@@ -58,8 +65,7 @@ def test_a_goal_is_reached_by_robots_on_two_hosts(survey):
     rover, drone = survey.robot("rover"), survey.robot("drone")
     for one in (rover, drone):
         one.ready()
-    status, result = survey.run("(and (surveyed north) (standing r1 south) (above d1 north))").result()
-    assert (status, result["goal_reached"], result["failures"]) == (0, True, [])
+    assert reached(survey.run("(and (surveyed north) (standing r1 south) (above d1 north))"))["failures"] == []
     assert starts(rover) == ["drive(r1, base, south)"]
     assert starts(drone) == ["fly(d1, base, north)", "look_down(d1, north)"]
 
@@ -71,8 +77,7 @@ def test_what_ends_while_the_link_is_cut_is_heard_of_when_it_has_healed(survey):
     survey.lan.cut("drone")
     drone.happens("end", "fly")
     survey.lan.heal("drone")
-    status, result = run.result()
-    assert (status, result["goal_reached"], result["failures"]) == (0, True, [])
+    assert reached(run)["failures"] == []
     assert starts(drone) == ["fly(d1, base, north)", "look_down(d1, north)"]
 
 
@@ -81,9 +86,7 @@ def test_when_a_host_is_lost_the_robots_on_the_other_one_do_its_work(survey):
     run = survey.run("(surveyed north)")
     drone.happens("start", "fly")
     survey.lan.cut("drone")
-    status, result = run.result()
-    assert (status, result["goal_reached"]) == (0, True)
-    assert_lost(result["failures"][0])
+    assert_lost(reached(run)["failures"][0])
     assert starts(rover) == ["drive(r1, base, south)", "drive(r1, south, north)", "look_around(r1, north)"]
     assert starts(drone) == ["fly(d1, base, north)"]
 
@@ -99,8 +102,7 @@ def test_without_another_way_a_run_ends_with_the_reason_and_one_after_the_cut_re
     drone.happens("end", "fly")
     survey.lan.heal("drone")
     again = survey.run("(surveyed north)", kinds=["drone"])
-    status, result = again.result()
-    assert (status, result["goal_reached"], result["failures"]) == (0, True, []), (result["code"], result["reason"], again.err)
+    assert reached(again)["failures"] == []
     assert starts(drone) == ["fly(d1, base, north)", "look_down(d1, north)"]
     assert not overlaps(drone.objects())
 

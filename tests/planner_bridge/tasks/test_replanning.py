@@ -15,6 +15,7 @@ from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, Cause, GroundAction
 from pnm.tasks import TaskState
+from tests.support.e2e.survey import DOMAIN as SURVEY
 from tests.support.pddl.problems import ROOMS, matches, rooms
 from tests.support.tasks.replanning import aborts, decisions, pursued
 
@@ -136,6 +137,17 @@ def test_a_server_that_is_not_there_is_planned_around_whatever_it_is_called_for(
     assert result.replans == 2
     assert {call.call.action.arguments[0] for call in result.calls if call.outcome == "succeeded"} == {"r2"}
     assert decisions(result) == [ResumePlan, PlanAgain]
+
+
+def test_a_server_whose_pattern_other_kinds_of_robots_share_is_planned_around() -> None:
+    robots, roads = "r1 - rover d1 - drone", "(road base south) (road south north)"
+    world = f"(:objects {robots} base south north - place) (:init (standing r1 base) (above d1 base) {roads})"
+    problem = parse_problem(f"(define (problem p) (:domain survey) {world} (:goal (surveyed north)))", parse_domain(SURVEY))
+    bindings = Bindings({name: Binding(server="/{robot}/navigate") for name in ("drive", "fly")})
+    lost = Faults((Fault("fly", FaultKind.LOSE_SERVER),))
+    result, _ = pursued(problem, lost, bindings=bindings)
+    assert result.goal_reached, result.reason
+    assert {call.call.action.name for call in result.calls if call.outcome == "succeeded"} == {"drive", "look_around"}
 
 
 def test_a_server_that_carried_something_out_since_is_there() -> None:

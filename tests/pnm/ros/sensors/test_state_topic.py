@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import json
+from itertools import pairwise
 from time import monotonic
 
 import pytest
 from pnm_interfaces.msg import State
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from pnm.actions.simulated_world import SimulatedWorld
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN
 from pnm.errors import InputError
+from pnm.ros.action_server.simulated_servers import publish_state
 from pnm.ros.node.messages import to_message
 from pnm.ros.sensors.state_topic import SensedReports, read_state, write_state
 from tests.support.processes import LIMIT
@@ -51,6 +54,29 @@ def test_a_report_is_handed_on_and_recorded(ros, start):
     asyncio.run(scenario())
     assert sequences == [7]
     assert world.facts() == {("at", "r1", "hall"): True, ("battery", "r1"): 80.0}
+
+
+def test_who_comes_late_hears_the_last_report_of_a_simulation_and_no_earlier_one(ros):
+    heard = []
+
+    async def scenario():
+        world = SimulatedWorld(KnowledgeBase({("at", "r1", "a"): True}), ["at"])
+        joined = asyncio.Event()
+        await publish_state(ros, world, world.dynamic, joined.set)
+        for before, after in pairwise("abc"):
+            world.change({("at", "r1", before): False, ("at", "r1", after): True})
+            await ros.ask(lambda: None)  # the report is published
+        sensing = SensedReports(ros, asyncio.get_running_loop(), lambda _, facts, __: heard.append(set(facts)), ignore)
+        async with asyncio.timeout(LIMIT):
+            await joined.wait()
+            assert await sensing.first(LIMIT)
+            world.change({("at", "r1", "c"): False, ("at", "r1", "d"): True})
+            while heard[-1] != {("at", "r1", "d")}:
+                await ros.ask(lambda: None)
+        sensing.close()
+
+    asyncio.run(scenario())
+    assert heard == [{("at", "r1", "c")}, {("at", "r1", "d")}]
 
 
 def test_nobody_who_reports_is_not_waited_for(ros):

@@ -1,0 +1,128 @@
+"""A client of a running node: asks and commands it, hears of its tasks, and sends it goals."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import AsyncIterator, Mapping
+from contextlib import asynccontextmanager
+from functools import partial
+from typing import Any, Final
+from uuid import UUID
+
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.machine.requests import Ended, Outcome, Report, Request
+from pnm.errors import InputError, RosError
+from pnm.knowledge.sources.source import SourceError
+from pnm.ros.action_client.client import Ros2ActionClient
+from pnm.ros.knowledge.knowledge_source import uuid_field
+from pnm.ros.node.messages import import_type
+from pnm.ros.node.ros_thread import RosThread, call_on_loop
+from pnm.ros.node.service_client import ServiceClient
+
+LIMIT: Final = 10.0
+"""Seconds for the node to be found, and to answer what takes it no time."""
+ENDING: Final = 60.0
+"""Seconds for what ends only when robots have confirmed that they stop."""
+_ACHIEVE: Final = GroundAction("achieve_goal")
+_NOBODY: Final = UUID(int=0)
+"""What stands for all tasks."""
+
+
+class NodeClient:
+    """What a person wants of `pnm serve`, over the services, topics and actions that the node has for all.
+
+    Args:
+        ros: the thread of a node of its own, in the namespace of the other one.
+    """
+
+    def __init__(self, ros: RosThread) -> None:
+        self._ros = ros
+
+    async def status(self) -> Any:
+        """Return the last ``ExecutorStatus``; raise a `RosError` if there is none."""
+        async with self.hearing("pnm_interfaces/msg/ExecutorStatus", "executor/status", latched=True) as heard:
+            try:
+                return await asyncio.wait_for(heard.get(), LIMIT)
+            except TimeoutError as error:
+                raise RosError(await self._absence("nothing is heard on executor/status")) from error
+
+    async def task(self, prefix: str) -> UUID:
+        """Return the task whose id begins so; of an empty one, the only task that is not over.
+
+        Raises:
+            InputError: there is none, or more than one.
+        """
+        status = await self.status()
+        tasks = [UUID(bytes=bytes(task.id.uuid)) for task in status.tasks if prefix or task.state != task.OVER]
+        fitting = [task for task in tasks if task.hex.startswith(prefix.replace("-", "").lower())]
+        if len(fitting) == 1:
+            return fitting[0]
+        known = ", ".join(task.hex[:8] for task in fitting or tasks)
+        if not tasks:
+            raise InputError("no task is going on")
+        if not fitting:
+            raise InputError(f"no task has an id that begins with {prefix!r}; there are {known}")
+        raise InputError(f"expected the beginning of the id of one task, or --all; there are {known}")
+
+    async def command(self, command: str, task: UUID | None, **fields: object) -> None:
+        """Pause, resume or cancel a task, or all; raise a `RosError` with the node's reason if it does not."""
+        kind = f"pnm_interfaces/srv/{command.capitalize()}Task"
+        await self.ask(kind, f"executor/{command}", {"task": uuid_field(task or _NOBODY), **fields}, ENDING)
+
+    async def ask(self, kind: str, service: str, request: Mapping[str, object], limit: float = LIMIT) -> Any:
+        """Call a service of the node and return its response; raise a `RosError` if it is not there, or refuses."""
+        client = ServiceClient(self._ros, kind, service)
+        try:
+            response = await client.call(request, limit)
+        except SourceError as error:
+            raise RosError(await self._absence(str(error))) from error
+        finally:
+            await client.close()
+        if not response.success:
+            raise RosError(response.message)
+        return response
+
+    async def achieve(self, goal: Mapping[str, object], task: UUID) -> Outcome:
+        """Have a goal reached, as the task of this id; when cancelled, cancel it and wait until it is over."""
+        loop = asyncio.get_running_loop()
+        binding = Binding(server=_ACHIEVE.name, type="pnm_interfaces/action/AchieveGoal")
+        client = Ros2ActionClient(self._ros, Bindings({_ACHIEVE.name: binding}), loop)
+        over: asyncio.Future[Outcome] = loop.create_future()
+
+        def hear(report: Report) -> None:
+            if isinstance(report, Ended) and not over.done():
+                over.set_result(report.outcome)
+
+        try:
+            if await client.prepare([_ACHIEVE], LIMIT):
+                raise RosError(await self._absence("there is no action server achieve_goal"))
+            client.send(Request(task, _ACHIEVE, goal), hear)
+            try:
+                return await asyncio.shield(over)
+            except asyncio.CancelledError:
+                client.cancel(task)
+                return await asyncio.wait_for(over, ENDING)
+        finally:
+            client.close()
+
+    @asynccontextmanager
+    async def hearing(self, kind: str, topic: str, *, latched: bool = False) -> AsyncIterator[asyncio.Queue[Any]]:
+        """Subscribe to a topic, whose messages are in the queue."""
+        loop, heard = asyncio.get_running_loop(), asyncio.Queue[Any]()
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
+        qos = QoSProfile(depth=1 if latched else 1000, durability=durability)
+        receive = partial(call_on_loop, loop, heard.put_nowait)
+        subscription = await self._ros.ask(lambda: self._ros.node.create_subscription(import_type(kind), topic, receive, qos))
+        try:
+            yield heard
+        finally:
+            self._ros.call(lambda: self._ros.node.destroy_subscription(subscription))
+
+    async def _absence(self, what: str) -> str:
+        namespace = await self._ros.ask(self._ros.node.get_namespace)
+        domain = os.environ.get("ROS_DOMAIN_ID", "0")
+        return f"{what}; is `pnm serve` running, in the namespace {namespace} and with ROS_DOMAIN_ID={domain}?"
