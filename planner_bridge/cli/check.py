@@ -67,19 +67,15 @@ def check(
         settings = Settings(bindings=bindings_for(chosen[0], bindings, loaded.vocabulary), sensing=sensors)
         rows = readiness(loaded, settings, wait)
     if as_json:
-        print(json.dumps({"ready": all(row.state is ReadyState.READY for row in rows), "rows": [*map(_as_json, rows)]}))
+        print(json.dumps({"ready": all(row.state is ReadyState.READY for row in rows), "rows": [row.as_json() for row in rows]}))
     else:
-        _print_table(SafeConsole(), rows)
+        print_table(SafeConsole(), rows)
     states = {row.state for row in rows}
     return 2 if ReadyState.UNFIT in states else 1 if states - {ReadyState.READY} else 0
 
 
-def _as_json(row: Readiness) -> dict[str, object]:
-    position = row.position and {"file": row.position.file, "line": row.position.line, "column": row.position.column}
-    return {"what": row.what, "name": row.name, "type": row.type, "state": row.state.value, "advice": row.advice, "position": position}
-
-
-def _print_table(console: Console, rows: Sequence[Readiness]) -> None:
+def print_table(console: Console, rows: Sequence[Readiness]) -> None:
+    """Print a line for each row; what to do comes last, because it may be long."""
     lines = [("what", "name", "type", "state", "what to do")]
     lines += [(row.what, row.name, row.type, row.state.value, row.where + row.advice) for row in rows]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]

@@ -144,10 +144,11 @@ class TaskContext:
         served = calls_served_by(self.problem, bindings, history.absent_servers(self.settings.limits))
         # With a source outside, something new may be known without a trace here.
         uninformed = history.uninformed if self.source is None else ()
-        lacking = {ForbiddenCall.of(action) for action in uninformed if self._lacks_value(action)}
+        lacking = {ForbiddenCall.of(action) for action in uninformed if self.lacks_value(action)}
         return served | calls_acquiring(self.problem, bindings, names.keys()) | lacking
 
-    def _lacks_value(self, action: GroundAction) -> bool:
+    def lacks_value(self, action: GroundAction) -> bool:
+        """Return whether the goal of the action has a field for which nothing here has a value."""
         binding = self.settings.bindings.of(action.name)
         fields = self.backend.client.goal_fields(action)
         return bool(goal_data(action, binding, fields, EvaluationContext(self.knowledge, action, binding))[1])

@@ -47,6 +47,18 @@ class Readiness:
         """Where in a file it has to be changed; empty if it need not."""
         return f"{self.position}: " if self.position and self.state is ReadyState.UNFIT else ""
 
+    def as_json(self) -> dict[str, object]:
+        """Return it as plain data."""
+        where = self.position and {"file": self.position.file, "line": self.position.line, "column": self.position.column}
+        return {
+            "what": self.what,
+            "name": self.name,
+            "type": self.type,
+            "state": self.state.value,
+            "advice": self.advice,
+            "position": where,
+        }
+
 
 def refuse_unfit(rows: Iterable[Readiness]) -> None:
     """Raise an `InputError` with all that can never work, if there is something."""

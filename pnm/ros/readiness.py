@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -63,24 +64,18 @@ def action_readiness(
     for action, server in servers.items():
         by_server[server][action.name] = bindings.of(action.name)
     stored = {name for binding in map(bindings.of, known.actions) for name in (*binding.store.values(), *binding.ask)}
-    for server in by_server:
-        stored.update(*map(_result_fields, graph.servers.get(server, ())))
+    for type_name in {kind for server in by_server for kind in graph.servers.get(server, ())}:
+        with suppress(InputError):  # it is not installed, as the row of its server says
+            stored.update(fields(import_type(type_name).Result))
     obtainable = stored.union(variables)
     done: set[tuple[str, str]] = set()
     for action, server in servers.items():
         if (action.name, server) not in done:
             done.add((action.name, server))
-            yield _action_row(action, server, by_server[server], known, graph, obtainable, patience)
+            yield server_readiness(action, server, by_server[server], known, graph, obtainable, patience)
 
 
-def _result_fields(type_name: str) -> tuple[str, ...]:
-    try:
-        return fields(import_type(type_name).Result)
-    except InputError:
-        return ()
-
-
-def _action_row(
+def server_readiness(
     action: GroundAction,
     server: str,
     bound: Mapping[str, Binding],
@@ -89,6 +84,7 @@ def _action_row(
     obtainable: Collection[str],
     patience: float,
 ) -> Readiness:
+    """Return how ready the server of one action is, given the bindings of all actions that it performs."""
     binding, there = bound[action.name], graph.servers.get(server, ())
     wanted = next((one.type for one in (binding, *bound.values()) if one.type), None)
     row = Readiness(action.name, server, wanted or ", ".join(there), ReadyState.UNFIT, position=binding.position)
@@ -104,19 +100,20 @@ def _action_row(
         return replace(row, state=ReadyState.ABSENT, advice=advice)
     if row.type:
         try:
-            unknown = _fit(action, binding, import_type(row.type), known, obtainable)
+            unknown = fit_goal(action, binding, import_type(row.type), known, obtainable)
         except InputError as error:
             return replace(row, advice=error.message)
         if unknown and there:
-            reason = f"nothing here gives a value to the variable {unknown[0]}; {suggestion(unknown[0], obtainable)}".rstrip("; ")
-            return replace(row, state=ReadyState.ABSENT, advice=f"{reason}, unless something does while it runs")
+            reason = f"nothing here gives a value to ${unknown[0]}, unless something does while it runs"
+            hint = suggestion(unknown[0], obtainable)
+            return replace(row, state=ReadyState.ABSENT, advice=f"{reason}{hint and f'; {hint}'}")
     if there:
         return replace(row, state=ReadyState.READY)
     waits = f"it is waited for where it is needed, {patience:.0f} s at most"
     return replace(row, state=ReadyState.ABSENT, advice=absence(graph.servers, server, wanted), waits=waits)
 
 
-def _fit(action: GroundAction, binding: Binding, action_type: Any, known: Vocabulary, obtainable: Collection[str]) -> tuple[str, ...]:
+def fit_goal(action: GroundAction, binding: Binding, action_type: Any, known: Vocabulary, obtainable: Collection[str]) -> tuple[str, ...]:
     """Refuse goals that can never be filled, or not with these values; return variables that the binding names and that have none."""
     if action.name not in known.actions:  # what it is given is in a plan: values of all kinds, computed while it runs
         fitted_binding(binding, action_type)
@@ -125,7 +122,7 @@ def _fit(action: GroundAction, binding: Binding, action_type: Any, known: Vocabu
     arguments = dict(zip(action.parameters, action.arguments, strict=True))
     own = {"action": action.name, "arguments": list(action.arguments), "duration": 1.0, **arguments}
     by_name = {name: f"${name}" for name in names if name in own}
-    fitted_binding(replace(binding, goal=by_name if binding.goal is None else binding.goal), action_type, partial(_example, own, known))
+    fitted_binding(replace(binding, goal=by_name if binding.goal is None else binding.goal), action_type, partial(example, own, known))
     unbound = [name for name in names if name not in own and name not in obtainable] if binding.goal is None else []
     if unbound:
         goal = ", ".join(f"{name}: …" for name in unbound)
@@ -149,7 +146,7 @@ def _variables(source: object) -> Iterator[str]:
             yield source[1:]
 
 
-def _example(own: Mapping[str, object], known: Vocabulary, source: str) -> object:
+def example(own: Mapping[str, object], known: Vocabulary, source: str) -> object:
     """Return a value of the kind that a parameter, a variable or a fluent has; `MISSING` if that is not known."""
     if source.startswith("("):
         signature = known.signatures.get(parse_fluent(source)[0])
@@ -164,10 +161,11 @@ def sensor_readiness(uses: Iterable[SensorUse], graph: GraphSnapshot) -> Iterato
     """Yield how ready sensors are."""
     for use in uses:
         is_topic = isinstance(use.instance.sensor.way, ByTopic)
-        yield _sensor_row(use, "topic" if is_topic else "service", graph.topics if is_topic else graph.services)
+        yield sensor_row(use, "topic" if is_topic else "service", graph.topics if is_topic else graph.services)
 
 
-def _sensor_row(use: SensorUse, kind: str, known: Mapping[str, tuple[str, ...]]) -> Readiness:
+def sensor_row(use: SensorUse, kind: str, known: Mapping[str, tuple[str, ...]]) -> Readiness:
+    """Return how ready one sensor is, given the topics or services that are there."""
     sensor, there = use.instance.sensor, known.get(use.name, ())
     first, *others = [part.name if isinstance(part, Stored) else fluent_text(part.fluent) for part in sensor.statements]
     wanted = sensor.type

@@ -83,22 +83,19 @@ class ServiceSensor:
     async def _ask(self) -> str:
         """Ask once, and record the answer; return why there is none."""
         self.recorder.expect()
+        instance = self.recorder.instance
+        if self._client is None:
+            kind = instance.sensor.type or next(iter(await self._ros.ask(self._types)), None)
+            if kind is None:
+                return f"there is no service {instance.name} yet"
+            _, self.recorder.instance = checked(instance, kind)
+            self._client = ServiceClient(self._ros, kind, instance.name)
         try:
-            answer = await (await self._connected()).call(self.recorder.instance.request(self._way), self._way.limit)
+            answer = await self._client.call(instance.request(self._way), self._way.limit)
         except SourceError as error:
             return str(error)
         self.recorder.record(partial(value_at, answer))
         return ""
-
-    async def _connected(self) -> ServiceClient:
-        if self._client is None:
-            instance = self.recorder.instance
-            name = instance.sensor.type or next(iter(await self._ros.ask(self._types)), None)
-            if name is None:
-                raise SourceError(f"there is no service {instance.name} yet")
-            _, self.recorder.instance = checked(instance, name)
-            self._client = ServiceClient(self._ros, name, instance.name)
-        return self._client
 
     # on the ROS thread
 

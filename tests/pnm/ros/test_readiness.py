@@ -112,7 +112,7 @@ def test_fields_may_be_left_out_on_purpose_asked_for_or_filled_from_what_is_stor
 
 def test_a_variable_that_nothing_gives_a_value_to_is_not_there_yet(tmp_path: Path) -> None:
     row = actions(tmp_path, "count: {goal: {order: $readin}}", "measure: {goal: {}, store: {nested_field: reading}}")["count /count"]
-    reason = "nothing here gives a value to the variable readin; did you mean 'reading'?, unless something does while it runs"
+    reason = "nothing here gives a value to $readin, unless something does while it runs; did you mean 'reading'?"
     assert (row.state, row.advice) == (ReadyState.ABSENT, reason)
 
 
