@@ -102,11 +102,13 @@ def _table(node: Node) -> tuple[Node, Mapped] | None:
 
 
 def _check_sources(node: Node, action: str, known: Vocabulary) -> None:
-    """Refuse parameters that the action does not have, and tables without a row for some object that the parameter may be."""
+    """Refuse parameters that the action does not have, and tables without a row for an object that a parameter, or a function, may be."""
     if (parts := _table(node)) is not None:
         of, rows = parts
         _check_sources(of, action, known)
-        objects = known.arguments(action, of.text[1:]) if of.text and of.text[0] == "?" else ()
+        text = of.text or ""
+        is_function, is_parameter = text.startswith("("), text.startswith("?")
+        objects = known.values(parse_fluent(text)[0]) if is_function else known.arguments(action, text[1:]) if is_parameter else ()
         for name, where, _ in rows.entries():
             if objects and name not in objects:
                 hint = suggestion(name, objects) or f"expected one of {', '.join(objects)}"

@@ -273,8 +273,11 @@ def _interpret(statement: Statement, env: Mapping[str, str], look: Look, objects
 
 
 def _object(source: FieldValue, types: tuple[str, ...], look: Look, objects: Objects) -> str:
-    value = source.value(look)
-    if isinstance(value, str) and (value == UNDEFINED or value in objects(types)):
+    """Return the object that a field names; a table is needed only for values that are no names of objects."""
+    value, known = look(source.field), objects(types)
+    if not (source.table is not None and isinstance(value, str) and value in known and value not in source.table):
+        value = source.value(look)
+    if isinstance(value, str) and (value == UNDEFINED or value in known):
         return value
     raise Unreadable(f"{source.field} is {shown(value)}, which is no object of type {' or '.join(types)}")
 
