@@ -9,7 +9,6 @@ import asyncio
 import logging
 from collections.abc import Callable, Iterable
 from typing import Protocol
-from uuid import UUID
 
 from pnm.actions.simulated_robots import SimulatedRobots
 from pnm.actions.simulated_world import report_changes
@@ -38,9 +37,6 @@ class Backend(Protocol):
 
         The identities of all requests begin with `mark`; `source` answers what the run does not know.
         """
-
-    def over(self, request: UUID, /) -> None:
-        """Note that a request is over: its server needs no knowledge any more."""
 
     async def check(self, actions: Iterable[GroundAction] = (), wait: float = 0.0) -> tuple[Readiness, ...]:
         """Return how ready the servers of all declared actions and of these, and all sensors are.
@@ -93,9 +89,6 @@ class ClientBackend:
 
     async def share(self, mark: bytes, find: FindKnowledge, source: Source) -> None:
         """Do nothing: what the client carries out queries nothing."""
-
-    def over(self, request: UUID, /) -> None:
-        """Do nothing."""
 
     async def check(self, actions: Iterable[GroundAction] = (), wait: float = 0.0) -> tuple[Readiness, ...]:
         """Do nothing: servers and sensors are nothing that could be looked at."""

@@ -76,7 +76,7 @@ class Ros2Backend:
         self.ros = self._shared or RosThread("pnm_run")  # `pnm` is the one that serves
         lag, sensing = self._bindings.lag, self._sensing
         self._sensors = Sensors(self.ros, sensing, knowledge, lag)
-        self._client = Ros2ActionClient(self.ros, self._bindings, loop, self._sensors.want)
+        self._client = Ros2ActionClient(self.ros, self._bindings, loop, self._ended)
         ignored = {
             **dict.fromkeys(knowledge.rules.derived, "its facts follow from rules"),
             **dict.fromkeys(sensing.names, "there is a sensor for it"),
@@ -97,7 +97,8 @@ class Ros2Backend:
         """
         known, until = self._known or Vocabulary({}), monotonic() + wait
         calls = tuple(dict.fromkeys((*server_calls(known, self._bindings), *actions)))
-        servers = await self.ros.ask(lambda: {call: server_name(self.ros.node, self._bindings.server(call)) for call in calls})
+        bound = {call: (self._bindings.server(call), self._bindings.of(call.name).position) for call in calls}
+        servers = await self.ros.ask(lambda: {call: server_name(self.ros.node, *named) for call, named in bound.items()})
         has_settled = False
         while True:
             graph = await self.ros.ask(partial(snapshot, self.ros.node))
@@ -129,10 +130,12 @@ class Ros2Backend:
         self._services.append(KnowledgeServices(self.ros, asyncio.get_running_loop(), service_prefix(mark), find, source))
         await self._services[-1].open()
 
-    def over(self, request: UUID, /) -> None:
-        """Withdraw what a server is still asking for the request."""
+    def _ended(self, request: UUID) -> None:
+        """Withdraw what a server is still asking for a request that is over, and ask how the world is now."""
         for services in self._services:
             services.end(request)
+        if self._sensors is not None:
+            self._sensors.want()
 
     async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
         """Look for the servers of these actions; wait for them only while this node itself is new."""

@@ -38,13 +38,13 @@ class Ros2ActionClient:
     even when the ROS thread is closed before.
 
     Args:
-        ended: called on the event loop's thread when a request is over, before its end is reported.
+        ended: called on the event loop's thread with each request that is over, before its end is reported.
 
     The mutable state is on the ROS thread (the links and the open goals), except `_closed`.
     """
 
     def __init__(
-        self, ros: RosThread, bindings: Bindings, loop: asyncio.AbstractEventLoop, ended: Callable[[], object] = lambda: None
+        self, ros: RosThread, bindings: Bindings, loop: asyncio.AbstractEventLoop, ended: Callable[[UUID], object] = lambda request: None
     ) -> None:
         self._ros = ros
         self._bindings = bindings
@@ -142,8 +142,9 @@ class Ros2ActionClient:
     def _pass_on(self, report: Reporter, what: Report) -> None:
         if isinstance(what, Ended):
             self._goals.pop(what.request, None)
-            call_on_loop(self._loop, self._ended)
         if not self._closed:
+            if isinstance(what, Ended):
+                call_on_loop(self._loop, self._ended, what.request)
             call_on_loop(self._loop, report, what)
 
     def _keep_looking(self) -> None:

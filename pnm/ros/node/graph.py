@@ -7,14 +7,16 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
 
-from pnm.errors import InputError
+from pnm.errors import InputError, Position
 
 _STATUS = "/_action/status"
 _FEEDBACK = "/_action/feedback"
 
 
-def server_name(node: Any, server: str) -> str:
+def server_name(node: Any, server: str, position: Position | None = None) -> str:
     """Return the full name of an action server, relative to the node's namespace and remapped; `InputError` if it is not valid in ROS.
+
+    The position is that of the name in a file.
 
     Names in ROS have no hyphens, names in PDDL often do: ``pick-up`` becomes ``pick_up``.
     """
@@ -22,7 +24,7 @@ def server_name(node: Any, server: str) -> str:
         return str(node.resolve_topic_name(server.replace("-", "_") + _STATUS)).removesuffix(_STATUS)
     except Exception as error:
         reason = str(error).strip().splitlines()
-        raise InputError(f"not a name for an action server: {server!r}{f' ({reason[0]})' if reason else ''}") from error
+        raise InputError(f"not a name for an action server: {server!r}{f' ({reason[0]})' if reason else ''}", position) from error
 
 
 def processes(node: Any, server: str) -> frozenset[bytes]:

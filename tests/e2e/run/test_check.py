@@ -102,6 +102,12 @@ sensors:
     assert rows["(x hall)"][2].startswith("/deaf has not answered yet")
 
 
+def test_a_name_that_ros_does_not_take_is_refused_with_its_place(started):
+    program = started("check", COUNT, 'measure: {server: "1x", goal: {}}')
+    assert program.ended() == 2
+    assert "bindings.yaml:3:12: not a name for an action server: '1x'" in program.err[-1]
+
+
 def test_a_table_without_a_row_is_refused(started):
     program = started("check", COUNT, 'measure: {goal: {nested_field: {of: "?to", table: {hall: {int32_value: 1}}}}}')
     assert program.ended() == 2
