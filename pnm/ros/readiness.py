@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from typing import Any
@@ -42,6 +42,18 @@ def server_calls(known: Vocabulary, bindings: Bindings) -> Iterator[GroundAction
 # --- actions -------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True, slots=True)
+class ValueSources:
+    """What goal fields may be filled from."""
+
+    known: Vocabulary
+    """The declared names; of actions that it does not know, only a plan knows what goals are filled from."""
+    variables: frozenset[str]
+    """The names of variables that have values, or that sensors or the results of actions give values to."""
+    is_complete: bool
+    """Whether the types of all servers are known; the results of others may have any fields."""
+
+
 def action_readiness(
     servers: Mapping[GroundAction, str],
     bindings: Bindings,
@@ -63,25 +75,25 @@ def action_readiness(
     by_server: defaultdict[str, dict[str, Binding]] = defaultdict(dict)
     for action, server in servers.items():
         by_server[server][action.name] = bindings.of(action.name)
-    stored = {name for binding in map(bindings.of, known.actions) for name in (*binding.store.values(), *binding.ask)}
-    for type_name in {kind for server in by_server for kind in graph.servers.get(server, ())}:
+    stored = {name for bound in by_server.values() for binding in bound.values() for name in (*binding.store.values(), *binding.ask)}
+    types = [graph.servers.get(server) or [one.type for one in bound.values() if one.type] for server, bound in by_server.items()]
+    for type_name in {kind for kinds in types for kind in kinds}:
         with suppress(InputError):  # it is not installed, as the row of its server says
             stored.update(fields(import_type(type_name).Result))
-    obtainable = stored.union(variables)
+    sources = ValueSources(known, stored.union(variables), all(types))
     done: set[tuple[str, str]] = set()
     for action, server in servers.items():
         if (action.name, server) not in done:
             done.add((action.name, server))
-            yield server_readiness(action, server, by_server[server], known, graph, obtainable, patience)
+            yield server_readiness(action, server, by_server[server], graph, sources, patience)
 
 
 def server_readiness(
     action: GroundAction,
     server: str,
     bound: Mapping[str, Binding],
-    known: Vocabulary,
     graph: GraphSnapshot,
-    obtainable: Collection[str],
+    sources: ValueSources,
     patience: float,
 ) -> Readiness:
     """Return how ready the server of one action is, given the bindings of all actions that it performs."""
@@ -100,12 +112,12 @@ def server_readiness(
         return replace(row, state=ReadyState.ABSENT, advice=advice)
     if row.type:
         try:
-            unknown = fit_goal(action, binding, import_type(row.type), known, obtainable)
+            unknown = fit_goal(action, binding, import_type(row.type), sources)
         except InputError as error:
             return replace(row, advice=error.message)
         if unknown and there:
             reason = f"nothing here gives a value to ${unknown[0]}, unless something does while it runs"
-            hint = suggestion(unknown[0], obtainable)
+            hint = suggestion(unknown[0], sources.variables)
             return replace(row, state=ReadyState.ABSENT, advice=f"{reason}{hint and f'; {hint}'}")
     if there:
         return replace(row, state=ReadyState.READY)
@@ -113,23 +125,26 @@ def server_readiness(
     return replace(row, state=ReadyState.ABSENT, advice=absence(graph.servers, server, wanted), waits=waits)
 
 
-def fit_goal(action: GroundAction, binding: Binding, action_type: Any, known: Vocabulary, obtainable: Collection[str]) -> tuple[str, ...]:
-    """Refuse goals that can never be filled, or not with these values; return variables that the binding names and that have none."""
-    if action.name not in known.actions:  # what it is given is in a plan: values of all kinds, computed while it runs
+def fit_goal(action: GroundAction, binding: Binding, action_type: Any, sources: ValueSources) -> tuple[str, ...]:
+    """Refuse goals that can never be filled, or not with these values; return variables that are needed and may never have any."""
+    if action.name not in sources.known.actions:  # what it is given is in a plan: values of all kinds, computed while it runs
         fitted_binding(binding, action_type)
         return ()
     names = fields(action_type.Goal)
     arguments = dict(zip(action.parameters, action.arguments, strict=True))
     own = {"action": action.name, "arguments": list(action.arguments), "duration": 1.0, **arguments}
     by_name = {name: f"${name}" for name in names if name in own}
-    fitted_binding(replace(binding, goal=by_name if binding.goal is None else binding.goal), action_type, partial(example, own, known))
-    unbound = [name for name in names if name not in own and name not in obtainable] if binding.goal is None else []
-    if unbound:
+    fitted_binding(
+        replace(binding, goal=by_name if binding.goal is None else binding.goal), action_type, partial(example, own, sources.known)
+    )
+    needed = names if binding.goal is None else tuple(_variables(binding.goal))
+    unbound = tuple(name for name in needed if name not in own and name not in sources.variables)
+    if unbound and binding.goal is None and sources.is_complete:
         goal = ", ".join(f"{name}: …" for name in unbound)
         only = ", ".join(arguments) or "none"
         reason = f"nothing gives a value for {', '.join(unbound)} of its goal (parameters: {only})"
         raise InputError(f"{reason}; expected 'goal: {{{goal}}}' in the binding of {action.name}, which may leave fields out")
-    return tuple(name for name in _variables(binding.goal) if name not in own and name not in obtainable)
+    return unbound
 
 
 def _variables(source: object) -> Iterator[str]:

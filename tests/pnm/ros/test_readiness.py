@@ -116,6 +116,14 @@ def test_a_variable_that_nothing_gives_a_value_to_is_not_there_yet(tmp_path: Pat
     assert (row.state, row.advice) == (ReadyState.ABSENT, reason)
 
 
+def test_a_server_that_is_still_to_come_may_return_what_another_needs(tmp_path: Path) -> None:
+    graph = GraphSnapshot({"/count": (FIBONACCI,)}, {}, {})
+    row = actions(tmp_path, "count: {retries: 0}", MEASURE, graph=graph)["count /count"]
+    assert (row.state, row.advice) == (ReadyState.ABSENT, "nothing here gives a value to $order, unless something does while it runs")
+    row = actions(tmp_path, "count: {retries: 0}", OTHER, graph=graph)["count /count"]
+    assert row.state is ReadyState.UNFIT, "of this server the type is known"
+
+
 def test_a_server_has_one_type(tmp_path: Path) -> None:
     rows = actions(tmp_path, f"count: {{server: measure, type: {FIBONACCI}}}", OTHER)
     expected = (
