@@ -80,7 +80,7 @@ def action_readiness(
     for type_name in {kind for kinds in types for kind in kinds}:
         with suppress(InputError):  # it is not installed, as the row of its server says
             stored.update(fields(import_type(type_name).Result))
-    sources = ValueSources(known, stored.union(variables), all(types))
+    sources = ValueSources(known, frozenset(stored.union(variables)), all(types))
     done: set[tuple[str, str]] = set()
     for action, server in servers.items():
         if (action.name, server) not in done:
@@ -133,17 +133,15 @@ def fit_goal(action: GroundAction, binding: Binding, action_type: Any, sources: 
     names = fields(action_type.Goal)
     arguments = dict(zip(action.parameters, action.arguments, strict=True))
     own = {"action": action.name, "arguments": list(action.arguments), "duration": 1.0, **arguments}
-    by_name = {name: f"${name}" for name in names if name in own}
-    fitted_binding(
-        replace(binding, goal=by_name if binding.goal is None else binding.goal), action_type, partial(example, own, sources.known)
-    )
+    goal = {name: f"${name}" for name in names if name in own} if binding.goal is None else binding.goal
+    fitted_binding(replace(binding, goal=goal), action_type, partial(example, own, sources.known))
     needed = names if binding.goal is None else tuple(_variables(binding.goal))
     unbound = tuple(name for name in needed if name not in own and name not in sources.variables)
     if unbound and binding.goal is None and sources.is_complete:
-        goal = ", ".join(f"{name}: …" for name in unbound)
+        lacking = ", ".join(f"{name}: …" for name in unbound)
         only = ", ".join(arguments) or "none"
         reason = f"nothing gives a value for {', '.join(unbound)} of its goal (parameters: {only})"
-        raise InputError(f"{reason}; expected 'goal: {{{goal}}}' in the binding of {action.name}, which may leave fields out")
+        raise InputError(f"{reason}; expected 'goal: {{{lacking}}}' in the binding of {action.name}, which may leave fields out")
     return unbound
 
 
