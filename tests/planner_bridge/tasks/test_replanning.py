@@ -179,6 +179,31 @@ def test_a_call_that_lacked_a_value_is_used_once_there_is_one() -> None:
     assert result.goal_reached
 
 
+def test_what_is_reported_only_when_it_is_asked_for_is_asked_for_before_every_plan() -> None:
+    problem = rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc ad dc")
+    backend = simulated_backend(problem, Bindings(), aborts("move(r1, a, d)", times=1))
+    closed, asked = [("way", "a", "b")], []
+
+    async def refresh() -> None:
+        asked.append(backend.robots.world.truth.value(("at", "r1", "a")))
+        backend.knowledge.update(dict.fromkeys(closed, False))
+
+    backend.refresh = refresh
+    opened = backend.open
+
+    async def note(knowledge) -> None:
+        backend.knowledge = knowledge
+        await opened(knowledge)
+
+    backend.open = note
+    result = run_async(
+        achieve_at(backend, problem, Settings(bindings=Bindings({"move": Binding(retries=0)})), TaskObserver()), virtual=True
+    )
+    assert result.goal_reached
+    assert {call.call.action.arguments[1:] for call in result.calls if call.outcome == "succeeded"} == {("a", "d"), ("d", "c")}
+    assert asked[:2] == [True, True], "at the start, and after the failure"
+
+
 def test_a_fact_that_no_action_changes_may_change_all_the_same() -> None:
     gone = HiddenChange({("way", "b", "c"): False}, at=0.3)
     result, _ = pursued(rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc ba ad dc"), Faults(changes=(gone,)))
