@@ -10,7 +10,9 @@ import pytest
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Ended, OutcomeKind, Request
+from pnm.errors import InputError
 from pnm.ros.action_client.client import Ros2ActionClient
+from tests.support.processes import LIMIT
 from tests.support.ros.child_process import run_bounded
 
 GROUND = "pnm_interfaces/action/GroundAction"
@@ -56,6 +58,21 @@ def test_an_end_is_known_before_it_is_reported(ros, shared):
         assert order.count(request.id) == 1
 
     run_bounded(scenario())
+
+
+def test_two_types_for_one_server_are_an_error_and_one_serves_for_all(with_client, shared):
+    async def scenario(client):
+        assert not await client.ros2.prepare([GroundAction("act"), GroundAction("again")], LIMIT)
+        outcome = await client.send("again", action="succeed").ended()
+        assert outcome.kind is OutcomeKind.SUCCEEDED
+        reason = f"the action server /{shared} is bound with two types: {GROUND} and {FIBONACCI}"
+        with pytest.raises(InputError, match=reason):
+            await client.ros2.prepare([GroundAction("other")])
+        outcome = await client.send("other", order=3).ended()
+        assert (outcome.kind, outcome.message) == (OutcomeKind.UNAVAILABLE, reason)
+
+    act, again = Binding(server=shared), Binding(server=f"/{shared}", type=GROUND)
+    with_client(scenario, act=act, again=again, other=Binding(server=shared, type=FIBONACCI))
 
 
 def test_rejected(with_client, shared):

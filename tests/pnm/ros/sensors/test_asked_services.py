@@ -56,12 +56,16 @@ async def test_a_service_that_is_never_polled_is_asked_for_every_reason_and_no_m
 async def test_a_dead_service_makes_unknown_what_it_reports_once_it_is_asked(ros, names, sensing, sensors, caplog):
     name = names()
     process = await asyncio.to_thread(sensors, offered(name))
-    file = sensing(f"sensors: [{{service: {name}, every: never, limit: 0.5, stale: 0.3, facts: [{{fact: (dark), field: bool_value}}]}}]")
+    file = sensing(f"""
+        sensors:
+          - {{service: {name}, every: never, limit: 0.5, stale: 0.3, facts: [{{fact: (dark), field: bool_value}}]}}
+          - {{topic: {names()}, type: test_msgs/msg/BasicTypes, stale: 3, facts: [{{number: (battery r1), field: float64_value}}]}}""")
     world, listener = asking(ros, file)
     try:
         await listener.open()
         await becomes(world, ("dark",), True)
         await asyncio.to_thread(process.kill)
+        await becomes(world, ("battery", "r1"), UNKNOWN)
         assert world.value(("dark",)) is True, "nothing is expected of a service that is not asked"
         await listener.refresh()
         await becomes(world, ("dark",), UNKNOWN)
