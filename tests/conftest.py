@@ -6,10 +6,14 @@ import signal
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from tests.support.files import ROOT
 
 END_TO_END = ROOT / "tests" / "e2e"
+
+settings.register_profile("any machine", settings(deadline=None))  # a busy one takes its time
+settings.load_profile("any machine")
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # we are in the background of a shell: our children are not to ignore it as well
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -78,20 +78,21 @@ def app() -> None:
 @planning
 @as_json_option
 @command
-def plan(domain: Path, problem: Path, planner: str, timeout: float, as_json: bool) -> int:
+def plan(domain: Path, problem: Path, planner: str, timeout: float, improve: float, as_json: bool) -> int:
     """Find and print a plan."""
     from planner_bridge.model.plan import PlanningStatus
     from planner_bridge.planning.solve import solve
 
     loaded = problem_in(domain, problem)
     with searching(planner):
-        result = solve(loaded, planner=planner, timeout=timeout)
+        result = solve(loaded, planner=planner, timeout=timeout, improve=improve)
     if as_json:
         steps = [
             {"action": step.action, "arguments": list(step.arguments), "start": step.start, "duration": step.duration}
             for step in (result.plan.steps if result.plan else ())
         ]
-        fields = {"status": result.status.value, "message": result.message, "planner": result.planner}
+        found = {"cost": result.plan.cost, "is_best": result.plan.is_best} if result.plan else {}
+        fields = {"status": result.status.value, "message": result.message, "planner": result.planner, **found}
         print(json.dumps({**fields, "steps": steps if result.plan else None}))
     elif result.plan:
         print(f"plan     {result.plan}")
@@ -125,6 +126,7 @@ def net(
     bindings: Path | None,
     planner: str,
     timeout: float,
+    improve: float,
 ) -> int:
     """Plan, and write the machine; or write that of a hand-written plan."""
     from planner_bridge.loading import bindings_for
@@ -143,7 +145,7 @@ def net(
         loaded = problem_in(*chosen)
         bound = bindings_for(chosen[0], bindings, loaded.vocabulary)
         with searching(planner):
-            result = solve(loaded, planner=planner, timeout=timeout)
+            result = solve(loaded, planner=planner, timeout=timeout, improve=improve)
         if result.plan is None:
             print(f"no plan: {result.reason}", file=sys.stderr)
             return 1
@@ -189,6 +191,7 @@ def run(
     sensing: Path | None,
     planner: str,
     timeout: float,
+    improve: float,
     replans: int,
     seconds: float | None,
     on_failure: str | None,
@@ -207,7 +210,7 @@ def run(
         raise InputError("--sensing describes topics and services of ROS 2; expected --actions ros2")
     others = Files(bindings, faults, knowledge, sensing)
     policy = OnFailure(on_failure) if on_failure else None
-    settings = Settings(planner, timeout, limits=Limits(replans=replans, seconds=seconds), on_failure=policy or OnFailure.DRAIN)
+    settings = Settings(planner, timeout, improve, limits=Limits(replans=replans, seconds=seconds), on_failure=policy or OnFailure.DRAIN)
     chosen = chosen_files(domain, problem, plan_file)
     if isinstance(chosen, Path):
         from planner_bridge.cli.run import run_written
@@ -266,6 +269,7 @@ def export(
     bindings: Path | None,
     planner: str,
     timeout: float,
+    improve: float,
 ) -> int:
     """Write a domain, a problem and a plan for it as YAML."""
     from planner_bridge.loading import bindings_for
@@ -274,7 +278,9 @@ def export(
 
     bound = bindings_for(domain, bindings, None)
     with searching(planner) if with_plan or original else nullcontext():
-        result = exported(domain, problem, with_plan=with_plan, original=original, bindings=bound, planner=planner, timeout=timeout)
+        result = exported(
+            domain, problem, with_plan=with_plan, original=original, bindings=bound, planner=planner, timeout=timeout, improve=improve
+        )
     print_warnings(result.warnings)
     if result.reason:
         print(f"no plan: {result.reason}", file=sys.stderr)

@@ -87,6 +87,9 @@ files_or_plan = options(
 planning = options(
     click.option("--planner", default="kairos", show_default=True, help="kairos, any engine of unified-planning, race, or race:NAME,NAME"),
     click.option("--timeout", type=Seconds(0.01), default=30.0, show_default=True, help="seconds the planner may take"),
+    click.option(
+        "--improve", type=Seconds(0), default=2.0, show_default=True, help="seconds for which a better plan is looked for, at most"
+    ),
 )
 as_json_option = click.option("--json", "as_json", is_flag=True, help="print one JSON object as the last line, and nothing else")
 bindings_option = click.option("--bindings", type=FILE, help="how actions are bound to servers; by default bindings.yaml beside DOMAIN")

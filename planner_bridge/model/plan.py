@@ -28,11 +28,16 @@ class Plan:
     temporal: bool = False
     """Whether starts and durations are times; otherwise the steps follow one another."""
     cost: float | None = None
+    """By the metric of the problem; None without one."""
+    is_best: bool = False
+    """Whether it is proved that no plan is better: costs less, or without a metric has fewer steps or takes less time."""
 
     def __str__(self) -> str:
         if not self.steps:
             return "nothing to do: the goal holds, or comes by itself"
-        head = f"{len(self.steps)} calls" + (f", {self.makespan:.1f} s" if self.temporal else "")
+        parts = [f"{len(self.steps)} calls", *([f"{self.makespan:.1f} s"] if self.temporal else ())]
+        parts += [f"cost {self.cost:g}"] if self.cost is not None else ()
+        head = ", ".join((*parts, *(["no plan is better"] if self.is_best else ())))
         lines = (
             f"  {step.start:8.2f} s  {step}  [{step.duration:.2f} s]" if self.temporal else f"  {number:8d}.   {step}"
             for number, step in enumerate(self.steps, 1)

@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from math import prod
-from typing import Literal
+from typing import Final, Literal
 
 from pnm.core.logic.conditions import choices_in
 from pnm.core.logic.domain import DomainModel, Preference, ProblemModel, Types
 from pnm.core.logic.expressions import Expression, Fluent
 from pnm.core.logic.trajectory import Constraint
 from pnm.errors import Position, Tolerated
+
+TOTAL_TIME: Final[Fluent] = ("total-time",)
+"""What metrics call the time that a plan takes, or the number of its steps."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from planner_bridge.planning.kairos import DEFAULT_PLANNER
+from planner_bridge.planning.kairos import DEFAULT_PLANNER, IMPROVE
 from planner_bridge.tasks.settings import OnChange
 from pnm.core.machine.machine import OnFailure
 from pnm.errors import InputError
@@ -26,6 +26,7 @@ PARAMETERS: Final = (
     NodeParameter("knowledge", "", "SQLite file of the global knowledge, in place of what plans choose"),
     NodeParameter("planner", DEFAULT_PLANNER, "kairos, any engine of unified-planning, race, or race:NAME,NAME"),
     NodeParameter("planner_timeout", 30.0, "seconds the planner may take"),
+    NodeParameter("improve", IMPROVE, "seconds for which a better plan is looked for, at most; a tenth of that where one replaces another"),
     NodeParameter("replans", 10, "how often the plan of a task may be replaced"),
     NodeParameter("max_tasks", 8, "how many tasks are planned for and carried out at a time", least=1),
     NodeParameter("max_queue", 100, "how many tasks may wait besides; more are refused"),
@@ -61,6 +62,7 @@ class Options:
     knowledge: Path | None
     planner: str
     planner_timeout: float
+    improve: float
     replans: int
     max_tasks: int
     max_queue: int

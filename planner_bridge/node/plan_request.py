@@ -26,7 +26,7 @@ async def make_plan(world: SharedWorld, settings: Settings, goal: str, planner: 
 
     def search() -> MadePlan:
         problem = replace(current, goal=world.read_goal(goal))
-        result = solve(problem, planner=planner, timeout=timeout, cancel=cancel, executor=settings.executor)
+        result = solve(problem, planner=planner, timeout=timeout, improve=settings.improve, cancel=cancel, executor=settings.executor)
         if result.plan is None:
             return MadePlan(code_of_planning(result.status, ()), result.reason, str(problem.goal))
         return MadePlan(Code.GOAL_REACHED, f"found by {result.planner}", str(problem.goal), _steps(problem, result.plan))

@@ -109,6 +109,7 @@ async def make_task_manager(context: NodeContext) -> NodeApi:
     settings = Settings(
         options.planner,
         options.planner_timeout,
+        options.improve,
         bindings=context.bindings,
         limits=Limits(replans=options.replans),
         on_failure=options.on_failure,

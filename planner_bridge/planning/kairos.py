@@ -12,19 +12,26 @@ from typing import Final
 import kairos
 
 from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus, PlanStep
-from planner_bridge.model.problem import Problem
+from planner_bridge.model.plan_text import plan_text
+from planner_bridge.model.problem import TOTAL_TIME, Problem
 from planner_bridge.pddl.write.writer import write_domain, write_problem
 from planner_bridge.planning.normal_form import in_whole_numbers
-from planner_bridge.planning.plan_text import plan_text
+from pnm.core.logic.expressions import ValueOf
 from pnm.errors import InputError
 
 DEFAULT_PLANNER: Final = "kairos"
+IMPROVE: Final = 2.0
+"""Seconds for which a better plan is looked for, at most."""
 _POLL: Final = 0.05
 """Seconds between two looks at the cancel token."""
 _ADVICE: Final = re.compile(r"\s[^.()]*\(SolveOptions::\w+\)\.|\s\(see the note before\)")
 """What Kairos says of its options, and of its own output."""
-_PATIENCE: Final = 1.0
-"""Seconds without a better plan after which the best one is taken, where preferences are weighed."""
+_WORTH: Final = 0.02
+"""Share of the time that a plan takes for which a better one is looked for; an action without a duration counts as a second."""
+_LEAST: Final = 0.05
+"""Share of the time for improvement that is waited for a better plan in any case."""
+_WEIGHED: Final = 0.5
+"""The same share where preferences are weighed: the first plans often fulfil none of them."""
 _THREADS: Final = 1
 """Phases of the search that run at once; one, so that the same problem always gets the same plan."""
 _STATUS: Final[Mapping[kairos.Status, PlanningStatus]] = {
@@ -69,21 +76,25 @@ def _parsed(problem: Problem) -> kairos.Problem:
     return kairos.parse_problem(write_problem(replace(problem, domain=primitive, network="")), domain, f"{problem.name}.pddl")
 
 
-def search_with_kairos(problem: Problem, parsed: kairos.Problem, timeout: float, cancel: CancelToken) -> PlanningResult:
+def search_with_kairos(problem: Problem, parsed: kairos.Problem, timeout: float, improve: float, cancel: CancelToken) -> PlanningResult:
     """Search for a plan until the timeout, or until the search is cancelled.
 
-    The first plan is taken, for robots wait; where preferences are weighed, the best one once no better one comes for `_PATIENCE`.
+    Once there is a plan, a better one is looked for, `improve` seconds at most: for as long as that is little beside the time that
+    the best one takes, for robots wait.
     """
-    weighs = problem.has_preferences
-    search = kairos.Planner().start(parsed, timeout=timeout, anytime=weighs, threads=_THREADS)  # type: ignore[no-untyped-call]
-    deadline = inf
-    while search.running() and not cancel.is_set() and time.monotonic() < deadline:
-        if search.next_plan(_POLL):  # every better plan starts the wait anew; without preferences the first plan ends it
-            deadline = time.monotonic() + (_PATIENCE if weighs else 0.0)
+    search = kairos.Planner().start(parsed, timeout=timeout, anytime=improve > 0.0, threads=_THREADS)  # type: ignore[no-untyped-call]
+    first = deadline = inf
+    while search.running() and not cancel.is_set() and (now := time.monotonic()) < deadline:
+        if better := search.next_plan(min(_POLL, deadline - now)):
+            first = min(first, now)
+            least = improve * (_WEIGHED if problem.has_preferences else _LEAST)
+            deadline = min(first + improve, now + max(least, better.makespan() * _WORTH))
+    is_over = not search.running()
     search.stop()
     best = search.best()
     if best is not None:  # the search ends some milliseconds later, which changes nothing
-        return PlanningResult(PlanningStatus.SOLVED, _plan(best, problem), planner=DEFAULT_PLANNER)
+        is_best = is_over and search.stop_reason is kairos.StopReason.PROVEN_OPTIMAL
+        return PlanningResult(PlanningStatus.SOLVED, replace(_plan(best, problem), is_best=is_best), planner=DEFAULT_PLANNER)
     result = search.wait()
     status = _STATUS[result.status]
     if status is PlanningStatus.UNSOLVABLE and any(function.values for function in problem.domain.functions.values()):
@@ -117,4 +128,5 @@ def _plan(plan: kairos.Plan, problem: Problem) -> Plan:
         )
         for step in plan.steps
     )
-    return Plan(tuple(steps), temporal=problem.is_timed, cost=plan.cost)
+    has_cost = problem.metric is not None and problem.metric.expression != ValueOf(TOTAL_TIME)
+    return Plan(tuple(steps), temporal=problem.is_timed, cost=plan.cost if has_cost else None)

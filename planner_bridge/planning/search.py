@@ -13,10 +13,14 @@ if TYPE_CHECKING:
     import kairos
 
 
-def search(problem: Problem, planner: str, timeout: float, cancel: CancelToken, parsed: kairos.Problem | None = None) -> PlanningResult:
+def search(
+    problem: Problem, planner: str, timeout: float, cancel: CancelToken, *, improve: float = 0.0, parsed: kairos.Problem | None = None
+) -> PlanningResult:
     """Search with one planner, at most `timeout` seconds besides the time to load it; the plan is not validated yet.
 
-    `parsed` is the problem as Kairos reads it, if that is there already.
+    Args:
+        improve: seconds for which Kairos looks for a better plan once there is one; other planners return what they find.
+        parsed: the problem as Kairos reads it, if that is there already.
     """
     if planner != DEFAULT_PLANNER:
         from planner_bridge.planning.engine_process import search_with_engine  # here, because Kairos needs no process
@@ -25,4 +29,4 @@ def search(problem: Problem, planner: str, timeout: float, cancel: CancelToken, 
     if problem.has_tasks:
         message = "task networks, which aries plans for (--planner aries)"
         return PlanningResult(PlanningStatus.UNSUPPORTED, message=message, planner=planner)
-    return search_with_kairos(problem, parsed or parse_for_kairos(problem), timeout, cancel)
+    return search_with_kairos(problem, parsed or parse_for_kairos(problem), timeout, improve, cancel)

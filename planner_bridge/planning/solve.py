@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Final
 
 from planner_bridge.model.plan import CancelToken, PlanningResult
 from planner_bridge.model.problem import Problem
-from planner_bridge.planning.kairos import DEFAULT_PLANNER, parse_for_kairos
+from planner_bridge.planning.kairos import DEFAULT_PLANNER, IMPROVE, parse_for_kairos
+from planner_bridge.planning.reduction import reduced
 from planner_bridge.planning.search import search
 from planner_bridge.planning.validate import validated
 from pnm.errors import check_kinds, check_seconds
@@ -31,15 +32,17 @@ def solve(
     *,
     planner: str = DEFAULT_PLANNER,
     timeout: float = 30.0,
+    improve: float = IMPROVE,
     cancel: CancelToken | None = None,
     executor: Executor | None = None,
 ) -> PlanningResult:
-    """Search for a plan, at most `timeout` seconds, and validate it.
+    """Search for a plan, at most `timeout` seconds, validate it, and leave out what it does not need.
 
     Args:
         problem: what is to be solved.
         planner: kairos, an engine of unified-planning, ``race`` for several at once, or ``race:kairos,aries`` for these.
         timeout: seconds that the search may take, besides the time to load a planner.
+        improve: seconds for which Kairos looks for a better plan once there is one, at most; 0 for the first plan.
         cancel: set from another thread to end the search.
         executor: runs the planners of a portfolio; a process pool by default.
 
@@ -48,14 +51,15 @@ def solve(
     """
     check_kinds("solve", {"problem": (problem, Problem), "planner": (planner, str)})
     check_seconds("the search for a plan", timeout)
+    check_seconds("the search for a better plan", improve)
     stop, timeout = cancel or threading.Event(), min(timeout, _LONGEST)
     if planner == PORTFOLIO or planner.startswith(_PORTFOLIO_OF):
         from planner_bridge.planning.portfolio import solve_with_portfolio  # here, because most searches use one planner
 
         members = None if planner == PORTFOLIO else _portfolio_members(planner)
-        return solve_with_portfolio(problem, planners=members, timeout=timeout, executor=executor, cancel=stop)
+        return reduced(problem, solve_with_portfolio(problem, planners=members, timeout=timeout, executor=executor, cancel=stop))
     parsed = parse_for_kairos(problem) if planner == DEFAULT_PLANNER else None  # once, for its search and its validator
-    return validated(problem, search(problem, planner, timeout, stop, parsed), parsed)
+    return reduced(problem, validated(problem, search(problem, planner, timeout, stop, improve=improve, parsed=parsed), parsed), parsed)
 
 
 def check_planner(planner: str, cancel: CancelToken | None = None) -> None:

@@ -36,10 +36,10 @@ import kairos
 from planner_bridge.model.grounding import ground_action, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
 from planner_bridge.model.plan_simulation import ConstraintProgression, NotApplicable, PlanSimulation, snapshot
+from planner_bridge.model.plan_text import plan_text
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.kairos import DEFAULT_PLANNER, validate
 from planner_bridge.planning.normal_form import calculates_with_whole_numbers, in_whole_numbers
-from planner_bridge.planning.plan_text import plan_text
 from planner_bridge.planning.reachability import MAY_BE_UNSET
 from planner_bridge.planning.unreachable import why_unknown, why_unreachable
 from pnm.core.knowledge_base import KnowledgeBase
@@ -59,25 +59,35 @@ _START, _END, _TIMED = range(3)
 
 
 class InvalidPlan(PnmError):
-    """The plan does not solve its problem."""
+    """The plan does not solve its problem: because of one of its steps, or as a whole."""
+
+    def __init__(self, reason: str, step: int | None = None) -> None:
+        super().__init__(reason)
+        self.step = step
 
 
 def why_invalid(problem: Problem, plan: Plan) -> str:
     """Return why the plan does not solve the problem, in one sentence; empty when it does."""
     try:
-        constraints = (*problem.domain.constraints, *problem.constraints)
-        samples = sorted({time for constraint in constraints for time in moments(constraint)})
-        states = _states(problem, plan, samples)
-        time, state = next(states)
-        progression = ConstraintProgression(constraints, state, time)
-        for time, state in states:
-            if violated := progression.advance(state, time):
-                raise InvalidPlan(f"{violated} is violated at {time:g} s: {observed_of(violated, state)}")
-        for constraint in progression.unfulfilled(state, time):
-            raise InvalidPlan(f"{constraint} is not fulfilled at the end: {observed_of(constraint, state)}")
+        last_state(problem, plan)
     except InvalidPlan as reason:
         return str(reason)
     return ""
+
+
+def last_state(problem: Problem, plan: Plan) -> KnowledgeBase:
+    """Return the state that the plan leads to; raise `InvalidPlan` if it does not solve the problem."""
+    constraints = (*problem.domain.constraints, *problem.constraints)
+    samples = sorted({time for constraint in constraints for time in moments(constraint)})
+    states = _states(problem, plan, samples)
+    time, state = next(states)
+    progression = ConstraintProgression(constraints, state, time)
+    for time, state in states:
+        if violated := progression.advance(state, time):
+            raise InvalidPlan(f"{violated} is violated at {time:g} s: {observed_of(violated, state)}")
+    for constraint in progression.unfulfilled(state, time):
+        raise InvalidPlan(f"{constraint} is not fulfilled at the end: {observed_of(constraint, state)}")
+    return state
 
 
 def trace(problem: Problem, plan: Plan) -> tuple[tuple[float, KnowledgeBase], ...]:
@@ -105,7 +115,7 @@ def _states(problem: Problem, plan: Plan, samples: Iterable[float] = ()) -> Iter
         try:
             changes = simulation.advance([(event, steps[event.call].action) for event in happening.events], happening.timed)
         except NotApplicable as error:
-            raise InvalidPlan(f"{steps[error.call]} cannot {error.stage}{when}: {error}") from error
+            raise InvalidPlan(f"{steps[error.call]} cannot {error.stage}{when}: {error}", error.call) from error
         for fluent, value in changes.items():
             if value is UNKNOWN and fluent[0].lower() != MAY_BE_UNSET:
                 raise InvalidPlan(f"{fluent_text(fluent)} is changed{when}, but it has no value, or is given none")
@@ -256,7 +266,8 @@ def validated(problem: Problem, result: PlanningResult, parsed: kairos.Problem |
         return explained(problem, result)
     verdicts = {"Kairos' validator": validate(problem, result.plan, parsed), "our own": why_invalid(problem, result.plan)}
     if not any(verdicts.values()):
-        return result
+        is_best = result.plan.is_best and not problem.unknown and calculates_with_whole_numbers(in_whole_numbers(problem))
+        return replace(result, plan=replace(result.plan, is_best=is_best))
     status = PlanningStatus.INVALID_PLAN if all(verdicts.values()) else PlanningStatus.DISAGREEMENT
     reasons = "; ".join(f"{validator} says: {why or 'valid'}" for validator, why in verdicts.items())
     return PlanningResult(status, message=f"{reasons}; the plan: {' '.join(plan_text(result.plan).split())}", planner=result.planner)

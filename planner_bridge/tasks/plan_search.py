@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
-from dataclasses import replace
 from functools import cache, partial
 from typing import Final, TypeAlias, TypeVar, cast
 from uuid import UUID
@@ -15,13 +14,12 @@ from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus
 from planner_bridge.model.plan_simulation import projected_state
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.interference import avoid_interference, optimistic_state, read_write_sets
-from planner_bridge.ordering.plan_to_graph import calls_of, total_order
+from planner_bridge.ordering.plan_to_graph import calls_of
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
 from planner_bridge.tasks.context import Conflict, RunningCalls, TaskContext
 from planner_bridge.tasks.control import TaskEnded
 from planner_bridge.tasks.plan_execution import PlanExecution
-from planner_bridge.tasks.replanning import Progress, shortened, why_not
 from pnm.clock import in_own_thread
 from pnm.core.execution.handover import UnderWay
 from pnm.core.logic.conditions import TRUE
@@ -29,6 +27,8 @@ from pnm.core.machine.plan_graph import ActionCall, PlanGraph
 from pnm.errors import InputError
 from pnm.tasks import Code, OnConflict, TaskState
 
+_AGAIN: Final = 0.1
+"""Share of the time for improvement that there is for a plan that replaces another one: robots stand still."""
 _NO_PLAN: Final = frozenset({PlanningStatus.UNSOLVABLE, PlanningStatus.NO_PLAN})
 
 P = TypeVar("P", Plan, PlanGraph)
@@ -210,14 +210,15 @@ class PlanSearch:
         return result, conflicts
 
     async def _solve(self, problem: Problem) -> PlanningResult:
-        """Ask the planner, in a thread, and leave needless calls of its plan out."""
+        """Ask the planner, in a thread."""
         settings, stop = self._context.settings, self._control.planner_stop
         # The planner may not take longer than the task has left.
         timeout = max(0.01, min(settings.planner_timeout, self._monitor.limit.left))
+        improve = settings.improve * (_AGAIN if self._has_found else 1.0)
 
         def search() -> PlanningResult:
-            result = solve(problem, planner=settings.planner, timeout=timeout, cancel=stop, executor=settings.executor)
-            return result if result.plan is None else replace(result, plan=without_needless_calls(problem, result.plan))
+            planner, executor = settings.planner, settings.executor
+            return solve(problem, planner=planner, timeout=timeout, improve=improve, cancel=stop, executor=executor)
 
         try:
             with self._context.task.stopwatch.of("plan"):
@@ -231,26 +232,3 @@ class PlanSearch:
             if not self._has_found:
                 raise
             return PlanningResult(PlanningStatus.INVALID, message=str(error))
-
-
-def without_needless_calls(problem: Problem, plan: Plan) -> Plan:
-    """Return the plan without calls that it does not need to reach its goal; planners sometimes add some.
-
-    One after the other is left out if what is left still works (greedy action elimination, Nakhost and Müller, 2010). Where a plan
-    is more than a way to its goal it is left as it is, and so are long ones: the work grows with the square of their length.
-    """
-    domain, metric = problem.domain, problem.metric
-    is_short = metric is None or (metric.direction == "minimize" and str(metric.expression) in ("(total-cost)", "(total-time)"))
-    preferences = (
-        *domain.preferences,
-        *problem.preferences,
-        *(preference for schema in domain.actions.values() for preference in schema.preferences),
-    )
-    asks_for_more = problem.network or problem.constraints or domain.constraints or preferences or not is_short
-    if plan.temporal or asks_for_more:
-        return plan
-    progress, world = Progress.beginning(total_order(problem, plan)), initial_knowledge(problem)
-    if why_not(progress, world):
-        return plan
-    kept = {call.index for call in shortened(progress, world).rest}
-    return replace(plan, steps=tuple(step for number, step in enumerate(plan.steps) if number in kept))

@@ -7,7 +7,7 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from planner_bridge.model.plan import Plan, PlanningResult
-from planner_bridge.planning.kairos import DEFAULT_PLANNER
+from planner_bridge.planning.kairos import DEFAULT_PLANNER, IMPROVE
 from planner_bridge.tasks.replanning import Limits, PlanAgain, ResumePlan
 from planner_bridge.tasks.result import Violation
 from pnm.core.execution.call_results import RunResult
@@ -69,6 +69,8 @@ class Settings:
 
     planner: str = DEFAULT_PLANNER
     planner_timeout: float = 30.0
+    improve: float = IMPROVE
+    """Seconds for which a better plan is looked for once there is one, at most; a tenth of that where a plan replaces another."""
     bindings: Bindings = field(default_factory=Bindings)
     limits: Limits = field(default_factory=Limits)
     on_failure: OnFailure = OnFailure.DRAIN
@@ -85,3 +87,4 @@ class Settings:
         kinds = {"planner": str, "limits": Limits, "sensing": Sensing, "on_failure": OnFailure, "on_change": OnChange}
         check_kinds("settings", {name: (getattr(self, name), kind) for name, kind in kinds.items()})
         check_seconds("the search for a plan", self.planner_timeout)
+        check_seconds("the search for a better plan", self.improve)

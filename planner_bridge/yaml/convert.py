@@ -14,6 +14,7 @@ from planner_bridge.pddl.read.attach_comments import comments
 from planner_bridge.pddl.read.reader import MAX_BYTES
 from planner_bridge.pddl.write.writer import write_domain as domain_text
 from planner_bridge.pddl.write.writer import write_problem as problem_text
+from planner_bridge.planning.kairos import IMPROVE
 from planner_bridge.planning.solve import solve
 from planner_bridge.yaml.first_implementation import write_original
 from planner_bridge.yaml.reader import read
@@ -52,6 +53,7 @@ def exported(
     bindings: Bindings = NO_BINDINGS,
     planner: str = "kairos",
     timeout: float = 30.0,
+    improve: float = IMPROVE,
 ) -> Exported:
     """Return a PDDL domain as YAML: alone, with a problem for it, or with a plan besides, which the planner has `timeout` seconds to find.
 
@@ -69,7 +71,7 @@ def exported(
     whole = read_problem(problem, model)
     if not with_plan and not original:
         return Exported(write_problem(whole, _both(domain, problem), bindings=bindings), whole.warnings)
-    result = solve(whole, planner=planner, timeout=timeout)
+    result = solve(whole, planner=planner, timeout=timeout, improve=improve)
     if result.plan is None:
         return Exported(warnings=whole.warnings, reason=result.reason)
     if original:

@@ -12,7 +12,7 @@ from unified_planning.exceptions import UPException
 from unified_planning.io import PDDLWriter
 
 from planner_bridge.model.grounding import dynamic_names
-from planner_bridge.model.problem import Metric, Problem
+from planner_bridge.model.problem import TOTAL_TIME, Metric, Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.planning.engines import Feature, problem_kind
 from planner_bridge.planning.normal_form import Assignment, cost_function, functions_in_use, is_whole, schema_assignments
@@ -172,7 +172,7 @@ class Translation:
                 total: Expression = Constant(0) if not costs else costs[0] if len(costs) == 1 else Arithmetic("+", tuple(costs))
                 totals[action] = self._expression(total, self._timed(schema, _parameters(schema, action)))
             measure = up.MinimizeActionCosts(totals)
-        elif metric == Metric("minimize", ValueOf(("total-time",))):
+        elif metric == Metric("minimize", ValueOf(TOTAL_TIME)):
             measure = up.MinimizeMakespan() if self._problem.is_timed else up.MinimizeSequentialPlanLength()
         else:
             final = up.MinimizeExpressionOnFinalState if metric.direction == "minimize" else up.MaximizeExpressionOnFinalState

@@ -6,8 +6,8 @@ from collections.abc import Callable, Collection
 from typing import Final, TypeAlias
 
 from planner_bridge.model.plan import Plan
+from planner_bridge.model.plan_text import read_plan
 from planner_bridge.model.problem import Problem
-from planner_bridge.planning.plan_text import read_plan
 from pnm.core.logic.conditions import Condition
 from pnm.errors import InputError
 from pnm.tasks import Wanted

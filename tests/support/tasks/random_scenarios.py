@@ -14,8 +14,8 @@ from dataclasses import dataclass, field, replace
 from typing import Final, TypeAlias
 from uuid import UUID
 
+from planner_bridge.model.plan_text import read_plan
 from planner_bridge.ordering.plan_to_graph import plan_graph
-from planner_bridge.planning.plan_text import read_plan
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.scheduling.task_manager import TaskLimits
 from planner_bridge.tasks.settings import OnChange, Settings

@@ -1,0 +1,82 @@
+"""Plan reduction: calls that a plan does not need are left out, one by one or with those that rest on them.
+
+Greedy action elimination (Nakhost and Müller, Action Elimination and Plan Neighborhood Graph Search, 2010): a step is left out, and
+with it all steps that cannot be carried out then; if the goal is reached all the same, and at no higher cost, the plan stays so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+from planner_bridge.model.plan import Plan, PlanningResult
+from planner_bridge.model.problem import TOTAL_TIME, Metric, Problem
+from planner_bridge.planning.kairos import validate
+from planner_bridge.planning.validate import InvalidPlan, last_state
+from pnm.core.logic.expressions import Fluent, State, Unknown, Value, value_of
+
+if TYPE_CHECKING:
+    import kairos
+
+MAX_STEPS: Final = 60
+"""Steps of a plan that is reduced: the work grows with the cube of their number."""
+
+
+def reduced(problem: Problem, result: PlanningResult, parsed: kairos.Problem | None = None) -> PlanningResult:
+    """Return the result with a plan that has no needless step; one of a task network, or with preferences, is more than a way to a goal.
+
+    `parsed` is the problem as Kairos reads it, if that is there already.
+    """
+    plan = result.plan
+    if plan is None or problem.network or problem.has_preferences or len(plan.steps) > MAX_STEPS:
+        return result
+    number = 0
+    while number < len(plan.steps):
+        shorter = _without(problem, plan, number)
+        if shorter is None:
+            number += 1
+        else:
+            plan = shorter
+    return result if validate(problem, plan, parsed) else replace(result, plan=plan)
+
+
+def _without(problem: Problem, plan: Plan, number: int) -> Plan | None:
+    """Return the plan without the step, and those after it that cannot be carried out without it; None if that is no better plan."""
+    steps = [*plan.steps[:number], *plan.steps[number + 1 :]]
+    while True:
+        shorter = replace(plan, steps=tuple(steps))
+        try:
+            cost = _cost(problem, shorter, last_state(problem, shorter))
+        except InvalidPlan as error:
+            if error.step is None or error.step < number:  # the goal is not reached, or an earlier step cannot go on
+                return None
+            del steps[error.step]
+        else:
+            is_worse = cost is not None and plan.cost is not None and _sign(problem.metric) * (cost - plan.cost) > 0.0
+            return None if is_worse else replace(shorter, cost=cost)
+
+
+def _cost(problem: Problem, plan: Plan, state: State) -> float | None:
+    if problem.metric is None:
+        return None
+    total_time = plan.makespan if plan.temporal else float(len(plan.steps))
+    cost = value_of(problem.metric.expression, _Timed(state, total_time))
+    return float(cost) if isinstance(cost, int | float) else plan.cost
+
+
+def _sign(metric: Metric | None) -> int:
+    return -1 if metric and metric.direction == "maximize" else 1
+
+
+@dataclass(frozen=True, slots=True)
+class _Timed:
+    """The state after a plan that has taken this time."""
+
+    state: State
+    total_time: float
+
+    def value(self, fluent: Fluent, /) -> Value | Unknown | None:
+        return self.total_time if fluent == TOTAL_TIME else self.state.value(fluent)
+
+    def objects(self, types: tuple[str, ...], /) -> tuple[str, ...]:
+        return self.state.objects(types)
