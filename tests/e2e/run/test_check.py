@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from tests.support.files import written
-from tests.support.processes import Program
+from tests.support.files import ROOT, written
+from tests.support.processes import LIMIT, Program
 
 DOMAIN = """
 (define (domain foreign)
@@ -151,3 +151,24 @@ def test_run_says_once_what_is_not_there_and_how_long_it_waits_and_is_quiet_othe
     assert absent.ended() == 1
     (line,) = absent.err
     assert line.startswith("measure: there is no action server /mesure; similar are /measure; it is waited for where it is needed, ")
+
+
+def test_what_starts_a_little_later_is_waited_for(deploy):
+    deployment = deploy("foreign", texts=(DOMAIN, PROBLEM), bindings="\n  ".join(("actions:", COUNT, MEASURE)), quick=True)
+    files = [*deployment.files, "--bindings", str(deployment.folder / "bindings.yaml")]
+    check = deployment.start(Program(["-m", "planner_bridge", "check", *files, "--wait", str(LIMIT)], deployment.environment))
+    deployment.start(Program(["-m", "tests.support.e2e.programs.foreign_servers"], deployment.environment))
+    assert check.ended() == 0
+    assert [line.split() for line in check.out] == [
+        ["what", "name", "type", "state", "what", "to", "do"],
+        ["count", "/count", FIBONACCI, "ready"],
+        ["measure", "/measure", NESTED, "ready"],
+    ]
+
+
+def test_the_servers_of_plans_by_hand_are_looked_for(world):
+    plans = str(ROOT / "domains" / "mall_guide" / "plans" / "world.yaml")
+    program = world.start(Program(["-m", "planner_bridge", "check", "--plan", plans], world.environment))
+    assert program.ended() == 1
+    states = {line.split()[0]: line.split()[2] for line in program.out[1:]}
+    assert states == {"say": "absent", "ask_wish": "absent", "point_at": "absent"}
