@@ -82,4 +82,6 @@ def print_table(console: Console, rows: Sequence[Readiness]) -> None:
     for number, (*parts, advice) in enumerate(lines):
         *plain, state = (part.ljust(width) for part, width in zip(parts, widths, strict=False))
         style = _STYLES[rows[number - 1].state] if number else ""
-        console.print(Text("  ".join((*plain, ""))).append(state, style).append(f"  {advice}".rstrip()), soft_wrap=True)
+        line = Text("  ".join((*plain, ""))).append(state, style).append(f"  {advice}")
+        line.rstrip()
+        console.print(line, soft_wrap=True)

@@ -112,37 +112,40 @@ def server_readiness(
         return replace(row, state=ReadyState.ABSENT, advice=advice)
     if row.type:
         try:
-            unknown = fit_goal(action, binding, import_type(row.type), sources)
+            advice = fit_goal(action, binding, import_type(row.type), sources)
         except InputError as error:
             return replace(row, advice=error.message)
-        if unknown and there:
-            reason = f"nothing here gives a value to ${unknown[0]}, unless something does while it runs"
-            hint = suggestion(unknown[0], sources.variables)
-            return replace(row, state=ReadyState.ABSENT, advice=f"{reason}{hint and f'; {hint}'}")
+        if advice and there:
+            return replace(row, state=ReadyState.ABSENT, advice=advice)
     if there:
         return replace(row, state=ReadyState.READY)
     waits = f"it is waited for where it is needed, {patience:.0f} s at most"
     return replace(row, state=ReadyState.ABSENT, advice=absence(graph.servers, server, wanted), waits=waits)
 
 
-def fit_goal(action: GroundAction, binding: Binding, action_type: Any, sources: ValueSources) -> tuple[str, ...]:
-    """Refuse goals that can never be filled, or not with these values; return variables that are needed and may never have any."""
+def fit_goal(action: GroundAction, binding: Binding, action_type: Any, sources: ValueSources) -> str:
+    """Refuse goals that can never be filled, or not with these values; return what has no value yet, with advice, if there is something."""
     if action.name not in sources.known.actions:  # what it is given is in a plan: values of all kinds, computed while it runs
         fitted_binding(binding, action_type)
-        return ()
+        return ""
     names = fields(action_type.Goal)
     arguments = dict(zip(action.parameters, action.arguments, strict=True))
     own = {"action": action.name, "arguments": list(action.arguments), "duration": 1.0, **arguments}
     goal = {name: f"${name}" for name in names if name in own} if binding.goal is None else binding.goal
     fitted_binding(replace(binding, goal=goal), action_type, partial(example, own, sources.known))
     needed = names if binding.goal is None else tuple(_variables(binding.goal))
-    unbound = tuple(name for name in needed if name not in own and name not in sources.variables)
-    if unbound and binding.goal is None and sources.is_complete:
-        lacking = ", ".join(f"{name}: …" for name in unbound)
-        only = ", ".join(arguments) or "none"
-        reason = f"nothing gives a value for {', '.join(unbound)} of its goal (parameters: {only})"
-        raise InputError(f"{reason}; expected 'goal: {{{lacking}}}' in the binding of {action.name}, which may leave fields out")
-    return unbound
+    unbound = [name for name in needed if name not in own and name not in sources.variables]
+    if not unbound:
+        return ""
+    if binding.goal is not None:
+        hint = suggestion(unbound[0], sources.variables)
+        return f"nothing here gives a value to ${unbound[0]}, unless something does while it runs{hint and f'; {hint}'}"
+    lacking, only = ", ".join(f"{name}: …" for name in unbound), ", ".join(arguments) or "none"
+    reason = f"nothing here gives a value for {', '.join(unbound)} of its goal (parameters: {only})"
+    advice = f"expected 'goal: {{{lacking}}}' in the binding of {action.name}, which may leave fields out"
+    if sources.is_complete:
+        raise InputError(f"{reason}; {advice}")
+    return f"{reason}, unless a server that is not there yet returns it; else {advice}"
 
 
 def _variables(source: object) -> Iterator[str]:

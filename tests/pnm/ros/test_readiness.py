@@ -73,7 +73,10 @@ def test_a_server_for_each_robot_is_looked_for(tmp_path: Path) -> None:
     [
         (f"count: {{type: {NESTED}}}", f"the action server /count has the type {FIBONACCI}, the binding says {NESTED}"),
         ("count: {server: new, type: spam_msgs/action/Eggs}", "the ROS type spam_msgs/action/Eggs is not installed; install"),
-        ("count: {retries: 0}", "nothing gives a value for order of its goal (parameters: r); expected 'goal: {order: …}' in the binding"),
+        (
+            "count: {retries: 0}",
+            "nothing here gives a value for order of its goal (parameters: r); expected 'goal: {order: …}' in the binding",
+        ),
         ("count: {goal: {ordr: 3}}", "Fibonacci_Goal has no field 'ordr'; did you mean 'order'?"),
         ("count: {goal: {order: five}}", "field order needs int32 (-2147483648 to 2147483647), got 'five' (str)"),
         ("count: {goal: {order: '?r'}}", "field order, which is filled from ?r, needs int32"),
@@ -119,7 +122,9 @@ def test_a_variable_that_nothing_gives_a_value_to_is_not_there_yet(tmp_path: Pat
 def test_a_server_that_is_still_to_come_may_return_what_another_needs(tmp_path: Path) -> None:
     graph = GraphSnapshot({"/count": (FIBONACCI,)}, {}, {})
     row = actions(tmp_path, "count: {retries: 0}", MEASURE, graph=graph)["count /count"]
-    assert (row.state, row.advice) == (ReadyState.ABSENT, "nothing here gives a value to $order, unless something does while it runs")
+    reason = "nothing here gives a value for order of its goal (parameters: r), unless a server that is not there yet returns it"
+    assert row.state is ReadyState.ABSENT
+    assert row.advice == f"{reason}; else expected 'goal: {{order: …}}' in the binding of count, which may leave fields out"
     row = actions(tmp_path, "count: {retries: 0}", OTHER, graph=graph)["count /count"]
     assert row.state is ReadyState.UNFIT, "of this server the type is known"
 
