@@ -31,6 +31,7 @@ from pnm.core.readiness import Readiness
 from pnm.errors import InputError, Tolerated, suggestion
 from pnm.knowledge.sensor_model import NO_SENSING
 from pnm.knowledge.sources.registry import Surroundings, open_sources
+from pnm.knowledge.sources.router import Sources
 from pnm.language.plan import HandWrittenPlan, called_plans, chosen_plan, merge_bindings, read_plans, sources_of
 from pnm.language.runner import PlanRunner, Program
 from pnm.ros.backend import Ros2Backend
@@ -169,38 +170,49 @@ def carry_out(
         programs = {name: Program.of(plans[name]) for name in called_plans(plans, chosen)}
     bound = replace(settings, bindings=merge_bindings(plans.values()))
     backend = backend_of(actions, plans[chosen], bound, faults, tuple(plans.values()))
+    wanted = Wanted(uuid4(), chosen, parameters=parameters or {}, is_plan=True)
 
-    async def task() -> PlanResult:
-        world, is_prepared = initial_knowledge(plans[chosen]), False
-        wanted = Wanted(uuid4(), chosen, parameters=parameters or {}, is_plan=True)
+    def opened() -> Sources:
+        return open_sources(sources_of(plans.values()), Surroundings(getattr(backend, "ros", None), file.parent), knowledge)
+
+    task = _carry_out_at(backend, opened, programs, wanted, bound, observer=observer, stopwatch=stopwatch)
+    return run_async(task, virtual=actions == "simulated")
+
+
+async def _carry_out_at(
+    backend: Backend,
+    opened: Callable[[], Sources],
+    programs: Mapping[str, Program],
+    wanted: Wanted,
+    settings: Settings,
+    *,
+    observer: TaskObserver,
+    stopwatch: Stopwatch,
+) -> PlanResult:
+    """Carry out one of the programs on a backend, with sources of knowledge that are opened when it is open."""
+    world, is_prepared = initial_knowledge(programs[wanted.text].plan), False
+    try:
+        await backend.open(world)
+        sources = opened()
         try:
-            await backend.open(world)
-            sources = open_sources(sources_of(plans.values()), Surroundings(getattr(backend, "ros", None), file.parent), knowledge)
-            try:
-                runner = PlanRunner(programs, backend, world, sources)
-                await check_ready(backend, runner.actions)
-                await runner.check(runner.prepare_run(wanted.text, wanted.parameters))  # before anything is prepared
-                await backend.share(runner.prefix, runner.knowledge_of, sources)
-                await runner.prepare()
-                is_prepared = True
-                return await _carry_out_at(runner, wanted, bound, observer, stopwatch)
-            finally:
-                await sources.close()
-        except asyncio.CancelledError:
-            if is_prepared:  # and has been cancelled twice
-                raise
-            cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
-            return PlanResult(Code.CANCELLED, "cancelled", 0, (), stopwatch.seconds)
+            runner = PlanRunner(programs, backend, world, sources)
+            await check_ready(backend, runner.actions)
+            await runner.check(runner.prepare_run(wanted.text, wanted.parameters))  # before anything is prepared
+            await backend.share(runner.prefix, runner.knowledge_of, sources)
+            await runner.prepare()
+            is_prepared = True
+            nothing = Problem(wanted.text, Domain(wanted.text))
+            manager = TaskManager(nothing, world, backend, settings, _no_goal, source=sources, runner=runner)
+            return cast("PlanResult", await manager.run(wanted, observer, stopwatch))
         finally:
-            await backend.close()
-
-    return run_async(task(), virtual=actions == "simulated")
-
-
-async def _carry_out_at(runner: PlanRunner, wanted: Wanted, settings: Settings, observer: TaskObserver, stopwatch: Stopwatch) -> PlanResult:
-    nothing = Problem(wanted.text, Domain(wanted.text))
-    manager = TaskManager(nothing, runner.world, runner.backend, settings, _no_goal, source=runner.source, runner=runner)
-    return cast("PlanResult", await manager.run(wanted, observer, stopwatch))
+            await sources.close()
+    except asyncio.CancelledError:
+        if is_prepared:  # and has been cancelled twice
+            raise
+        cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
+        return PlanResult(Code.CANCELLED, "cancelled", 0, (), stopwatch.seconds)
+    finally:
+        await backend.close()
 
 
 def _no_goal(text: str) -> Condition:

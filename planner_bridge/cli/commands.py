@@ -168,6 +168,9 @@ def net(
 @planning
 @click.option("--replans", type=click.IntRange(0), default=10, show_default=True, help="how many new machines may follow the first")
 @click.option(
+    "--patience", type=Seconds(0), default=0.0, show_default=True, help="seconds to wait for facts to change while there is no plan"
+)
+@click.option(
     "--seconds", type=Seconds(0), help="how long the goal is pursued; by default an hour, or thrice what the plan takes if longer"
 )
 @click.option(
@@ -193,6 +196,7 @@ def run(
     timeout: float,
     improve: float,
     replans: int,
+    patience: float,
     seconds: float | None,
     on_failure: str | None,
     as_json: bool,
@@ -210,7 +214,8 @@ def run(
         raise InputError("--sensing describes topics and services of ROS 2; expected --actions ros2")
     others = Files(bindings, faults, knowledge, sensing)
     policy = OnFailure(on_failure) if on_failure else None
-    settings = Settings(planner, timeout, improve, limits=Limits(replans=replans, seconds=seconds), on_failure=policy or OnFailure.DRAIN)
+    limits = Limits(replans=replans, seconds=seconds, patience=patience)
+    settings = Settings(planner, timeout, improve, limits=limits, on_failure=policy or OnFailure.DRAIN)
     chosen = chosen_files(domain, problem, plan_file)
     if isinstance(chosen, Path):
         from planner_bridge.cli.run import run_written

@@ -89,6 +89,10 @@ class ConsoleObserver(TaskObserver):
         """Stop showing that a planner is being asked; the result is printed at the end."""
         self._waiting.close()
 
+    def blocked(self, reason: str) -> None:
+        """Print why there is no plan, so that people can help."""
+        self._console.print(f"[bold yellow]help[/]     {escape(reason)}", highlight=False, soft_wrap=True)
+
     def generated(self, machine: PetriNetMachine, proof: Proof) -> None:
         """Print the size of the machine, in which calls have numbers of their own."""
         self._causes.clear()

@@ -28,6 +28,7 @@ PARAMETERS: Final = (
     NodeParameter("planner_timeout", 30.0, "seconds the planner may take"),
     NodeParameter("improve", IMPROVE, "seconds for which a better plan is looked for, at most; a tenth of that where one replaces another"),
     NodeParameter("replans", 10, "how often the plan of a task may be replaced"),
+    NodeParameter("patience", 0.0, "seconds for which a goal without a plan waits for facts to change"),
     NodeParameter("max_tasks", 8, "how many tasks are planned for and carried out at a time", least=1),
     NodeParameter("max_queue", 100, "how many tasks may wait besides; more are refused"),
     NodeParameter(
@@ -64,6 +65,7 @@ class Options:
     planner_timeout: float
     improve: float
     replans: int
+    patience: float
     max_tasks: int
     max_queue: int
     on_failure: OnFailure

@@ -111,7 +111,7 @@ async def make_task_manager(context: NodeContext) -> NodeApi:
         options.planner_timeout,
         options.improve,
         bindings=context.bindings,
-        limits=Limits(replans=options.replans),
+        limits=Limits(replans=options.replans, patience=options.patience),
         on_failure=options.on_failure,
         on_change=options.on_change,
     )

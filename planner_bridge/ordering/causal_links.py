@@ -16,15 +16,16 @@ times, if the constraint depends on times other than a deadline.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from itertools import chain
 from math import inf
 
 from planner_bridge.ordering.enclosing_actions import SLACK
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import All, Condition, conjuncts, fluents
-from pnm.core.logic.effects import Effects, read, read_early, written
+from pnm.core.logic.effects import TimedChange, read, read_early, written
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNKNOWN, Fluent, State, Unknown, Value
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
@@ -72,7 +73,16 @@ class CausalLinks:
     """Has the objects, and the rules of derived facts."""
     relevant: frozenset[str]
     """The predicates and functions that can order anything."""
-    kept: tuple[OrderKept, ...] = ()
+    actions: Sequence[GroundAction]
+    """Those of the calls, by number."""
+    timed: Sequence[TimedChange] = ()
+    kept: list[OrderKept] = field(default_factory=list)
+    writes: dict[PlanEvent, frozenset[Fluent]] = field(init=False)
+    """What each event may write that can order anything, whether or not the conditions of its effects hold."""
+    reads: dict[PlanEvent, frozenset[Fluent]] = field(init=False)
+    """What each event reads that can order anything; early conditions of end effects are decided at the start, so it reads them."""
+    throughout: list[tuple[tuple[Condition, frozenset[Fluent]], ...]] = field(init=False)
+    """The parts of what must hold from the start of each call to its end, with what of their fluents can order anything."""
     writer: dict[Fluent, PlanEvent] = field(default_factory=dict)
     """The event that wrote the fluent last."""
     changed_at: dict[Fluent, float] = field(default_factory=dict)
@@ -84,9 +94,31 @@ class CausalLinks:
     releases: dict[int, float] = field(default_factory=dict)
     deadlines: dict[int, float] = field(default_factory=dict)
     latest_starts: dict[int, float] = field(default_factory=dict)
-    actions: dict[int, GroundAction] = field(default_factory=dict)
     clocked: set[int] = field(default_factory=set)
     """The calls that must not start before their planned time."""
+
+    def __post_init__(self) -> None:
+        knowledge, self.writes, self.reads, self.throughout = self.knowledge, {}, {}, []
+        for call, action in enumerate(self.actions):
+            self.writes[PlanEvent(call, Moment.START)] = self.relevant_of(written(action.start_effects, knowledge))
+            self.writes[PlanEvent(call, Moment.END)] = self.relevant_of(written(action.end_effects, knowledge))
+        # Facts that stay as they are may be evaluated away, so that a derived fact orders less.
+        if knowledge.rules.rules:  # what they read is known only as far as neither the plan nor time may change it
+            changing = chain(*self.writes.values(), *(change.changes for change in self.timed))
+            knowledge.update(dict.fromkeys(changing, UNKNOWN))
+        for call, action in enumerate(self.actions):
+            early = read_early(action.end_effects, knowledge)
+            before = fluents(action.precondition, knowledge) | read(action.start_effects, knowledge) | early
+            self.reads[PlanEvent(call, Moment.START)] = self.relevant_of(before)
+            ending = fluents(action.end_condition, knowledge) | read(action.end_effects, knowledge)
+            self.reads[PlanEvent(call, Moment.END)] = self.relevant_of(ending)
+            # what an action without duration needs must be there as long as the robot takes for it
+            parts = conjuncts(action.precondition if action.duration is None else action.invariant)
+            self.throughout.append(tuple((part, self.relevant_of(fluents(part, knowledge))) for part in parts))
+
+    def relevant_of(self, fluents: frozenset[Fluent]) -> frozenset[Fluent]:
+        """Return what the fluents rest on, as far as it can order anything."""
+        return frozenset(fluent for fluent in self.knowledge.rests_on(fluents) if fluent[0] in self.relevant)
 
     def add_timed_change(self, time: float, changed: Mapping[Fluent, Value]) -> None:
         """Add a change of fluents by themselves; calls that end before it and could not have gone on get a deadline.
@@ -111,49 +143,37 @@ class CausalLinks:
     def add_happening(self, kind: HappeningKind, called: ActionCall, end: float, now: float) -> None:
         """Add the reads and writes of one happening of a call, which ends at `end`."""
         call, action = called.index, called.action
-        self.actions[call] = action
         start_event, end_event = PlanEvent(call, Moment.START), PlanEvent(call, Moment.END)
-        start, ending = action.start_effects, action.end_effects
         match kind:
             case _ if action.duration is None:
                 if kind is not HappeningKind.START:
                     return
-                self._add_point(start_event, end_event, self._reads(action.precondition, ending), written(ending, self.knowledge), now)
-            case HappeningKind.START:
-                # Early conditions of end effects are decided at the start, so their reads belong there.
-                reads = self._reads(action.precondition, start) | self.knowledge.rests_on(read_early(ending, self.knowledge))
-                self._add_point(start_event, start_event, reads, written(start, self.knowledge), now)
+                self._add_point(start_event, end_event, self.reads[start_event] | self.reads[end_event], now)
             case HappeningKind.OPEN:
-                for fluent in self._relevant(self._reads(action.invariant)):
+                groups = [group for _, group in self.throughout[call]]
+                for fluent in sorted(frozenset().union(*groups)):
                     self._after_writer(fluent, start_event, now)
                     self.readers.setdefault(fluent, []).append(_FluentReader(call, end_event, end))
-                for part in conjuncts(action.invariant):
-                    group = frozenset(self._relevant(self._reads(part)))
-                    # A write may leave such a part true thanks to another of its fluents, which a reader of single fluents would not show.
-                    if len(group) > 1:
-                        self.open_conditions.append((call, group, end))
-            case HappeningKind.END:
-                self._add_point(end_event, end_event, self._reads(action.end_condition, ending), written(ending, self.knowledge), now)
+                # A write may leave such a part true thanks to another of its fluents, which a reader of single fluents would not show.
+                self.open_conditions += [(call, group, end) for group in groups if len(group) > 1]
+            case _:
+                event = start_event if kind is HappeningKind.START else end_event
+                self._add_point(event, event, self.reads[event], now)
 
-    def _reads(self, condition: Condition, effects: Effects = ()) -> frozenset[Fluent]:
-        return self.knowledge.rests_on(fluents(condition, self.knowledge) | read(effects, self.knowledge))
-
-    def _relevant(self, fluents: frozenset[Fluent]) -> list[Fluent]:
-        return sorted(fluent for fluent in fluents if fluent[0] in self.relevant)
-
-    def _add_point(self, waits: PlanEvent, releases: PlanEvent, reads: frozenset[Fluent], writes: frozenset[Fluent], now: float) -> None:
-        """Add reads and writes at one point in time: `waits` comes after earlier events, later events after `releases`."""
+    def _add_point(self, waits: PlanEvent, releases: PlanEvent, reads: frozenset[Fluent], now: float) -> None:
+        """Add the reads, and what `releases` writes, at one point in time: it waits as `waits`, and later events wait for `releases`."""
+        writes = self.writes[releases]
         # A write that leaves an over-all condition true may do so only because of the values of its other fluents.
         relied = [group - writes for call, group, until in self.open_conditions if until > now and call != waits.call and group & writes]
         # Reads before writes: an event that does both waits for others and not for itself.
-        for fluent in self._relevant(reads.union(*relied)):
+        for fluent in sorted(reads.union(*relied)):
             self._after_writer(fluent, waits, now)
             self.readers.setdefault(fluent, []).append(_FluentReader(releases.call, releases, now))
         concerned = [kept for kept in self.kept if kept.fluents is None or kept.fluents & writes]
         if any(kept.timed for kept in concerned):
             self.clocked.add(waits.call)
         # A write comes after the last write and after every read of that value since: else it would break a causal link.
-        for fluent in (*self._relevant(writes), *(kept.token for kept in concerned)):
+        for fluent in (*sorted(writes), *(kept.token for kept in concerned)):
             self._after_writer(fluent, waits, now)
             still_open = []
             for reader in self.readers.get(fluent, ()):
@@ -184,6 +204,7 @@ class CausalLinks:
 
     def plan_graph(self, calls: Iterable[ActionCall], goal: Condition) -> PlanGraph:
         """Return the plan graph; of two orderings between the same calls only the stronger is kept."""
+        bound = self.clocked.union(self.releases, self.deadlines, self.latest_starts)
         timed = tuple(
             replace(
                 call,
@@ -191,10 +212,12 @@ class CausalLinks:
                 latest_start=min(call.latest_start, self.latest_starts.get(call.index, inf)),
                 deadline=min(call.deadline, self.deadlines.get(call.index, inf)),
             )
+            if call.index in bound
+            else call
             for call in calls
         )
         # A goal that time itself fulfils last must not be looked at before.
-        due = max((self.changed_at.get(fluent, 0.0) for fluent in self._reads(goal)), default=0.0)
+        due = max((self.changed_at.get(fluent, 0.0) for fluent in self.relevant_of(fluents(goal, self.knowledge))), default=0.0)
         return PlanGraph(timed, tuple(_strongest(self.orderings)), goal, self.knowledge.rules, due)
 
 

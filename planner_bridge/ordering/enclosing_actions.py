@@ -50,8 +50,10 @@ def delay_enclosing_starts(plan: PlanGraph) -> PlanGraph:
                 # A predecessor that the plan had earlier is waited for directly, without a delay.
                 delay = 0.0 if anchor == event else starts_at - events.time(anchor)
                 added.append(Ordering(anchor, start, tuple(dict.fromkeys(protected[index])), delay))
-    calls = tuple(replace(call, release=max(call.release, releases.get(call.index, 0.0))) for call in plan.calls)
-    return replace(plan, steps=calls, orderings=(*plan.orderings, *added))
+    if not (added or releases):
+        return plan
+    calls = (replace(call, release=max(call.release, releases[call.index])) if call.index in releases else call for call in plan.calls)
+    return replace(plan, steps=tuple(calls), orderings=(*plan.orderings, *added))
 
 
 @dataclass

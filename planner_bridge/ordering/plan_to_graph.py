@@ -15,11 +15,11 @@ from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.causal_links import CausalLinks, HappeningKind, OrderKept
 from planner_bridge.ordering.enclosing_actions import delay_enclosing_starts
-from planner_bridge.ordering.partial_order import Happening, PartialOrder
+from planner_bridge.ordering.partial_order import PartialOrder
 from planner_bridge.ordering.threats import threats
 from pnm.core.logic.conditions import fluents, names
-from pnm.core.logic.effects import Set, TimedChange, When, every_effect, written
-from pnm.core.logic.expressions import UNKNOWN, Fluent, expression_fluents
+from pnm.core.logic.effects import Set, TimedChange, When, every_effect
+from pnm.core.logic.expressions import Fluent, expression_fluents
 from pnm.core.logic.rules import Rules
 from pnm.core.logic.trajectory import instances, names_in
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph, PlanGraphError
@@ -91,30 +91,19 @@ def _with_lasting_effects(graph: PlanGraph, order: PartialOrder, links: CausalLi
     """Return the graph with what is expected at the end of each call of its start effects: those that nothing else can overwrite before."""
     writers: dict[Fluent, list[int]] = {}
     for number, happening in enumerate(order.happenings):
-        for fluent in _written(happening, graph, links):
+        changed = happening.changes if isinstance(happening, TimedChange) else links.writes[happening] if happening else ()
+        for fluent in changed:
             writers.setdefault(fluent, []).append(number)
     calls = []
     for call in graph.calls:
         start, end = (order.number[PlanEvent(call.index, moment)] for moment in Moment)
         lasting = frozenset(
             fluent
-            for fluent in written(call.action.start_effects, links.knowledge)
-            if fluent[0] in links.relevant
-            and all(order.comes_before(writer, start) or order.comes_before(end, writer) for writer in writers.get(fluent, ()))
+            for fluent in links.writes[PlanEvent(call.index, Moment.START)]
+            if all(order.comes_before(writer, start) or order.comes_before(end, writer) for writer in writers.get(fluent, ()))
         )
         calls.append(replace(call, lasting=lasting) if lasting else call)
-    return replace(graph, steps=tuple(calls))
-
-
-def _written(happening: Happening, graph: PlanGraph, links: CausalLinks) -> Iterable[Fluent]:
-    match happening:
-        case PlanEvent(index, moment):
-            action = graph.calls[index].action
-            return written(action.start_effects if moment is Moment.START else action.end_effects, links.knowledge)
-        case TimedChange(_, changed):
-            return changed
-        case None:
-            return ()
+    return replace(graph, steps=tuple(calls)) if any(call.lasting for call in calls) else graph
 
 
 def calls_of(problem: Problem, plan: Plan, first: int = 0) -> list[ActionCall]:
@@ -149,23 +138,19 @@ def _happenings(problem: Problem, plan: Plan) -> list[tuple[float, HappeningKind
     return happenings
 
 
-def causal_links(problem: Problem, actions: Iterable[GroundAction]) -> CausalLinks:
-    """Return the causal links of a plan without any happening."""
-    knowledge, relevant = initial_knowledge(problem), _relevant(problem)
-    # Facts that stay as they are may be evaluated away, so that a derived fact orders less.
-    if knowledge.rules.rules:  # what they read is known only as far as neither the plan nor time may change it
-        changing = {fluent for change in problem.timed for fluent in change.changes}
-        for action in actions:
-            changing |= written((*action.start_effects, *action.end_effects), knowledge)
-        knowledge.update(dict.fromkeys(changing, UNKNOWN))
+def causal_links(problem: Problem, actions: Sequence[GroundAction]) -> CausalLinks:
+    """Return the causal links of a plan of these calls, without any happening."""
+    knowledge = initial_knowledge(problem)
+    links = CausalLinks(knowledge, _relevant(problem), actions, problem.timed)
     # A network of tasks fixes the order of its steps in ways that reads and writes do not show.
-    kept = [OrderKept(_NETWORK)] if problem.network else []
+    if problem.network:
+        links.kept.append(OrderKept(_NETWORK))
     for constraint in (*problem.domain.constraints, *problem.constraints):
         for ground in instances(constraint, knowledge):
             mentioned = frozenset().union(*(fluents(condition, knowledge) for condition in ground.conditions))
-            concerned = frozenset(fluent for fluent in knowledge.rests_on(mentioned) if fluent[0] in relevant)
-            kept.append(OrderKept((str(ground)[1:-1],), concerned, problem.is_timed and bool(ground.times) and ground.operator != "within"))
-    return CausalLinks(knowledge, relevant, tuple(kept))
+            is_timed = problem.is_timed and bool(ground.times) and ground.operator != "within"
+            links.kept.append(OrderKept((str(ground)[1:-1],), links.relevant_of(mentioned), is_timed))
+    return links
 
 
 def _relevant(problem: Problem) -> frozenset[str]:

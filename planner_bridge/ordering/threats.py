@@ -25,8 +25,8 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.causal_links import CausalLinks, OrderKept
 from planner_bridge.ordering.partial_order import NEAR, PartialOrder
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
-from pnm.core.logic.conditions import Condition, conjuncts, fluents
-from pnm.core.logic.effects import Effects, TimedChange, changes, decided, read, read_early, written
+from pnm.core.logic.conditions import Condition, fluents
+from pnm.core.logic.effects import Effects, TimedChange, changes, decided
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNKNOWN, Fluent, Unknown, Value, same_value
 from pnm.core.machine.plan_graph import Moment, PlanEvent, PlanGraph
@@ -89,48 +89,36 @@ class _Trace:
 
     def __post_init__(self) -> None:
         for call in self.graph.calls:
-            action = call.action
             first, last = (self.order.number[PlanEvent(call.index, moment)] for moment in Moment)
-            # what an action without duration needs must be there as long as the robot takes for it
-            for part in conjuncts(action.precondition if action.duration is None else action.invariant):
-                if mentioned := self._relevant(fluents(part, self.links.knowledge)):
+            for part, mentioned in self.links.throughout[call.index]:
+                if mentioned:
                     span = _Span(first, last, part, mentioned)
                     keys: tuple[Fluent | int, ...] = (*mentioned, first)
                     for key in keys:
                         self.spans.setdefault(key, []).append(span)
             if call.under_way:
-                self.end_effects[call.index] = decided(action.end_effects, self.state)
+                self.end_effects[call.index] = decided(call.action.end_effects, self.state)
         for number, happening in enumerate(self.order.happenings):
             match happening:
-                case PlanEvent(index, Moment.START):
-                    action = self.graph.calls[index].action
-                    early = read_early(action.end_effects, self.links.knowledge)
-                    self._read(number, action.precondition, read(action.start_effects, self.links.knowledge) | early)
-                    self.end_effects[index] = decided(action.end_effects, self.state)
-                    self._write(number, changes(action.start_effects, self.state))
-                case PlanEvent(index):
-                    call, effects = self.graph.calls[index], self.end_effects[index]
-                    self._read(number, call.action.end_condition, read(effects, self.links.knowledge))
-                    if self.projected and call.under_way:  # the state has these effects already
-                        seen = {fluent: self.state.value(fluent) for fluent in written(effects, self.links.knowledge)}
-                        self._write(number, seen, before=UNKNOWN)
+                case PlanEvent(index, moment) as event:
+                    call = self.graph.calls[index]
+                    self.needs += self._reads(number, self.links.reads[event])
+                    if moment is Moment.START:
+                        self.end_effects[index] = decided(call.action.end_effects, self.state)
+                        self._write(number, changes(call.action.start_effects, self.state))
+                    elif self.projected and call.under_way:  # the state has these effects already
+                        self._write(number, {fluent: self.state.value(fluent) for fluent in self.links.writes[event]}, before=UNKNOWN)
                     else:
-                        self._write(number, changes(effects, self.state))
+                        self._write(number, changes(self.end_effects[index], self.state))
                 case TimedChange(_, changed):
                     self._write(number, changed)
                 case None if number:
-                    self._read(number, self.graph.goal)
+                    self.needs += self._reads(number, self.links.relevant_of(fluents(self.graph.goal, self.links.knowledge)))
                 case None:
                     self._write(number, {})
 
-    def _relevant(self, mentioned: frozenset[Fluent]) -> frozenset[Fluent]:
-        return frozenset(fluent for fluent in self.links.knowledge.rests_on(mentioned) if fluent[0] in self.links.relevant)
-
     def _reads(self, reader: int, mentioned: frozenset[Fluent], afterwards: bool = False) -> Iterator[_Need]:
         return (_Need(reader, fluent, self.state.value(fluent), afterwards) for fluent in sorted(mentioned))
-
-    def _read(self, reader: int, condition: Condition, besides: frozenset[Fluent] = frozenset()) -> None:
-        self.needs += self._reads(reader, self._relevant(fluents(condition, self.links.knowledge) | besides))
 
     def _write(self, writer: int, changed: Mapping[Fluent, _Value], before: _Value = None) -> None:
         for fluent, value in changed.items():
@@ -214,20 +202,16 @@ def threats(graph: PlanGraph, order: PartialOrder, problem: Problem, links: Caus
             needed = "no value" if need.value is None else statement_text(need.fluent, need.value)
             yield f"{named(need.reader)} needs {needed}, but {named(writer)} may be the last that writes it before"
     for kept in links.kept:
-        points = sorted(points_kept(graph, order, kept, links.knowledge))
+        points = sorted(points_kept(graph, order, kept, links))
         for (_, first), (second, _) in pairwise(points):
             if not order.comes_before(first, second):
                 yield f"{named(second)} may come before {named(first)}, which does not keep {kept.token[0]}"
 
 
-def points_kept(graph: PlanGraph, order: PartialOrder, kept: OrderKept, state: KnowledgeBase) -> Iterator[tuple[int, int]]:
+def points_kept(graph: PlanGraph, order: PartialOrder, kept: OrderKept, links: CausalLinks) -> Iterator[tuple[int, int]]:
     """Yield the events that must keep their order: what of each waits for others, and what others wait for."""
     for call in graph.calls:
-        start, end = (order.number[PlanEvent(call.index, moment)] for moment in Moment)
-        if call.action.duration is None:
-            points = [(start, end, call.action.end_effects)]
-        else:
-            points = [(start, start, call.action.start_effects), (end, end, call.action.end_effects)]
-        for first, last, effects in points:
-            if first and (kept.fluents is None or kept.fluents & written(effects, state)):
-                yield first, last
+        start, end = (PlanEvent(call.index, moment) for moment in Moment)
+        for first, last in ((start, end),) if call.action.duration is None else ((start, start), (end, end)):
+            if order.number[first] and (kept.fluents is None or kept.fluents & links.writes[last]):
+                yield order.number[first], order.number[last]

@@ -59,7 +59,8 @@ class GoalLoop:
                 await self._control.until(self._context.backend.refresh())
                 await self._monitor.settle()  # before anything is planned: a constraint may only look violated because a report is late
                 if self._given is None:
-                    plan = await self._search.in_turn(partial(self._search.plan, self._context.forbidden(self._log.history)))
+                    search = partial(self._search.plan, self._context.forbidden(self._log.history))
+                    plan = await self._search.patiently(lambda: self._search.in_turn(search))
                 else:
                     plan = await self._search.in_turn(partial(self._search.given, self._given))
                 graph = await self._accepted(plan)
@@ -222,7 +223,8 @@ class GoalLoop:
         if isinstance(decision, ResumePlan) and not execution.is_blocked:
             return decision.rest
         if self._given is None:
-            plan = await self._search.following(execution, self._context.forbidden(self._log.history))
+            forbidden = self._context.forbidden(self._log.history)
+            plan = await self._search.patiently(lambda: self._search.following(execution, forbidden))
             assert plan is not None, "a plan that is searched for in turn is in no conflict"
             return await self._accepted(plan)
         if isinstance(decision, PlanAgain):
@@ -248,17 +250,14 @@ class GoalLoop:
                 graph = await self._accepted(plan, under_way)
                 if self._monitor.why_not(Progress.beginning(graph), self._context.forbidden(history)):
                     return None
-                if execution.is_over and under_way:  # it has ended meanwhile, and there is nothing to be taken over any more
-                    execution.call_attention_at(asyncio.get_running_loop().time())
-                    return None
-            if not execution.is_over:
-                successor = await proved_machine(self._context, graph)
-                reserved = self._control.reserved if isinstance(decision, PlanAgain) else None
-                is_stale = not await execution.at_rest() or execution.under_way != under_way
-                # Nothing waits from here on: what others have begun, and what has ended, while the machine was made is all that there is.
-                if is_stale or (reserved and self._context.scheduler.conflicts(self._context.task, reserved)):
-                    execution.call_attention_at(asyncio.get_running_loop().time())
-                    return None
+            successor = None if execution.is_over else await proved_machine(self._context, graph)
+            reserved = self._control.reserved if successor and isinstance(decision, PlanAgain) else None
+            goes_on = await execution.at_rest()
+            # Nothing waits from here on: what others have begun, and what has ended, while the machine was made is all that there is.
+            if execution.under_way != under_way or (reserved and self._context.scheduler.conflicts(self._context.task, reserved)):
+                execution.call_attention_at(asyncio.get_running_loop().time())
+                return None
+            if goes_on and successor:
                 self._control.check()
                 machine, result = execution.run.machine, execution.result
                 execution.succeed(successor)

@@ -32,6 +32,7 @@ _AGAIN: Final = 0.1
 _NO_PLAN: Final = frozenset({PlanningStatus.UNSOLVABLE, PlanningStatus.NO_PLAN})
 
 P = TypeVar("P", Plan, PlanGraph)
+T = TypeVar("T")
 Attempt: TypeAlias = Callable[[], Awaitable[tuple[P | None, tuple[Conflict, ...]]]]
 """Returns a plan that can be carried out beside those of other tasks, or the tasks with which all plans are in conflict."""
 
@@ -90,6 +91,37 @@ class PlanSearch:
                 if context.on_conflict is OnConflict.REFUSE:
                     raise TaskEnded(Code.CONFLICT, reason)
                 control.enter(TaskState.QUEUED, f"waits for {reason}")
+
+    async def patiently(self, search: Callable[[], Awaitable[T]]) -> T:
+        """Search for a plan; while there is none, wait for facts to change and search again, as long as the task has patience.
+
+        Raises:
+            NoPlan: there is none, and it has waited long enough.
+            TaskEnded: the task was stopped meanwhile.
+        """
+        control, limits, loop = self._control, self._context.settings.limits, asyncio.get_running_loop()
+        changed, until = asyncio.Event(), None
+        unsubscribe = self._context.world.listen(lambda changes: changed.set() if changes else None)
+        try:
+            while True:
+                changed.clear()
+                try:
+                    return await search()
+                except NoPlan as no_plan:
+                    until = loop.time() + limits.patience if until is None else until
+                    if no_plan.status not in _NO_PLAN or loop.time() >= until:
+                        raise
+                    reason = f"waits {until - loop.time():g} s at most for facts to change: {no_plan}"
+                    control.enter(TaskState.QUEUED, reason)
+                    self._context.observer.blocked(reason)
+                    try:
+                        async with asyncio.timeout_at(until):
+                            await control.until(changed.wait())
+                    except TimeoutError:
+                        raise no_plan from None
+                await control.wait(limits.backoff)  # facts seldom change alone, and some all the time
+        finally:
+            unsubscribe()
 
     async def following(self, execution: PlanExecution, forbidden: frozenset[ForbiddenCall]) -> Plan | None:
         """Find a plan from the state after what is under way; None if it is in conflict with those of other tasks.

@@ -47,12 +47,14 @@ class Limits:
     backoff: float = 0.5
     """Seconds before the second replan in a row without progress; doubled each time."""
     longest_backoff: float = 30.0
+    patience: float = 0.0
+    """Seconds for which a task without a plan waits for facts to change: a closed door opens again. Its own time goes on."""
 
     def __post_init__(self) -> None:
         """Refuse what is no limit."""
         check_counts("limits", replans=self.replans, forbid_after=self.forbid_after)
         check_seconds("a task", self.seconds)
-        check_seconds("a new plan", self.backoff, self.longest_backoff)
+        check_seconds("a new plan", self.backoff, self.longest_backoff, self.patience)
 
     def allowed(self, planned: float = 0.0) -> float:
         """Return how many seconds a task may take, given the seconds of its plan: three times as long by default."""

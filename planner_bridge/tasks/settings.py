@@ -38,6 +38,9 @@ class TaskObserver(Observer):
     def unplanned(self, result: PlanningResult) -> None:
         """Note that no plan was found."""
 
+    def blocked(self, reason: str) -> None:
+        """Note that there is no plan, and that the task waits for facts to change: people may help."""
+
     def generated(self, machine: PetriNetMachine, proof: Proof) -> None:
         """Note that a machine is ready to run, and proved sound."""
 

@@ -194,6 +194,10 @@ class Task(TaskObserver):
         """Note that no plan was found."""
         self.note("unplanned", "", result.reason)
 
+    def blocked(self, reason: str) -> None:
+        """Note that the task waits for facts to change."""
+        self.note("blocked", "", reason)
+
     def generated(self, machine: PetriNetMachine, proof: Proof) -> None:
         """Note that there is another net."""
         self.nets += 1

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Final, assert_never
+from typing import Final, NamedTuple, assert_never
 from uuid import UUID, uuid5
 
 from pnm.core.execution.call_results import CallResult
@@ -32,7 +32,7 @@ from pnm.core.logic.computed_values import (
 from pnm.core.logic.conditions import Condition, ground
 from pnm.core.logic.effects import Changes, ground_effects, is_fixed, undo, values_before
 from pnm.core.logic.evaluation import observed, unmet
-from pnm.core.logic.expressions import bind
+from pnm.core.logic.expressions import Fluent, Unknown, Value, bind
 from pnm.core.logic.operators import CHANGING, Uncomputable
 from pnm.core.machine.bindings import Binding, Bindings, goal_data, open_parameters, placeholders
 from pnm.core.machine.machine import TransitionAction
@@ -51,6 +51,27 @@ class Performed:
 
 
 _NOTHING: Final = Performed()
+
+
+class CallAttempt(NamedTuple):
+    """One request of a call, and what is known of it; what an earlier one had begun was undone, or is kept on purpose."""
+
+    number: int
+    """0 for a request that was taken over."""
+    request: UUID
+    action: GroundAction
+    """As it was sent."""
+    intended: Intention
+    accepted: float | None = None
+    """When it was; None while it is not, or is being cancelled."""
+    begun: Changes | None = None
+    """Values before what it has written; None before it has begun, and after a rollback."""
+    ended: Mapping[Fluent, Value | Unknown] = {}
+    """What it has written at its end."""
+    denied: Mapping[Condition, str] = {}
+    """Conditions over all and at the end that were not so, and what was so instead."""
+    interrupted: float | None = None
+    """When conditions over all broke."""
 
 
 GoalFields = Callable[[GroundAction], tuple[str, ...] | None]
@@ -72,26 +93,14 @@ class Calls:
         # state
         self.open: dict[UUID, int] = {}
         """The requests that are not over, as far as is known, and their calls."""
-        self._requests: dict[int, UUID] = {}
-        self._sent: dict[int, int] = {}
-        self._actions: dict[int, GroundAction] = {}
-        self._intended: dict[int, Intention] = {}
-        self._begun: dict[int, Changes] = {}
-        """Values before what a call has written."""
-        self._ended: dict[int, Changes] = {}
-        """What calls have written at their ends."""
-        self._denied: dict[int, dict[Condition, str]] = {}
-        """Conditions over all and at the end that were not so, and what was so instead."""
-        self._interrupted: dict[int, float] = {}
-        """When conditions over all broke."""
-        self.accepted: dict[int, float] = {}
-        """Calls whose requests were accepted and are not being cancelled, and the times of acceptance."""
+        self._attempts: dict[int, CallAttempt] = {}
+        """The last one of each call that was sent."""
 
     # --- what is asked about a call -----------------------------------------------------------
 
     def action(self, call: int) -> GroundAction:
         """Return the action as it was sent last."""
-        return self._actions.get(call, self._plan.calls[call].action)
+        return self._attempts[call].action if call in self._attempts else self._plan.calls[call].action
 
     def as_sent(self, call: int) -> ActionCall:
         """Return the call with what its parameters had for values when it was sent last."""
@@ -144,8 +153,8 @@ class Calls:
         """Return for which request, and with which parameters, the call claims resources: for the next one if it is being sent."""
         # A retry is another request, with the values that knowledge has now; all other actions are about the one that is out.
         if action is TransitionAction.SEND:
-            return self._next(call), self.ready(call, context)
-        return self._requests[call], self.action(call)
+            return self._next(call)[1], self.ready(call, context)
+        return self._attempts[call].request, self.action(call)
 
     def resources(self, action: GroundAction) -> tuple[str, ...]:
         """Return what the action has for itself while it is under way."""
@@ -153,18 +162,18 @@ class Calls:
 
     def unseen(self, call: int, context: EvaluationContext) -> tuple[Condition, ...]:
         """Return what of the call's effects is not seen."""
-        missing = unseen(self._intended[call].expected, self.action(call), context)
-        return tuple(dict.fromkeys((*self._denied.get(call, ()), *missing)))
+        attempt = self._attempts[call]
+        return tuple(dict.fromkeys((*attempt.denied, *unseen(attempt.intended.expected, attempt.action, context))))
 
     def explain_unseen(self, call: int, context: EvaluationContext) -> tuple[str, str]:
         """Return what of the call's effects is not seen, and what is seen instead, as texts."""
-        denied, missing = self._denied.get(call, {}), self.unseen(call, context)
+        denied, missing = self._attempts[call].denied, self.unseen(call, context)
         seen = dict.fromkeys(denied.get(part) or observed(part, context) for part in missing)
         return " ".join(map(str, missing)), "; ".join(seen)
 
     def lag_of_effects(self, call: int, context: EvaluationContext) -> float:
         """Return how many seconds late the reports about its effects may come."""
-        return lag_of_effects(self._intended[call].expected, self.action(call), context)
+        return lag_of_effects(self._attempts[call].intended.expected, self.action(call), context)
 
     # --- actions of transitions -----------------------------------------------------------------
 
@@ -181,67 +190,57 @@ class Calls:
                 ready = self.ready(call, context)
                 if not all(map(is_fixed, (*ready.start_effects, *ready.end_effects))):
                     intention(replace(self._plan.calls[call], action=ready), context)
-            case TransitionAction.FINISH if not all(map(is_fixed, self._intended[call].end_effects)):
-                finished(self.action(call), self._intended[call], context)
+            case TransitionAction.FINISH if not all(map(is_fixed, (intended := self._attempts[call].intended).end_effects)):
+                finished(self.action(call), intended, context)
             case _:
                 pass
 
-    def perform(self, action: TransitionAction, call: int, attempt: int, context: EvaluationContext) -> Performed:
-        """Carry out the action of a transition that fires; `attempt` counts the requests each time the call is reached."""
+    def perform(self, action: TransitionAction, call: int, count: int, context: EvaluationContext, now: float) -> Performed:
+        """Carry out the action of a transition that fires; `count` is that of the requests since the call was reached."""
+        attempt = self._attempts.get(call)
         match action:
             case TransitionAction.SEND:
-                return self._send(call, attempt, context)
+                return self._send(call, count, context)
             case TransitionAction.ADOPT:
                 return _NOTHING  # the request is known since the run was made
             case TransitionAction.CANCEL:
                 # A request that is being cancelled is not handed over: the successor would take it for one that goes on.
-                self.accepted.pop(call, None)
-                return Performed((Cancel(self._requests[call]),))
+                self._attempts[call] = self._attempts[call]._replace(accepted=None)
+                return Performed((Cancel(self._attempts[call].request),))
             case TransitionAction.BEGIN:
-                start = self._intended[call].start
+                attempt = self._attempts[call]
                 # Read before they are written, for a rollback if the call ends without success.
-                self._begun[call] = values_before(start, context)
-                return self._write(start)
+                self._attempts[call] = attempt._replace(accepted=now, begun=values_before(attempt.intended.start, context))
+                return self._write(attempt.intended.start)
             case TransitionAction.FINISH:
-                end = self._ended[call] = finished(self.action(call), self._intended[call], context)
-                self._begun[call] = values_before(end, context) | self._begun.get(call, {})
+                attempt = self._attempts[call]
+                end = finished(attempt.action, attempt.intended, context)
+                self._attempts[call] = attempt._replace(ended=end, begun=values_before(end, context) | (attempt.begun or {}))
                 return self._write(end)
             case TransitionAction.UNDO:
-                if call not in self._begun:  # it was never accepted, so nothing was written at its start
+                if attempt is None or attempt.begun is None:  # it was never accepted, so nothing was written at its start
                     return _NOTHING
-                return self._write(undo(self._begun.pop(call), self._intended[call].start | self._ended.pop(call, {}), context))
+                self._attempts[call] = attempt._replace(begun=None, ended={})
+                return self._write(undo(attempt.begun, {**attempt.intended.start, **attempt.ended}, context))
             case _:
                 assert_never(action)
 
     def adopt(self, call: int, taken: UnderWay) -> None:
         """Take over a request with all that its run knew of it."""
         self.open[taken.request] = call
-        self._requests[call] = taken.request
-        self._actions[call] = taken.call.action
-        self._intended[call] = taken.intended
-        self.accepted[call] = taken.accepted
-        if taken.begun is not None:
-            self._begun[call] = taken.begun
+        self._attempts[call] = CallAttempt(0, taken.request, taken.call.action, taken.intended, taken.accepted, taken.begun)
 
     def under_way(self, results: Sequence[CallResult]) -> tuple[UnderWay, ...]:
         """Return the requests that another run may take over; `results` are the interim results of the calls."""
         return tuple(
-            UnderWay(
-                self.as_sent(call),
-                request,
-                self.accepted[call],
-                results[call],
-                self._intended[call],
-                self._begun.get(call),
-                self.resources(self.action(call)),
-            )
+            UnderWay(self.as_sent(call), request, last.accepted, results[call], last.intended, last.begun, self.resources(last.action))
             for request, call in self.open.items()
-            if call in self.accepted
+            if (last := self._attempts[call]).accepted is not None
         )
 
     def forget(self, call: int) -> None:
         """No longer wait for the request of the call."""
-        self.open.pop(self._requests[call], None)
+        self.open.pop(self._attempts[call].request, None)
 
     def succeeded(self, call: int, outcome: Outcome, now: float) -> None:
         """Store the fields of the result, under their own names or those of the binding, and note what the end relies on and was not so."""
@@ -251,39 +250,33 @@ class Calls:
             with suppress(Unreadable):  # simulated servers may have no result
                 values[variable] = value_in(outcome.result, parse_field(name))
         self._knowledge.local.store(values)
+        attempt = self._attempts[call]
         # Over all means until just before the end: what breaks at the very moment of the end does no harm.
-        if self._interrupted.get(call) == now:
-            self._denied.pop(call, None)
-        else:  # now, before anything is written of its effects: they may change what it relies on
-            self._denied[call] = {**self._denied.get(call, {}), **denied_at_end(self.action(call), self.context_of(call, None))}
+        if attempt.interrupted == now:
+            self._attempts[call] = attempt._replace(denied={})
+        # now, before anything is written of its effects: they may change what it relies on
+        elif denied := denied_at_end(attempt.action, self.context_of(call, None)):
+            self._attempts[call] = attempt._replace(denied={**attempt.denied, **denied})
 
     def interrupt(self, call: int, now: float) -> None:
         """Note what of the condition over all is not so: the call has not succeeded, whatever its server reports."""
         context = self.context_of(call, None)
         broken = {part: observed(part, context) for part in unmet(self.action(call).invariant, context)}
-        self._denied[call], self._interrupted[call] = broken, now
+        self._attempts[call] = self._attempts[call]._replace(denied=broken, interrupted=now)
 
-    def _send(self, call: int, attempt: int, context: EvaluationContext) -> Performed:
-        action = self.ready(call, context)
-        self._actions[call] = action
-        # What an earlier attempt had begun has been undone, or is kept on purpose: this attempt is not to undo it.
-        self._begun.pop(call, None)
-        self._ended.pop(call, None)
-        self._denied.pop(call, None)
-        self._interrupted.pop(call, None)
-        self.accepted.pop(call, None)
-        identity = self._next(call)
-        self._sent[call] = self._sent.get(call, 0) + 1
-        self.open[identity] = call
-        self._requests[call] = identity
+    def _send(self, call: int, count: int, context: EvaluationContext) -> Performed:
+        action, (number, identity) = self.ready(call, context), self._next(call)
         # Computed now: once the robot moves, sensors report some of the effects, and conditions would read the new state.
-        self._intended[call] = intention(replace(self._plan.calls[call], action=action), context)
+        self._attempts[call] = CallAttempt(number, identity, action, intention(replace(self._plan.calls[call], action=action), context))
+        self.open[identity] = call
         if action.operation is not None:
             return self._operate(identity, action.operation, context)
-        return Performed((Send(Request(identity, action, self.goal(call, context)[0], attempt)),))
+        return Performed((Send(Request(identity, action, self.goal(call, context)[0], count)),))
 
-    def _next(self, call: int) -> UUID:
-        return self.identity(f"{call}/{self._sent.get(call, 0) + 1}")
+    def _next(self, call: int) -> tuple[int, UUID]:
+        """Return the number and the identity of the next request."""
+        number = self._attempts[call].number + 1 if call in self._attempts else 1
+        return number, self.identity(f"{call}/{number}")
 
     def identity(self, what: str) -> UUID:
         """Return an identity that follows from the run's and what it is for; the first four bytes are the run's, to be found by."""

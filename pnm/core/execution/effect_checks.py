@@ -1,8 +1,7 @@
 """Effect checks of a call: pure functions of a ground action and of knowledge.
 
 Before: do its effects hold already? While it runs: may what is false of its over-all condition be a late report? After: are its
-effects seen? An effect is *seen* when its
-fluent is sensed and has the value; effects on assumed fluents cannot be checked.
+effects seen? An effect is *seen* when its fluent is sensed and has the value; effects on assumed fluents cannot be checked.
 """
 
 from __future__ import annotations

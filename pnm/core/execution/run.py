@@ -366,10 +366,8 @@ class Run(RunView):
     def _perform(self, action: TransitionAction, call: int, place: int | None) -> None:
         """Carry out the action of a transition."""
         now = self._state.now
-        performed = self._calls.perform(action, call, self._results.current[call].attempts, self._guards.context(call, place))
-        if action is TransitionAction.BEGIN:
-            self._calls.accepted[call] = now
-        elif action is TransitionAction.ADOPT:
+        performed = self._calls.perform(action, call, self._results.current[call].attempts, self._guards.context(call, place), now)
+        if action is TransitionAction.ADOPT:
             self._results.adopted(self._calls.as_sent(call), self._state.adopted[call].result)
         elif action is TransitionAction.SEND:
             sent = self._calls.as_sent(call)

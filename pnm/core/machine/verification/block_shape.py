@@ -20,12 +20,21 @@ def shape_of(part: Part) -> object:
     conditions: list[Condition] = []
     steps = tuple(
         [
-            (_kind(step, conditions), step.action, step.gives_up, step.outcome, step.finds_cause, step.counted and step.counted[1:])
+            (
+                _kind(step, conditions),
+                step.action,
+                step.gives_up,
+                step.outcome,
+                step.finds_cause,
+                step.settles,
+                step.counted and step.counted[1:],
+            )
             for step in part.steps
         ]
     )
     places = frozenset(_arcs_and_roles(part).values())
-    return steps, len(part.supplies), places, bool(part.finals), part.cancels, part.others_restart, part.repeats
+    owed = tuple([call is None for call in part.owed])
+    return steps, len(part.supplies), places, bool(part.finals), part.cancels, part.others_restart, part.repeats, owed
 
 
 def without_twins(part: Part) -> Part:

@@ -11,10 +11,10 @@ from functools import cached_property
 from itertools import chain
 from typing import Final, TypeAlias
 
-from pnm.core.machine.machine import InvariantFalse, OnFailure, PetriNetMachine, Region, is_check
-from pnm.core.machine.plan_graph import Moment
+from pnm.core.machine.machine import CallOutcome, ConditionFalse, ConditionTrue, OnFailure, PetriNetMachine, Region
+from pnm.core.machine.plan_graph import Choice, Loop, Moment
 from pnm.core.machine.verification.counters import without_counts
-from pnm.core.machine.verification.part import Inside, Part, Step, Unsound
+from pnm.core.machine.verification.part import Inside, Part, Step, Unsound, step_of
 from pnm.core.machine.verification.place_roles import check_roles
 from pnm.core.net.net import Weights
 
@@ -53,6 +53,8 @@ class Anatomy:
         for name, rule in machine.rules.items():
             self.transitions.setdefault(rule.call, []).append(name)
         self.writers, self.readers = self._owners(machine.net.outputs), self._owners(machine.net.inputs)
+        self.holding = {step.index: step for step in machine.plan.every_step if isinstance(step, Loop | Choice)}
+        """The loops and choices of the plan."""
         self.region_of: dict[Owner, Region] = {}
         self.regions: dict[Owner, list[Region]] = {}
         self.first: dict[str, Region] = {}
@@ -167,9 +169,10 @@ class Anatomy:
         # Where restarts are alike only some are explored, and the transitions of the others are left out with them.
         left_out = machine.restart_places.keys() - set(own_records) if owner is None else frozenset[str]()
         own = [step_of(machine, name) for name in self.transitions[owner]]
-        steps = (
-            (*(step for step in own if left_out.isdisjoint(step.inputs)), *self._inside(regions)) if owner is None or regions else (*own,)
-        )
+        steps = (*(step for step in own if left_out.isdisjoint(step.inputs)), *self._inside(regions))
+        owed: tuple[Owner, ...] = (owner,) if owner in range(len(machine.plan.calls)) else ()  # a junction owes nothing
+        if owner in self.holding or (owner is None and regions):
+            owed, steps = (None,), tuple(self._holding(owner, step) for step in steps)
         places = dict.fromkeys(chain.from_iterable(connected for step in steps for connected in (step.inputs, step.outputs)))
         held = {place for region in regions for place in (*region.first, *region.last)}
         ends = frozenset((machine.goal_place, machine.failed_place))
@@ -209,13 +212,14 @@ class Anatomy:
             finals=finals,
             goal=machine.goal_place if owner is None else "",
             early=early if rest else frozenset(),
-            restarts=frozenset(own_records),
+            restarts=frozenset(own_records) if owner is None else frozenset(place for place in places if place in machine.restart_places),
             # Any other step may ask for a restart at any moment; for the frame these are its own records.
             others_restart=bool(machine.restart_places) and owner is not None,
             repeats=owner is not None and (bool(machine.restart_places) or self.region_of[owner].owner is not None),
             resources=resources,
             alive=machine.alive_places.intersection(places),
             settling=frozenset(place for place in places if machine.settling_places.get(place, -1) == owner),
+            owed=owed,
         )
         return Block(owner, part, first, rest, early)
 
@@ -252,6 +256,21 @@ class Anatomy:
                 for place in self._restarts:
                     yield Step("restart asked", Inside(), {**first, _may_come(place): 1}, {**first, place: 1})
 
+    def _holding(self, owner: Owner, step: Step) -> Step:
+        """Return a step of a loop, a choice or the frame with what it means for that: what it holds is entered, or it may be left."""
+        entered = frozenset[int]().union(
+            *(region.steps for region in self.regions.get(owner, ()) if not step.outputs.keys().isdisjoint(region.first))
+        )
+        match None if owner is None else self.holding[owner]:
+            case Loop(condition=condition):
+                settles = step.guard == ConditionFalse(condition)
+            case Choice(condition=condition, then=then, otherwise=otherwise):
+                chosen = {ConditionTrue(condition): then, ConditionFalse(condition): otherwise}.get(step.guard)
+                settles = chosen is not None and entered == {inner.index for inner in chosen.steps}
+            case None:
+                settles = isinstance(step.guard, Inside) and not entered
+        return step._replace(settles=settles, outcome=CallOutcome.WAITING if entered and not settles else None)
+
     def note_waits(self, block: Block, waits: dict[Event, set[Event]]) -> None:
         """Note which events of other blocks of the same region the events of this block wait for."""
         start, end = (block.owner, "start"), (block.owner, "end")
@@ -263,19 +282,6 @@ class Anatomy:
                     waits.setdefault(event, set()).add((writer, f"start of {place}"))
         for place in block.part.outputs:
             waits.setdefault((block.owner, f"start of {place}"), set()).add(start if place in block.early else end)
-
-
-def step_of(machine: PetriNetMachine, name: str) -> Step:
-    """Return a transition with its guard, and with its action if it belongs to a call."""
-    rule, inputs, outputs = machine.rules[name], machine.net.inputs[name], machine.net.outputs[name]
-    about = getattr(rule.guard, "call", rule.call)
-    if about != rule.call:
-        raise Unsound(f"{name} listens to another call")
-    if rule.call is None or rule.call >= len(machine.plan.calls):
-        if rule.action is not None or isinstance(rule.guard, InvariantFalse) or hasattr(rule.guard, "call"):
-            raise Unsound(f"{name} is about a request, and belongs to no call")
-        return Step(name, rule.guard, inputs, outputs, finds_cause=rule.cause is not None and is_check(rule.guard))
-    return Step(name, rule.guard, inputs, outputs, rule.call, rule.action, rule.gives_up, rule.outcome, rule.cause is not None)
 
 
 def _may_come(place: str) -> str:

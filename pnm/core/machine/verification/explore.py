@@ -11,7 +11,7 @@ from pnm.core.machine.requests import BEFORE_ACCEPTANCE
 from pnm.core.machine.verification.block_shape import without_twins
 from pnm.core.machine.verification.moves import AGAIN, FROM_OUTSIDE, Moves, State
 from pnm.core.machine.verification.part import Inside, Part, Step, Unsound
-from pnm.core.machine.verification.place_roles import check_causes, check_steps
+from pnm.core.machine.verification.place_roles import check_outcomes, check_steps
 from pnm.core.machine.verification.state_faults import StateFaults
 
 MAX_STATES: Final = 2_000_000
@@ -40,7 +40,7 @@ def explore_part(part: Part) -> Exploration:
     if confusing := [step.name for step in part.steps if step.name in FROM_OUTSIDE]:
         raise Unsound(f"a step is called {confusing[0]!r}, as is what happens from outside")
     check_steps(part)
-    check_causes(part)
+    check_outcomes(part)
     moves = Moves(without_twins(part))
     faults = StateFaults(moves)
     # Pauses and entries come from outside, as often as they like: what follows from there is walked through apart. A cycle through

@@ -9,7 +9,7 @@ from pnm.core.machine.machine import Accepts, Adopted, After, Due, Ends
 from pnm.core.machine.verification.counters import in_each_case
 from pnm.core.machine.verification.exits import Moods, is_open
 from pnm.core.machine.verification.part import Part, Step, Unsound
-from pnm.core.machine.verification.request_life import Life, following, may_come, misuse
+from pnm.core.machine.verification.request_life import Account, Life, accounted, following, lacking_account, may_come, misuse
 
 Tokens: TypeAlias = tuple[int, ...]
 
@@ -30,6 +30,8 @@ class State(NamedTuple):
     """How many of the supplies have come."""
     requests: tuple[Life, ...] = ()
     """What became of the last request of each call."""
+    accounts: tuple[Account, ...] = ()
+    """What the run can account for of each call."""
     restored: bool = False
     """Whether something that was counted has come back since the part was entered."""
 
@@ -46,12 +48,12 @@ class Moves:
         """For every place the steps that take from it, in their order."""
         self.reports: list[list[int]] = [[] for _ in part.places]
         """Those of them that a report opens, and that need nothing else."""
-        self.calls: dict[int, int] = {}
+        self.calls: dict[int | None, int] = {None: 0}
+        """The calls; with None for a loop, a choice or the frame, which has no request."""
         self._unaccepted: dict[int | None, list[int]] = {}
         """For every call the places at which the acceptance of a request is waited for."""
         for number, step in enumerate(part.steps):
-            if step.call is not None:
-                self.calls.setdefault(step.call, len(self.calls))
+            self.calls.setdefault(step.call, len(self.calls))
             for place in map(self.index.__getitem__, step.inputs):
                 self.consumers[place].append(number)
                 if isinstance(step.guard, Accepts | Ends):
@@ -64,6 +66,7 @@ class Moves:
         self._needs = [tuple((self.index[place], weight) for place, weight in step.inputs.items()) for step in part.steps]
         self._gives = [tuple((self.index[place], weight) for place, weight in step.outputs.items()) for step in part.steps]
         self._failures = [self.index[place] for place in part.failures]
+        self._failing = {number for number, step in enumerate(part.steps) if not part.failures.isdisjoint(step.outputs)}
         self._restarts = [self.index[place] for place in part.restarts]
         self._finals = [self.index[place] for place in part.finals if place in self.index]
         # Only upwards in `successors`: a stop is never taken back, so the states of a part are finitely many.
@@ -76,7 +79,8 @@ class Moves:
         """Return the state that the part begins in."""
         adopted = {step.call for step in self.part.steps if isinstance(step.guard, Adopted)}
         requests = tuple(Life.ADOPTABLE if call in adopted else Life.NONE for call in self.calls)
-        return State(tuple(self.part.initial.get(place, 0) for place in self.part.places), requests=requests)
+        tokens = tuple(self.part.initial.get(place, 0) for place in self.part.places)
+        return State(tokens, requests=requests, accounts=(Account.OPEN,) * len(self.calls))
 
     def marked(self, state: State) -> list[int]:
         """Return the marked places at which rules are asked: all but records."""
@@ -144,7 +148,7 @@ class Moves:
         life = state.requests[self.calls[step.call]]
         return may_come(step, life, accepts=any(state.tokens[place] for place in self._unaccepted.get(step.call, ())))
 
-    def reports_now(self, call: int, state: State) -> list[Step]:
+    def reports_now(self, call: int | None, state: State) -> list[Step]:
         """Return the steps that take reports about the request of the call."""
         steps = self.part.steps
         return [steps[number] for place in self.marked(state) for number in self.reports[place] if steps[number].call == call]
@@ -189,7 +193,8 @@ class Moves:
         elif self.part.repeats and is_at_rest:
             first = self.part.initial
             tokens = [state.tokens[number] if number in self._lasting else first.get(place, 0) for place, number in self.index.items()]
-            yield AGAIN, State(tuple(tokens), 0 if state.stop == 1 else state.stop, requests=(Life.NONE,) * len(self.calls))
+            stop, calls = 0 if state.stop == 1 else state.stop, len(self.calls)
+            yield AGAIN, State(tuple(tokens), stop, requests=(Life.NONE,) * calls, accounts=(Account.OPEN,) * calls)
         if any(state.tokens[place] for place in self._finals):
             return  # it is over: nobody stops it any more
         for stop in self._stops:
@@ -197,14 +202,16 @@ class Moves:
                 yield STOPS[stop], state._replace(stop=stop)
 
     def _after(self, number: int, state: State, *, ending: bool) -> State:
-        step, requests = self.part.steps[number], state.requests
-        if step.call is not None:
-            position = self.calls[step.call]
-            before = requests[position]
-            if wrong := misuse(step, before, ending=ending):
-                raise Unsound(wrong)
-            if (after := following(step, before)) is not before:
-                requests = (*requests[:position], after, *requests[position + 1 :])
+        step, requests, accounts = self.part.steps[number], state.requests, state.accounts
+        position = self.calls[step.call]
+        life, account = requests[position], accounts[position]
+        wrong = lacking_account(step, account, fails=number in self._failing)
+        if wrong or (step.call is not None and (wrong := misuse(step, life, ending=ending))):
+            raise Unsound(wrong)
+        if (now := following(step, life)) is not life:
+            requests = (*requests[:position], now, *requests[position + 1 :])
+        if (then := accounted(step, account)) is not account:
+            accounts = (*accounts[:position], then, *accounts[position + 1 :])
         tokens = [*state.tokens]
         for place, weight in self._needs[number]:
             tokens[place] -= weight
@@ -213,4 +220,4 @@ class Moves:
         restores = step.counted.restores if step.counted else None
         if state.restored and restores is False:
             raise Unsound(f"{step.name} counts on after something was counted back, which may go on for ever")
-        return State(tuple(tokens), state.stop, state.supplied, requests, state.restored or bool(restores))
+        return State(tuple(tokens), state.stop, state.supplied, requests, accounts, state.restored or bool(restores))

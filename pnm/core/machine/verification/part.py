@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
-from pnm.core.machine.machine import CallOutcome, Guard, TransitionAction
+from pnm.core.machine.machine import CallOutcome, Guard, InvariantFalse, PetriNetMachine, TransitionAction, is_check
+from pnm.core.machine.plan_graph import Cause, Then
 from pnm.core.net.net import Weights
 from pnm.errors import PnmError
 
@@ -63,6 +64,8 @@ class Step(NamedTuple):
     """The outcome of the call from then on; None when that stays as it is."""
     finds_cause: bool = False
     """Whether the run knows from then on why the call fails or is passed over, if it is."""
+    settles: bool = False
+    """Whether the plan may go on from then on: without the call after such a cause, or after the loop, the choice or all of its steps."""
     counted: Count | None = None
     """What it asks of a counter, which may be so or not at any time."""
 
@@ -105,3 +108,24 @@ class Part:
     """Places of calls that are under way: one is marked for every request that is alive."""
     settling: frozenset[str] = frozenset()
     """Places at which effects of calls are looked for."""
+    owed: tuple[int | None, ...] = ()
+    """The calls that must have been carried out, or passed over as the plan says, when it ends and the run is not ending; None for a
+    loop, a choice or the frame."""
+
+
+def step_of(machine: PetriNetMachine, name: str) -> Step:
+    """Return a transition with its guard, and with its action if it belongs to a call."""
+    rule, inputs, outputs = machine.rules[name], machine.net.inputs[name], machine.net.outputs[name]
+    about = getattr(rule.guard, "call", rule.call)
+    if about != rule.call:
+        raise Unsound(f"{name} listens to another call")
+    if rule.call is None or rule.call >= len(machine.plan.calls):
+        if rule.action is not None or isinstance(rule.guard, InvariantFalse) or hasattr(rule.guard, "call"):
+            raise Unsound(f"{name} is about a request, and belongs to no call")
+        return Step(name, rule.guard, inputs, outputs, finds_cause=rule.cause is not None and is_check(rule.guard))
+    settles, recoveries = False, machine.plan.calls[rule.call].recoveries
+    if rule.cause is not None and recoveries:
+        # What is withheld before the call is sent is treated as if the server were not there.
+        cause = Cause.UNAVAILABLE if rule.cause is Cause.WITHHELD else rule.cause
+        settles = any(recovery.then is Then.SKIP and cause in recovery.causes for recovery in recoveries)
+    return Step(name, rule.guard, inputs, outputs, rule.call, rule.action, rule.gives_up, rule.outcome, rule.cause is not None, settles)

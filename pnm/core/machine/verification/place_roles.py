@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
-from pnm.core.machine.machine import Accepts, AlreadyTrue, CallOutcome, Due, EffectsMissing, EffectsSeen, Ending, Ends, PetriNetMachine
+from pnm.core.machine.machine import (
+    Accepts,
+    AlreadyTrue,
+    CallOutcome,
+    Due,
+    EffectsMissing,
+    EffectsSeen,
+    Ending,
+    Ends,
+    PetriNetMachine,
+    TransitionAction,
+)
 from pnm.core.machine.verification.part import Part, Step, Unsound
 
 
@@ -61,46 +72,27 @@ def check_steps(part: Part) -> None:
                 raise Unsound(f"{step.name} takes {weight} of {place}, and there is {part.initial.get(place, 0)}")
 
 
-def check_causes(part: Part) -> None:
-    """Check that no step of the plan fails or is left without a cause that a rule has found, or an outcome; and that outcomes are true.
+def check_outcomes(part: Part) -> None:
+    """Check that the outcomes which calls get from steps are so whenever these happen.
 
     Raises:
-        Unsound: something of that is not so.
+        Unsound: one is not.
     """
     for step in part.steps:
-        if not _is_true(step):
+        if not _outcome_is_so(step, part):
             raise Unsound(f"{step.name} makes its call {step.outcome}, whatever has become of it")
-    # Of loops and choices the run keeps no cause: what marks their failure finds it.
-    others = [step for step in part.steps if step.call is None]
-    for step in (*others, *_until(part, lambda step: step.finds_cause)):
-        if not step.finds_cause and not part.failures.isdisjoint(step.outputs):
-            raise Unsound(f"{step.name} marks a failure, and no rule has found its cause")
-    for step in _until(part, lambda step: step.finds_cause or not (step.outcome is None or step.outcome in _NO_END)):
-        if step.outcome is CallOutcome.PASSED_OVER:
-            raise Unsound(f"{step.name} leaves a call that has not come to an end")
 
 
-def _until(part: Part, settles: Callable[[Step], bool]) -> list[Step]:
-    """Return the steps of calls that may happen, since their call was entered, before one that settles something or as that one."""
-    happening = list[Step]()
-    for call in dict.fromkeys(step.call for step in part.steps if step.call is not None):
-        left = [step for step in part.steps if step.call == call]
-        reached = set(part.initial).union(*part.supplies, *(step.outputs for step in left if step.outcome is CallOutcome.WAITING))
-        while new := [step for step in left if step.inputs.keys() - part.records <= reached]:
-            happening += new
-            reached.update(*(step.outputs for step in new if not settles(step)))
-            left = [step for step in left if step not in new]
-    return happening
-
-
-_NO_END = (CallOutcome.WAITING, CallOutcome.RUNNING, CallOutcome.SUSPENDED, CallOutcome.PASSED_OVER)
-"""Outcomes after which something is still to come, or which a call has only if it has no other."""
-
-
-def _is_true(step: Step) -> bool:
+def _outcome_is_so(step: Step, part: Part) -> bool:
     """Return whether the outcome that the call has after the step is what has happened."""
     guard = step.guard
     match step.outcome:
+        case CallOutcome.WAITING if step.call is not None:  # it is reached from outside, by nothing of its own
+            return not any(step.call == other.call and not step.inputs.keys().isdisjoint(other.outputs) for other in part.steps)
+        case CallOutcome.RUNNING:
+            return step.action is TransitionAction.SEND
+        case CallOutcome.SUSPENDED:
+            return isinstance(guard, Ends)
         case CallOutcome.SKIPPED:
             return isinstance(guard, Ending)
         case CallOutcome.ALREADY_TRUE:

@@ -1,4 +1,8 @@
-"""Life of a call's request, as far as the proof needs it: sent, alive until its end is reported or it is given up, and over."""
+"""Life of a call, as far as the proof needs it.
+
+Of its request: sent, alive until its end is reported or it is given up, and over. And what the run can account for of it: a cause why
+it has to recover, fails or is passed over, or an outcome.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,7 @@ from collections.abc import Iterable
 from enum import Enum
 from typing import Final
 
-from pnm.core.machine.machine import Accepts, Adopted, EffectsMissing, EffectsSeen, Ends, TransitionAction
+from pnm.core.machine.machine import Accepts, Adopted, CallOutcome, EffectsMissing, EffectsSeen, Ends, TransitionAction
 from pnm.core.machine.requests import BEFORE_ACCEPTANCE, OutcomeKind
 from pnm.core.machine.verification.part import Step
 
@@ -38,6 +42,8 @@ def misuse(step: Step, life: Life, *, ending: bool) -> str:
             return f"{step.name} sends a request although the run is ending"
         case TransitionAction.SEND if life in (Life.ADOPTABLE, Life.ALIVE):
             return f"{step.name} sends a request while one of the call is alive"
+        case TransitionAction.SEND if step.outcome is not CallOutcome.RUNNING:  # the next request would have the identity of this one
+            return f"{step.name} sends a request that does not count as an attempt"
         case TransitionAction.ADOPT if life is not Life.ADOPTABLE:
             return f"{step.name} takes over a request that no other run has sent"
         case TransitionAction.CANCEL | TransitionAction.BEGIN if life is not Life.ALIVE:
@@ -77,3 +83,47 @@ def untaken(steps: Iterable[Step]) -> frozenset[OutcomeKind]:
         elif isinstance(step.guard, Accepts):
             expected = BEFORE_ACCEPTANCE  # any other is taken once the acceptance is
     return expected - taken
+
+
+class Account(Enum):
+    """Account that a run can give of a call since it was last reached, or of a loop, a choice or all steps of the plan."""
+
+    OPEN = "nothing has become of it yet"
+    HINDERED = "there is a cause why it fails or has to recover"
+    PASSED_OVER = "there is a cause after which the plan goes on without it"
+    ENDED = "it has ended otherwise than the plan wants"
+    DONE = "it is done"
+
+    __hash__ = object.__hash__  # each is there once; states are hashed all the time
+
+
+SETTLED: Final = (Account.PASSED_OVER, Account.DONE)
+"""Accounts with which the plan goes on."""
+_KNOWN: Final = (Account.HINDERED, Account.PASSED_OVER)
+
+
+def accounted(step: Step, before: Account) -> Account:
+    """Return the account of the call once the step has happened, as `pnm.core.execution.call_results` keeps it."""
+    match step.outcome:
+        case CallOutcome.WAITING:
+            return Account.OPEN
+        case CallOutcome.SUCCEEDED | CallOutcome.ALREADY_TRUE:
+            return Account.DONE
+        case CallOutcome.RUNNING | CallOutcome.SUSPENDED:  # a new attempt, which the cause of the last one says nothing about
+            return Account.HINDERED if before in _KNOWN or step.finds_cause else Account.OPEN
+        case None | CallOutcome.PASSED_OVER if step.settles:
+            return Account.DONE if step.call is None else Account.PASSED_OVER
+        case None | CallOutcome.PASSED_OVER:
+            return Account.HINDERED if step.finds_cause and step.call is not None else before
+        case _:
+            return Account.ENDED
+
+
+def lacking_account(step: Step, before: Account, *, fails: bool) -> str:
+    """Return what the step asserts of its call although there is no account of it; empty when there is nothing."""
+    if step.outcome is CallOutcome.PASSED_OVER and before is Account.OPEN:
+        return f"{step.name} leaves a call that has not come to an end"
+    # Of loops and choices the run keeps no cause: what marks their failure finds it.
+    if fails and not step.finds_cause and (step.call is None or accounted(step, before) not in _KNOWN):
+        return f"{step.name} marks a failure, and no rule has found its cause"
+    return ""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from operator import gt
 
 from pnm.core.machine.machine import Always, Ends
@@ -10,7 +10,7 @@ from pnm.core.machine.verification.counters import in_each_case
 from pnm.core.machine.verification.exits import asks_the_world, lacking_exit, missing_exit
 from pnm.core.machine.verification.moves import Moves, State
 from pnm.core.machine.verification.part import Inside
-from pnm.core.machine.verification.request_life import Life, untaken
+from pnm.core.machine.verification.request_life import SETTLED, Life, untaken
 
 
 class StateFaults:
@@ -55,7 +55,12 @@ class StateFaults:
         if missing:  # more inputs are to come, so to be at rest is no end yet
             return ""
         left = {place: tokens for place, tokens in zip(part.places, state.tokens, strict=True) if tokens and place not in part.records}
-        return self._why_improper(left)
+        kept = {place: part.initial[place] for place in part.resources - part.records if place in part.initial}
+        ends = [place for place in left if place in part.finals]
+        expected = {**kept, **dict.fromkeys(sorted(part.outputs), 1), **dict.fromkeys(ends[:1], 1)}
+        if part.finals and (len(ends) != 1 or left != expected):
+            return f"it ends in {left}"
+        return "" if left == expected else f"it leaves {left} in place of {expected}"
 
     def _may_be_unanswered(self, place: int) -> bool:
         """Return whether the world is asked at the place, and the exits that need nothing else are not enough."""
@@ -88,8 +93,14 @@ class StateFaults:
             return f"{name} is marked although {busy[0]} still is"
         if Life.ALIVE in state.requests or Life.ADOPTABLE in state.requests:
             return f"{name} is marked although a request is alive"
-        if self._part.goal in map(places.__getitem__, ended) and self._moves.moods(state).ending:
+        is_ending, is_goal = self._moves.moods(state).ending, self._part.goal in map(places.__getitem__, ended)
+        if is_goal and is_ending:
             return f"{name} is marked although the run is ending"
+        if (is_goal or not self._part.finals) and not is_ending:
+            for owner in self._part.owed:
+                if state.accounts[self._moves.calls[owner]] not in SETTLED:
+                    what = "what it is for" if owner is None else f"call {owner}"
+                    return f"{name} is marked although {what} was not carried out, and the plan does not pass it over"
         return ""
 
     def _loses_reports(self, state: State) -> str:
@@ -103,13 +114,3 @@ class StateFaults:
             if lost := untaken(self._moves.reports_now(call, state)):
                 return f"nothing takes the report that a request has {'/'.join(sorted(kind.value for kind in lost))}"
         return ""
-
-    def _why_improper(self, left: Mapping[str, int]) -> str:
-        """Return what is wrong with a final marking of all but record places; empty when it is proper."""
-        part = self._part
-        kept = {place: part.initial[place] for place in part.resources - part.records if place in part.initial}
-        ends = [place for place in left if place in part.finals]
-        expected = {**kept, **dict.fromkeys(sorted(part.outputs), 1), **dict.fromkeys(ends[:1], 1)}
-        if part.finals and (len(ends) != 1 or left != expected):
-            return f"it ends in {dict(left)}"
-        return "" if left == expected else f"it leaves {dict(left)} in place of {expected}"

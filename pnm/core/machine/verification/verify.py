@@ -4,9 +4,10 @@
 machine ends, with exactly one token on its goal place or on its failed place and none elsewhere
 but on record places, and with no request alive; the goal is not reached once a step has failed or the run was stopped; nothing is
 sent once it is ending, and no second request of a call while one is alive; a call is left only with an outcome that is so, or with
-the cause of why it has none; no place ever holds two tokens, a budget never more than it began with. A run
-that is paused goes on when it is resumed, and each pause may have calls begin anew: so it ends if it
-is paused finitely often.
+the cause of why it has none; unless the run is ending, it is left only once it is done, or for a cause after which the plan has a
+recovery that goes on without it, and a loop or a choice only as its condition says; no place ever holds two tokens, a budget never
+more than it began with. A run that is paused goes on when it is resumed, and each pause may have calls begin anew: so it ends if it is
+paused finitely often.
 
 `explore` walks through all states: the oracle, for machines of a few calls. `verify` is linear
 in the number of calls, and trusts nothing but the net and the rules. Every block (the transitions
@@ -40,10 +41,11 @@ from pnm.core.machine.machine import (
     PetriNetMachine,
     Withheld,
 )
+from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.verification.block_shape import shape_of
-from pnm.core.machine.verification.decompose import Anatomy, Block, Event, step_of
+from pnm.core.machine.verification.decompose import Anatomy, Block, Event
 from pnm.core.machine.verification.explore import Exploration, NeverFires, explore_part, never_fire
-from pnm.core.machine.verification.part import Inside, Part, Unsound
+from pnm.core.machine.verification.part import Inside, Part, Unsound, step_of
 from pnm.core.machine.verification.place_roles import check_roles
 from pnm.core.machine.verification.plan_in_net import check_events, check_flows
 
@@ -172,6 +174,7 @@ def explore(machine: PetriNetMachine) -> int:
             resources=frozenset(machine.resource_places),
             alive=machine.alive_places,
             settling=frozenset(machine.settling_places),
+            owed=tuple(step.index for step in machine.plan.steps if isinstance(step, ActionCall)),
         )
     )
     return explored.states

@@ -99,7 +99,7 @@ def test_a_wait_without_a_limit_is_refuted(name: str) -> None:
 def test_rules_that_are_not_what_they_seem_are_refuted() -> None:
     machine = generate(SHAPES["chain"])
     for broken, why in (
-        (with_rule(machine, "a0()#0 start", action=None), "is about a request, and none is alive"),
+        (with_rule(machine, "a0()#0 start", action=None, outcome=None), "is about a request, and none is alive"),
         (
             with_rule(machine, "a0()#0 retry", action=TransitionAction.SEND),
             "sends a request|none is alive|nothing takes|no place",

@@ -12,10 +12,20 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Holds
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
-from pnm.core.machine.machine import Always, CallOutcome, ConditionTrue, DataMissing, PetriNetMachine, Rule, TransitionAction
+from pnm.core.machine.machine import (
+    Always,
+    CallOutcome,
+    ConditionFalse,
+    ConditionTrue,
+    DataMissing,
+    PetriNetMachine,
+    Rule,
+    TransitionAction,
+)
 from pnm.core.machine.plan_graph import (
     ActionCall,
     Cause,
+    Choice,
     Flow,
     GroundAction,
     Loop,
@@ -34,6 +44,7 @@ from tests.support.runs.mutation.changes import (
     with_output,
     with_outputs,
     with_rule,
+    without_output,
     without_place,
     without_transition,
 )
@@ -42,6 +53,12 @@ from tests.support.runs.plan_graphs import plan
 ARM = generate(PlanGraph((ActionCall(0, GroundAction("a0", resources=("arm",))),)))
 CHAIN = generate(plan(2, "0e<1s"))
 WAY_OUT = GroundAction("help")
+SPARED = generate(
+    PlanGraph(
+        (ActionCall(0, GroundAction("a0"), recoveries=(Recovery(frozenset({Cause.ABORTED}), Then.SKIP, Flow((ActionCall(1, WAY_OUT),))),)),)
+    )
+)
+CHOICE = generate(PlanGraph((Choice(1, Holds(("free",)), Flow((ActionCall(0, GroundAction("a0")),)), Flow()),)))
 LOOP = generate(PlanGraph((Loop(1, Holds(("free",)), Flow((ActionCall(0, GroundAction("a0")),)), 2),)))
 COUNTING = generate(
     PlanGraph(
@@ -118,6 +135,35 @@ UNSOUND: dict[str, tuple[PetriNetMachine, str]] = {
         with_rule(CHAIN, "a1()#1 aborted", outcome=CallOutcome.PASSED_OVER),
         "leaves a call that has not come to an end",
     ),
+    "a call that is passed over by nothing of the plan": (
+        with_outputs(CHAIN, "a1()#1 precondition_false", {"a1()#1 done": 1}),
+        "call 1 was not carried out, and the plan does not pass it over",
+    ),
+    "a call that is passed over for another cause than the plan has it": (
+        without_output(SPARED, "a0()#0 precondition_false", "a0()#0 failed"),
+        "call 0 was not carried out, and the plan does not pass it over",
+    ),
+    "a call that is left after a recovery which was to begin it anew": (
+        with_outputs(COUNTING, "a0()#0 retry 0", {"a0()#0 done": 1}),
+        "call 0 was not carried out, and the plan does not pass it over",
+    ),
+    "a call that never begins": (
+        with_outputs(CHAIN, "a1()#1 join", {"a1()#1 < finish": 1}),
+        "call 1 was not carried out, and the plan does not pass it over",
+    ),
+    "a call that is cancelled although nothing ends": (
+        with_rule(CHAIN, "a1()#1 stop", guard=Always()),
+        "call 1 was not carried out, and the plan does not pass it over",
+    ),
+    "a success that leaves no outcome": (
+        with_rule(CHAIN, "a1()#1 effects_hold", outcome=None),
+        "leaves a call that has not come to an end",
+    ),
+    "a recovery that takes the call for one that was not reached": (
+        with_rule(COUNTING, "a0()#0 recover 0", outcome=CallOutcome.WAITING),
+        "whatever has become of it",
+    ),
+    "a request that does not count as an attempt": (with_rule(CHAIN, "a0()#0 start", outcome=None), "does not count as an attempt"),
     "an outcome that is not so": (with_rule(CHAIN, "a1()#1 join", outcome=CallOutcome.SKIPPED), "whatever has become of it"),
     "a loop that asks for the data of a call": (with_rule(LOOP, "while((free))#1 skip", guard=DataMissing(1)), "belongs to no call"),
     "an end before the request is over": (
@@ -133,6 +179,36 @@ def test_what_would_go_wrong_when_it_is_executed_is_refused(name: str, prove: Ca
     broken, why = UNSOUND[name]
     with pytest.raises(Unsound, match=why):
         prove(broken)
+
+
+WITHOUT_THEIR_CONDITION = {
+    "a loop that is over whatever its condition": (
+        with_rule(LOOP, "while((free))#1 no_more", guard=Always()),
+        "was not carried out",
+    ),
+    "a loop that is never entered": (with_outputs(LOOP, "while((free))#1 join", {"while((free))#1 done": 1}), "was not carried out"),
+    "a choice that takes the other branch": (
+        with_rule(
+            with_rule(CHOICE, "if((free))#1 then", guard=ConditionFalse(Holds(("free",)))),
+            "if((free))#1 else",
+            guard=ConditionTrue(Holds(("free",))),
+        ),
+        "was not carried out",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WITHOUT_THEIR_CONDITION)
+def test_loops_and_choices_are_left_as_their_conditions_say(name: str) -> None:
+    broken, why = WITHOUT_THEIR_CONDITION[name]
+    with pytest.raises(Unsound, match=why):
+        verify(broken)
+
+
+@pytest.mark.parametrize("machine", [SPARED, LOOP, CHOICE, COUNTING], ids=["spared", "loop", "choice", "counting"])
+def test_what_the_plan_passes_over_is_no_fault(machine: PetriNetMachine) -> None:
+    verify(machine)
+    explore(machine)
 
 
 def test_counters_are_pairs_before_they_are_counted_as_some() -> None:
