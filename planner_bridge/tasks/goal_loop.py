@@ -223,8 +223,8 @@ class GoalLoop:
         if isinstance(decision, ResumePlan) and not execution.is_blocked:
             return decision.rest
         if self._given is None:
-            forbidden = self._context.forbidden(self._log.history)
-            plan = await self._search.patiently(lambda: self._search.following(execution, forbidden))
+            # What is forbidden is looked at anew each time: a value that a call lacked may be known by then.
+            plan = await self._search.patiently(lambda: self._search.following(execution, self._context.forbidden(self._log.history)))
             assert plan is not None, "a plan that is searched for in turn is in no conflict"
             return await self._accepted(plan)
         if isinstance(decision, PlanAgain):

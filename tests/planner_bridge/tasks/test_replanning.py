@@ -177,6 +177,11 @@ def test_a_call_that_lacked_a_value_is_used_once_there_is_one() -> None:
     result, _ = pursued(problem, known, bindings=Bindings({"measure": Binding(goal={"level": "(level)"}, retries=0)}))
     assert [failure.cause for failure in result.failures] == ["data_missing"]
     assert result.goal_reached
+    alone = parse_problem("(define (problem p) (:domain d) (:init) (:goal (measured)))", domain)
+    bindings = Bindings({"measure": Binding(goal={"level": "(level)"}, retries=0)})
+    result, _ = pursued(alone, known, limits=Limits(patience=10.0), bindings=bindings)
+    assert [failure.cause for failure in result.failures] == ["data_missing"]
+    assert result.goal_reached
 
 
 def test_what_is_reported_only_when_it_is_asked_for_is_asked_for_before_every_plan() -> None:
