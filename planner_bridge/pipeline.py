@@ -16,6 +16,7 @@ from planner_bridge.model.plan_world import names_of_world
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.result import PlanResult, Stopwatch, TaskResult
+from planner_bridge.tasks.scheduling.pursuit import Pursuit
 from planner_bridge.tasks.scheduling.task_manager import TaskManager
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.actions.backend import Backend, ClientBackend, check_ready
@@ -65,18 +66,56 @@ def achieve(
     Raises:
         InputError: an input is wrong; nothing was started.
     """
-    settings, observer, seconds = settings or Settings(), observer or TaskObserver(), stopwatch or Stopwatch()
+    with suppress(RuntimeError):
+        asyncio.get_running_loop()
+        raise InputError("an event loop is running here: `await planner_bridge.pursue(...)` in place of achieve")
+    pursuit = _pursuit(domain, problem, actions, faults, settings, observer, stopwatch or Stopwatch())
+    return run_async(pursuit.run(), virtual=actions == "simulated")
+
+
+def pursue(
+    domain: Path | str | Domain | None,
+    problem: Path | str | Problem | Any,
+    *,
+    actions: Actions = "simulated",
+    faults: Faults = NO_FAULTS,
+    settings: Settings | None = None,
+    observer: TaskObserver | None = None,
+) -> Pursuit:
+    """Begin to pursue the goal of the problem on the event loop that runs here, in a notebook or a program of one's own.
+
+    The arguments are those of `achieve`, simulated robots take their time, and the result is awaited: `await pursue(...)`.
+
+    Raises:
+        InputError: an input is wrong, or no event loop is running; nothing was started.
+    """
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError as error:
+        raise InputError("no event loop is running here: call `achieve`, which has one of its own") from error
+    return _pursuit(domain, problem, actions, faults, settings, observer, Stopwatch()).begin()
+
+
+def _pursuit(
+    domain: Path | str | Domain | None,
+    problem: Path | str | Problem | Any,
+    actions: Actions,
+    faults: Faults,
+    settings: Settings | None,
+    observer: TaskObserver | None,
+    stopwatch: Stopwatch,
+) -> Pursuit:
+    """Return the pursuit of a goal, all of whose inputs are right."""
+    settings, observer = settings or Settings(), observer or TaskObserver()
     check_arguments(settings, observer, faults)
-    with seconds.of("parse"):
+    with stopwatch.of("parse"):
         loaded = load(domain, problem)
         if settings.bindings == NO_BINDINGS and isinstance(domain, Path | str):
             settings = replace(settings, bindings=bindings_for(Path(domain), None, loaded.vocabulary))
     for name in sorted(settings.bindings.actions.keys() - loaded.domain.actions.keys()):
         hint = suggestion(name, loaded.domain.actions)
         raise InputError(f"there is no action {name!r} in the domain, of which the bindings speak{hint and f'; {hint}'}")
-    backend = backend_of(actions, loaded, settings, faults)
-    task = achieve_at(backend, loaded, settings, observer, seconds)
-    return run_async(task, virtual=actions == "simulated")
+    return Pursuit(backend_of(actions, loaded, settings, faults), loaded, settings, observer, stopwatch)
 
 
 async def achieve_at(
@@ -86,18 +125,7 @@ async def achieve_at(
 
     Cancelling this stops the task: what is under way is cancelled and waited for; cancelling it again leaves it alone.
     """
-    stopwatch, knowledge = stopwatch or Stopwatch(), initial_knowledge(problem)
-    try:
-        try:
-            await backend.open(knowledge)
-            await check_ready(backend)
-        except asyncio.CancelledError:
-            cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
-            return TaskResult(Code.CANCELLED, "cancelled", 0, (), stopwatch.seconds)
-        manager = TaskManager(problem, knowledge, backend, settings, lambda _: problem.goal)
-        return await manager.run(Wanted(uuid4(), ""), observer or TaskObserver(), stopwatch)
-    finally:
-        await backend.close()
+    return await Pursuit(backend, problem, settings, observer or TaskObserver(), stopwatch or Stopwatch()).run()
 
 
 def readiness(problem: Problem, settings: Settings, wait: float = 0.0) -> tuple[Readiness, ...]:
@@ -159,6 +187,9 @@ def carry_out(
     Raises:
         InputError: an input is wrong; nothing was started.
     """
+    with suppress(RuntimeError):
+        asyncio.get_running_loop()
+        raise InputError("an event loop is running here, and this needs one of its own: call it by `await asyncio.to_thread(...)`")
     settings, observer, stopwatch = settings or Settings(), observer or TaskObserver(), Stopwatch()
     check_arguments(settings, observer, faults)
     with stopwatch.of("parse"):
@@ -220,10 +251,7 @@ def _no_goal(text: str) -> Condition:
 
 
 def check_arguments(settings: Settings, observer: TaskObserver, faults: Faults) -> None:
-    """Raise an `InputError` if one of these is something else, the name of a file for instance, or if an event loop is running already."""
-    with suppress(RuntimeError):
-        asyncio.get_running_loop()
-        raise InputError("an event loop is running here, and this needs one of its own: call it by `await asyncio.to_thread(...)`")
+    """Raise an `InputError` if one of these is something else, the name of a file for instance."""
     for value, kind in ((settings, Settings), (observer, TaskObserver), (faults, Faults)):
         if not isinstance(value, kind):
             raise InputError(f"expected {kind.__name__}, found {value!r}")

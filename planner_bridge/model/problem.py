@@ -26,7 +26,7 @@ class Borrowed:
     position: Position = field(compare=False)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Domain(DomainModel):
     """A domain as planners see it."""
 
@@ -41,6 +41,9 @@ class Domain(DomainModel):
     warnings: tuple[Tolerated, ...] = field(default=(), compare=False, repr=False)
     """What in the file was tolerated though it is not as it should be."""
 
+    def __repr__(self) -> str:
+        return f"<Domain {self.name}: {len(self.actions)} actions, {len(self.fluents)} predicates and functions>"
+
 
 @dataclass(frozen=True, slots=True)
 class Metric:
@@ -50,7 +53,7 @@ class Metric:
     expression: Expression
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Problem(ProblemModel):
     """A problem as planners see it: its initial state has true facts and the values of functions."""
 
@@ -70,6 +73,9 @@ class Problem(ProblemModel):
     """Facts of the initial state that only keep actions from being used: for each, which calls these are, in words."""
     warnings: tuple[Tolerated, ...] = field(default=(), compare=False, repr=False)
     """What in the file, and in that of the domain, was tolerated though it is not as it should be."""
+
+    def __repr__(self) -> str:
+        return f"<Problem {self.name} of {self.domain.name}: {len(self.objects)} objects, goal {self.goal}>"
 
     def ranges(self) -> Iterator[tuple[str, int]]:
         """Yield for everything that quantifiers may stand in what it is, and over how many choices of objects they range."""

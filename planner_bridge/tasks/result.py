@@ -81,7 +81,7 @@ class Episode:
     decision: Decision | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TaskResult:
     """How a task ended, episode by episode."""
 
@@ -98,6 +98,9 @@ class TaskResult:
     """What became of the constraints of domain and problem."""
     preferences: tuple[PreferenceResult, ...] = ()
     """What became of the preferences, name by name."""
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.code.word}: {len(self.calls)} calls, {self.replans} replans, {len(self.failures)} failures>"
 
     def ending(self) -> TaskEnding:
         """Return the end of the task as the clients of a task manager see it."""
@@ -161,7 +164,7 @@ class TaskResult:
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PlanResult(TaskResult):
     """How a hand-written plan ended."""
 

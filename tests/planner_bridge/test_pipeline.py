@@ -145,12 +145,3 @@ def test_bindings_beside_the_domain_are_read_as_the_command_reads_them(tmp_path:
     (tmp_path / "bindings.yaml").write_text("actions: {mvoe: {server: /x}}\n")
     with pytest.raises(InputError, match=r"bindings.yaml:1:17: there is no action 'mvoe' in the domain"):
         achieve(tmp_path / "domain.pddl", ROOT / "problems/delivery/p01.pddl")
-
-
-def test_inside_of_an_event_loop_it_is_said_how_to_call_it() -> None:
-    async def cell() -> None:
-        with pytest.raises(InputError, match=r"an event loop is running here, .* `await asyncio\.to_thread\(\.\.\.\)`"):
-            achieve(None, ring())
-        assert (await asyncio.to_thread(achieve, None, ring())).goal_reached
-
-    asyncio.run(cell())

@@ -76,7 +76,7 @@ class CallResult:
                 return self.kind.value
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class RunResult:
     """Result of a run: whether the goal holds, and the results of its calls."""
 
@@ -86,6 +86,9 @@ class RunResult:
     failures: tuple[Failure, ...]
     stopped: bool = False
     """The run was stopped."""
+
+    def __repr__(self) -> str:
+        return f"<RunResult {'goal' if self.goal else self.reason}: {len(self.calls)} calls, {len(self.failures)} failures>"
 
 
 class Explanation(NamedTuple):

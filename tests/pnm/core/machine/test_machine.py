@@ -69,6 +69,7 @@ def test_an_n_shape_of_four_calls_is_sound() -> None:
     explore(generate(plan(4, "0e<2s", "0e<3s", "1e<3s"), bindings(0)))
 
 
+@pytest.mark.timeout(900)
 @settings(max_examples=60, deadline=None)
 @given(plans(most=3), st.integers(0, 1), st.sampled_from(OnFailure))
 def test_any_partial_order_of_events_is_sound(graph: PlanGraph, retries: int, on_failure: OnFailure) -> None:

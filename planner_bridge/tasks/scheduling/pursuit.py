@@ -1,0 +1,94 @@
+"""The pursuit of one goal on the event loop that runs here: awaited for its result; paused, resumed and stopped meanwhile."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Generator
+from typing import Any, cast
+from uuid import uuid4
+
+from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.problem import Problem
+from planner_bridge.tasks.result import Stopwatch, TaskResult
+from planner_bridge.tasks.scheduling.task_manager import TaskManager
+from planner_bridge.tasks.settings import Settings, TaskObserver
+from pnm.actions.backend import Backend, check_ready
+from pnm.errors import InputError
+from pnm.tasks import Code, TaskState, Wanted
+
+
+class Pursuit:
+    """A goal that is pursued on a backend, by a task manager with one task.
+
+    The mutable state is the task manager, once the backend is open, and the asyncio task, once it has begun.
+    """
+
+    def __init__(self, backend: Backend, problem: Problem, settings: Settings, observer: TaskObserver, stopwatch: Stopwatch) -> None:
+        self._backend = backend
+        self._problem = problem
+        self._settings = settings
+        self._observer = observer
+        self._stopwatch = stopwatch
+        self._manager: TaskManager | None = None
+        self._task: asyncio.Task[TaskResult] | None = None
+
+    def __repr__(self) -> str:
+        return f"<Pursuit of {self._problem.goal}: {self.state.name.lower()}>"
+
+    def __await__(self) -> Generator[Any, None, TaskResult]:
+        """Wait for the result; cancelling that alone does not stop the pursuit."""
+        if self._task is None:
+            raise InputError("the pursuit has not begun")
+        return asyncio.shield(self._task).__await__()
+
+    def begin(self) -> Pursuit:
+        """Begin on the running event loop; return the pursuit itself."""
+        self._task = self._task or asyncio.get_running_loop().create_task(self.run(), name=repr(self))
+        return self
+
+    async def run(self) -> TaskResult:
+        """Pursue the goal to its end.
+
+        Cancelling this stops the task: what is under way is cancelled and waited for; cancelling it again leaves it alone.
+        """
+        knowledge = initial_knowledge(self._problem)
+        try:
+            try:
+                await self._backend.open(knowledge)
+                await check_ready(self._backend)
+            except asyncio.CancelledError:
+                cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
+                return TaskResult(Code.CANCELLED, "cancelled", 0, (), self._stopwatch.seconds)
+            self._manager = TaskManager(self._problem, knowledge, self._backend, self._settings, lambda _: self._problem.goal)
+            return await self._manager.run(Wanted(uuid4(), ""), self._observer, self._stopwatch)
+        finally:
+            await self._backend.close()
+
+    @property
+    def state(self) -> TaskState:
+        """How the pursuit is doing."""
+        if self._task is not None and self._task.done():
+            return TaskState.OVER
+        return next((status.state for status in self._manager.status()), TaskState.PLANNING) if self._manager else TaskState.QUEUED
+
+    @property
+    def reason(self) -> str:
+        """Why it is in this state: what it waits for, what failed."""
+        return next((status.reason for status in self._manager.status()), "") if self._manager else ""
+
+    async def pause(self, *, at_once: bool = False) -> None:
+        """Start nothing more, and return when what is under way has ended; `at_once` cancels it, to begin it anew later."""
+        if self._manager is not None:
+            await self._manager.pause(None, at_once=at_once)
+
+    async def resume(self) -> None:
+        """Go on after a pause: with the rest of the plan if that still works."""
+        if self._manager is not None:
+            await self._manager.resume(None)
+
+    async def stop(self) -> TaskResult:
+        """Cancel what is under way, wait until it is over, and return the result; a second time, leave it alone."""
+        if self._task is None:
+            raise InputError("the pursuit has not begun")
+        self._task.cancel()
+        return await self

@@ -1,0 +1,27 @@
+"""The examples of the page about Python are programs that run."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+
+import pytest
+
+from tests.support.files import ROOT
+
+EXAMPLES = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "python.md").read_text(encoding="utf-8"), re.DOTALL)
+PRINTED = [
+    ["True the goal holds", "load(r1, parcel2, store) succeeded 1"],
+    ["PAUSED", "cancelled"],
+    ["switches switch_on ('hall',)", "True 2"],
+    ["plan of", "attempt 1"],
+]
+
+
+@pytest.mark.parametrize(("program", "printed"), list(zip(EXAMPLES, PRINTED, strict=True)))
+def test_an_example_of_the_page_runs(program: str, printed: list[str]) -> None:
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, timeout=100, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    for text in printed:
+        assert text in done.stdout
