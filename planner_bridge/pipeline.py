@@ -267,6 +267,8 @@ def backend_of(
     """
     if faults != NO_FAULTS and actions != "simulated":
         raise InputError("faults belong to simulated robots; expected none with other actions")
+    if settings.sim_time and actions != "ros2":
+        raise InputError("simulation time comes from ROS 2; expected actions 'ros2'")
     if settings.sensing != NO_SENSING and actions != "ros2":
         raise InputError("sensing is about topics and services of ROS 2; expected actions 'ros2'")
     match actions:
@@ -274,7 +276,7 @@ def backend_of(
             return simulated_backend(described, settings.bindings, faults)
         case "ros2":
             names = names_of_world(described if isinstance(described, Problem) else None, plans)
-            return Ros2Backend(settings.bindings, settings.sensing, names)
+            return Ros2Backend(settings.bindings, settings.sensing, names, sim_time=settings.sim_time)
         case ActionClient() if not isinstance(actions, type):
             return ClientBackend(actions)
         case _:

@@ -1,4 +1,4 @@
-"""Real and virtual time for asyncio.
+"""Real, virtual and simulation time for asyncio.
 
 Under virtual time a coroutine that sleeps for an hour returns at once: whenever nothing else
 can happen, the clock jumps to the next timer. Work in a thread holds the clock still.
@@ -195,13 +195,39 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
         self._jumping.held -= 1
 
 
+class FollowingLoop(asyncio.SelectorEventLoop):
+    """An event loop on real time that may follow another clock, such as that of a simulation.
+
+    Whoever moves that clock calls something on the loop, so that it looks at its timers. Its time never goes back.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._clock: Callable[[], float] | None = None
+        self._offset = self._latest = 0.0
+
+    def follow(self, clock: Callable[[], float]) -> None:
+        """Go on from now with the pace of the clock."""
+        now = self.time()
+        self._offset, self._latest, self._clock = now - clock(), now, clock
+
+    def time(self) -> float:
+        """Return the time in seconds: real, or of the clock that is followed."""
+        if self._clock is None:
+            return super().time()
+        self._latest = max(self._latest, self._offset + self._clock())
+        return self._latest
+
+
 def run_async(main: Coroutine[Any, Any, T], *, virtual: bool = False) -> T:
     """Run a coroutine to its end under virtual time, or under real time, in which robots wait: pauses are short then.
+
+    Real time may become that of another clock, see `FollowingLoop`.
 
     Signals that would end the process cancel the coroutine: once, and a second time. `KeyboardInterrupt` is raised if that ends it
     without a result.
     """
-    with nullcontext() if virtual else short_pauses(), asyncio.Runner(loop_factory=VirtualTimeLoop if virtual else None) as runner:
+    with nullcontext() if virtual else short_pauses(), asyncio.Runner(loop_factory=VirtualTimeLoop if virtual else FollowingLoop) as runner:
         work = StoppableWork(runner.get_loop())
         with work.handled():
             try:

@@ -166,6 +166,7 @@ def net(
 @knowledge_option
 @sensing_option
 @planning
+@click.option("--sim-time", is_flag=True, help="follow /clock, as nodes with use_sim_time do: a paused simulation pauses all limits")
 @click.option("--replans", type=click.IntRange(0), default=10, show_default=True, help="how many new machines may follow the first")
 @click.option(
     "--patience", type=Seconds(0), default=0.0, show_default=True, help="seconds to wait for facts to change while there is no plan"
@@ -195,6 +196,7 @@ def run(
     planner: str,
     timeout: float,
     improve: float,
+    sim_time: bool,
     replans: int,
     patience: float,
     seconds: float | None,
@@ -208,6 +210,8 @@ def run(
     from planner_bridge.tasks.settings import Settings
     from pnm.core.machine.machine import OnFailure
 
+    if sim_time and actions != "ros2":
+        raise InputError("--sim-time follows /clock of ROS 2; expected --actions ros2")
     if faults and actions == "ros2":
         raise InputError("--faults belongs to simulated robots; give it to `pnm simulate`")
     if sensing and actions != "ros2":
@@ -215,7 +219,7 @@ def run(
     others = Files(bindings, faults, knowledge, sensing)
     policy = OnFailure(on_failure) if on_failure else None
     limits = Limits(replans=replans, seconds=seconds, patience=patience)
-    settings = Settings(planner, timeout, improve, limits=limits, on_failure=policy or OnFailure.DRAIN)
+    settings = Settings(planner, timeout, improve, limits=limits, on_failure=policy or OnFailure.DRAIN, sim_time=sim_time)
     chosen = chosen_files(domain, problem, plan_file)
     if isinstance(chosen, Path):
         from planner_bridge.cli.run import run_written

@@ -172,7 +172,9 @@ async def _serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], 
 async def _run_lifecycle(ros: Any, given: Mapping[str, ParameterValue], observer: NodeObserver) -> None:
     from pnm.ros.node.lifecycle import Lifecycle  # here, because rclpy is an extra
     from pnm.ros.node.parameters import declare
+    from pnm.ros.sim_time import follow_sim_time
 
+    await follow_sim_time(ros)
     options = Options.of(await ros.ask(partial(declare, ros.node, PARAMETERS, given)))
     lifecycle = Lifecycle(ros, ServingNode(ros, options, observer))
     await lifecycle.open()

@@ -82,6 +82,8 @@ class Settings:
     """Runs the planners when they race; a process for each by default."""
     sensing: Sensing = NO_SENSING
     """Which topics and services of ROS 2 speak of what."""
+    sim_time: bool = False
+    """Whether time is that of a simulation, from ``/clock``; with the action servers of ROS 2 only."""
 
     def __post_init__(self) -> None:
         """Refuse what has another meaning than it seems to have, such as a name in place of what it names."""

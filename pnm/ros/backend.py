@@ -27,6 +27,7 @@ from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.readiness import action_readiness, sensor_readiness, server_calls
 from pnm.ros.sensors.sensors import Sensors
 from pnm.ros.sensors.state_topic import TOPIC, SensedReports
+from pnm.ros.sim_time import USE_SIM_TIME, follow_sim_time
 
 DISCOVERY: Final = 10.0
 """Seconds to wait for servers and reports of robots that are started together with this node."""
@@ -40,6 +41,7 @@ class Ros2Backend:
     Args:
         known: the declared names, which reports are checked against; None if nothing is declared.
         ros: the thread of a node that goes on when the backend is closed; by default the backend has one of its own.
+        sim_time: whether time is that of a simulation, from ``/clock``.
 
     The mutable state is what `open` and `share` make.
 
@@ -48,12 +50,19 @@ class Ros2Backend:
     """
 
     def __init__(
-        self, bindings: Bindings, sensing: Sensing = NO_SENSING, known: Vocabulary | None = None, ros: RosThread | None = None
+        self,
+        bindings: Bindings,
+        sensing: Sensing = NO_SENSING,
+        known: Vocabulary | None = None,
+        ros: RosThread | None = None,
+        *,
+        sim_time: bool = False,
     ) -> None:
         for name in sorted(sensing.names & bindings.assumed):
             raise InputError(f"there is a sensor for {name}, which is among the 'assumed' of the bindings; expected one of the two")
         self._bindings = bindings
         self._shared = ros
+        self._sim_time = sim_time
         self._sensing = sensing
         self._known = known
         self._knowledge = KnowledgeBase()
@@ -73,7 +82,9 @@ class Ros2Backend:
     async def open(self, knowledge: KnowledgeBase) -> None:
         """Join the ROS 2 graph and wait for the first report about the world, if there is a publisher of reports."""
         loop, self._knowledge = asyncio.get_running_loop(), knowledge
-        self.ros = self._shared or RosThread("pnm_run")  # `pnm` is the one that serves
+        self.ros = self._shared or RosThread("pnm_run", args=USE_SIM_TIME if self._sim_time else ())  # `pnm` is the one that serves
+        if self._shared is None:
+            await follow_sim_time(self.ros)
         lag, sensing = self._bindings.lag, self._sensing
         self._sensors = Sensors(self.ros, sensing, knowledge, lag)
         self._client = Ros2ActionClient(self.ros, self._bindings, loop, self._ended)

@@ -1,4 +1,4 @@
-"""The virtual clock: jumps to timers however late they are."""
+"""The virtual clock jumps to timers however late they are; the time of a loop that follows another clock stands still with it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from pnm.clock import VirtualTimeLoop, in_own_thread
+from pnm.clock import FollowingLoop, VirtualTimeLoop, in_own_thread
 from tests.support.processes import LIMIT
 
 
@@ -55,3 +55,29 @@ def test_however_much_takes_long_there_are_threads_for_what_is_short():
         assert await asyncio.gather(*long) == [True] * 50
 
     in_virtual_time(main)
+
+
+def test_timers_follow_the_clock_that_is_followed_and_time_never_goes_back():
+    async def main():
+        loop, seconds, fired = asyncio.get_running_loop(), [500.0], []
+        before = loop.time()
+        loop.follow(lambda: seconds[0])
+        assert 0.0 <= loop.time() - before < LIMIT, "it goes on from where it was"
+        start = loop.time()
+        loop.call_later(3600.0, fired.append, "late")
+        loop.call_later(10.0, fired.append, "soon")
+
+        async def at(time):
+            seconds[0] = time
+            for _ in range(3):  # turns of the loop
+                await asyncio.sleep(0)
+            return loop.time() - start, list(fired)
+
+        assert await at(500.0) == (0.0, [])
+        assert await at(509.0) == (9.0, [])
+        assert await at(400.0) == (9.0, []), "a simulation that was reset"
+        assert await at(510.0) == (10.0, ["soon"])
+        assert await at(1e6) == (1e6 - 500.0, ["soon", "late"])
+
+    with asyncio.Runner(loop_factory=FollowingLoop) as runner:
+        runner.run(main())
