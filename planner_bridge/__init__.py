@@ -1,6 +1,6 @@
 """PDDL and planners: from a goal to a plan, from a plan to a Petri Net Machine, and again after a failure.
 
-`achieve` does what `pnm run` does, and `pursue` the same on the event loop that is running. Each arrow
+`achieve` does what `pnm run` does, and `achieve_async` the same on the event loop that is running. Each arrow
 of problem → plan → plan graph → machine is one function: `load`, `solve`, `plan_graph`, `pnm.generate`.
 """
 
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from planner_bridge.pddl.write.writer import write_domain as write_domain
     from planner_bridge.pddl.write.writer import write_problem as write_problem
     from planner_bridge.pipeline import achieve as achieve
-    from planner_bridge.pipeline import pursue as pursue
+    from planner_bridge.pipeline import achieve_async as achieve_async
     from planner_bridge.planning.kairos import validate as validate
     from planner_bridge.planning.solve import solve as solve
     from planner_bridge.tasks.replanning import Limits as Limits
     from planner_bridge.tasks.result import TaskResult as TaskResult
-    from planner_bridge.tasks.scheduling.pursuit import Pursuit as Pursuit
+    from planner_bridge.tasks.scheduling.goal_handle import GoalHandle as GoalHandle
     from planner_bridge.tasks.settings import Settings as Settings
     from planner_bridge.tasks.settings import TaskObserver as TaskObserver
     from pnm.core.logic.domain import ActionSchema as ActionSchema

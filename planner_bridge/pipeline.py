@@ -16,7 +16,7 @@ from planner_bridge.model.plan_world import names_of_world
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.result import PlanResult, Stopwatch, TaskResult
-from planner_bridge.tasks.scheduling.pursuit import Pursuit
+from planner_bridge.tasks.scheduling.goal_handle import GoalHandle
 from planner_bridge.tasks.scheduling.task_manager import TaskManager
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.actions.backend import Backend, ClientBackend, check_ready
@@ -68,12 +68,12 @@ def achieve(
     """
     with suppress(RuntimeError):
         asyncio.get_running_loop()
-        raise InputError("an event loop is running here: `await planner_bridge.pursue(...)` in place of achieve")
-    pursuit = _pursuit(domain, problem, actions, faults, settings, observer, stopwatch or Stopwatch())
-    return run_async(pursuit.run(), virtual=actions == "simulated")
+        raise InputError("an event loop is running here: `await planner_bridge.achieve_async(...)` in place of achieve")
+    handle = _goal_handle(domain, problem, actions, faults, settings, observer, stopwatch or Stopwatch())
+    return run_async(handle.run(), virtual=actions == "simulated")
 
 
-def pursue(
+def achieve_async(
     domain: Path | str | Domain | None,
     problem: Path | str | Problem | Any,
     *,
@@ -81,10 +81,10 @@ def pursue(
     faults: Faults = NO_FAULTS,
     settings: Settings | None = None,
     observer: TaskObserver | None = None,
-) -> Pursuit:
+) -> GoalHandle:
     """Begin to pursue the goal of the problem on the event loop that runs here, in a notebook or a program of one's own.
 
-    The arguments are those of `achieve`, simulated robots take their time, and the result is awaited: `await pursue(...)`.
+    The arguments are those of `achieve`, simulated robots take their time, and the result is awaited: `await achieve_async(...)`.
 
     Raises:
         InputError: an input is wrong, or no event loop is running; nothing was started.
@@ -93,10 +93,10 @@ def pursue(
         asyncio.get_running_loop()
     except RuntimeError as error:
         raise InputError("no event loop is running here: call `achieve`, which has one of its own") from error
-    return _pursuit(domain, problem, actions, faults, settings, observer, Stopwatch()).begin()
+    return _goal_handle(domain, problem, actions, faults, settings, observer, Stopwatch()).begin()
 
 
-def _pursuit(
+def _goal_handle(
     domain: Path | str | Domain | None,
     problem: Path | str | Problem | Any,
     actions: Actions,
@@ -104,8 +104,8 @@ def _pursuit(
     settings: Settings | None,
     observer: TaskObserver | None,
     stopwatch: Stopwatch,
-) -> Pursuit:
-    """Return the pursuit of a goal, all of whose inputs are right."""
+) -> GoalHandle:
+    """Return the handle of a goal, all of whose inputs are right."""
     settings, observer = settings or Settings(), observer or TaskObserver()
     check_arguments(settings, observer, faults)
     with stopwatch.of("parse"):
@@ -115,7 +115,7 @@ def _pursuit(
     for name in sorted(settings.bindings.actions.keys() - loaded.domain.actions.keys()):
         hint = suggestion(name, loaded.domain.actions)
         raise InputError(f"there is no action {name!r} in the domain, of which the bindings speak{hint and f'; {hint}'}")
-    return Pursuit(backend_of(actions, loaded, settings, faults), loaded, settings, observer, stopwatch)
+    return GoalHandle(backend_of(actions, loaded, settings, faults), loaded, settings, observer, stopwatch)
 
 
 async def achieve_at(
@@ -125,7 +125,7 @@ async def achieve_at(
 
     Cancelling this stops the task: what is under way is cancelled and waited for; cancelling it again leaves it alone.
     """
-    return await Pursuit(backend, problem, settings, observer or TaskObserver(), stopwatch or Stopwatch()).run()
+    return await GoalHandle(backend, problem, settings, observer or TaskObserver(), stopwatch or Stopwatch()).run()
 
 
 def readiness(problem: Problem, settings: Settings, wait: float = 0.0) -> tuple[Readiness, ...]:

@@ -103,16 +103,22 @@ def goal(*, goal: str, priority: int, deadline: float | None, policy: str, names
     console, task = SafeConsole(), uuid4()
     fields = {"goal": goal, "priority": priority, "deadline": deadline or 0.0, "policy": _POLICIES.index(policy)}
 
-    async def pursue(node: NodeClient) -> Any:
+    async def print_events(heard: asyncio.Queue[Any]) -> None:
+        lines = EventLines(console)
+        while True:
+            event = Event.of(await heard.get())
+            if event.task == task and not as_json:
+                _print_event(lines, event, "")
+
+    async def achieve(node: NodeClient) -> Any:
         async with node.hearing(*_TRACE) as heard:
-            printing = asyncio.create_task(_print_task(console, heard, task)) if not as_json else None
+            printing = asyncio.create_task(print_events(heard))
             try:
                 return await node.achieve(fields, task)
             finally:
-                if printing:
-                    printing.cancel()
+                printing.cancel()
 
-    outcome = _with_node(namespace, pursue)
+    outcome = _with_node(namespace, achieve)
     is_reached = outcome.kind is OutcomeKind.SUCCEEDED
     if as_json:
         trace = {"trace": [f"{event['kind']} {event['subject']} {event['text']}".strip() for event in outcome.result.get("trace", ())]}
@@ -204,14 +210,6 @@ def _command(name: str, done: str, prefix: str, *, every: bool, namespace: str, 
 
     print(f"{_with_node(namespace, apply)}: {done}")
     return 0
-
-
-async def _print_task(console: Console, heard: asyncio.Queue[Any], task: UUID) -> None:
-    lines = EventLines(console)
-    while True:
-        event = Event.of(await heard.get())
-        if event.task == task:
-            _print_event(lines, event, "")
 
 
 def _print_event(lines: EventLines, event: Event, label: str) -> None:

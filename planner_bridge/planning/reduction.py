@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from planner_bridge.model.plan import Plan, PlanningResult
-from planner_bridge.model.problem import TOTAL_TIME, Metric, Problem
+from planner_bridge.model.problem import TOTAL_TIME, Problem
 from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.validate import InvalidPlan, last_state
-from pnm.core.logic.expressions import Fluent, State, Unknown, Value, value_of
+from pnm.core.logic.expressions import Fluent, State, Unknown, Value, ValueOf, value_of
 
 if TYPE_CHECKING:
     import kairos
@@ -30,7 +30,7 @@ def reduced(problem: Problem, result: PlanningResult, parsed: kairos.Problem | N
     plan = result.plan
     if plan is None or problem.network or problem.has_preferences or len(plan.steps) > MAX_STEPS:
         return result
-    number = 0
+    number, plan = 0, replace(plan, cost=_cost(problem, plan, last_state(problem, plan)))
     while number < len(plan.steps):
         shorter = _without(problem, plan, number)
         if shorter is None:
@@ -52,20 +52,18 @@ def _without(problem: Problem, plan: Plan, number: int) -> Plan | None:
                 return None
             del steps[error.step]
         else:
-            is_worse = cost is not None and plan.cost is not None and _sign(problem.metric) * (cost - plan.cost) > 0.0
+            rises = 0.0 if cost is None or plan.cost is None else cost - plan.cost
+            is_worse = rises < 0.0 if problem.metric and problem.metric.direction == "maximize" else rises > 0.0
             return None if is_worse else replace(shorter, cost=cost)
 
 
 def _cost(problem: Problem, plan: Plan, state: State) -> float | None:
-    if problem.metric is None:
+    """Return what the metric makes of a plan that leads to the state; None where time is all that counts."""
+    if problem.metric is None or problem.metric.expression == ValueOf(TOTAL_TIME):
         return None
     total_time = plan.makespan if plan.temporal else float(len(plan.steps))
     cost = value_of(problem.metric.expression, _Timed(state, total_time))
     return float(cost) if isinstance(cost, int | float) else plan.cost
-
-
-def _sign(metric: Metric | None) -> int:
-    return -1 if metric and metric.direction == "maximize" else 1
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Final
 
 from pnm.clock import FollowingLoop
@@ -45,16 +44,12 @@ async def follow_sim_time(ros: RosThread) -> None:
         clock.now = message.clock.sec + message.clock.nanosec / 1e9
         call_on_loop(loop, heard.set)  # each time, so that the loop looks whether a timer is due
 
-    await ros.ask(partial(_subscribe, ros.node, receive))
+    from rclpy.qos import QoSProfile, ReliabilityPolicy  # here, because rclpy is an extra
+
+    kind, latest = import_type("rosgraph_msgs/msg/Clock"), QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    await ros.ask(lambda: ros.node.create_subscription(kind, "/clock", receive, latest))
     try:
         await asyncio.wait_for(heard.wait(), LIMIT)
     except TimeoutError as error:
         raise RosError(f"use_sim_time is set, and nothing is heard on /clock within {LIMIT:g} s; is the simulation running?") from error
     loop.follow(lambda: clock.now)
-
-
-def _subscribe(node: Any, receive: Any) -> None:
-    from rclpy.qos import QoSProfile, ReliabilityPolicy  # here, because rclpy is an extra
-
-    latest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-    node.create_subscription(import_type("rosgraph_msgs/msg/Clock"), "/clock", receive, latest)

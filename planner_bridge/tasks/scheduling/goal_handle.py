@@ -1,4 +1,4 @@
-"""The pursuit of one goal on the event loop that runs here: awaited for its result; paused, resumed and stopped meanwhile."""
+"""The handle of a goal that is pursued on the event loop that runs here: awaited for its result; paused, resumed, stopped meanwhile."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pnm.errors import InputError
 from pnm.tasks import Code, TaskState, Wanted
 
 
-class Pursuit:
+class GoalHandle:
     """A goal that is pursued on a backend, by a task manager with one task.
 
     The mutable state is the task manager, once the backend is open, and the asyncio task, once it has begun.
@@ -33,16 +33,16 @@ class Pursuit:
         self._task: asyncio.Task[TaskResult] | None = None
 
     def __repr__(self) -> str:
-        return f"<Pursuit of {self._problem.goal}: {self.state.name.lower()}>"
+        return f"<GoalHandle of {self._problem.goal}: {self.state.name.lower()}>"
 
     def __await__(self) -> Generator[Any, None, TaskResult]:
-        """Wait for the result; cancelling that alone does not stop the pursuit."""
+        """Wait for the result; cancelling that alone does not stop it."""
         if self._task is None:
-            raise InputError("the pursuit has not begun")
+            raise InputError("the goal has not begun")
         return asyncio.shield(self._task).__await__()
 
-    def begin(self) -> Pursuit:
-        """Begin on the running event loop; return the pursuit itself."""
+    def begin(self) -> GoalHandle:
+        """Begin on the running event loop; return the handle itself."""
         self._task = self._task or asyncio.get_running_loop().create_task(self.run(), name=repr(self))
         return self
 
@@ -66,7 +66,7 @@ class Pursuit:
 
     @property
     def state(self) -> TaskState:
-        """How the pursuit is doing."""
+        """How the goal is doing."""
         if self._task is not None and self._task.done():
             return TaskState.OVER
         return next((status.state for status in self._manager.status()), TaskState.PLANNING) if self._manager else TaskState.QUEUED
@@ -89,6 +89,6 @@ class Pursuit:
     async def stop(self) -> TaskResult:
         """Cancel what is under way, wait until it is over, and return the result; a second time, leave it alone."""
         if self._task is None:
-            raise InputError("the pursuit has not begun")
+            raise InputError("the goal has not begun")
         self._task.cancel()
         return await self
