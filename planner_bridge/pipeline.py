@@ -19,13 +19,16 @@ from planner_bridge.tasks.result import PlanResult, Stopwatch, TaskResult
 from planner_bridge.tasks.scheduling.goal_handle import GoalHandle
 from planner_bridge.tasks.scheduling.task_manager import TaskManager
 from planner_bridge.tasks.settings import Settings, TaskObserver
-from pnm.actions.backend import Backend, ClientBackend
+from pnm.actions.backend import Backend, ClientBackend, check_ready
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import run_async
+from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition
 from pnm.core.machine.bindings import NO_BINDINGS
 from pnm.core.machine.machine import OnFailure
+from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import ActionClient
+from pnm.core.readiness import Readiness
 from pnm.errors import InputError, Tolerated, suggestion
 from pnm.knowledge.sensor_model import NO_SENSING
 from pnm.knowledge.sources.registry import Surroundings, open_sources
@@ -125,6 +128,35 @@ async def achieve_at(
     return await GoalHandle(backend, problem, settings, observer or TaskObserver(), stopwatch or Stopwatch()).run()
 
 
+def readiness(problem: Problem, settings: Settings, wait: float = 0.0) -> tuple[Readiness, ...]:
+    """Return how ready the action servers and sensors for a problem are in the ROS graph; `wait` seconds are given to them to appear.
+
+    Raises:
+        InputError: an input is wrong.
+        RosError: ROS 2 is not there.
+    """
+    backend = backend_of("ros2", problem, settings, NO_FAULTS)
+    return run_async(_look(backend, initial_knowledge(problem), (), wait))
+
+
+def readiness_for_plan(file: Path, name: str | None, settings: Settings, wait: float = 0.0) -> tuple[Readiness, ...]:
+    """Return how ready the action servers and sensors for a hand-written plan are, and for the plans it calls; see `readiness`."""
+    plans = {plan: _with_settings(described, settings, None) for plan, described in read_plans(file).items()}
+    chosen = chosen_plan(plans, name)
+    bound = replace(settings, bindings=merge_bindings(plans.values()))
+    backend, world = backend_of("ros2", plans[chosen], bound, NO_FAULTS, tuple(plans.values())), initial_knowledge(plans[chosen])
+    programs = {called: Program.of(plans[called]) for called in called_plans(plans, chosen)}
+    return run_async(_look(backend, world, PlanRunner(programs, backend, world).actions, wait))
+
+
+async def _look(backend: Backend, world: KnowledgeBase, actions: Iterable[GroundAction], wait: float) -> tuple[Readiness, ...]:
+    try:
+        await backend.open(world)
+        return await backend.check(actions, wait)
+    finally:
+        await backend.close()
+
+
 def carry_out(
     file: Path,
     name: str | None = None,
@@ -195,6 +227,7 @@ async def _carry_out_at(
         sources = opened()
         try:
             runner = PlanRunner(programs, backend, world, sources)
+            await check_ready(backend, runner.actions)
             await runner.check(runner.prepare_run(wanted.text, wanted.parameters))  # before anything is prepared
             await backend.share(runner.prefix, runner.knowledge_of, sources)
             await runner.prepare()

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
 
 _ELSEWHERE: Final = {
+    "check": "check",
     "serve": "serve",
     **dict.fromkeys(("status", "watch", "goal", "pause", "resume", "cancel", "facts"), "running_node"),
 }

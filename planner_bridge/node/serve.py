@@ -24,6 +24,7 @@ from planner_bridge.planning.solve import check_planner
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.scheduling.task_manager import TaskLimits, TaskManager
 from planner_bridge.tasks.settings import Settings
+from pnm.actions.backend import check_ready
 from pnm.clock import run_async, short_pauses
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Bindings
@@ -248,7 +249,9 @@ class ServingNode:
         folder = (options.world or options.domain or Path()).parent
         sources = open_sources(sources_of(plans), Surroundings(self._ros, folder), options.knowledge)
         stack.push_async_callback(sources.close)
-        return NodeContext(options, problem, PlanRunner(programs, backend, knowledge, sources), bindings, backend, knowledge, sources)
+        runner = PlanRunner(programs, backend, knowledge, sources)
+        await check_ready(backend, runner.actions)
+        return NodeContext(options, problem, runner, bindings, backend, knowledge, sources)
 
     async def _open_node(self, context: NodeContext, stack: AsyncExitStack) -> None:
         from pnm.ros.node.alone import check_alone  # here, because rclpy is an extra

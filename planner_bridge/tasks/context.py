@@ -15,11 +15,13 @@ from planner_bridge.tasks.replanning import History
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from planner_bridge.tasks.task import Task
 from pnm.actions.backend import Backend
+from pnm.core.execution.questions import EvaluationContext
 from pnm.core.execution.resources import Resources
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import TRUE
-from pnm.core.machine.plan_graph import ActionCall
+from pnm.core.machine.bindings import goal_data
+from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.knowledge.sources.source import Source
 from pnm.tasks import OnConflict
 
@@ -136,11 +138,20 @@ class TaskContext:
         return read_write_sets(run.unsettled, TRUE, self.world)
 
     def unusable(self, history: History) -> frozenset[ForbiddenCall]:
-        """Return the calls whose action server was not there too often, or that need a resource that is withheld after a vain wait."""
+        """Return the calls that would fail: their action server was not there too often, a resource is withheld, or a value is lacking."""
         bindings = self.settings.bindings
         names = self.resources.withheld_from(history.lacking)
         served = calls_served_by(self.problem, bindings, history.absent_servers(self.settings.limits))
-        return served | calls_acquiring(self.problem, bindings, names.keys())
+        # With a source outside, something new may be known without a trace here.
+        uninformed = history.uninformed if self.source is None else ()
+        lacking = {ForbiddenCall.of(action) for action in uninformed if self.lacks_value(action)}
+        return served | calls_acquiring(self.problem, bindings, names.keys()) | lacking
+
+    def lacks_value(self, action: GroundAction) -> bool:
+        """Return whether the goal of the action has a field for which nothing here has a value."""
+        binding = self.settings.bindings.of(action.name)
+        fields = self.backend.client.goal_fields(action)
+        return bool(goal_data(action, binding, fields, EvaluationContext(self.knowledge, action, binding))[1])
 
     def forbidden(self, history: History) -> frozenset[ForbiddenCall]:
         """Return the calls that no plan may use now."""

@@ -56,6 +56,7 @@ class GoalLoop:
         with ExitStack() as cleanup:
             try:
                 self._monitor.begin(cleanup)
+                await self._control.until(self._context.backend.refresh())
                 await self._monitor.settle()  # before anything is planned: a constraint may only look violated because a report is late
                 if self._given is None:
                     search = partial(self._search.plan, self._context.forbidden(self._log.history))
@@ -113,6 +114,7 @@ class GoalLoop:
                 continue
             if not execution.is_over:
                 execution.hold()
+                await self._context.backend.refresh()
                 # Only requests that are settled can be handed over; the run has come to its end while it was waited for.
                 if not await execution.at_rest():
                     await self._catch_up(execution)
@@ -141,6 +143,7 @@ class GoalLoop:
                 return graph
 
     async def _catch_up(self, execution: PlanExecution) -> None:
+        await self._context.backend.refresh()
         if not (execution.is_eager or execution.result.goal) or not self._monitor.constraints.idle:
             await asyncio.sleep(self._context.world.longest_lag)
         await self._monitor.settle()
@@ -220,8 +223,8 @@ class GoalLoop:
         if isinstance(decision, ResumePlan) and not execution.is_blocked:
             return decision.rest
         if self._given is None:
-            forbidden = self._context.forbidden(self._log.history)
-            plan = await self._search.patiently(lambda: self._search.following(execution, forbidden))
+            # What is forbidden is looked at anew each time: a value that a call lacked may be known by then.
+            plan = await self._search.patiently(lambda: self._search.following(execution, self._context.forbidden(self._log.history)))
             assert plan is not None, "a plan that is searched for in turn is in no conflict"
             return await self._accepted(plan)
         if isinstance(decision, PlanAgain):

@@ -58,6 +58,7 @@ class PlanTask:
         with context.control.executing(self):
             context.control.limit_time(plan_run.limit)
             await self._runner.check(plan_run)
+            await context.backend.refresh()
             context.observer.generated(program.machine, program.proof)
             context.control.enter(TaskState.RUNNING)
             began = asyncio.get_running_loop().time()

@@ -20,7 +20,7 @@ from pnm.core.logic.evaluation import evaluate, explanation
 from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings
 from pnm.core.machine.machine import CallOutcome
-from pnm.core.machine.plan_graph import ActionCall, Cause, Moment, PlanEvent, PlanGraph
+from pnm.core.machine.plan_graph import ActionCall, Cause, GroundAction, Moment, PlanEvent, PlanGraph
 from pnm.errors import check_counts, check_seconds
 
 MAX_SHORTENED: Final = 100
@@ -72,6 +72,8 @@ class History:
     """Resources that were waited for in vain."""
     absent: Mapping[str, int] = field(default_factory=dict)
     """Action servers that were not there, and how often they were not since they last carried something out."""
+    uninformed: frozenset[GroundAction] = frozenset()
+    """Actions whose goals lacked a value: until there is one, they are of no use."""
     replans: int = 0
     fruitless: int = 0
     """Runs in a row in which no call succeeded."""
@@ -94,12 +96,14 @@ class History:
                 absent.pop(bindings.server(result.call.action), None)
         at_work = [call for failure, call in of_calls if failure.unconfirmed]
         at_work += [result.call for result in calls if result.kind is CallOutcome.UNCONFIRMED]
+        uninformed = {call.action for failure, call in of_calls if failure.cause is Cause.DATA_MISSING}
         progress = any(result.kind is CallOutcome.SUCCEEDED for result in calls)
         return History(
             failed,
             self.unconfirmed | {ForbiddenCall.of(call.action) for call in at_work},
             self.lacking.union(*(failure.lacking for failure in failures)),
             absent,
+            self.uninformed | uninformed,
             self.replans + 1,
             0 if progress else self.fruitless + 1,
         )
@@ -215,7 +219,7 @@ def decide(
         knowledge: what is known.
         history: of all failures, those of this run included.
         limits: how long to go on.
-        unusable: calls whose action server is not there, or that need a resource that is withheld.
+        unusable: calls whose action server is not there, that need a resource that is withheld, or whose goals lack a value.
     """
     if given_up := history.given_up(limits):
         return given_up
@@ -258,7 +262,7 @@ def why_not(
     plan = progress.plan
     for call in progress.rest:
         if call.index not in progress.under_way and any(forbidden_call.covers(call.action) for forbidden_call in forbidden):
-            return f"{call.action} has failed too often, or a server may still be at work on it or with what it needs"
+            return f"{call.action} has failed too often, lacks a value, or a server may still be at work on it or with what it needs"
     simulation = PlanSimulation(snapshot(knowledge), {number: plan.calls[number].action for number in progress.under_way})
     progression = ConstraintProgression(constraints, simulation.state)
     for event in progress.events:

@@ -21,7 +21,7 @@ def binding_entries(binding: Binding, usual: Binding, *, type_key: str) -> Itera
     """Yield a key for everything that is not as usual."""
     for field in fields(binding):
         value = getattr(binding, field.name)
-        if value != getattr(usual, field.name):
+        if field.compare and value != getattr(usual, field.name):
             yield Entry(_value(value), type_key if field.name == "type" else field.name)
 
 

@@ -6,9 +6,9 @@ A backend is opened with the knowledge base that it keeps up to date, and closed
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Callable, Iterable
 from typing import Protocol
-from uuid import UUID
 
 from pnm.actions.simulated_robots import SimulatedRobots
 from pnm.actions.simulated_world import report_changes
@@ -16,7 +16,10 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.effects import TimedChange
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import ActionClient
+from pnm.core.readiness import Readiness, ReadyState, refuse_unfit
 from pnm.knowledge.sources.source import FindKnowledge, Source
+
+_log = logging.getLogger(__name__)
 
 
 class Backend(Protocol):
@@ -35,14 +38,29 @@ class Backend(Protocol):
         The identities of all requests begin with `mark`; `source` answers what the run does not know.
         """
 
-    def over(self, request: UUID, /) -> None:
-        """Note that a request is over: its server needs no knowledge any more."""
+    async def check(self, actions: Iterable[GroundAction] = (), wait: float = 0.0) -> tuple[Readiness, ...]:
+        """Return how ready the servers of all declared actions and of these, and all sensors are.
+
+        What is not there yet is waited for, for `wait` seconds.
+        """
+
+    async def refresh(self) -> None:
+        """Ask for what is reported only when it is asked for: the knowledge is to be up to date for a plan."""
 
     async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
         """Look for the servers of these actions; return the names of those that are not there yet."""
 
     async def close(self) -> None:
         """Disconnect."""
+
+
+async def check_ready(backend: Backend, actions: Iterable[GroundAction] = ()) -> None:
+    """Log what is not ready yet of what the backend needs; raise an `InputError` if something can never work."""
+    rows = await backend.check(actions)
+    refuse_unfit(rows)
+    for row in rows:
+        if row.state is not ReadyState.READY:
+            _log.warning("%s%s", row, f"; {row.waits}" if row.waits else "")
 
 
 def schedule(knowledge: KnowledgeBase, timed: Iterable[TimedChange], began: float) -> Callable[[], None]:
@@ -72,8 +90,12 @@ class ClientBackend:
     async def share(self, mark: bytes, find: FindKnowledge, source: Source) -> None:
         """Do nothing: what the client carries out queries nothing."""
 
-    def over(self, request: UUID, /) -> None:
-        """Do nothing."""
+    async def check(self, actions: Iterable[GroundAction] = (), wait: float = 0.0) -> tuple[Readiness, ...]:
+        """Do nothing: servers and sensors are nothing that could be looked at."""
+        return ()
+
+    async def refresh(self) -> None:
+        """Do nothing: nothing has to be asked for."""
 
     async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
         """Do nothing: the client finds its servers itself."""

@@ -40,7 +40,7 @@ def read_bindings(path: Path, known: Vocabulary | None = None) -> Bindings:
 
 def binding_keys(type_key: str) -> tuple[str, ...]:
     """Return the keys of a binding, in files in which the type of the ROS action stands under `type_key`."""
-    return tuple(type_key if field.name == "type" else field.name for field in fields(Binding))
+    return tuple(type_key if field.name == "type" else field.name for field in fields(Binding) if field.compare)
 
 
 def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAULT.retries) -> Binding:
@@ -68,6 +68,7 @@ def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAUL
         retries=entry.whole("retries", retries),
         ask=read_texts(entry, "ask", "expected variables, and what a person is asked when nobody knows them"),
         resources=tuple(dict.fromkeys(name for name, _ in _read_resources(entry))),
+        position=entry.start,
     )
 
 
@@ -101,11 +102,13 @@ def _table(node: Node) -> tuple[Node, Mapped] | None:
 
 
 def _check_sources(node: Node, action: str, known: Vocabulary) -> None:
-    """Refuse parameters that the action does not have, and tables without a row for some object that the parameter may be."""
+    """Refuse parameters that the action does not have, and tables without a row for an object that a parameter, or a function, may be."""
     if (parts := _table(node)) is not None:
         of, rows = parts
         _check_sources(of, action, known)
-        objects = known.arguments(action, of.text[1:]) if of.text and of.text[0] == "?" else ()
+        text = of.text or ""
+        is_function, is_parameter = text.startswith("("), text.startswith("?")
+        objects = known.values(parse_fluent(text)[0]) if is_function else known.arguments(action, text[1:]) if is_parameter else ()
         for name, where, _ in rows.entries():
             if objects and name not in objects:
                 hint = suggestion(name, objects) or f"expected one of {', '.join(objects)}"

@@ -31,7 +31,9 @@ from pnm.knowledge.sensor_model import (
 )
 
 EVERY: Final = 1.0
-"""Seconds between two requests to a service."""
+"""Seconds from an answer of a service to the next request, if there is no reason to ask before."""
+NEVER: Final = "never"
+"""In the place of these seconds: asked only when there is a reason."""
 LIMIT: Final = 1.0
 """Seconds that a service may take to answer."""
 
@@ -88,7 +90,8 @@ class _Reader:
             (*(self._statement(item, variables) for item in entry.sequence("facts")), *self._stored(variables)),
             way,
             _seconds(entry, "stale", self.stale),
-            entry.number("lag", None if isinstance(way, ByTopic) else way.every + way.limit),
+            # The answer to a request that was under way when an action ended may be old; the next one is not.
+            entry.number("lag", None if isinstance(way, ByTopic) else 2.0 * way.limit),
             entry.start,
         )
         if not sensor.statements:
@@ -150,8 +153,9 @@ class _Reader:
             raise InputError("expected the fields of the request and their values", self.entry.position("request"))
         for name in _terms(request):
             self._variable(f"?{name}", variables, self.entry.position("request"))
-        every, limit = _seconds(self.entry, "every", EVERY), _seconds(self.entry, "limit", LIMIT)
-        return ByService(request or {}, every or EVERY, limit or LIMIT)
+        node = self.entry.node("every")
+        every = None if node is not None and node.text == NEVER else _seconds(self.entry, "every", EVERY)
+        return ByService(request or {}, every, _seconds(self.entry, "limit", LIMIT) or LIMIT)
 
     # --- statements ---
 

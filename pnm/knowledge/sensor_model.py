@@ -1,6 +1,6 @@
 """Sensor models: how the messages of topics and the responses of services become facts, numbers, objects and variables.
 
-A *sensor* is a subscribed topic, or a polled service. It reports some fluents and
+A *sensor* is a subscribed topic, or a service that is asked. It reports some fluents and
 variables, and replaces only these. Parts of a message that cannot be interpreted make their fluents unknown, with a reason.
 """
 
@@ -90,12 +90,14 @@ class ByTopic:
 
 @dataclass(frozen=True, slots=True)
 class ByService:
-    """Read by polling a service, `every` seconds after its last answer or failure."""
+    """Read by asking a service: at the start, after every action, before a new plan is made, and `every` seconds after its last answer."""
 
     request: Mapping[str, object]
     """Fields; ``?r`` stands for an object."""
-    every: float
+    every: float | None
+    """None for not without a reason."""
     limit: float
+    """Seconds that an answer may take."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +112,7 @@ class Sensor:
     statements: tuple[Statement, ...]
     way: ByTopic | ByService
     stale: float | None
-    """Seconds without a report after which all its fluents are unknown."""
+    """Seconds without a message, or for which a request is not answered, after which all its fluents are unknown."""
     lag: float | None
     """Seconds that its reports may be late; None for the lag of the bindings."""
     position: Position = field(compare=False)
@@ -271,8 +273,11 @@ def _interpret(statement: Statement, env: Mapping[str, str], look: Look, objects
 
 
 def _object(source: FieldValue, types: tuple[str, ...], look: Look, objects: Objects) -> str:
-    value = source.value(look)
-    if isinstance(value, str) and (value == UNDEFINED or value in objects(types)):
+    """Return the object that a field names; a table is needed only for values that are no names of objects."""
+    value, known = look(source.field), objects(types)
+    if not (source.table is not None and isinstance(value, str) and value in known and value not in source.table):
+        value = source.value(look)
+    if isinstance(value, str) and (value == UNDEFINED or value in known):
         return value
     raise Unreadable(f"{source.field} is {shown(value)}, which is no object of type {' or '.join(types)}")
 

@@ -24,7 +24,7 @@ from pnm.knowledge.complaints import Complaints
 class Watchdog:
     """A staleness watchdog: calls a function when it was not reset for `limit` seconds, and again after every later reset.
 
-    The limit is on the clock of the event loop; None for none. The mutable state is the time of expiry and the one timer.
+    The limit is on the clock of the event loop; None for none. Its state: the time of expiry, the one timer, and whether it rests.
     """
 
     def __init__(self, limit: float | None, expired: Callable[[], object]) -> None:
@@ -32,6 +32,7 @@ class Watchdog:
         self._limit = limit
         self._expired = expired
         self._timer: asyncio.TimerHandle | None = None
+        self._rests = False
         self.reset()
 
     def reset(self) -> None:
@@ -40,11 +41,23 @@ class Watchdog:
             self._until = self._loop.time() + self._limit
             self._timer = self._timer or self._loop.call_at(self._until, self._check)
 
-    def close(self) -> None:
-        """Cancel the timer."""
-        self._limit = None
+    def expect(self) -> None:
+        """Start the wait again after a rest: a report is expected from now on."""
+        if self._rests:
+            self._rests = False
+            self.reset()
+
+    def rest(self) -> None:
+        """End the wait: no report is expected until `expect`."""
+        self._rests = True
         if self._timer is not None:
             self._timer.cancel()
+            self._timer = None
+
+    def close(self) -> None:
+        """End the wait for good."""
+        self._limit = None
+        self.rest()
 
     def _check(self) -> None:
         if self._loop.time() < self._until:  # a report does not move the timer: that would cost one timer per message

@@ -27,7 +27,7 @@ from pnm.core.machine.bindings import ABOUT_THE_CALL
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import GroundAction
-from pnm.core.machine.requests import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Report, Reporter, Request
+from pnm.core.machine.requests import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Reporter, Request
 from pnm.core.machine.verification.verify import Proof, verify
 from pnm.errors import InputError, suggestion
 from pnm.executor import Executor
@@ -178,18 +178,20 @@ class PlanRunner:
         self.resources = Resources(capacities)
         self.programs = {name: program.sharing(self.resources) for name, program in self.programs.items()}
 
-    async def prepare(self) -> tuple[str, ...]:
-        """Prepare the backend for all actions of the plans whose servers the bindings name.
-
-        Returns the names of servers that are not there yet.
-        """
-        needed = [
+    @property
+    def actions(self) -> tuple[GroundAction, ...]:
+        """The actions of the plans whose servers the bindings name."""
+        needed = (
             call.action
             for program in self.programs.values()
             for call in program.plan.graph.calls
             if call.action.operation is None and call.action.name not in self.programs and program.plan.bindings.names_server(call.action)
-        ]
-        return await self.backend.prepare(dict.fromkeys(needed))
+        )
+        return tuple(dict.fromkeys(needed))
+
+    async def prepare(self) -> tuple[str, ...]:
+        """Prepare the backend for the actions of the plans; return the names of servers that are not there yet."""
+        return await self.backend.prepare(self.actions)
 
     def prepare_run(
         self,
@@ -292,7 +294,7 @@ class PlansClient:
     def send(self, request: Request, report: Reporter, /) -> None:
         """Begin to carry the plan out, or send the goal."""
         if request.action.name not in self._runner.programs:
-            self._client.send(request, partial(self._reported, report))
+            self._client.send(request, report)
             return
         task = asyncio.get_running_loop().create_task(self._run_plan(request, report))
         self._tasks.add(task)
@@ -309,11 +311,6 @@ class PlansClient:
     def plan_run(self, request: UUID) -> PlanRun | None:
         """Return the run that a request for a plan has started; None if it has none, or it is over."""
         return self._plan_runs.get(request)
-
-    def _reported(self, report: Reporter, what: Report) -> None:
-        if isinstance(what, Ended):
-            self._runner.backend.over(what.request)
-        report(what)
 
     async def _run_plan(self, request: Request, report: Callable[[Accepted | Ended], None]) -> None:
         given = {name: value for name, value in request.goal.items() if name not in ABOUT_THE_CALL}

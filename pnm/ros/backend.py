@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable
+from functools import partial
 from time import monotonic
 from typing import Any, Final
 from uuid import UUID
@@ -13,20 +14,25 @@ from pnm.core.logic.declared_names import Vocabulary
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import ActionClient
+from pnm.core.readiness import Readiness, ReadyState
 from pnm.errors import InputError
-from pnm.knowledge.sensor_model import NO_SENSING, Sensing
+from pnm.knowledge.sensor_model import NO_SENSING, Sensing, unknown
 from pnm.knowledge.sources.source import FindKnowledge, Source
 from pnm.knowledge.state_reports import StateReports
 from pnm.ros.action_client.client import Ros2ActionClient
 from pnm.ros.knowledge.goal_ids import service_prefix
 from pnm.ros.knowledge.knowledge_services import KnowledgeServices
+from pnm.ros.node.graph import server_name, snapshot
 from pnm.ros.node.ros_thread import RosThread
+from pnm.ros.readiness import action_readiness, sensor_readiness, server_calls
 from pnm.ros.sensors.sensors import Sensors
 from pnm.ros.sensors.state_topic import TOPIC, SensedReports
 from pnm.ros.sim_time import USE_SIM_TIME, follow_sim_time
 
 DISCOVERY: Final = 10.0
 """Seconds to wait for servers and reports of robots that are started together with this node."""
+_LOOK: Final = 0.25
+"""Seconds between two looks at the ROS graph while something is waited for."""
 
 
 class Ros2Backend:
@@ -59,6 +65,7 @@ class Ros2Backend:
         self._sim_time = sim_time
         self._sensing = sensing
         self._known = known
+        self._knowledge = KnowledgeBase()
         self._sensed: SensedReports | None = None
         self._reports: StateReports | None = None
         self._sensors: Sensors | None = None
@@ -74,13 +81,13 @@ class Ros2Backend:
 
     async def open(self, knowledge: KnowledgeBase) -> None:
         """Join the ROS 2 graph and wait for the first report about the world, if there is a publisher of reports."""
-        loop = asyncio.get_running_loop()
+        loop, self._knowledge = asyncio.get_running_loop(), knowledge
         self.ros = self._shared or RosThread("pnm_run", args=USE_SIM_TIME if self._sim_time else ())  # `pnm` is the one that serves
         if self._shared is None:
             await follow_sim_time(self.ros)
-        self._client = Ros2ActionClient(self.ros, self._bindings, loop)
         lag, sensing = self._bindings.lag, self._sensing
         self._sensors = Sensors(self.ros, sensing, knowledge, lag)
+        self._client = Ros2ActionClient(self.ros, self._bindings, loop, self._ended)
         ignored = {
             **dict.fromkeys(knowledge.rules.derived, "its facts follow from rules"),
             **dict.fromkeys(sensing.names, "there is a sensor for it"),
@@ -90,6 +97,38 @@ class Ros2Backend:
         self._sensed = SensedReports(self.ros, loop, self._reports.record, self._reports.refuse)
         await self._sensors.open()
         await self._sensed.first(DISCOVERY)
+
+    async def check(self, actions: Iterable[GroundAction] = (), wait: float = 0.0) -> tuple[Readiness, ...]:
+        """Return how ready the servers of all declared actions and of these, and all sensors are.
+
+        What is not there is looked for until this node has discovered the others, and for `wait` seconds.
+
+        Raises:
+            InputError: the name of a server is not valid in ROS.
+        """
+        known, until = self._known or Vocabulary({}), monotonic() + wait
+        calls = tuple(dict.fromkeys((*server_calls(known, self._bindings), *actions)))
+        bound = {call: (self._bindings.server(call), self._bindings.of(call.name).position) for call in calls}
+        servers = await self.ros.ask(lambda: {call: server_name(self.ros.node, *named) for call, named in bound.items()})
+        has_settled = False
+        while True:
+            graph = await self.ros.ask(partial(snapshot, self.ros.node))
+            uses = self._sensors.uses() if self._sensors else ()
+            sensed = (unknown(use.instance, self._knowledge.objects).variables for use in uses)
+            variables = frozenset(self._knowledge.variables()).union(*sensed)
+            rows = (*action_readiness(servers, self._bindings, known, graph, variables, self._patience), *sensor_readiness(uses, graph))
+            if all(row.state in (ReadyState.READY, ReadyState.UNFIT) for row in rows) or (has_settled and monotonic() >= until):
+                return rows
+            if not has_settled:
+                await self.ros.settled()
+                has_settled = True
+            else:
+                await asyncio.sleep(_LOOK)
+
+    async def refresh(self) -> None:
+        """Ask the services that are sensors, and wait for their answers, within their limits."""
+        if self._sensors is not None:
+            await self._sensors.refresh()
 
     def declare(self, known: Vocabulary) -> None:
         """Check reports against these names from now on."""
@@ -102,14 +141,21 @@ class Ros2Backend:
         self._services.append(KnowledgeServices(self.ros, asyncio.get_running_loop(), service_prefix(mark), find, source))
         await self._services[-1].open()
 
-    def over(self, request: UUID, /) -> None:
-        """Withdraw what a server is still asking for the request."""
+    def _ended(self, request: UUID) -> None:
+        """Withdraw what a server is still asking for a request that is over, and ask how the world is now."""
         for services in self._services:
             services.end(request)
+        if self._sensors is not None:
+            self._sensors.want()
 
     async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
         """Look for the servers of these actions; wait for them only while this node itself is new."""
-        return await self._client.prepare(actions, self.ros.joined + DISCOVERY - monotonic())  # type: ignore[no-any-return]
+        return await self._client.prepare(actions, self._patience)  # type: ignore[no-any-return]
+
+    @property
+    def _patience(self) -> float:
+        """Seconds for which servers are waited for: while this node itself is new."""
+        return max(0.0, float(self.ros.joined) + DISCOVERY - monotonic())
 
     async def close(self) -> None:
         """Leave the ROS 2 graph."""

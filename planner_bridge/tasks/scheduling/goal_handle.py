@@ -12,7 +12,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.scheduling.task_manager import TaskManager
 from planner_bridge.tasks.settings import Settings, TaskObserver
-from pnm.actions.backend import Backend
+from pnm.actions.backend import Backend, check_ready
 from pnm.errors import InputError
 from pnm.tasks import Code, TaskState, Wanted
 
@@ -55,6 +55,7 @@ class GoalHandle:
         try:
             try:
                 await self._backend.open(knowledge)
+                await check_ready(self._backend)
             except asyncio.CancelledError:
                 cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
                 return TaskResult(Code.CANCELLED, "cancelled", 0, (), self._stopwatch.seconds)

@@ -64,7 +64,13 @@ class Vocabulary:
 
     def arguments(self, action: str, parameter: str) -> tuple[str, ...]:
         """Return the objects that a parameter of an action may stand for, in the order of the alphabet."""
-        types = self.actions[action][parameter]
+        return self._objects_of(self.actions[action][parameter])
+
+    def values(self, function: str) -> tuple[str, ...]:
+        """Return the objects that may be values of a function, in the order of the alphabet; none if its values are numbers."""
+        return self._objects_of(self.signatures[function].values) if function in self.signatures else ()
+
+    def _objects_of(self, types: tuple[str, ...]) -> tuple[str, ...]:
         return tuple(sorted(name for name, kinds in self.types_of.items() if not kinds.isdisjoint(types)))
 
     def check_call(self, what: str, position: Position) -> None:

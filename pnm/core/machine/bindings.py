@@ -21,7 +21,7 @@ from pnm.core.logic.expressions import UNDEFINED, Fluent, Unknown, Value, bind
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Outcome, OutcomeKind
 from pnm.core.message_fields import FieldValue, Test, Unreadable, succeeds, value_in, written
-from pnm.errors import InputError, check_counts, check_kinds, check_seconds
+from pnm.errors import InputError, Position, check_counts, check_kinds, check_seconds
 
 ABOUT_THE_CALL: Final = frozenset({"action", "arguments", "duration"})
 """Goal fields about the call itself; they are filled as long as the fields of the goal are not known."""
@@ -67,6 +67,8 @@ class Binding:
     """Variables, and what a person is asked when their values are unknown; ``{shop}`` stands for the argument of parameter ``?shop``."""
     resources: tuple[str, ...] = ()
     """Resources that the action has for itself while it runs, such as ``{robot}/base``."""
+    position: Position | None = field(default=None, compare=False)
+    """Where it stands in a file."""
 
     def __post_init__(self) -> None:
         check_seconds(f"the binding of {self.server or 'an action'}", self.timeout, self.accept, self.cancel)

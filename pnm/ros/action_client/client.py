@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
 from time import monotonic
 from typing import Any, Final
@@ -16,6 +16,7 @@ from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Report, Repor
 from pnm.errors import PnmError
 from pnm.ros.action_client.goal import Goal
 from pnm.ros.action_client.server_link import ServerLink
+from pnm.ros.node.graph import server_name
 from pnm.ros.node.messages import fields
 from pnm.ros.node.ros_thread import RosThread, call_on_loop
 
@@ -36,13 +37,19 @@ class Ros2ActionClient:
     its fields counts as rejected. Every request that was sent is answered by exactly one `Ended` until `close`,
     even when the ROS thread is closed before.
 
+    Args:
+        ended: called on the event loop's thread with each request that is over, before its end is reported.
+
     The mutable state is on the ROS thread (the links and the open goals), except `_closed`.
     """
 
-    def __init__(self, ros: RosThread, bindings: Bindings, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(
+        self, ros: RosThread, bindings: Bindings, loop: asyncio.AbstractEventLoop, ended: Callable[[UUID], object] = lambda request: None
+    ) -> None:
         self._ros = ros
         self._bindings = bindings
         self._loop = loop
+        self._ended = ended
         self._links: dict[_Key, ServerLink] = {}
         self._goals: dict[UUID, tuple[Goal, ServerLink]] = {}
         self._closed = False
@@ -101,9 +108,16 @@ class Ros2ActionClient:
     # on the ROS thread
 
     def _link(self, key: _Key) -> ServerLink:
+        """Return the link to a server: one for each, by whatever name and type bindings speak of it."""
         if key not in self._links:
             server, type_name, several = key
-            self._links[key] = ServerLink(self._ros.node, server, type_name, self._ros.joined, several=several)
+            name = server_name(self._ros.node, server)
+            same = next((link for link in self._links.values() if link.name == name), None)
+            if same is None:
+                same = ServerLink(self._ros.node, server, type_name, self._ros.joined, several=several)
+            else:
+                same.expect(type_name, several=several)
+            self._links[key] = same
         return self._links[key]
 
     def _send(self, request: Request, report: Reporter, is_blind: bool) -> None:
@@ -129,6 +143,8 @@ class Ros2ActionClient:
         if isinstance(what, Ended):
             self._goals.pop(what.request, None)
         if not self._closed:
+            if isinstance(what, Ended):
+                call_on_loop(self._loop, self._ended, what.request)
             call_on_loop(self._loop, report, what)
 
     def _keep_looking(self) -> None:
@@ -139,7 +155,7 @@ class Ros2ActionClient:
             self._timer.reset()
 
     def _look(self) -> None:
-        for link in self._links.values():
+        for link in set(self._links.values()):
             link.look()
         if not self._goals and not any(link.is_busy for link in self._links.values()):
             self._timer.cancel()
@@ -151,6 +167,6 @@ class Ros2ActionClient:
     def _end(self) -> None:
         if self._timer is not None:
             self._timer.destroy()
-        for link in self._links.values():
+        for link in set(self._links.values()):
             link.close()
         self._goals.clear()

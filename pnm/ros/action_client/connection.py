@@ -14,7 +14,7 @@ from uuid import UUID
 
 from pnm.errors import InputError
 from pnm.ros.action_client.handshake import Handshake
-from pnm.ros.node.graph import absence, processes, server_name, types
+from pnm.ros.node.graph import absence, processes, server_name, servers, types
 from pnm.ros.node.messages import import_type
 
 RETURN: Final = 5.0
@@ -70,6 +70,18 @@ class Connection:
     def __repr__(self) -> str:
         return f"<Connection {self.name} {self.handshake}>"
 
+    def expect(self, type_name: str | None, *, several: bool) -> None:
+        """Note what another binding of the same server says of it; raise an `InputError` if they contradict each other."""
+        self._several = self._several or several
+        if type_name is None or type_name == self._wanted_type:
+            return
+        if self._wanted_type is None and self.type is None:
+            self._wanted_type, self.type = type_name, import_type(type_name)
+            self._connect()
+        elif import_type(type_name) is not self.type:
+            other = self._wanted_type or f"{self.type.__module__.split('.')[0]}/action/{self.type.__name__}"
+            raise InputError(f"the action server {self.name} is bound with two types: {other} and {type_name}")
+
     def ready(self) -> bool:
         """Return True if the server is there; connects to it when its type has become known."""
         is_there = self._is_reached()
@@ -111,7 +123,7 @@ class Connection:
 
     def absence(self, now: float) -> str:
         """Return why the server, which is not ready, is not expected any more; empty while it is."""
-        return absence(self._node, self.name, self._wanted_type) if now >= self._expected_until else ""
+        return absence(servers(self._node), self.name, self._wanted_type) if now >= self._expected_until else ""
 
     def processes(self) -> frozenset[bytes]:
         """Return the processes that serve the action."""

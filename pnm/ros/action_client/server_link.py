@@ -58,6 +58,10 @@ class ServerLink:
         """The type of the server; None while it is not known."""
         return self._connection.type
 
+    def expect(self, type_name: str | None, *, several: bool) -> None:
+        """Note what another binding of the same server says of it; raise an `InputError` if they contradict each other."""
+        self._connection.expect(type_name, several=several)
+
     def ready(self) -> bool:
         """Return True if the server is there."""
         return self._connection.ready()

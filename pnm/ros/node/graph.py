@@ -1,18 +1,22 @@
-"""Action servers in the ROS graph: names, types, processes; only to be used on the ROS thread."""
+"""The ROS graph: action servers with their types and processes, topics, services; only to be used on the ROS thread."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
 
-from pnm.errors import InputError
+from pnm.errors import InputError, Position
 
 _STATUS = "/_action/status"
 _FEEDBACK = "/_action/feedback"
 
 
-def server_name(node: Any, server: str) -> str:
+def server_name(node: Any, server: str, position: Position | None = None) -> str:
     """Return the full name of an action server, relative to the node's namespace and remapped; `InputError` if it is not valid in ROS.
+
+    The position is that of the name in a file.
 
     Names in ROS have no hyphens, names in PDDL often do: ``pick-up`` becomes ``pick_up``.
     """
@@ -20,7 +24,7 @@ def server_name(node: Any, server: str) -> str:
         return str(node.resolve_topic_name(server.replace("-", "_") + _STATUS)).removesuffix(_STATUS)
     except Exception as error:
         reason = str(error).strip().splitlines()
-        raise InputError(f"not a name for an action server: {server!r}{f' ({reason[0]})' if reason else ''}") from error
+        raise InputError(f"not a name for an action server: {server!r}{f' ({reason[0]})' if reason else ''}", position) from error
 
 
 def processes(node: Any, server: str) -> frozenset[bytes]:
@@ -40,6 +44,23 @@ def types(node: Any, server: str) -> tuple[str, ...]:
     return tuple(sorted({info.topic_type.removesuffix("_FeedbackMessage") for info in publishers}))
 
 
+@dataclass(frozen=True, slots=True)
+class GraphSnapshot:
+    """What is in the ROS graph at a moment, with its types: action servers, topics that have publishers, services."""
+
+    servers: Mapping[str, tuple[str, ...]]
+    topics: Mapping[str, tuple[str, ...]]
+    services: Mapping[str, tuple[str, ...]]
+
+
+def snapshot(node: Any) -> GraphSnapshot:
+    """Return what is in the ROS graph now."""
+    named = [name for name, _ in node.get_topic_names_and_types() if "/_" not in name]  # the others are hidden: parts of actions
+    topics = {name: {info.topic_type for info in node.get_publishers_info_by_topic(name)} for name in named}
+    services = {name: tuple(kinds) for name, kinds in node.get_service_names_and_types() if "/_" not in name and node.count_services(name)}
+    return GraphSnapshot(servers(node), {name: tuple(sorted(kinds)) for name, kinds in topics.items() if kinds}, services)
+
+
 def servers(node: Any) -> dict[str, tuple[str, ...]]:
     """Return the types of all action servers by name."""
     from rclpy.action import get_action_names_and_types  # here, because rclpy is an extra
@@ -48,17 +69,21 @@ def servers(node: Any) -> dict[str, tuple[str, ...]]:
     return {name: its_types for name, its_types in known.items() if its_types}
 
 
-def absence(node: Any, server: str, wanted: str | None) -> str:
-    """Return why a server cannot be used, in a sentence, with similar servers."""
-    known = servers(node)
+def absence(known: Mapping[str, tuple[str, ...]], server: str, wanted: str | None) -> str:
+    """Return why a server cannot be used, in a sentence, with similar ones of the action servers that are there."""
     if server in known:
         there = ", ".join(known[server])
         if wanted and wanted not in known[server]:
             return f"the action server {server} has the type {there}, the binding says {wanted}"
         return f"the action server {server} ({there}) is not ready, or its type is not installed here"
-    missing = f"there is no action server {server}{f' of type {wanted}' if wanted else ''}"
-    if not known:
-        return f"{missing}, nor any other in the ROS graph (is ROS_DOMAIN_ID the same?)"
-    near = get_close_matches(server, known, n=4, cutoff=0.5)
-    near += [name for name in known if name not in near and name.rsplit("/", 1)[-1] == server.rsplit("/", 1)[-1]]
-    return f"{missing}; {'similar' if near else 'there'} are {', '.join(near or sorted(known)[:8])}"
+    return f"there is no action server {server}{f' of type {wanted}' if wanted else ''}{similar(server, known)}"
+
+
+def similar(name: str, known: Iterable[str]) -> str:
+    """Return the end of a sentence about a name that is not in the graph: which ones are near, or what there is at all."""
+    names = sorted(known)
+    if not names:
+        return ", nor any other in the ROS graph (is ROS_DOMAIN_ID the same?)"
+    near = get_close_matches(name, names, n=4, cutoff=0.5)
+    near += [other for other in names if other not in near and other.rsplit("/", 1)[-1] == name.rsplit("/", 1)[-1]]
+    return f"; {'similar' if near else 'there'} are {', '.join(near or names[:8])}"

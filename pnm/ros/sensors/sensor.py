@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from pnm.core.knowledge_base import KnowledgeBase
@@ -52,7 +52,14 @@ class SensorRecorder:
         self._unread = frozenset(reading.unread)
         self._store(reading)
         self._watchdog.reset()
+        if isinstance(self.instance.sensor.way, ByService):
+            self._watchdog.rest()
         self.heard.set()
+
+    def expect(self) -> None:
+        """Note that an answer is expected from now on; topics are always expected to say something."""
+        if not self._closed:
+            self._watchdog.expect()
 
     def refuse(self, error: InputError) -> None:
         """Note that the sensor cannot be used: what it reports is unknown. While sensors are opened, this is raised, not logged."""
@@ -79,6 +86,18 @@ class SensorRecorder:
         changed = {name: value for name, value in reading.variables.items() if value != (None if known[name] is MISSING else known[name])}
         if changed:
             self._knowledge.store(changed)
+
+
+@dataclass(frozen=True, slots=True)
+class SensorUse:
+    """How one sensor is doing."""
+
+    instance: Instance
+    name: str
+    """The full name of its topic or service."""
+    is_heard: bool
+    refused: InputError | None
+    """Why it cannot be used."""
 
 
 def checked(instance: Instance, name: str) -> tuple[Any, Instance]:

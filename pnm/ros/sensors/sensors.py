@@ -1,4 +1,4 @@
-"""The sensors of a file: topics that are subscribed to, and services that are polled.
+"""The sensors of a file: topics that are subscribed to, and services that are asked.
 
 Publishers and their types are looked up in the ROS graph periodically.
 """
@@ -11,9 +11,9 @@ from typing import Any, Final
 
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.errors import InputError
-from pnm.knowledge.sensor_model import ByService, ByTopic, Instance, Sensing, instances
+from pnm.knowledge.sensor_model import ByService, ByTopic, Sensing, instances
 from pnm.ros.node.ros_thread import RosThread
-from pnm.ros.sensors.sensor import SensorRecorder, checked
+from pnm.ros.sensors.sensor import SensorRecorder, SensorUse
 from pnm.ros.sensors.service_sensor import ServiceSensor
 from pnm.ros.sensors.topic_sensor import TopicSensor
 
@@ -28,9 +28,9 @@ _log = logging.getLogger(__name__)
 class Sensors:
     """The sensors of a file, for every choice of their objects. To be used on the event loop's thread.
 
-    The mutable state is the recorders, and the tasks that poll services. `lag` is that of sensors that do not specify it, in seconds.
-    Raises `InputError` if two sensors report the same facts, or one reports derived facts, or a type is not installed or lacks a
-    field of its sensor.
+    The mutable state is the recorders, and the tasks that ask services. `lag` is that of sensors that do not specify it, in seconds.
+    Raises `InputError` if two sensors report the same facts, or one reports derived facts. A sensor whose type is not installed, or
+    lacks a field, is refused: its use says why.
     """
 
     def __init__(self, ros: RosThread, sensing: Sensing, knowledge: KnowledgeBase, lag: float) -> None:
@@ -38,10 +38,6 @@ class Sensors:
         every_instance = instances(sensing, knowledge.objects)
         for name in sorted(sensing.names & knowledge.rules.derived):
             raise InputError(f"facts of {name} follow from rules; they are neither set nor sensed")
-        for sensor in sensing.sensors:
-            if sensor.type is not None:
-                chosen = (instance for instance in every_instance if instance.sensor.position == sensor.position)
-                checked(next(chosen, Instance(sensor, {})), sensor.type)
         self._recorders = [SensorRecorder(instance, knowledge) for instance in every_instance]
         self._topics: list[TopicSensor] = []
         self._polls: list[ServiceSensor] = []
@@ -61,10 +57,7 @@ class Sensors:
         return f"<Sensors: {len(self._topics)} topics, {len(self._polls)} services>"
 
     async def open(self) -> None:
-        """Subscribe and poll, and wait for the first message of all publishers and services that are there.
-
-        Raises `InputError` if a type found in the graph lacks a field of its sensor.
-        """
+        """Subscribe and ask, and wait for the first message of all publishers and services that are there."""
         for sensor in self._sensors:
             await self._ros.ask(sensor.resolve)
         if self._topics:
@@ -73,12 +66,26 @@ class Sensors:
         if self._recorders:
             await self._wait_for_first()
         for recorder in self._recorders:
-            if recorder.refused is not None:
-                raise recorder.refused
             recorder.is_open = True
 
+    def uses(self) -> tuple[SensorUse, ...]:
+        """Return how the sensors, once they are open, are doing."""
+        return tuple(
+            SensorUse(sensor.recorder.instance, sensor.name, sensor.recorder.heard.is_set(), sensor.recorder.refused)
+            for sensor in self._sensors
+        )
+
+    def want(self) -> None:
+        """Have all services asked at once: the world may have changed."""
+        for poll in self._polls:
+            poll.want()
+
+    async def refresh(self) -> None:
+        """Have all services asked at once, and wait for their answers, each for twice its limit at most."""
+        await asyncio.gather(*(poll.refresh() for poll in self._polls))
+
     async def close(self) -> None:
-        """Unsubscribe, and stop polling."""
+        """Unsubscribe, and stop asking."""
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
@@ -101,9 +108,6 @@ class Sensors:
         finally:
             all_heard.cancel()
             settled.cancel()
-        for recorder in self._recorders:
-            if not recorder.heard.is_set():
-                _log.warning("nothing has been heard on %s yet", recorder.instance.name)
 
     # on the ROS thread
 

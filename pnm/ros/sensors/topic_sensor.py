@@ -47,13 +47,13 @@ class TopicSensor:
 
     def resolve(self) -> None:
         """Resolve the full name; raise an `InputError` if it is not valid in ROS."""
-        self._full_name = resolved(self._ros.node.resolve_topic_name, self.recorder.instance, "topic")
+        self.name = resolved(self._ros.node.resolve_topic_name, self.recorder.instance, "topic")
 
     def look(self) -> None:
         """Subscribe to new publishers."""
         from rclpy.qos import DurabilityPolicy, ReliabilityPolicy  # here, because rclpy is an extra
 
-        for info in self._ros.node.get_publishers_info_by_topic(self._full_name):
+        for info in self._ros.node.get_publishers_info_by_topic(self.name):
             if self._fits(info.topic_type):
                 profile = info.qos_profile
                 reliable = profile.reliability == ReliabilityPolicy.RELIABLE

@@ -55,10 +55,10 @@ def test_a_stored_sequence_arrives_at_the_goal_field_it_is_bound_to(execute):
 
 
 def test_a_goal_field_without_a_value_is_missing_data_and_is_named(execute):
-    status, result, goals = execute("count: {retries: 0}", MEASURE, AGAIN)
+    status, result, goals = execute("count: {goal: {order: $number}, retries: 0}", MEASURE, AGAIN)
     assert (status, goals) == (1, [])
-    assert result["failures"][0]["cause"] == "data_missing"
-    assert result["failures"][0]["expected"] == "values for order"
+    (failure,) = result["failures"]
+    assert (failure["cause"], failure["expected"]) == ("data_missing", "values for order")
 
 
 def test_simulated_robots_tell_how_far_they_have_come(deploy, monkeypatch):

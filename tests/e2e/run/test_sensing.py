@@ -31,6 +31,39 @@ sensors:
 """
 
 
+TIRED = """(define (domain tired)
+  (:requirements :numeric-fluents)
+  (:predicates (begun) (finished))
+  (:functions (battery))
+  (:action begin :parameters () :precondition (>= (battery) 0.5) :effect (begun))
+  (:action finish :parameters () :precondition (and (begun) (>= (battery) 0.5)) :effect (finished))
+  (:action charge :parameters () :precondition () :effect (assign (battery) 1)))"""
+TWICE = "(define (problem p) (:domain tired) (:init (= (battery) 1)) (:goal (finished)))"
+WORKS = "actions: {begin: {server: work, goal: {}}, finish: {server: work, goal: {}}, charge: {goal: {}}}"
+ASKED = """
+sensors:
+  - service: /battery
+    every: never
+    facts:
+      - {number: (battery), field: float64_value}
+      - {fact: (begun), when: {field: int32_value, ge: 1}}
+      - {fact: (finished), when: {field: int32_value, ge: 2}}
+"""
+
+
+def test_a_service_is_asked_after_every_action_and_what_it_says_changes_the_plan(deploy):
+    deployment = deploy("tired", texts=(TIRED, TWICE), bindings=WORKS, quick=True)
+    robot = deployment.start(Program(["-m", "tests.support.e2e.programs.tired_robot"], deployment.environment))
+    robot.until(lambda: robot.out)
+    status, result = deployment.run("--sensing", str(written(deployment.folder / "sensing.yaml", ASKED))).result()
+    assert (status, result["goal_reached"]) == (0, True)
+    assert [line for line in robot.out if "asked" not in line] == ["ready: 2 servers", "work", "charge", "work"]
+    (failure,) = result["failures"]
+    assert (failure["cause"], failure["observed"]) == ("precondition_false", "(battery) is 0.25")
+    did, *_ = [number for number, line in enumerate(robot.out) if line == "work"]
+    assert robot.out[did + 1] == "asked 0.25"
+
+
 def test_what_is_unknown_because_its_sensor_was_killed_fails_a_call_and_is_planned_around(deploy):
     deployment = deploy("workshop", texts=(DOMAIN, PROBLEM), speed="2")
     battery = {"topic": "/r1/battery", "type": "test_msgs/msg/BasicTypes", "fields": {"float32_value": 0.8}}

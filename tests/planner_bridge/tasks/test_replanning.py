@@ -159,12 +159,54 @@ def test_a_server_that_carried_something_out_since_is_there() -> None:
     assert history.after((success,), (), bindings).after((), (gone,), bindings).absent_servers(Limits()) == frozenset()
 
 
-def test_a_call_that_lacks_a_value_twice_is_not_tried_for_ever() -> None:
+def test_a_call_that_lacks_a_value_is_not_tried_again_while_nothing_new_is_known() -> None:
     bindings = Bindings({"move": Binding(goal={"speed": "$speed"})})
     result, _ = pursued(rooms(init="(at r1 a)", goal="(at r1 b)"), bindings=bindings)
-    assert result.replans == 1
-    assert [failure.cause for failure in result.failures] == ["data_missing"] * 2
+    assert result.replans == 0
+    assert [failure.cause for failure in result.failures] == ["data_missing"]
     assert "move(r1, a, b)#0: data_missing: expected values for speed" in result.reason
+
+
+def test_a_call_that_lacked_a_value_is_used_once_there_is_one() -> None:
+    domain = parse_domain("""(define (domain d) (:requirements :durative-actions :numeric-fluents)
+      (:predicates (walked) (measured)) (:functions (level))
+      (:durative-action walk :parameters () :duration (= ?duration 5) :condition () :effect (at end (walked)))
+      (:durative-action measure :parameters () :duration (= ?duration 1) :condition () :effect (at end (measured))))""")
+    problem = parse_problem("(define (problem p) (:domain d) (:init) (:goal (and (walked) (measured))))", domain)
+    known = Faults(changes=(HiddenChange({("level",): 3.0}, at=2.0),))
+    result, _ = pursued(problem, known, bindings=Bindings({"measure": Binding(goal={"level": "(level)"}, retries=0)}))
+    assert [failure.cause for failure in result.failures] == ["data_missing"]
+    assert result.goal_reached
+    alone = parse_problem("(define (problem p) (:domain d) (:init) (:goal (measured)))", domain)
+    bindings = Bindings({"measure": Binding(goal={"level": "(level)"}, retries=0)})
+    result, _ = pursued(alone, known, limits=Limits(patience=10.0), bindings=bindings)
+    assert [failure.cause for failure in result.failures] == ["data_missing"]
+    assert result.goal_reached
+
+
+def test_what_is_reported_only_when_it_is_asked_for_is_asked_for_before_every_plan() -> None:
+    problem = rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc ad dc")
+    backend = simulated_backend(problem, Bindings(), aborts("move(r1, a, d)", times=1))
+    closed, asked = [("way", "a", "b")], []
+
+    async def refresh() -> None:
+        asked.append(backend.robots.world.truth.value(("at", "r1", "a")))
+        backend.knowledge.update(dict.fromkeys(closed, False))
+
+    backend.refresh = refresh
+    opened = backend.open
+
+    async def note(knowledge) -> None:
+        backend.knowledge = knowledge
+        await opened(knowledge)
+
+    backend.open = note
+    result = run_async(
+        achieve_at(backend, problem, Settings(bindings=Bindings({"move": Binding(retries=0)})), TaskObserver()), virtual=True
+    )
+    assert result.goal_reached
+    assert {call.call.action.arguments[1:] for call in result.calls if call.outcome == "succeeded"} == {("a", "d"), ("d", "c")}
+    assert asked[:2] == [True, True], "at the start, and after the failure"
 
 
 def test_a_fact_that_no_action_changes_may_change_all_the_same() -> None:

@@ -42,7 +42,7 @@ EVERYTHING = Binding(
 
 def test_everything_is_everything() -> None:
     """No field is left as it is by default, so that no test here overlooks one."""
-    assert all(getattr(EVERYTHING, field.name) != getattr(DEFAULT, field.name) for field in fields(Binding))
+    assert all(getattr(EVERYTHING, field.name) != getattr(DEFAULT, field.name) for field in fields(Binding) if field.compare)
 
 
 @pytest.mark.parametrize("binding", [EVERYTHING, Binding(retries=0), Binding(timeout=5.0)])

@@ -11,7 +11,7 @@ import pytest
 from pnm.actions.bindings_file import read_bindings
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.logic.declared_names import Vocabulary
+from pnm.core.logic.declared_names import FluentKind, Signature, Vocabulary
 from pnm.core.logic.expressions import UNKNOWN
 from pnm.core.machine.bindings import Binding, Bindings, goal_data
 from pnm.core.machine.generate import generate
@@ -101,6 +101,33 @@ def test_the_time_limit_follows_from_the_duration(given: float | None, duration:
 
 
 EVERYTHING = {"action": "move", "arguments": ["r1", "hall", "lab"], "duration": 12.0, "robot": "r1", "from": "hall", "to": "lab"}
+
+
+@pytest.mark.parametrize(
+    ("of", "rows", "message"),
+    [
+        ("?to", "{hall: 1}", "FILE:1:47: the table has no row for lab, which ?to of move may be"),
+        ("(home ?robot)", "{lab: 1}", "FILE:1:57: the table has no row for hall, which (home ?robot) of move may be"),
+        ("(home ?robot)", "{hall: 1, lab: 2, r1: 3}", "FILE:1:75: (home ?robot) of move cannot be r1; expected one of hall, lab"),
+        ("(level)", "{1: low}", ""),
+        ("$place", "{anything: 1}", ""),
+    ],
+)
+def test_tables_have_a_row_for_every_object(tmp_path: Path, of: str, rows: str, message: str) -> None:
+    place = frozenset({"place"})
+    home, level = Signature(FluentKind.OBJECT, (("robot",),), ("place",)), Signature(FluentKind.NUMBER)
+    known = Vocabulary(
+        {"move": {"robot": ("robot",), "from": ("place",), "to": ("place",)}},
+        signatures={"home": home, "level": level},
+        types_of={"hall": place, "lab": place, "r1": frozenset({"robot"})},
+    )
+    file = written(tmp_path, f"actions: {{move: {{goal: {{x: {{of: '{of}', table: {rows}}}}}}}}}")
+    if message:
+        assert error(lambda path: read_bindings(path, known), file) == message
+    else:
+        assert read_bindings(file, known).of("move").goal
+
+
 KNOWN = Layered(
     KnowledgeBase(
         {("x", "lab"): 4.5, ("at", "r1"): True, ("unsure",): UNKNOWN, ("ready", "move"): False},

@@ -68,6 +68,14 @@ def test_a_value_that_is_not_in_the_table_is_unknown(everything):
     assert reading.unread == {0: "zones[0].name is 'B7', which is not in the table (A1, 2, )"}
 
 
+def test_a_table_of_objects_is_needed_only_for_values_that_are_no_objects(everything):
+    sensor = Instance(everything.sensors[1], {"?r": "r1"})
+    for name, places in {"kitchen": {"kitchen"}, "hall": {"hall"}, "2": {"hall"}, "": set(), "r1": UNKNOWN, "undefined": UNKNOWN}.items():
+        reading = read(sensor, look({"zones": [{"name": name}], "room": "hall"}), objects)
+        at = {place: reading.facts["at", "r1", place] for place in ("kitchen", "hall")}
+        assert at == {place: UNKNOWN if places is UNKNOWN else place in places for place in at}
+
+
 def test_a_request_names_objects(tmp_path):
     text = "sensors: [{service: s, for: {r: arm}, request: {who: '?r', n: [1, '?r']}, facts: [{fact: '(charged ?r)'}]}]"
     (only,) = instances(read_sensing(written(tmp_path, text), KNOWN), objects)

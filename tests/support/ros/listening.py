@@ -6,6 +6,9 @@ import asyncio
 from contextlib import asynccontextmanager
 
 from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.readiness import refuse_unfit
+from pnm.ros.node.graph import snapshot
+from pnm.ros.readiness import sensor_readiness
 from pnm.ros.sensors.sensors import Sensors
 from tests.support.pddl.sensed_world import PROBLEM
 from tests.support.processes import LIMIT
@@ -17,6 +20,8 @@ async def listening(ros, sensing):
     listener = Sensors(ros, sensing, world, 1.0)
     try:
         await listener.open()
+        graph = await ros.ask(lambda: snapshot(ros.node))
+        refuse_unfit(sensor_readiness(listener.uses(), graph))
         yield world
     finally:
         await listener.close()

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
+from uuid import uuid4
+
 import pytest
 
-from pnm.core.machine.bindings import Binding
+from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import GroundAction
-from pnm.core.machine.requests import OutcomeKind
+from pnm.core.machine.requests import Ended, OutcomeKind, Request
+from pnm.errors import InputError
+from pnm.ros.action_client.client import Ros2ActionClient
+from tests.support.processes import LIMIT
+from tests.support.ros.child_process import run_bounded
 
 GROUND = "pnm_interfaces/action/GroundAction"
 FIBONACCI = "test_msgs/action/Fibonacci"
@@ -29,6 +36,43 @@ def test_outcome_and_result(with_client, shared, action, kind, message):
         assert (outcome.kind, outcome.message, outcome.result) == (kind, message, {"message": message})
 
     with_client(scenario, act=Binding(server=shared))
+
+
+def test_an_end_is_known_before_it_is_reported(ros, shared):
+    async def scenario():
+        order = []
+        loop, over = asyncio.get_running_loop(), asyncio.Event()
+        client = Ros2ActionClient(ros, Bindings({"act": Binding(server=shared)}), loop, order.append)
+
+        def report(what):
+            order.append(what)
+            if isinstance(what, Ended):
+                over.set()
+
+        request = Request(uuid4(), GroundAction("act"), {"action": "succeed"})
+        client.send(request, report)
+        await over.wait()
+        client.close()
+        *_, known, ended = order
+        assert (known, ended.request) == (request.id, request.id)
+        assert order.count(request.id) == 1
+
+    run_bounded(scenario())
+
+
+def test_two_types_for_one_server_are_an_error_and_one_serves_for_all(with_client, shared):
+    async def scenario(client):
+        assert not await client.ros2.prepare([GroundAction("act"), GroundAction("again")], LIMIT)
+        outcome = await client.send("again", action="succeed").ended()
+        assert outcome.kind is OutcomeKind.SUCCEEDED
+        reason = f"the action server /{shared} is bound with two types: {GROUND} and {FIBONACCI}"
+        with pytest.raises(InputError, match=reason):
+            await client.ros2.prepare([GroundAction("other")])
+        outcome = await client.send("other", order=3).ended()
+        assert (outcome.kind, outcome.message) == (OutcomeKind.UNAVAILABLE, reason)
+
+    act, again = Binding(server=shared), Binding(server=f"/{shared}", type=GROUND)
+    with_client(scenario, act=act, again=again, other=Binding(server=shared, type=FIBONACCI))
 
 
 def test_rejected(with_client, shared):

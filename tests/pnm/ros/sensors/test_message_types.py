@@ -18,7 +18,7 @@ from pnm.ros.node.service_client import until_true
 from pnm.ros.node.typed_fields import find_field, value_at
 from pnm.ros.sensors.fitted import fitted
 from pnm.ros.sensors.sensors import Sensors
-from tests.support.pddl.sensed_world import DOMAIN, PROBLEM
+from tests.support.pddl.sensed_world import DOMAIN
 from tests.support.ros.child_process import bounded, run_bounded
 from tests.support.ros.listening import becomes, listening
 
@@ -46,9 +46,10 @@ async def test_a_field_that_the_type_does_not_have_is_refused(ros, sensing, fact
     file = sensing(f"sensors:\n  - topic: nobody\n    type: {BASIC}\n    facts: [{facts}]")
 
     with pytest.raises(InputError) as caught:
-        Sensors(ros, file, KnowledgeBase(objects=PROBLEM.objects_by_type), 1.0)
+        async with listening(ros, file):
+            pass
     assert said in str(caught.value)
-    assert caught.value.position.line == 4
+    assert "sensing.yaml:4:" in str(caught.value)
 
 
 def test_types_found_in_the_graph_are_checked_as_well(ros, names, sensing, sensors):

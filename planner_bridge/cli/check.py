@@ -1,0 +1,87 @@
+"""`pnm check`: whether the action servers and sensors of a robot are there, and fit the files about them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import click
+from rich.console import Console
+from rich.text import Text
+
+from planner_bridge.cli.console import SafeConsole
+from planner_bridge.cli.options import (
+    Seconds,
+    as_json_option,
+    bindings_option,
+    chosen_files,
+    command,
+    files_or_plan,
+    problem_in,
+    sensing_option,
+)
+from planner_bridge.loading import bindings_for
+from planner_bridge.pipeline import readiness, readiness_for_plan
+from planner_bridge.tasks.settings import Settings
+from pnm.actions.bindings_file import read_bindings
+from pnm.core.machine.bindings import NO_BINDINGS
+from pnm.core.readiness import Readiness, ReadyState
+from pnm.knowledge.sensor_file import read_sensing
+from pnm.knowledge.sensor_model import NO_SENSING
+
+_STYLES: Final = {ReadyState.READY: "green", ReadyState.ABSENT: "yellow", ReadyState.SILENT: "yellow", ReadyState.UNFIT: "bold red"}
+
+
+@click.command()
+@files_or_plan
+@bindings_option
+@sensing_option
+@click.option("--wait", type=Seconds(0), default=0.0, help="seconds for what is not there yet to appear")
+@as_json_option
+@command
+def check(
+    *,
+    domain: Path | None,
+    problem: Path | None,
+    plan_file: Path | None,
+    name: str | None,
+    bindings: Path | None,
+    sensing: Path | None,
+    wait: float,
+    as_json: bool,
+) -> int:
+    """Check action servers and sensors against the ROS graph.
+
+    Nothing is sent. Exit status: 0 everything is ready, 1 something is not there yet or silent, 2 something can never work.
+    """
+    chosen = chosen_files(domain, problem, plan_file)
+    if isinstance(chosen, Path):
+        sensors = read_sensing(sensing) if sensing else NO_SENSING
+        settings = Settings(bindings=read_bindings(bindings) if bindings else NO_BINDINGS, sensing=sensors)
+        rows = readiness_for_plan(chosen, name, settings, wait)
+    else:
+        loaded = problem_in(*chosen)
+        sensors = read_sensing(sensing, loaded.vocabulary) if sensing else NO_SENSING
+        settings = Settings(bindings=bindings_for(chosen[0], bindings, loaded.vocabulary), sensing=sensors)
+        rows = readiness(loaded, settings, wait)
+    if as_json:
+        print(json.dumps({"ready": all(row.state is ReadyState.READY for row in rows), "rows": [row.as_json() for row in rows]}))
+    else:
+        print_table(SafeConsole(), rows)
+    states = {row.state for row in rows}
+    return 2 if ReadyState.UNFIT in states else 1 if states - {ReadyState.READY} else 0
+
+
+def print_table(console: Console, rows: Sequence[Readiness]) -> None:
+    """Print a line for each row; what to do comes last, because it may be long."""
+    lines = [("what", "name", "type", "state", "what to do")]
+    lines += [(row.what, row.name, row.type, row.state.value, row.where + row.advice) for row in rows]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    for number, (*parts, advice) in enumerate(lines):
+        *plain, state = (part.ljust(width) for part, width in zip(parts, widths, strict=False))
+        style = _STYLES[rows[number - 1].state] if number else ""
+        line = Text("  ".join((*plain, ""))).append(state, style).append(f"  {advice}")
+        line.rstrip()
+        console.print(line, soft_wrap=True)

@@ -1,0 +1,174 @@
+"""`pnm check`, and the same look at the start of `pnm run` and `pnm serve`: against real servers and sensors in other processes."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from tests.support.files import ROOT, written
+from tests.support.processes import LIMIT, Program
+
+DOMAIN = """
+(define (domain foreign)
+  (:requirements :typing :numeric-fluents)
+  (:types place)
+  (:constants hall kitchen - place)
+  (:predicates (counted) (measured) (lit))
+  (:functions (x ?p - place) (level))
+  (:action count :parameters () :precondition () :effect (counted))
+  (:action measure :parameters (?to - place) :precondition (counted) :effect (measured)))
+"""
+PROBLEM = "(define (problem p) (:domain foreign) (:init (= (x hall) 1) (= (x kitchen) 2)) (:goal (measured)))"
+
+COUNT = "count: {goal: {order: 3}}"
+MEASURE = 'measure: {goal: {nested_field: {int32_value: "(x ?to)"}}}'
+FIBONACCI, NESTED = "test_msgs/action/Fibonacci", "test_msgs/action/NestedMessage"
+BASIC = "test_msgs/msg/BasicTypes"
+LAMP = {"topic": "/lamp", "type": BASIC, "fields": {"bool_value": True}}
+GAUGE = {"service": "/gauge", "type": "test_msgs/srv/BasicTypes", "fields": {"float64_value": 0.5}}
+SENSORS = """
+sensors:
+  - {topic: /lamp, facts: [{fact: (lit), field: bool_value}]}
+  - {service: /gauge, facts: [{number: (level), field: float64_value}]}
+"""
+
+
+@pytest.fixture(scope="module")
+def world(deploy_for_module):
+    """Two action servers, of types that are not ours, a topic and a service."""
+    deployment = deploy_for_module("foreign", texts=(DOMAIN, PROBLEM), quick=True)
+    servers = deployment.start(Program(["-m", "tests.support.e2e.programs.foreign_servers"], deployment.environment))
+    deaf = {"service": "/deaf", "type": "test_msgs/srv/BasicTypes", "fields": {}, "deaf": True}
+    sensors = ["-m", "tests.support.ros.sensors", *map(json.dumps, (LAMP, GAUGE, deaf))]
+    sensing = deployment.start(Program(sensors, deployment.environment))
+    servers.until(lambda: servers.out)
+    sensing.until(lambda: "ready" in sensing.out)
+    deployment.servers = servers
+    return deployment
+
+
+@pytest.fixture
+def started(world, tmp_path):
+    """Start a command with bindings, and sensing if there is a text for it."""
+
+    def start(command, *bindings, sensing="", options=()):
+        files = ["--bindings", str(written(tmp_path / "bindings.yaml", "\n  ".join(("actions:", *bindings))))]
+        files += ["--sensing", str(written(tmp_path / "sensing.yaml", sensing))] if sensing else []
+        return world.start(Program(["-m", "planner_bridge", command, *world.files, *files, *options], world.environment))
+
+    return start
+
+
+@pytest.fixture
+def check(started):
+    """Run `pnm check` and return its exit status and the state and advice for each name."""
+
+    def run(*bindings, **options):
+        program = started("check", *bindings, options=("--json",), **options)
+        status = program.ended()
+        (answer,) = program.objects()
+        assert answer["ready"] is (status == 0)
+        return status, {row["what"]: (row["state"], row["name"], row["advice"]) for row in answer["rows"]}
+
+    return run
+
+
+def test_everything_is_there_and_fits(check):
+    status, rows = check(COUNT, MEASURE, sensing=SENSORS)
+    assert status == 0
+    assert {what: row[:2] for what, row in rows.items()} == {
+        "count": ("ready", "/count"),
+        "measure": ("ready", "/measure"),
+        "(lit)": ("ready", "/lamp"),
+        "(level)": ("ready", "/gauge"),
+    }
+
+
+def test_what_is_not_there_yet_names_what_is_near(check):
+    sensing = """
+sensors:
+  - {topic: /lamps, facts: [{fact: (lit), field: bool_value}]}
+  - {service: /gaug, facts: [{number: (level), field: float64_value}]}
+  - {service: /deaf, limit: 0.2, facts: [{number: (x hall), field: float64_value}]}
+"""
+    status, rows = check("count: {server: cuont, type: test_msgs/action/Fibonacci, goal: {order: 3}}", MEASURE, sensing=sensing)
+    assert status == 1
+    absent = "there is no action server /cuont of type test_msgs/action/Fibonacci; similar are /count"
+    assert rows["count"] == ("absent", "/cuont", absent)
+    assert rows["(lit)"] == ("absent", "/lamps", "there is no topic /lamps; similar are /lamp")
+    assert rows["(level)"] == ("absent", "/gaug", "there is no service /gaug; similar are /gauge")
+    assert rows["(x hall)"][:2] == ("silent", "/deaf")
+    assert rows["(x hall)"][2].startswith("/deaf has not answered yet")
+
+
+def test_a_name_that_ros_does_not_take_is_refused_with_its_place(started):
+    program = started("check", COUNT, 'measure: {server: "1x", goal: {}}')
+    assert program.ended() == 2
+    assert "bindings.yaml:3:12: not a name for an action server: '1x'" in program.err[-1]
+
+
+def test_a_table_without_a_row_is_refused(started):
+    program = started("check", COUNT, 'measure: {goal: {nested_field: {of: "?to", table: {hall: {int32_value: 1}}}}}')
+    assert program.ended() == 2
+    assert "bindings.yaml:3:53: the table has no row for kitchen, which ?to of measure may be" in program.err[-1]
+
+
+def test_one_server_bound_with_two_types_is_refused_with_both_places(check, started):
+    bindings = [f"count: {{server: /measure, type: {FIBONACCI}, goal: {{order: 3}}}}", f"{MEASURE[:-1]}, type: {NESTED}}}"]
+    status, rows = check(*bindings)
+    assert (status, rows["count"][0], rows["measure"][0]) == (2, "unfit", "unfit")
+    for command in ("run", "serve"):
+        program = started(command, *bindings, options=("--actions", "ros2") if command == "run" else ())
+        assert program.ended() == 2
+        first, second = program.err
+        assert f"bindings.yaml:2:10: /measure is a {FIBONACCI} here, and a {NESTED} in the binding of measure (" in first
+        assert first.endswith("bindings.yaml:3:12); expected one type for one server")
+        assert f"bindings.yaml:3:12: /measure is a {NESTED} here, and a {FIBONACCI} in the binding of count (" in second
+
+
+def test_a_binding_without_a_type_uses_the_type_that_another_gives_to_the_same_server(started):
+    bindings = ["count: {server: measure, goal: {nested_field: {int32_value: 4}}}", f"{MEASURE[:-1]}, type: {NESTED}}}"]
+    run = started("run", *bindings, options=("--actions", "ros2"))
+    assert run.ended() == 0, str(run)
+
+
+@pytest.mark.parametrize("command", ["run", "serve"])
+def test_run_and_serve_refuse_what_can_never_work_before_anything_is_sent(started, world, command):
+    before = len(world.servers.out)
+    options = ("--actions", "ros2") if command == "run" else ()
+    program = started(command, COUNT, 'measure: {goal: {nested_field: {int32_value: "?to"}}}', options=options)
+    assert program.ended() == 2
+    assert "bindings.yaml:3:12: field nested_field.int32_value, which is filled from ?to, needs int32" in program.err[-1]
+    assert len(world.servers.out) == before
+
+
+def test_run_says_once_what_is_not_there_and_how_long_it_waits_and_is_quiet_otherwise(started):
+    fine = started("run", COUNT, MEASURE, options=("--actions", "ros2"))
+    assert fine.ended() == 0, str(fine)
+    assert not fine.err
+    absent = started("run", COUNT, f"{MEASURE[:-1]}, server: mesure, accept: 1}}", options=("--actions", "ros2", "--replans", "0"))
+    assert absent.ended() == 1
+    (line,) = absent.err
+    assert line.startswith("measure: there is no action server /mesure; similar are /measure; it is waited for where it is needed, ")
+
+
+def test_what_starts_a_little_later_is_waited_for(deploy):
+    deployment = deploy("foreign", texts=(DOMAIN, PROBLEM), bindings="\n  ".join(("actions:", COUNT, MEASURE)), quick=True)
+    files = [*deployment.files, "--bindings", str(deployment.folder / "bindings.yaml")]
+    check = deployment.start(Program(["-m", "planner_bridge", "check", *files, "--wait", str(LIMIT)], deployment.environment))
+    deployment.start(Program(["-m", "tests.support.e2e.programs.foreign_servers"], deployment.environment))
+    assert check.ended() == 0
+    assert [line.split() for line in check.out] == [
+        ["what", "name", "type", "state", "what", "to", "do"],
+        ["count", "/count", FIBONACCI, "ready"],
+        ["measure", "/measure", NESTED, "ready"],
+    ]
+
+
+def test_the_servers_of_plans_by_hand_are_looked_for(world):
+    plans = str(ROOT / "domains" / "mall_guide" / "plans" / "world.yaml")
+    program = world.start(Program(["-m", "planner_bridge", "check", "--plan", plans], world.environment))
+    assert program.ended() == 1
+    states = {line.split()[0]: line.split()[2] for line in program.out[1:]}
+    assert states == {"say": "absent", "ask_wish": "absent", "point_at": "absent"}
