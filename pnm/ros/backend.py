@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable
+from collections.abc import Awaitable, Iterable
 from functools import partial
 from time import monotonic
 from typing import Any, Final
@@ -141,12 +141,11 @@ class Ros2Backend:
         self._services.append(KnowledgeServices(self.ros, asyncio.get_running_loop(), service_prefix(mark), find, source))
         await self._services[-1].open()
 
-    def _ended(self, request: UUID) -> None:
+    def _ended(self, request: UUID) -> Awaitable[object]:
         """Withdraw what a server is still asking for a request that is over, and ask how the world is now."""
         for services in self._services:
             services.end(request)
-        if self._sensors is not None:
-            self._sensors.want()
+        return self.refresh()
 
     async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
         """Look for the servers of these actions; wait for them only while this node itself is new."""

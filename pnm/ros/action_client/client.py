@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable
 from functools import partial
 from time import monotonic
 from typing import Any, Final
@@ -29,6 +29,9 @@ _CLOSED: Final = "the ROS 2 node was closed"
 
 _Key = tuple[str, str | None, bool]
 
+_AT_ONCE: Final = frozenset({OutcomeKind.SUCCEEDED, OutcomeKind.CANCELED})
+"""Ends that are reported at once: the effects of the one are looked for, and the other is waited for."""
+
 
 class Ros2ActionClient:
     """An `ActionClient` for action servers of any type.
@@ -38,13 +41,18 @@ class Ros2ActionClient:
     even when the ROS thread is closed before.
 
     Args:
-        ended: called on the event loop's thread with each request that is over, before its end is reported.
+        ended: called on the event loop's thread with each request that is over, before its end is reported, to have asked how the world
+            is then. An end without success is reported when that is known: it decides whether there is another attempt.
 
-    The mutable state is on the ROS thread (the links and the open goals), except `_closed`.
+    The mutable state is on the ROS thread (the links and the open goals), except `_closed`, and the ends that are to be reported.
     """
 
     def __init__(
-        self, ros: RosThread, bindings: Bindings, loop: asyncio.AbstractEventLoop, ended: Callable[[UUID], object] = lambda request: None
+        self,
+        ros: RosThread,
+        bindings: Bindings,
+        loop: asyncio.AbstractEventLoop,
+        ended: Callable[[UUID], Awaitable[object]] = lambda request: asyncio.sleep(0),
     ) -> None:
         self._ros = ros
         self._bindings = bindings
@@ -53,6 +61,7 @@ class Ros2ActionClient:
         self._links: dict[_Key, ServerLink] = {}
         self._goals: dict[UUID, tuple[Goal, ServerLink]] = {}
         self._closed = False
+        self._ends: set[asyncio.Future[None]] = set()
         self._timer: Any = None
         ros.on_close(self._lose_all)
 
@@ -101,6 +110,20 @@ class Ros2ActionClient:
             self._closed = True
             self._ros.call(self._end)
 
+    def _report_end(self, report: Reporter, end: Ended) -> None:
+        asked, at_once = self._ended(end.request), end.outcome.kind in _AT_ONCE
+
+        async def report_then() -> None:
+            await asked
+            if not (at_once or self._closed):
+                report(end)
+
+        ending = asyncio.ensure_future(report_then())
+        self._ends.add(ending)
+        ending.add_done_callback(self._ends.discard)
+        if at_once:
+            report(end)
+
     def _key(self, action: GroundAction) -> _Key:
         binding = self._bindings.of(action.name)
         return self._bindings.server(action), binding.type, binding.several_servers
@@ -143,9 +166,7 @@ class Ros2ActionClient:
         if isinstance(what, Ended):
             self._goals.pop(what.request, None)
         if not self._closed:
-            if isinstance(what, Ended):
-                call_on_loop(self._loop, self._ended, what.request)
-            call_on_loop(self._loop, report, what)
+            call_on_loop(self._loop, partial(self._report_end, report) if isinstance(what, Ended) else report, what)
 
     def _keep_looking(self) -> None:
         """Have the timer run while, and only while, a goal is under way or a link has something to look after."""

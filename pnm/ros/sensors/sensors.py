@@ -75,11 +75,6 @@ class Sensors:
             for sensor in self._sensors
         )
 
-    def want(self) -> None:
-        """Have all services asked at once: the world may have changed."""
-        for poll in self._polls:
-            poll.want()
-
     async def refresh(self) -> None:
         """Have all services asked at once, and wait for their answers, each for twice its limit at most."""
         await asyncio.gather(*(poll.refresh() for poll in self._polls))

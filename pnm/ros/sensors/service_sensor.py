@@ -44,10 +44,6 @@ class ServiceSensor:
         """Return True if there is such a service."""
         return bool(await self._ros.ask(self._types))
 
-    def want(self) -> None:
-        """Ask at once: the world may have changed. A request that is under way is followed by another one."""
-        self._is_wanted.set()
-
     async def refresh(self) -> None:
         """Ask at once, and wait for the answer; for twice the limit at most, since a request may be under way."""
         if not self._is_over:

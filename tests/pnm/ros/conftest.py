@@ -11,7 +11,7 @@ import os
 import select
 import subprocess
 import sys
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Awaitable, Callable, Coroutine, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from itertools import count
@@ -95,8 +95,9 @@ class Sent:
 class RecordingClient:
     """A client with one binding per action name, and the requests sent through it."""
 
-    def __init__(self, ros: RosThread, **bindings: Binding) -> None:
-        self.ros2 = Ros2ActionClient(ros, Bindings(bindings), asyncio.get_running_loop())
+    def __init__(self, ros: RosThread, ended: Callable[[UUID], Awaitable[object]] | None = None, **bindings: Binding) -> None:
+        options = {} if ended is None else {"ended": ended}
+        self.ros2 = Ros2ActionClient(ros, Bindings(bindings), asyncio.get_running_loop(), **options)
 
     def send(self, name: str, /, **goal: object) -> Sent:
         sent = Sent(Request(uuid4(), GroundAction(name), goal))
@@ -165,9 +166,11 @@ Scenario = Callable[[RecordingClient], Coroutine[Any, Any, None]]
 def with_client(ros: RosThread) -> Callable[..., None]:
     """Run a test's coroutine with a client that has the given bindings."""
 
-    def run(scenario: Scenario, limit: float = LIMIT, **bindings: Binding) -> None:
+    def run(
+        scenario: Scenario, limit: float = LIMIT, ended: Callable[[UUID], Awaitable[object]] | None = None, **bindings: Binding
+    ) -> None:
         async def whole() -> None:
-            client = RecordingClient(ros, **bindings)
+            client = RecordingClient(ros, ended, **bindings)
             try:
                 await asyncio.wait_for(scenario(client), limit)
             finally:

@@ -42,7 +42,12 @@ def test_an_end_is_known_before_it_is_reported(ros, shared):
     async def scenario():
         order = []
         loop, over = asyncio.get_running_loop(), asyncio.Event()
-        client = Ros2ActionClient(ros, Bindings({"act": Binding(server=shared)}), loop, order.append)
+
+        def known(request):
+            order.append(request)
+            return asyncio.sleep(0)
+
+        client = Ros2ActionClient(ros, Bindings({"act": Binding(server=shared)}), loop, known)
 
         def report(what):
             order.append(what)
@@ -53,8 +58,8 @@ def test_an_end_is_known_before_it_is_reported(ros, shared):
         client.send(request, report)
         await over.wait()
         client.close()
-        *_, known, ended = order
-        assert (known, ended.request) == (request.id, request.id)
+        *_, last, ended = order
+        assert (last, ended.request) == (request.id, request.id)
         assert order.count(request.id) == 1
 
     run_bounded(scenario())
@@ -227,3 +232,25 @@ def test_goals_that_wait_for_the_answers_to_others_have_their_whole_time(with_cl
             assert (await goal.ended()).kind is OutcomeKind.CANCELED
 
     with_client(scenario, act=Binding(server=server, type=GROUND, accept=2.5))
+
+
+def test_an_end_without_success_is_reported_when_the_world_has_been_asked(with_client, shared):
+    asked, answered = asyncio.Event(), asyncio.Event()
+
+    async def ended(request):
+        asked.set()
+        await answered.wait()
+
+    async def scenario(client):
+        assert (await client.send("act", action="succeed").ended()).kind is OutcomeKind.SUCCEEDED
+        await asked.wait()
+        asked.clear()
+        aborted = client.send("act", action="abort")
+        await aborted.accepted()
+        await asked.wait()
+        assert (await client.send("act", action="succeed").ended()).kind is OutcomeKind.SUCCEEDED
+        assert aborted.reports.empty()
+        answered.set()
+        assert (await aborted.ended()).kind is OutcomeKind.ABORTED
+
+    with_client(scenario, ended=ended, act=Binding(server=shared))
