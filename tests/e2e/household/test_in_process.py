@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-pytest.importorskip("pyrobosim", reason="the simulator is not installed")
-
 from planner_bridge.tasks.result import TaskResult
 from tests.support.e2e.household.in_process import SimulatorBackend, in_world, pursue
 from tests.support.e2e.household.simulator import has_reached

@@ -7,9 +7,6 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("pyrobosim", reason="the simulator is not installed")
-pytest.importorskip("pyrobosim_msgs", reason="PyRoboSim's interfaces are not installed")
-
 from tests.support.e2e.deployment import RunProgram
 from tests.support.e2e.plan_deployment import PlanDeployment
 from tests.support.files import ROOT
