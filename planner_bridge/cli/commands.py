@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 
 _ELSEWHERE: Final = {
     "check": "check",
+    "init": "init",
     "serve": "serve",
     **dict.fromkeys(("status", "watch", "goal", "pause", "resume", "cancel", "facts"), "running_node"),
 }

@@ -1,0 +1,48 @@
+"""`pnm init`: first files for the robot that is there."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from pathlib import Path
+
+import click
+
+from planner_bridge.cli.options import FILE, command, force_option, write_files
+from pnm.clock import run_async
+from pnm.errors import InputError
+
+
+@click.command()
+@click.argument("folder", type=FILE)
+@force_option
+@command
+def init(folder: Path, force: bool) -> int:
+    """Look at the ROS graph, and write a first domain, problem, bindings and sensors into FOLDER.
+
+    They pass `pnm check`; every line that needs a decision of yours has a comment with the word `decide`.
+    """
+    texts = run_async(_first_files(re.sub(r"\W", "-", folder.resolve().name.lower()).strip("-") or "robot"))
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: not a folder, and none can be made there: {error.strerror}") from error
+    write_files({folder / name: text for name, text in texts.items()}, force=force)
+    decisions = sum(text.count("decide: ") for text in texts.values())
+    files = f"{folder / 'domain.pddl'} {folder / 'problem.pddl'}"
+    print(f"{decisions} lines need a decision: look for `decide`. Then: pnm check {files} --sensing {folder / 'sensing.yaml'}")
+    return 0
+
+
+async def _first_files(name: str) -> dict[str, str]:
+    from pnm.ros.node.ros_thread import RosThread  # here, because rclpy is an extra
+
+    ros = RosThread("pnm_init")
+    try:
+        from pnm.ros.first_files import first_files  # needs rclpy, which is there by now
+        from pnm.ros.node.graph import snapshot
+
+        await ros.settled()
+        return first_files(await ros.ask(lambda: snapshot(ros.node)), name)
+    finally:
+        await asyncio.to_thread(ros.close)

@@ -1,0 +1,237 @@
+"""First files for a robot that is there: a domain, a problem, bindings and sensors from what the ROS graph has.
+
+They pass `pnm check`, and every line that needs a decision has a comment. Nothing in them is known but names and types: what
+actions need and change is for people to say.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from pnm.errors import InputError
+from pnm.ros.node.graph import GraphSnapshot
+from pnm.ros.node.messages import import_type
+
+_OURS: Final = "pnm_interfaces/action/"
+_POSES: Final = {
+    "geometry_msgs/PoseStamped": "{header: {frame_id: map}, pose: {position: {x: 0.0, y: 0.0}, orientation: {w: 1.0}}}",
+    "geometry_msgs/Pose": "{position: {x: 0.0, y: 0.0}, orientation: {w: 1.0}}",
+    "geometry_msgs/Pose2D": "{x: 0.0, y: 0.0, theta: 0.0}",
+    "geometry_msgs/PointStamped": "{header: {frame_id: map}, point: {x: 0.0, y: 0.0}}",
+    "geometry_msgs/Point": "{x: 0.0, y: 0.0}",
+}
+"""Types of goal fields that are places, and what a row of a table for one looks like."""
+_CONSTANT: Final = re.compile(r"boolean|u?int\d+|float|double")
+_VERDICTS: Final = frozenset({"success", "succeeded", "ok", "is_success"})
+_CODES: Final = frozenset({"error_code", "result_code", "return_code", "status", "code"})
+_REASONS: Final = frozenset({"message", "error_msg", "error_message", "error_string", "reason"})
+_MESSAGE: Final = re.compile(r"\w+/\w+")
+_DEPTH: Final = 2
+"""How deep fields of results are looked at."""
+
+
+@dataclass
+class _Action:
+    """The lines of one action in the files, being written."""
+
+    name: str
+    type: str
+    server: str
+    parameters: dict[str, str] = field(default_factory=dict)
+    """For every parameter its type."""
+    goal: list[str] = field(default_factory=list)
+    verdict: list[str] = field(default_factory=list)
+
+    @property
+    def variables(self) -> str:
+        return "".join(f" ?{name} - {kind}" for name, kind in self.parameters.items())
+
+    @property
+    def fact(self) -> str:
+        return f"({' '.join((f'done_{self.name}', *(f'?{name}' for name in self.parameters)))})"
+
+
+def first_files(graph: GraphSnapshot, name: str) -> dict[str, str]:
+    """Return the texts of the first files by their names.
+
+    Args:
+        graph: what is there.
+        name: of the domain and the problem.
+
+    Raises:
+        InputError: there is no action server, or of none is the type installed.
+    """
+    actions, left_out, objects = _actions(graph)
+    if not actions:
+        found = "; ".join(left_out) or "there is no action server in the ROS graph (is the robot on, and ROS_DOMAIN_ID the same?)"
+        raise InputError(f"no files without an action server: {found}")
+    sensors, facts = _sensors(graph, objects.get("robot", []))
+    return {
+        "domain.pddl": _domain(name, actions, facts),
+        "problem.pddl": _problem(name, actions, objects),
+        "bindings.yaml": _bindings(actions, left_out),
+        "sensing.yaml": sensors,
+    }
+
+
+# --- what there is ---------------------------------------------------------------------------------
+
+
+def _actions(graph: GraphSnapshot) -> tuple[list[_Action], list[str], dict[str, list[str]]]:
+    """Return actions, what was left out and why, and the objects by their types."""
+    groups: dict[tuple[str, str], list[str]] = {}
+    left_out: list[str] = []
+    for server, types in sorted(graph.servers.items()):
+        if len(types) != 1:
+            left_out.append(f"{server} has several types: {', '.join(types)}")
+        elif not types[0].startswith(_OURS) or types[0].endswith("/GroundAction"):
+            groups.setdefault((server.rpartition("/")[2], types[0]), []).append(server)
+    robots = sorted({server.split("/")[1] for servers in groups.values() for server in servers if server.count("/") == 2})
+    actions: list[_Action] = []
+    objects: dict[str, list[str]] = {}
+    for (base, type_name), servers in groups.items():
+        # One action for all robots needs a server of every robot.
+        is_every_robots = bool(robots) and {f"/{robot}/{base}" for robot in robots} <= {*servers}
+        alone = [server for server in servers if not (is_every_robots and server.count("/") == 2)]
+        for pattern in [*([f"/{{robot}}/{base}"] if is_every_robots else []), *alone]:
+            words = (re.sub(r"\W", "_", text) for text in (base, pattern.strip("/").replace("{robot}", "robot")))
+            action = _Action(next(word for word in words if word not in {other.name for other in actions}), type_name, pattern)
+            try:
+                action_type = import_type(type_name)
+            except InputError as error:
+                left_out.append(f"{pattern}: {error.message}")
+                continue
+            if "{robot}" in pattern:
+                action.parameters["robot"] = "robot"
+                objects["robot"] = robots
+            _bind_goal(action, action_type.Goal, objects)
+            action.verdict.extend(_verdict(action_type.Result))
+            actions.append(action)
+    return actions, left_out, objects
+
+
+def _bind_goal(action: _Action, goal: Any, objects: dict[str, list[str]]) -> None:
+    for name, kind in goal.get_fields_and_field_types().items():
+        if name in action.parameters:
+            action.goal.append(f'      {name}: "?{name}"')
+        elif kind in _POSES:
+            action.parameters[name] = "place"
+            objects["place"] = ["somewhere"]
+            action.goal.append(f'      {name}: {{of: "?{name}", table: {{somewhere: {_POSES[kind]}}}}}   # decide: a row for every place')
+        elif kind.startswith("string"):
+            action.parameters[name] = f"{name}_name"
+            objects[f"{name}_name"] = [f"some_{name}"]
+            action.goal.append(f'      {name}: "?{name}"   # decide: the name of the object is sent; or a constant, or a table')
+        elif _CONSTANT.fullmatch(kind):
+            default = str(getattr(goal(), name)).lower()
+            action.goal.append(
+                f'      {name}: {default}   # decide: a constant, an argument such as "?to", or a function: "(speed ?robot)"'
+            )
+        else:
+            inner = ", ".join(f"{path}: {its}" for path, its in list(_leaves_of(kind))[:12])
+            action.goal.append(f"      # {name}: {{{inner}}}   # decide: a {kind}; its default is sent")
+
+
+def _verdict(result: Any) -> Iterator[str]:
+    """Yield lines about success and reason, as far as names of fields suggest them."""
+    found = list(_leaves(result, "", _DEPTH))
+    verdict = next((path for path, kind in found if path.rpartition(".")[2] in _VERDICTS and kind == "boolean"), None)
+    code = next((path for path, kind in found if path.rpartition(".")[2] in _CODES and "int" in kind), None)
+    reason = next((path for path, kind in found if path.rpartition(".")[2] in _REASONS and kind.startswith("string")), None)
+    if verdict:
+        yield f"    success: {verdict}   # decide: the server may report failure inside of a success"
+    elif code:
+        yield f"    success: {{field: {code}, eq: 0}}   # decide: which numbers are a success"
+    elif found:
+        paths = ", ".join(path for path, _ in found[:8])
+        yield f"    # success: {{field: ..., eq: ...}}   # decide: only if one of these tells success: {paths}"
+    if reason:
+        yield f"    reason: {reason}"
+
+
+def _leaves(message: Any, before: str, depth: int) -> Iterator[tuple[str, str]]:
+    """Yield the paths and types of fields that are no messages themselves."""
+    for name, kind in message.get_fields_and_field_types().items():
+        if not _MESSAGE.fullmatch(kind):
+            yield f"{before}{name}", kind
+        elif depth > 1:
+            yield from ((f"{before}{name}.{path}", its) for path, its in _leaves_of(kind))
+
+
+def _leaves_of(kind: str) -> Iterator[tuple[str, str]]:
+    if _MESSAGE.fullmatch(kind):
+        yield from _leaves(import_type(kind.replace("/", "/msg/")), "", 1)
+
+
+def _sensors(graph: GraphSnapshot, robots: list[str]) -> tuple[str, dict[str, str]]:
+    """Return the text about sensors, and what the domain declares for them."""
+    lines, others, declared = list[str](), list[str](), dict[str, str]()
+    for topic, types in sorted(graph.topics.items()):
+        parts = topic.strip("/").split("/")
+        is_robots = len(parts) == 2 and parts[0] in robots
+        pattern, variable = (f"/{{robot}}/{parts[1]}", " ?robot") if is_robots else (topic, "")
+        word = re.sub(r"\W", "_", parts[-1]).lower()
+        scope = ["    for: {robot: robot}"] if is_robots else []
+        if any(f"topic: {pattern}\n" in line for line in lines):
+            continue
+        head = "\n".join((f"  - topic: {pattern}", f"    type: {types[0]}", *scope, "    facts:")) + "\n"
+        if types == ("std_msgs/msg/Bool",):
+            lines.append(f"{head}      - fact: ({word}{variable})   # decide: its name\n        when: {{field: data, eq: true}}\n")
+            declared[f"({word}{' ?robot - robot' if is_robots else ''})"] = "predicate"
+        elif types == ("sensor_msgs/msg/BatteryState",):
+            lines.append(f"{head}      - number: ({word}{variable})\n        field: percentage\n")
+            declared[f"({word}{' ?robot - robot' if is_robots else ''})"] = "function"
+        elif not types[0].startswith(("rcl_interfaces/", "pnm_interfaces/", "action_msgs/")):
+            others.append(f"# {topic}   {types[0]}\n")
+    text = "# What topics and services say of the world. Facts that nothing reports are assumed to come true as actions say.\n\n"
+    text += f"sensors:\n{''.join(lines)}" if lines else "sensors: []\n"
+    if others:
+        text += (
+            f"\n# decide: which of these say something that goals or actions are about; docs/sensing.md has the entries\n{''.join(others)}"
+        )
+    return text, declared
+
+
+# --- the texts ---------------------------------------------------------------------------------------
+
+
+def _domain(name: str, actions: list[_Action], sensed: Mapping[str, str]) -> str:
+    types = " ".join(sorted({kind for action in actions for kind in action.parameters.values()}))
+    facts = [f"    ({fact[1:-1]})" for fact, kind in sensed.items() if kind == "predicate"]
+    facts += [f"    (done_{action.name}{action.variables})" for action in actions]
+    numbers = [fact for fact, kind in sensed.items() if kind == "function"]
+    text = f"; What the robot can do. decide: what each action needs (:condition) and what it changes (:effect).\n(define (domain {name})\n"
+    text += "  (:requirements :typing :durative-actions :fluents)\n"
+    text += f"  (:types {types})\n" if types else ""
+    text += "  (:predicates\n" + "\n".join(facts) + ")\n"
+    text += f"  (:functions {' '.join(numbers)})\n" if numbers else ""
+    for action in actions:
+        text += f"\n  (:durative-action {action.name}   ; {action.server}, {action.type}\n    :parameters ({action.variables.strip()})\n"
+        text += "    :duration (= ?duration 10)   ; decide: how long it usually takes\n"
+        text += "    :condition (and)             ; decide: such as (at start (at ?robot ?from))\n"
+        text += f"    :effect (at end {action.fact}))   ; decide: what is so afterwards\n"
+    return f"{text})\n"
+
+
+def _problem(name: str, actions: list[_Action], objects: Mapping[str, list[str]]) -> str:
+    declared = "\n".join(f"    {' '.join(names)} - {kind}   ; decide: which there are" for kind, names in objects.items())
+    first = actions[0]
+    chosen = " ".join((f"done_{first.name}", *(objects[kind][0] for kind in first.parameters.values())))
+    text = f"; The world, and what is wanted.\n(define (problem first)\n  (:domain {name})\n"
+    text += f"  (:objects\n{declared}\n  )\n" if declared else ""
+    return text + f"  (:init)   ; decide: what is so at first, and no sensor reports\n  (:goal ({chosen})))   ; decide: what shall be so\n"
+
+
+def _bindings(actions: list[_Action], left_out: list[str]) -> str:
+    text = "# Which action server carries out which action, and with which goal.\n\nactions:\n"
+    for action in actions:
+        text += f'  {action.name}:\n    server: "{action.server}"\n    type: {action.type}\n'
+        is_bound = any(not line.lstrip().startswith("#") for line in action.goal)
+        text += "".join(f"{line}\n" for line in (f"    goal:{'' if is_bound else ' {}'}", *action.goal))
+        text += "".join(f"{line}\n" for line in action.verdict)
+        text += "    timeout: 60   # decide: seconds after which it has failed\n"
+        text += '    resources: ["{robot}"]   # a robot does one thing at a time\n' if "robot" in action.parameters else ""
+    return text + "".join(f"# left out: {reason}\n" for reason in left_out)

@@ -1,0 +1,83 @@
+"""First files from a snapshot of the ROS graph: what they have, what they leave out, and that they are read without complaint."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from planner_bridge.loading import bindings_for, load
+from pnm.errors import InputError
+from pnm.knowledge.sensor_file import read_sensing
+from pnm.ros.first_files import first_files
+from pnm.ros.node.graph import GraphSnapshot
+from tests.support.files import written
+
+FIBONACCI, TASK = "test_msgs/action/Fibonacci", "pyrobosim_msgs/action/ExecuteTaskAction"
+ROBOTS = GraphSnapshot({"/r1/count": (FIBONACCI,), "/r2/count": (FIBONACCI,), "/execute_action": (TASK,)}, {}, {})
+
+
+def read(graph: GraphSnapshot, folder: Path):
+    """Write the files, read them as the commands do, and return problem, bindings and sensors."""
+    for name, text in first_files(graph, "robot").items():
+        written(folder / name, text)
+    problem = load(folder / "domain.pddl", folder / "problem.pddl")
+    return (
+        problem,
+        bindings_for(folder / "domain.pddl", None, problem.vocabulary),
+        read_sensing(folder / "sensing.yaml", problem.vocabulary),
+    )
+
+
+@pytest.mark.parametrize(
+    ("servers", "said"),
+    [
+        ({}, "there is no action server in the ROS graph"),
+        ({"/achieve_goal": ("pnm_interfaces/action/AchieveGoal",)}, "there is no action server in the ROS graph"),
+        ({"/go": ("far_away_msgs/action/Go",)}, "/go: the ROS type far_away_msgs/action/Go is not installed"),
+        ({"/go": (FIBONACCI, TASK)}, "/go has several types: test_msgs/action/Fibonacci, pyrobosim_msgs/action/ExecuteTaskAction"),
+    ],
+)
+def test_without_a_server_that_can_be_used_it_is_said_why(servers, said) -> None:
+    with pytest.raises(InputError) as error:
+        first_files(GraphSnapshot(servers, {}, {}), "robot")
+    assert said in error.value.message
+
+
+def test_what_is_left_out_is_named_in_the_bindings() -> None:
+    texts = first_files(GraphSnapshot({"/count": (FIBONACCI,), "/go": ("far_away_msgs/action/Go",)}, {}, {}), "robot")
+    assert "# left out: /go: the ROS type far_away_msgs/action/Go is not installed" in texts["bindings.yaml"]
+
+
+def test_servers_of_one_type_under_the_names_of_robots_are_one_action(tmp_path: Path) -> None:
+    problem, bindings, _ = read(ROBOTS, tmp_path)
+    assert problem.vocabulary.actions == {"count": {"robot": ("robot",)}, "execute_action": {}}
+    assert problem.objects == {"r1": ("robot",), "r2": ("robot",)}
+    assert bindings.of("count").server == "/{robot}/count"
+    assert bindings.of("count").goal == {"order": 0}
+
+
+def test_fields_of_results_that_look_like_a_verdict_are_taken_for_one(tmp_path: Path) -> None:
+    _, bindings, _ = read(ROBOTS, tmp_path)
+    assert bindings.of("execute_action").success is not None
+    assert bindings.of("execute_action").reason is not None
+
+
+def test_what_not_every_robot_has_is_an_action_of_its_own(tmp_path: Path) -> None:
+    problem, bindings, _ = read(GraphSnapshot({"/r1/do": (FIBONACCI,), "/r2/do": (TASK,)}, {}, {}), tmp_path)
+    assert {bindings.of(name).server for name in problem.domain.actions} == {"/r1/do", "/r2/do"}
+    assert problem.vocabulary.actions == {"do": {}, "r2_do": {}}
+
+
+def test_topics_of_known_types_are_sensors_and_the_others_are_listed(tmp_path: Path) -> None:
+    topics = {"/r1/docked": ("std_msgs/msg/Bool",), "/r2/docked": ("std_msgs/msg/Bool",), "/odom": ("nav_msgs/msg/Odometry",)}
+    graph = GraphSnapshot(ROBOTS.servers, topics, {})
+    problem, _, sensing = read(graph, tmp_path)
+    assert "docked" in problem.domain.predicates
+    assert sensing.names == {"docked"}
+    assert "# /odom   nav_msgs/msg/Odometry" in (tmp_path / "sensing.yaml").read_text()
+
+
+def test_every_line_that_needs_a_decision_says_so() -> None:
+    for name, text in first_files(ROBOTS, "robot").items():
+        assert name == "sensing.yaml" or "decide: " in text
