@@ -34,7 +34,7 @@ _DEPTH: Final = 2
 
 
 @dataclass
-class _Action:
+class DraftAction:
     """The lines of one action in the files, being written."""
 
     name: str
@@ -64,15 +64,15 @@ def first_files(graph: GraphSnapshot, name: str) -> dict[str, str]:
     Raises:
         InputError: there is no action server, or of none is the type installed.
     """
-    actions, left_out, objects = _actions(graph)
+    actions, left_out, objects = actions_in(graph)
     if not actions:
         found = "; ".join(left_out) or "there is no action server in the ROS graph (is the robot on, and ROS_DOMAIN_ID the same?)"
         raise InputError(f"no files without an action server: {found}")
-    sensors, facts = _sensors(graph, objects.get("robot", []))
+    sensors, facts = sensors_in(graph, objects.get("robot", []))
     return {
-        "domain.pddl": _domain(name, actions, facts),
-        "problem.pddl": _problem(name, actions, objects),
-        "bindings.yaml": _bindings(actions, left_out),
+        "domain.pddl": domain_text(name, actions, facts),
+        "problem.pddl": problem_text(name, actions, objects),
+        "bindings.yaml": bindings_text(actions, left_out),
         "sensing.yaml": sensors,
     }
 
@@ -80,7 +80,7 @@ def first_files(graph: GraphSnapshot, name: str) -> dict[str, str]:
 # --- what there is ---------------------------------------------------------------------------------
 
 
-def _actions(graph: GraphSnapshot) -> tuple[list[_Action], list[str], dict[str, list[str]]]:
+def actions_in(graph: GraphSnapshot) -> tuple[list[DraftAction], list[str], dict[str, list[str]]]:
     """Return actions, what was left out and why, and the objects by their types."""
     groups: dict[tuple[str, str], list[str]] = {}
     left_out: list[str] = []
@@ -90,7 +90,7 @@ def _actions(graph: GraphSnapshot) -> tuple[list[_Action], list[str], dict[str, 
         elif not types[0].startswith(_OURS) or types[0].endswith("/GroundAction"):
             groups.setdefault((server.rpartition("/")[2], types[0]), []).append(server)
     robots = sorted({server.split("/")[1] for servers in groups.values() for server in servers if server.count("/") == 2})
-    actions: list[_Action] = []
+    actions: list[DraftAction] = []
     objects: dict[str, list[str]] = {}
     for (base, type_name), servers in groups.items():
         # One action for all robots needs a server of every robot.
@@ -98,7 +98,7 @@ def _actions(graph: GraphSnapshot) -> tuple[list[_Action], list[str], dict[str, 
         alone = [server for server in servers if not (is_every_robots and server.count("/") == 2)]
         for pattern in [*([f"/{{robot}}/{base}"] if is_every_robots else []), *alone]:
             words = (re.sub(r"\W", "_", text) for text in (base, pattern.strip("/").replace("{robot}", "robot")))
-            action = _Action(next(word for word in words if word not in {other.name for other in actions}), type_name, pattern)
+            action = DraftAction(next(word for word in words if word not in {other.name for other in actions}), type_name, pattern)
             try:
                 action_type = import_type(type_name)
             except InputError as error:
@@ -107,13 +107,14 @@ def _actions(graph: GraphSnapshot) -> tuple[list[_Action], list[str], dict[str, 
             if "{robot}" in pattern:
                 action.parameters["robot"] = "robot"
                 objects["robot"] = robots
-            _bind_goal(action, action_type.Goal, objects)
-            action.verdict.extend(_verdict(action_type.Result))
+            bind_goal(action, action_type.Goal, objects)
+            action.verdict.extend(verdict_lines(action_type.Result))
             actions.append(action)
     return actions, left_out, objects
 
 
-def _bind_goal(action: _Action, goal: Any, objects: dict[str, list[str]]) -> None:
+def bind_goal(action: DraftAction, goal: Any, objects: dict[str, list[str]]) -> None:
+    """Write the lines about the fields of the goal, with parameters and objects for names and places."""
     for name, kind in goal.get_fields_and_field_types().items():
         if name in action.parameters:
             action.goal.append(f'      {name}: "?{name}"')
@@ -135,9 +136,9 @@ def _bind_goal(action: _Action, goal: Any, objects: dict[str, list[str]]) -> Non
             action.goal.append(f"      # {name}: {{{inner}}}   # decide: a {kind}; its default is sent")
 
 
-def _verdict(result: Any) -> Iterator[str]:
+def verdict_lines(result: Any) -> Iterator[str]:
     """Yield lines about success and reason, as far as names of fields suggest them."""
-    found = list(_leaves(result, "", _DEPTH))
+    found = list(leaves(result, "", _DEPTH))
     verdict = next((path for path, kind in found if path.rpartition(".")[2] in _VERDICTS and kind == "boolean"), None)
     code = next((path for path, kind in found if path.rpartition(".")[2] in _CODES and "int" in kind), None)
     reason = next((path for path, kind in found if path.rpartition(".")[2] in _REASONS and kind.startswith("string")), None)
@@ -152,7 +153,7 @@ def _verdict(result: Any) -> Iterator[str]:
         yield f"    reason: {reason}"
 
 
-def _leaves(message: Any, before: str, depth: int) -> Iterator[tuple[str, str]]:
+def leaves(message: Any, before: str, depth: int) -> Iterator[tuple[str, str]]:
     """Yield the paths and types of fields that are no messages themselves."""
     for name, kind in message.get_fields_and_field_types().items():
         if not _MESSAGE.fullmatch(kind):
@@ -163,10 +164,10 @@ def _leaves(message: Any, before: str, depth: int) -> Iterator[tuple[str, str]]:
 
 def _leaves_of(kind: str) -> Iterator[tuple[str, str]]:
     if _MESSAGE.fullmatch(kind):
-        yield from _leaves(import_type(kind.replace("/", "/msg/")), "", 1)
+        yield from leaves(import_type(kind.replace("/", "/msg/")), "", 1)
 
 
-def _sensors(graph: GraphSnapshot, robots: list[str]) -> tuple[str, dict[str, str]]:
+def sensors_in(graph: GraphSnapshot, robots: list[str]) -> tuple[str, dict[str, str]]:
     """Return the text about sensors, and what the domain declares for them."""
     lines, others, declared = list[str](), list[str](), dict[str, str]()
     for topic, types in sorted(graph.topics.items()):
@@ -198,7 +199,8 @@ def _sensors(graph: GraphSnapshot, robots: list[str]) -> tuple[str, dict[str, st
 # --- the texts ---------------------------------------------------------------------------------------
 
 
-def _domain(name: str, actions: list[_Action], sensed: Mapping[str, str]) -> str:
+def domain_text(name: str, actions: list[DraftAction], sensed: Mapping[str, str]) -> str:
+    """Return the domain: nothing is known of what actions need and change."""
     types = " ".join(sorted({kind for action in actions for kind in action.parameters.values()}))
     facts = [f"    ({fact[1:-1]})" for fact, kind in sensed.items() if kind == "predicate"]
     facts += [f"    (done_{action.name}{action.variables})" for action in actions]
@@ -216,7 +218,8 @@ def _domain(name: str, actions: list[_Action], sensed: Mapping[str, str]) -> str
     return f"{text})\n"
 
 
-def _problem(name: str, actions: list[_Action], objects: Mapping[str, list[str]]) -> str:
+def problem_text(name: str, actions: list[DraftAction], objects: Mapping[str, list[str]]) -> str:
+    """Return the problem: the objects, and the first action for a goal."""
     declared = "\n".join(f"    {' '.join(names)} - {kind}   ; decide: which there are" for kind, names in objects.items())
     first = actions[0]
     chosen = " ".join((f"done_{first.name}", *(objects[kind][0] for kind in first.parameters.values())))
@@ -225,7 +228,8 @@ def _problem(name: str, actions: list[_Action], objects: Mapping[str, list[str]]
     return text + f"  (:init)   ; decide: what is so at first, and no sensor reports\n  (:goal ({chosen})))   ; decide: what shall be so\n"
 
 
-def _bindings(actions: list[_Action], left_out: list[str]) -> str:
+def bindings_text(actions: list[DraftAction], left_out: list[str]) -> str:
+    """Return the bindings, with what was left out."""
     text = "# Which action server carries out which action, and with which goal.\n\nactions:\n"
     for action in actions:
         text += f'  {action.name}:\n    server: "{action.server}"\n    type: {action.type}\n'
