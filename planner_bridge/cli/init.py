@@ -22,7 +22,22 @@ def init(folder: Path, force: bool) -> int:
 
     They pass `pnm check`; every line that needs a decision of yours has a comment with the word `decide`.
     """
-    texts = run_async(_first_files(re.sub(r"\W", "-", folder.resolve().name.lower()).strip("-") or "robot"))
+    name = re.sub(r"\W", "-", folder.resolve().name.lower()).strip("-") or "robot"
+
+    async def look() -> dict[str, str]:
+        from pnm.ros.node.ros_thread import RosThread  # here, because rclpy is an extra
+
+        ros = RosThread("pnm_init")
+        try:
+            from pnm.ros.first_files import first_files  # needs rclpy, which is there by now
+            from pnm.ros.node.graph import snapshot
+
+            await ros.settled()
+            return first_files(await ros.ask(lambda: snapshot(ros.node)), name)
+        finally:
+            await asyncio.to_thread(ros.close)
+
+    texts = run_async(look())
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
@@ -32,17 +47,3 @@ def init(folder: Path, force: bool) -> int:
     files = f"{folder / 'domain.pddl'} {folder / 'problem.pddl'}"
     print(f"{decisions} lines need a decision: look for `decide`. Then: pnm check {files} --sensing {folder / 'sensing.yaml'}")
     return 0
-
-
-async def _first_files(name: str) -> dict[str, str]:
-    from pnm.ros.node.ros_thread import RosThread  # here, because rclpy is an extra
-
-    ros = RosThread("pnm_init")
-    try:
-        from pnm.ros.first_files import first_files  # needs rclpy, which is there by now
-        from pnm.ros.node.graph import snapshot
-
-        await ros.settled()
-        return first_files(await ros.ask(lambda: snapshot(ros.node)), name)
-    finally:
-        await asyncio.to_thread(ros.close)

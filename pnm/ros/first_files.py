@@ -47,10 +47,12 @@ class DraftAction:
 
     @property
     def variables(self) -> str:
+        """The parameters as PDDL declares them."""
         return "".join(f" ?{name} - {kind}" for name, kind in self.parameters.items())
 
     @property
     def fact(self) -> str:
+        """The fact that the action has been done."""
         return f"({' '.join((f'done_{self.name}', *(f'?{name}' for name in self.parameters)))})"
 
 
