@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import product, starmap
+from math import prod
 from pathlib import Path
 from typing import TextIO
 
@@ -19,13 +20,15 @@ from planner_bridge.model.grounding import ground_action, initial_knowledge, mod
 from planner_bridge.model.problem import Problem
 from planner_bridge.simulation import robots_of
 from pnm.actions.faults import Faults
+from pnm.actions.played_bindings import arguments_of, result_of
 from pnm.actions.simulated_robots import SimulatedRobots
 from pnm.clock import run_async
 from pnm.core.knowledge_base import statement_text
-from pnm.core.logic.domain import ActionSchema
+from pnm.core.logic.conditions import Condition
+from pnm.core.logic.domain import MAX_CHOICES, ActionSchema
 from pnm.core.machine.bindings import Bindings, placeholders
 from pnm.core.machine.plan_graph import GroundAction
-from pnm.core.machine.requests import Accepted, Ended, Report, Reporter, Request
+from pnm.core.machine.requests import Accepted, Ended, Outcome, Report, Reporter, Request
 from pnm.errors import InputError
 
 DEFAULT_TYPE = "pnm_interfaces/action/GroundAction"
@@ -54,10 +57,12 @@ async def _serve(problem: Problem, bindings: Bindings, faults: Faults, speed: fl
         from pnm.ros.action_server.simulated_servers import Offer, SimulatedServers, publish_state  # needs rclpy, which is there by now
 
         logged = LoggedRobots(robots, log)
-        models = server_models(problem, bindings)
+        models = server_models(problem, bindings, robots.world.holds)
         # The state before the servers: a client that finds them shall know the world.
         await publish_state(ros, robots.world, robots.world.reported(bindings.assumed), robots.begin)
-        await SimulatedServers(ros, logged, robots.progress).open([Offer(model.server, model.type, model.decode) for model in models])
+        await SimulatedServers(ros, logged, robots.progress).open(
+            [Offer(model.server, model.type, model.decode, model.answer) for model in models]
+        )
         print(f"ready: {len(models)} action servers: {', '.join(model.server for model in models)}", flush=True)
         with suppress(asyncio.CancelledError):
             await asyncio.Event().wait()
@@ -77,48 +82,55 @@ class ServerModel:
     choices: tuple[tuple[ActionSchema, Mapping[str, str]], ...]
     problem: Problem
     bindings: Bindings
+    holds: Callable[[Condition], bool]
+    """Whether a condition is true in the world now."""
 
     def decode(self, data: Mapping[str, object]) -> GroundAction:
         """Return the ground action of a goal: by the field `action`, by field names, by the goal mapping backwards.
 
         Raises:
-            InputError: a parameter has no argument, or one that is no object.
+            InputError: it fits none of the actions.
         """
-        schema, fixed = self._choice(data)
-        known = {**_arguments(schema, self.bindings, data), **fixed}
-        missing = [variable.name for variable in schema.parameters if known.get(variable.name[1:]) not in self.problem.objects]
-        if missing:
-            raise InputError(f"the goal names no object of the problem for {', '.join(missing)} of {schema.name}: {dict(data)}")
-        arguments = tuple(str(known[variable.name[1:]]) for variable in schema.parameters)
         planned = data.get("duration")
-        if isinstance(planned, float) and planned > 0:
-            return ground_action(schema, arguments, planned)
-        duration = modelled_duration(schema, arguments, initial_knowledge(self.problem))
-        return ground_action(schema, arguments, duration)
+        candidates = list(self._candidates(data))
+        for schema, arguments in candidates:
+            duration = modelled_duration(schema, arguments, initial_knowledge(self.problem))
+            action = ground_action(schema, arguments, planned if isinstance(planned, float) and planned > 0 else duration)
+            if len(candidates) == 1 or self.holds(action.precondition):
+                return action
+        names = ", ".join(schema.name for schema, _ in self.choices)
+        raise InputError(f"the goal fits none of the actions {names}, as they are bound and as the world is: {dict(data)}")
 
-    def _choice(self, data: Mapping[str, object]) -> tuple[ActionSchema, Mapping[str, str]]:
-        """Return the schema that the goal names, or the only one, with its fixed arguments."""
-        named = data.get("action")
-        choices = [choice for choice in self.choices if named in (None, choice[0].name)]
-        if len(choices) != 1:
-            known = ", ".join(schema.name for schema, _ in self.choices)
-            raise InputError(f"the goal's field `action` must name one of {known}; found {named!r}")
-        return choices[0]
+    def answer(self, action: GroundAction, outcome: Outcome) -> dict[str, object]:
+        """Return the result fields that say how the action has ended, as its binding reads them."""
+        return result_of(self.bindings.of(action.name), outcome)
+
+    def _candidates(self, data: Mapping[str, object]) -> Iterator[tuple[ActionSchema, tuple[str, ...]]]:
+        """Yield the actions that the goal may mean, with arguments: for parameters of which it says nothing, every object that fits."""
+        named, problem, state = data.get("action"), self.problem, initial_knowledge(self.problem)
+        for schema, fixed in self.choices:
+            told = arguments_of(self.bindings.of(schema.name).goal or {}, data)
+            if told is None or (isinstance(named, str) and named != schema.name):
+                continue
+            known = {**_arguments(schema, data), **told, **fixed}
+            choices = [
+                [known[name]] if (name := variable.name[1:]) in known else state.objects(variable.types) for variable in schema.parameters
+            ]
+            for arguments in product(*choices) if prod(map(len, choices)) <= MAX_CHOICES else ():
+                kinds = zip(arguments, schema.parameters, strict=True)
+                if all(problem.domain.matches(problem.objects.get(str(name), ()), variable.types) for name, variable in kinds):
+                    yield schema, tuple(map(str, arguments))
 
 
-def _arguments(schema: ActionSchema, bindings: Bindings, data: Mapping[str, object]) -> dict[str, object]:
-    """Return the arguments in a goal, by the parameter: of the field `arguments`, of fields by name, of the goal mapping."""
+def _arguments(schema: ActionSchema, data: Mapping[str, object]) -> dict[str, object]:
+    """Return the arguments in a goal, by the parameter: of the field `arguments`, or of fields by name."""
     names = [variable.name[1:] for variable in schema.parameters]
     listed = data.get("arguments")
     arguments = dict(zip(names, listed, strict=False)) if isinstance(listed, list) else {}
-    arguments |= {name: data[name] for name in names if name in data}
-    for field_name, source in (bindings.of(schema.name).goal or {}).items():
-        if isinstance(source, str) and source.startswith("?") and field_name in data:
-            arguments[source[1:]] = data[field_name]
-    return arguments
+    return arguments | {name: data[name] for name in names if name in data}
 
 
-def server_models(problem: Problem, bindings: Bindings) -> list[ServerModel]:
+def server_models(problem: Problem, bindings: Bindings, holds: Callable[[Condition], bool]) -> list[ServerModel]:
     """Return the models of all servers that execute actions of the problem."""
     choices: dict[str, list[tuple[ActionSchema, Mapping[str, str]]]] = {}
     types: dict[str, str] = {}
@@ -127,7 +139,7 @@ def server_models(problem: Problem, bindings: Bindings) -> list[ServerModel]:
             server = (bindings.of(schema.name).server or schema.name).format_map(fixed)
             choices.setdefault(server, []).append((schema, fixed))
             types.setdefault(server, bindings.of(schema.name).type or DEFAULT_TYPE)
-    return [ServerModel(server, types[server], tuple(served), problem, bindings) for server, served in choices.items()]
+    return [ServerModel(server, types[server], tuple(served), problem, bindings, holds) for server, served in choices.items()]
 
 
 def _fixed(problem: Problem, schema: ActionSchema, bindings: Bindings) -> Iterator[dict[str, str]]:

@@ -145,7 +145,7 @@ def verdict_lines(result: Any) -> Iterator[str]:
     code = next((path for path, kind in found if path.rpartition(".")[2] in _CODES and "int" in kind), None)
     reason = next((path for path, kind in found if path.rpartition(".")[2] in _REASONS and kind.startswith("string")), None)
     if verdict:
-        yield f"    success: {verdict}   # decide: the server may report failure inside of a success"
+        yield f"    success: {{field: {verdict}}}   # decide: the server may report failure inside of a success"
     elif code:
         yield f"    success: {{field: {code}, eq: 0}}   # decide: which numbers are a success"
     elif found:

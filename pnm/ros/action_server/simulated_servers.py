@@ -44,6 +44,8 @@ class Offer:
     type: str
     decode: Callable[[Mapping[str, object]], GroundAction]
     """Raises `InputError` when the goal makes no sense."""
+    answer: Callable[[GroundAction, Outcome], Mapping[str, object]] = lambda action, outcome: {}
+    """Returns the result fields that say how the action has ended."""
 
 
 @dataclass(eq=False)
@@ -51,6 +53,7 @@ class _SimulatedGoal:
     """A goal and the request that it became. The last three fields change, on the event loop's thread."""
 
     server: GoalServer
+    answer: Callable[[Outcome], Mapping[str, object]]
     request: UUID = field(default_factory=uuid4)
     decision: Future[BeginGoal | str] = field(default_factory=Future)
     """What begins the goal once the request was accepted, or the reason why it was rejected."""
@@ -124,7 +127,7 @@ class SimulatedServers:
                 status = GoalStatus.CANCELED
             case _:
                 status = GoalStatus.ABORTED
-        goal.server.end(goal.id, lambda: GoalResult(status, _result_fields(goal.server, outcome)))
+        goal.server.end(goal.id, lambda: GoalResult(status, _result_fields(goal, outcome)))
 
     def _feed_later(self) -> None:
         if not self._is_feeding:
@@ -144,11 +147,15 @@ class SimulatedServers:
     def _accept(self, offer: Offer, message: Any) -> BeginGoal | str:
         """Send the request, and wait until the client accepts or rejects it: `rclpy` cannot decide about a goal later."""
         data = to_data(message)
-        try:
-            action = offer.decode(data)
-        except InputError as error:
-            return str(error)
-        goal = _SimulatedGoal(self._servers[offer.server])
+
+        async def decoded() -> GroundAction:
+            return offer.decode(data)
+
+        try:  # on the event loop's thread, where the world changes
+            action = asyncio.run_coroutine_threadsafe(decoded(), self._loop).result(DECISION)
+        except (InputError, TimeoutError) as error:
+            return str(error) or f"no decision within {DECISION:g} s"
+        goal = _SimulatedGoal(self._servers[offer.server], partial(offer.answer, action))
         self._loop.call_soon_threadsafe(self._client.send, Request(goal.request, action, data), partial(self._report, goal))
         try:
             return goal.decision.result(DECISION)
@@ -161,12 +168,13 @@ def _has_progress(server: GoalServer) -> bool:
     return server.type.Feedback.get_fields_and_field_types().get("progress") in ("float", "double")
 
 
-def _result_fields(server: GoalServer, outcome: Outcome) -> dict[str, object]:
+def _result_fields(goal: _SimulatedGoal, outcome: Outcome) -> dict[str, object]:
     """Return the result's fields by name, the message in a field called so; nothing if a value does not fit its field."""
-    known = fields(server.type.Result)
-    data = {name: value for name, value in {"message": outcome.message, **outcome.result}.items() if name in known}
+    result = goal.server.type.Result
+    known = fields(result)
+    data = {name: value for name, value in {"message": outcome.message, **outcome.result, **goal.answer(outcome)}.items() if name in known}
     try:
-        to_message(server.type.Result, data)
+        to_message(result, data)
     except FieldError as error:
         _log.warning("the result is left empty: %s", error)
         return {}

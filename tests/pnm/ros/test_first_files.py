@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from pnm_interfaces.action import RunPlan
 
 from planner_bridge.loading import bindings_for, load
+from pnm.actions.bindings_file import read_bindings
 from pnm.errors import InputError
 from pnm.knowledge.sensor_file import read_sensing
-from pnm.ros.first_files import first_files
+from pnm.ros.first_files import first_files, verdict_lines
 from pnm.ros.node.graph import GraphSnapshot
 from tests.support.files import written
 
@@ -61,6 +63,14 @@ def test_fields_of_results_that_look_like_a_verdict_are_taken_for_one(tmp_path: 
     _, bindings, _ = read(ROBOTS, tmp_path)
     assert bindings.of("execute_action").success is not None
     assert bindings.of("execute_action").reason is not None
+
+
+def test_a_boolean_of_the_result_is_a_verdict_before_any_number(tmp_path: Path) -> None:
+    lines = list(verdict_lines(RunPlan.Result))
+    assert lines[0].startswith("    success: {field: success}")
+    binding = read_bindings(written(tmp_path / "bindings.yaml", "\n".join(("actions:", "  go:", *lines)))).of("go")
+    assert binding.success is not None
+    assert str(binding.reason.field if binding.reason else "") == "reason"
 
 
 def test_what_not_every_robot_has_is_an_action_of_its_own(tmp_path: Path) -> None:
