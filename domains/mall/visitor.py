@@ -103,16 +103,20 @@ class Visitor:
     # what is done
 
     def meet(self) -> None:
-        """Wait until the node answers: the first answers of one who has not found us yet get lost, those to a question do no harm."""
+        """Wait until the node answers, and the robot hears who arrives and is heard.
+
+        The first answers of a node that has not found us yet get lost: those to a question do no harm.
+        """
         until = time.monotonic() + FOUND
         while time.monotonic() < until:
-            if self.query.service_is_ready() and self.guide.server_is_ready() and self.plan.server_is_ready():
+            is_robot_there = self.arrivals.get_subscription_count() and self.node.count_publishers("mall/doings")
+            if is_robot_there and self.query.service_is_ready() and self.guide.server_is_ready() and self.plan.server_is_ready():
                 answer = self.query.call_async(QueryFacts.Request())
                 rclpy.spin_until_future_complete(self.node, answer, timeout_sec=1.0)
                 if answer.done():
                     return
             rclpy.spin_once(self.node, timeout_sec=0.1)
-        sys.exit("there is no node that pursues goals")
+        sys.exit("there is no node that pursues goals, or no robot")
 
     def play(self, script: dict[str, Any]) -> None:
         """Play a script to its end."""
