@@ -129,6 +129,14 @@ class TaskStep:
     state: StepState
     after: tuple[int, ...] = ()
     """The positions of the calls that must have started or ended before."""
+    started: float | None = None
+    """When it was sent first, on the clock of the event loop; None if it was not."""
+    ended: float | None = None
+    attempts: int = 0
+    limit: float = 0.0
+    """Seconds from its acceptance after which it is cancelled; 0 for what is no action of a server."""
+    reason: str = ""
+    """Why it has failed or was passed over, in one word."""
 
     def __str__(self) -> str:
         return f"{self.action}({', '.join(self.arguments)})"

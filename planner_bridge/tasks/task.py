@@ -15,7 +15,7 @@ from planner_bridge.tasks.replanning import PlanAgain, ResumePlan
 from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.broadcast import broadcast
-from pnm.core.execution.call_results import Failure, RunResult
+from pnm.core.execution.call_results import CallResult, Failure, RunResult
 from pnm.core.machine.machine import CallOutcome, PetriNetMachine, Rule
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import Outcome, Request
@@ -143,17 +143,24 @@ class Task(TaskObserver):
                 before.setdefault(ordering.after.call, []).append(ordering.before.call)
         results = {result.call.index: result for result in run.interim_result().calls}
         arguments = {index: result.call.action.arguments for index, result in results.items() if result.started is not None}
-        return tuple(
-            TaskStep(
+
+        def step(call: ActionCall) -> TaskStep:
+            result = results.get(call.index, CallResult(call))
+            return TaskStep(
                 call.action.name,
                 arguments[call.index] if call.index in arguments else run.arguments(call),
                 call.planned,
                 call.action.duration or 0.0,
-                step_state(results[call.index].kind) if call.index in results else StepState.WAITING,
+                step_state(result.kind),
                 tuple(dict.fromkeys(before.get(call.index, ()))),
+                result.started,
+                result.ended,
+                result.attempts,
+                run.limit(call),
+                str(result.cause or ""),
             )
-            for call in graph.calls
-        )
+
+        return tuple(map(step, graph.calls))
 
     @property
     def net(self) -> tuple[int, PetriNetMachine, Marking] | None:

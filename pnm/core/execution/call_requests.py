@@ -106,6 +106,11 @@ class Calls:
         """Return the call with what its parameters had for values when it was sent last."""
         return replace(self._plan.calls[call], action=self.action(call))
 
+    def limit(self, call: int) -> float:
+        """Return how many seconds the call may take from its acceptance; 0 for an operation on knowledge."""
+        action = self._plan.calls[call].action
+        return 0.0 if action.operation is not None else self._bindings.timeout(action)
+
     def arguments(self, call: int) -> tuple[str, ...]:
         """Return the arguments that the call would be sent with now; parameters without a value by their names."""
         return bind(self._plan.calls[call].action.arguments, self.context_of(call, None).environment())

@@ -87,6 +87,10 @@ class RunView:
         """Return the arguments that a call would be sent with now; parameters without a value by their names."""
         return self._calls.arguments(call.index)
 
+    def limit(self, call: ActionCall) -> float:
+        """Return how many seconds a call may take from its acceptance; 0 for an operation on knowledge."""
+        return self._calls.limit(call.index)
+
     def result(self) -> RunResult:
         """Return how the run ended."""
         if not self.over:

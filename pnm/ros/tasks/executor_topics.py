@@ -121,7 +121,12 @@ class TaskTopics(TaskListener):
 
     def _publish_plans(self) -> None:
         plans = [(status, *self._tasks.plan(status.id)) for status in self._active()]
-        self._plan.publish({"plans": [plan_fields(status.id, status.goal, number, steps) for status, number, steps in plans if steps]})
+
+        def fields() -> Mapping[str, object]:
+            offset = clock_offset(self._ros, self._loop)
+            return {"plans": [plan_fields(status.id, status.goal, number, steps, offset) for status, number, steps in plans if steps]}
+
+        self._plan.publish(fields)
 
     def _publish_nets(self) -> None:
         active = [status.id for status in self._active()]

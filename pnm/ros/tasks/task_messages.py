@@ -115,8 +115,8 @@ def run_feedback_fields(status: TaskStatus, _steps: Iterable[TaskStep]) -> Field
     return {"running": [printable(call) for call in status.running], "ended": status.ended, "restarts": status.restarts}
 
 
-def plan_fields(task: UUID, goal: str, number: int, steps: Iterable[TaskStep]) -> Fields:
-    """Return the fields of a ``Plan``."""
+def plan_fields(task: UUID, goal: str, number: int, steps: Iterable[TaskStep], offset: float = 0.0) -> Fields:
+    """Return the fields of a ``Plan``; the offset is that from the event loop's clock to the node's."""
     step_fields = [
         {
             "action": step.action,
@@ -125,6 +125,11 @@ def plan_fields(task: UUID, goal: str, number: int, steps: Iterable[TaskStep]) -
             "duration": step.duration,
             "state": int(step.state),
             "after": list(step.after),
+            "started": 0.0 if step.started is None else step.started + offset,
+            "ended": 0.0 if step.ended is None else step.ended + offset,
+            "attempts": step.attempts,
+            "limit": step.limit,
+            "reason": step.reason,
         }
         for step in steps
     ]

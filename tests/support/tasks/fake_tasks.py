@@ -29,8 +29,8 @@ _ENDS = {code.word: code for code in Code}
 _STUBBORN = 1000.0
 _MACHINE = generate(plan(2, "0e<1s"))
 _STEPS = (
-    TaskStep("done", (), 0.0, 1.0, StepState.DONE),
-    TaskStep("move", ("r1", "hall"), 1.0, 2.0, StepState.RUNNING, (0,)),
+    TaskStep("done", (), 0.0, 1.0, StepState.DONE, started=0.0, ended=1.0, attempts=1),
+    TaskStep("move", ("r1", "hall"), 1.0, 2.0, StepState.RUNNING, (0,), attempts=2, limit=10.0, reason="aborted"),
     TaskStep("pick", ("r1", "cup"), 3.0, 2.0, StepState.WAITING, (1,)),
 )
 

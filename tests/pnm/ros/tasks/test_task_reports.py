@@ -118,6 +118,7 @@ async def test_a_plan_is_looked_for(two):
         assert (result["plan"]["goal"], result["plan"]["task"]) == ("(at r1 hall)", ALL)
         assert result["plan"]["steps"][1] == {
             "action": "move", "arguments": ["r1", "hall"], "start": 1.0, "duration": 2.0, "state": 1, "after": [0],
+            "started": {"sec": 0, "nanosec": 0}, "ended": {"sec": 0, "nanosec": 0}, "attempts": 2, "limit": 10.0, "reason": "aborted",
         }  # fmt: skip
         status, result = await (await one.client.send("plan", goal="no_plan")).result()
         assert (status, result["reason"], result["plan"]["steps"]) == (ABORTED, "no_plan", [])
@@ -158,6 +159,8 @@ async def test_who_comes_late_learns_how_everything_is(two):
         assert [(bytes(task["id"]["uuid"]), task["state"]) for task in status["tasks"]] == [(goal.id.bytes, TaskState.PAUSED)]
         plans = await message_where(await one.client.subscribe("executor/plan"), lambda told: told["plans"])
         assert [(plan["number"], len(plan["steps"])) for plan in plans["plans"]] == [(3, 3)]
+        done = plans["plans"][0]["steps"][0]
+        assert 1_600_000_000 < done["started"]["sec"] <= done["ended"]["sec"], "on the clock of the node"
         nets = await message_where(await one.client.subscribe("executor/net"), lambda told: told["nets"])
         assert [(net["number"], '"transitions"' in net["machine"]) for net in nets["nets"]] == [(3, True)]
 
