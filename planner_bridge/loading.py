@@ -6,14 +6,15 @@ import os
 from collections.abc import Iterable, Iterator
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.pddl import read_domain, read_problem
-from pnm.actions.bindings_file import read_bindings
 from pnm.core.logic.declared_names import Vocabulary
-from pnm.core.machine.bindings import NO_BINDINGS, Bindings
 from pnm.errors import InputError, Tolerated
+
+if TYPE_CHECKING:
+    from pnm.core.machine.bindings import Bindings
 
 _SHOWN: Final = 20
 """Warnings about a file that are shown, at most."""
@@ -44,10 +45,16 @@ def bindings_for(domain: Path | None, file: Path | None, known: Vocabulary | Non
 
     Bindings may use only the names in `known`; any, if it is None.
     """
+    from pnm.core.machine.bindings import NO_BINDINGS  # here and below, because a search for a plan needs no bindings
+
     beside = domain.parent / "bindings.yaml" if domain else None
     if file is None and beside and os.path.isfile(beside):  # unlike `Path.is_file` also for names that are too long
         file = beside
-    return read_bindings(file, known) if file else NO_BINDINGS
+    if file is None:
+        return NO_BINDINGS
+    from pnm.actions.bindings_file import read_bindings
+
+    return read_bindings(file, known)
 
 
 def warning_lines(warnings: Iterable[Tolerated]) -> Iterator[str]:

@@ -30,6 +30,7 @@ from planner_bridge.cli.options import (
     knowledge_option,
     output_options,
     planning,
+    planning_within,
     print_warnings,
     problem_in,
     searching,
@@ -76,12 +77,13 @@ def app() -> None:
 
 @app.command()
 @files
-@planning
+@planning_within(0.04)  # people look, and no robot moves
 @as_json_option
 @command
 def plan(domain: Path, problem: Path, planner: str, timeout: float, improve: float, as_json: bool) -> int:
     """Find and print a plan."""
     from planner_bridge.model.plan import PlanningStatus
+    from planner_bridge.planning.kairos import DEFAULT_PLANNER, IMPROVE
     from planner_bridge.planning.solve import solve
 
     loaded = problem_in(domain, problem)
@@ -101,6 +103,8 @@ def plan(domain: Path, problem: Path, planner: str, timeout: float, improve: flo
             print(f"planner  {result.planner}")
         if result.message:
             print(f"note     {result.message}")
+        if improve < IMPROVE and planner == DEFAULT_PLANNER and result.plan.steps and not result.plan.is_best:
+            print(f"note     --improve {IMPROVE:g}, the default of pnm run, may find a better one")
     else:
         print(f"no plan: {result.reason}")
     return 0 if result.plan else 2 if result.status is PlanningStatus.INVALID else 1

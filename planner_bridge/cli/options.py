@@ -11,14 +11,16 @@ from dataclasses import dataclass
 from functools import wraps
 from math import isfinite
 from pathlib import Path
-from typing import Any, ParamSpec
+from typing import TYPE_CHECKING, Any, ParamSpec
 
 import click
 
 from planner_bridge.loading import load, warning_lines
 from planner_bridge.model.problem import Problem
-from pnm.actions.faults import NO_FAULTS, Faults, read_faults
 from pnm.errors import InputError, PnmError, Tolerated
+
+if TYPE_CHECKING:
+    from pnm.actions.faults import Faults
 
 P = ParamSpec("P")
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
@@ -84,13 +86,20 @@ files_or_plan = options(
     click.option("--plan", "plan_file", type=FILE, help="a hand-written plan in YAML, or a world of plans, in place of DOMAIN and PROBLEM"),
     click.option("--name", help="which plan of that file, if there are several"),
 )
-planning = options(
-    click.option("--planner", default="kairos", show_default=True, help="kairos, any engine of unified-planning, race, or race:NAME,NAME"),
-    click.option("--timeout", type=Seconds(0.01), default=30.0, show_default=True, help="seconds the planner may take"),
-    click.option(
-        "--improve", type=Seconds(0), default=2.0, show_default=True, help="seconds for which a better plan is looked for, at most"
-    ),
-)
+
+
+def planning_within(improve: float) -> Decorator:
+    """Return the options about planning, with this default for how long a better plan is looked for."""
+    return options(
+        click.option(
+            "--planner", default="kairos", show_default=True, help="kairos, any engine of unified-planning, race, or race:NAME,NAME"
+        ),
+        click.option("--timeout", type=Seconds(0.01), default=30.0, show_default=True, help="seconds the planner may take"),
+        click.option("--improve", type=Seconds(0), default=improve, show_default=True, help="seconds to look for a better plan, at most"),
+    )
+
+
+planning = planning_within(2.0)
 as_json_option = click.option("--json", "as_json", is_flag=True, help="print one JSON object as the last line, and nothing else")
 bindings_option = click.option("--bindings", type=FILE, help="how actions are bound to servers; by default bindings.yaml beside DOMAIN")
 force_option = click.option("--force", is_flag=True, help="replace files that exist")
@@ -182,4 +191,6 @@ class Files:
 
 def faults_for(problem: Problem, file: Path | None) -> Faults:
     """Read the faults of a simulation; none without a file."""
+    from pnm.actions.faults import NO_FAULTS, read_faults  # here, because most commands simulate nothing
+
     return read_faults(file, problem.vocabulary) if file else NO_FAULTS

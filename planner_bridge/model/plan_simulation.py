@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
-from pnm.core.execution.handover import UnderWay
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition
 from pnm.core.logic.effects import Changes, Effects, changes, decided
@@ -18,6 +17,9 @@ from pnm.core.logic.expressions import Fluent, Value
 from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, progressed
 from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
 from pnm.errors import PnmError
+
+if TYPE_CHECKING:
+    from pnm.core.execution.handover import UnderWay
 
 Stage = Literal["start", "end", "go on"]
 _NOTHING: Final[Mapping[Fluent, Value]] = {}

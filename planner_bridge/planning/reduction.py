@@ -6,25 +6,24 @@ with it all steps that cannot be carried out then; if the goal is reached all th
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from planner_bridge.model.grounding import ground_action, initial_knowledge
-from planner_bridge.model.plan import Plan, PlanningResult
+from planner_bridge.model.plan import Plan, PlanningResult, PlanStep
 from planner_bridge.model.plan_simulation import NotApplicable, PlanSimulation
 from planner_bridge.model.problem import TOTAL_TIME, Problem
 from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.validate import InvalidPlan, last_state
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import Fluent, State, Unknown, Value, ValueOf, value_of
-from pnm.core.machine.plan_graph import Moment, PlanEvent
+from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
 
 if TYPE_CHECKING:
     import kairos
 
 MAX_STEPS: Final = 60
-"""Steps of a plan that is reduced: the work grows with the square of their number, with times in the plan with its cube."""
+"""Steps of a plan that is reduced: the work grows with the square of their number."""
 
 
 def reduced(problem: Problem, result: PlanningResult, parsed: kairos.Problem | None = None) -> PlanningResult:
@@ -47,18 +46,9 @@ def reduced(problem: Problem, result: PlanningResult, parsed: kairos.Problem | N
 
 def _without(problem: Problem, plan: Plan, number: int) -> Plan | None:
     """Return the plan without the step, and those after it that cannot be carried out without it; None if that is no better plan."""
-    steps = [*plan.steps[:number], *plan.steps[number + 1 :]]
-    if not (plan.temporal or problem.timed):
-        # One simulation finds all that cannot be carried out; what reaches the goal then is checked as a whole.
-        simulation, every = PlanSimulation(initial_knowledge(problem)), steps
-        steps = []
-        for step in every:
-            action = ground_action(problem.domain.actions[step.action], step.arguments, None)
-            with suppress(NotApplicable):
-                simulation.advance([(PlanEvent(0, moment), action) for moment in (Moment.START, Moment.END)])
-                steps.append(step)
-        if evaluate(problem.goal, simulation.state) is not True:
-            return None
+    steps = surviving(problem, plan, number)
+    if steps is None:
+        return None
     while True:
         shorter = replace(plan, steps=tuple(steps))
         try:
@@ -71,6 +61,38 @@ def _without(problem: Problem, plan: Plan, number: int) -> Plan | None:
             rises = 0.0 if cost is None or plan.cost is None else cost - plan.cost
             is_worse = rises < 0.0 if problem.metric and problem.metric.direction == "maximize" else rises > 0.0
             return None if is_worse else replace(shorter, cost=cost)
+
+
+def surviving(problem: Problem, plan: Plan, number: int) -> list[PlanStep] | None:
+    """Return the steps that can be carried out when one is left out, by one simulation; None if they do not reach the goal.
+
+    What happens at one moment happens here one after the other, so the result has still to be validated.
+    """
+    simulation, lost = PlanSimulation(initial_knowledge(problem)), {number}
+    actions: dict[int, GroundAction] = {}
+    for index, step in enumerate(plan.steps):
+        schema = problem.domain.actions[step.action]
+        actions[index] = ground_action(schema, step.arguments, None if schema.duration is None else step.duration)
+    ends, timed, starts = range(3)  # of one moment
+    moments = [(change.time, timed, index) for index, change in enumerate(problem.timed)]
+    for index, step in enumerate(plan.steps):
+        start = step.start if plan.temporal else float(index)
+        moments += [(start, starts, index), *([(start + step.duration, ends, index)] if plan.temporal and step.duration else [])]
+    for _, kind, index in sorted(moments):
+        if kind == timed:
+            simulation.state.update(problem.timed[index].changes)
+        elif index not in lost:
+            step = plan.steps[index]
+            happening = [Moment.END] if kind == ends else [Moment.START] if plan.temporal and step.duration else [Moment.START, Moment.END]
+            try:
+                simulation.advance([(PlanEvent(index, moment), actions[index]) for moment in happening])
+            except NotApplicable as error:
+                if kind == ends or error.stage == "go on":
+                    return None
+                lost.add(index)
+    return (
+        [step for index, step in enumerate(plan.steps) if index not in lost] if evaluate(problem.goal, simulation.state) is True else None
+    )
 
 
 def _cost(problem: Problem, plan: Plan, state: State) -> float | None:
