@@ -46,7 +46,7 @@ def calls_told(calls: tuple[CallResult, ...]) -> list[tuple[str, ...]]:
 def planned(domain: Path, problem: Path) -> Told:
     loaded = load(domain, problem)
     backend = simulated_backend(loaded, Settings().bindings)
-    result = run_async(achieve_at(backend, loaded, Settings(), TaskObserver()), virtual=True)
+    result = run_async(achieve_at(backend, loaded, Settings(improve=0.0), TaskObserver()), virtual=True)
     return result.goal_reached, calls_told(result.calls), backend.robots.world.truth.facts()
 
 
@@ -66,7 +66,7 @@ def run_exported(plan: HandWrittenPlan) -> Told:
 @pytest.mark.parametrize("pair", PAIRS, ids=lambda pair: f"{pair[0].parent.name}-{pair[1].stem}")
 def test_the_exported_plan_does_the_same(pair: tuple[Path, Path], tmp_path: Path) -> None:
     file = tmp_path / "exported.yaml"
-    file.write_text(exported(*pair, with_plan=True).text, encoding="utf-8")
+    file.write_text(exported(*pair, with_plan=True, improve=0.0).text, encoding="utf-8")  # the same plan every time
     (plan,) = read_plans(file).values()
     expected = planned(*pair)
     assert expected[0]
