@@ -13,7 +13,7 @@ from typing import Any, Final
 from tests.support.files import ROOT
 from tests.support.processes import LIMIT
 
-_ORDERLY: Final = 15.0
+ORDERLY: Final = 15.0
 """Seconds for a process to end in order."""
 
 
@@ -51,7 +51,7 @@ class ChildProcess:
         """
         self.process.terminate()
         try:
-            return self.process.communicate(timeout=_ORDERLY)[1].decode()
+            return self.process.communicate(timeout=ORDERLY)[1].decode()
         except subprocess.TimeoutExpired:
             self.process.kill()
             return self.process.communicate(timeout=LIMIT)[1].decode()
