@@ -91,10 +91,10 @@ def test_time_is_waited_for_as_without_the_export(condition: str, init: str, goa
     files[0].write_text(TIMED.format(condition=condition))
     files[1].write_text(f"(define (problem p) (:domain d) (:init {init}) (:goal {goal}))")
     plan_file = tmp_path / "plan.yaml"
-    plan_file.write_text(exported(*files, with_plan=True).text)
+    plan_file.write_text(exported(*files, with_plan=True, improve=0.0).text)
     (plan,) = read_plans(plan_file).values()
     problem = load(*files)
-    found = solve(problem).plan
+    found = solve(problem, improve=0.0).plan
     assert found
     graph = plan_graph(problem, found)
     assert plan.graph.due == graph.due
