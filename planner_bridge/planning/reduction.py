@@ -6,6 +6,7 @@ with it all steps that cannot be carried out then; if the goal is reached all th
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
@@ -34,19 +35,24 @@ def reduced(problem: Problem, result: PlanningResult, parsed: kairos.Problem | N
     plan = result.plan
     if plan is None or problem.network or problem.has_preferences or len(plan.steps) > MAX_STEPS:
         return result
+    actions: dict[PlanStep, GroundAction] = {}  # once: every step is left out in turn
+    for step in plan.steps:
+        schema = problem.domain.actions[step.action]
+        actions[step] = ground_action(schema, step.arguments, None if schema.duration is None else step.duration)
     number, plan = 0, replace(plan, cost=_cost(problem, plan, last_state(problem, plan)))
     while number < len(plan.steps):
-        shorter = _without(problem, plan, number)
+        shorter = _without(problem, plan, number, actions)
         if shorter is None:
             number += 1
         else:
             plan = shorter
-    return result if validate(problem, plan, parsed) else replace(result, plan=plan)
+    is_shorter = result.plan is not None and len(plan.steps) < len(result.plan.steps)
+    return result if is_shorter and validate(problem, plan, parsed) else replace(result, plan=plan)
 
 
-def _without(problem: Problem, plan: Plan, number: int) -> Plan | None:
+def _without(problem: Problem, plan: Plan, number: int, actions: Mapping[PlanStep, GroundAction]) -> Plan | None:
     """Return the plan without the step, and those after it that cannot be carried out without it; None if that is no better plan."""
-    steps = surviving(problem, plan, number)
+    steps = surviving(problem, plan, number, actions)
     if steps is None:
         return None
     while True:
@@ -63,16 +69,12 @@ def _without(problem: Problem, plan: Plan, number: int) -> Plan | None:
             return None if is_worse else replace(shorter, cost=cost)
 
 
-def surviving(problem: Problem, plan: Plan, number: int) -> list[PlanStep] | None:
+def surviving(problem: Problem, plan: Plan, number: int, actions: Mapping[PlanStep, GroundAction]) -> list[PlanStep] | None:
     """Return the steps that can be carried out when one is left out, by one simulation; None if they do not reach the goal.
 
     What happens at one moment happens here one after the other, so the result has still to be validated.
     """
     simulation, lost = PlanSimulation(initial_knowledge(problem)), {number}
-    actions: dict[int, GroundAction] = {}
-    for index, step in enumerate(plan.steps):
-        schema = problem.domain.actions[step.action]
-        actions[index] = ground_action(schema, step.arguments, None if schema.duration is None else step.duration)
     ends, timed, starts = range(3)  # of one moment
     moments = [(change.time, timed, index) for index, change in enumerate(problem.timed)]
     for index, step in enumerate(plan.steps):
@@ -85,14 +87,14 @@ def surviving(problem: Problem, plan: Plan, number: int) -> list[PlanStep] | Non
             step = plan.steps[index]
             happening = [Moment.END] if kind == ends else [Moment.START] if plan.temporal and step.duration else [Moment.START, Moment.END]
             try:
-                simulation.advance([(PlanEvent(index, moment), actions[index]) for moment in happening])
+                simulation.advance([(PlanEvent(index, moment), actions[step]) for moment in happening])
             except NotApplicable as error:
                 if kind == ends or error.stage == "go on":
                     return None
                 lost.add(index)
-    return (
-        [step for index, step in enumerate(plan.steps) if index not in lost] if evaluate(problem.goal, simulation.state) is True else None
-    )
+    if evaluate(problem.goal, simulation.state) is not True:
+        return None
+    return [step for index, step in enumerate(plan.steps) if index not in lost]
 
 
 def _cost(problem: Problem, plan: Plan, state: State) -> float | None:
