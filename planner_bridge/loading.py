@@ -24,19 +24,21 @@ def load(domain: Path | str | Domain | None, problem: Path | str | Problem | Any
     """Return the problem, read from files where files are named.
 
     Raises:
-        InputError: a file is wrong, or cannot be read.
-        TypeError: a file is named for the problem, and nothing for its domain.
+        InputError: a file is wrong, cannot be read, or is not named.
     """
     if isinstance(problem, Problem):
         return problem
     if not isinstance(problem, Path | str):
         if not hasattr(problem, "kind"):
-            raise InputError(f"expected a file, a Problem or a Problem of unified-planning, found {problem!r}")
+            raise InputError(f"expected a file, a Problem or a Problem of unified-planning for problem, found {problem!r}")
         from planner_bridge.planning.unified_planning import from_unified_planning  # here, because unified-planning takes seconds to import
 
         return from_unified_planning(problem)
-    if domain is None:
-        raise TypeError("a problem file needs a domain")
+    if not isinstance(domain, Path | str | Domain):
+        raise InputError(f"expected a file or a Domain for domain, found {domain!r}")
+    for name, given in (("domain", domain), ("problem", problem)):
+        if isinstance(given, str) and "\n" in given:
+            raise InputError(f"expected the name of a file for {name}, found a text; `parse_{name}` reads one")
     return read_problem(Path(problem), domain if isinstance(domain, Domain) else read_domain(Path(domain)))
 
 
@@ -47,14 +49,18 @@ def bindings_for(domain: Path | None, file: Path | None, known: Vocabulary | Non
     """
     from pnm.core.machine.bindings import NO_BINDINGS  # here and below, because a search for a plan needs no bindings
 
-    beside = domain.parent / "bindings.yaml" if domain else None
-    if file is None and beside and os.path.isfile(beside):  # unlike `Path.is_file` also for names that are too long
-        file = beside
+    file = file or bindings_beside(domain)
     if file is None:
         return NO_BINDINGS
     from pnm.actions.bindings_file import read_bindings
 
     return read_bindings(file, known)
+
+
+def bindings_beside(domain: Path | None) -> Path | None:
+    """Return the ``bindings.yaml`` beside the domain, if there is one."""
+    beside = domain.parent / "bindings.yaml" if domain else None
+    return beside if beside and os.path.isfile(beside) else None  # unlike `Path.is_file` also for names that are too long
 
 
 def warning_lines(warnings: Iterable[Tolerated]) -> Iterator[str]:

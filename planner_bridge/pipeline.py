@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, cast
 from uuid import uuid4
@@ -14,9 +15,11 @@ from planner_bridge.loading import bindings_for, load
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan_world import names_of_world
 from planner_bridge.model.problem import Domain, Problem
+from planner_bridge.pddl.write.writer import write_domain, write_problem
 from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.result import PlanResult, Stopwatch, TaskResult
 from planner_bridge.tasks.scheduling.goal_handle import GoalHandle
+from planner_bridge.tasks.scheduling.task_journal import KEPT_NOWHERE, TaskJournal
 from planner_bridge.tasks.scheduling.task_manager import TaskManager
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.actions.backend import Backend, ClientBackend, check_ready
@@ -29,7 +32,9 @@ from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import ActionClient
 from pnm.core.readiness import Readiness
-from pnm.errors import InputError, Tolerated, suggestion
+from pnm.errors import InputError, Tolerated, check_kinds, suggestion
+from pnm.files.database.place import place_of
+from pnm.journal.kept import JournalChoice
 from pnm.knowledge.sensor_model import NO_SENSING
 from pnm.knowledge.sources.registry import Surroundings, open_sources
 from pnm.knowledge.sources.router import Sources
@@ -51,6 +56,7 @@ def achieve(
     settings: Settings | None = None,
     observer: TaskObserver | None = None,
     stopwatch: Stopwatch | None = None,
+    journal: JournalChoice | Path | str | None = None,
 ) -> TaskResult:
     """Pursue the goal of the problem until it holds or cannot be reached.
 
@@ -62,6 +68,7 @@ def achieve(
         settings: planner, bindings and limits; without bindings those of ``bindings.yaml`` beside the domain file.
         observer: notified of every event.
         stopwatch: measures the phases; one that has run before goes on.
+        journal: the file that the goal is kept in: if the process dies, the next call with the same problem and file goes on.
 
     Raises:
         InputError: an input is wrong; nothing was started.
@@ -69,7 +76,7 @@ def achieve(
     with suppress(RuntimeError):
         asyncio.get_running_loop()
         raise InputError("an event loop is running here: `await planner_bridge.achieve_async(...)` in place of achieve")
-    handle = _goal_handle(domain, problem, actions, faults, settings, observer, stopwatch or Stopwatch())
+    handle = _goal_handle(domain, problem, actions, faults, settings, observer, stopwatch or Stopwatch(), journal)
     return run_async(handle.run(), virtual=actions == "simulated")
 
 
@@ -104,10 +111,11 @@ def _goal_handle(
     settings: Settings | None,
     observer: TaskObserver | None,
     stopwatch: Stopwatch,
+    journal: JournalChoice | Path | str | None = None,
 ) -> GoalHandle:
     """Return the handle of a goal, all of whose inputs are right."""
     settings, observer = settings or Settings(), observer or TaskObserver()
-    check_arguments(settings, observer, faults)
+    check_kinds("achieve", {"settings": (settings, Settings), "observer": (observer, TaskObserver), "faults": (faults, Faults)})
     with stopwatch.of("parse"):
         loaded = load(domain, problem)
         if settings.bindings == NO_BINDINGS and isinstance(domain, Path | str):
@@ -115,7 +123,15 @@ def _goal_handle(
     for name in sorted(settings.bindings.actions.keys() - loaded.domain.actions.keys()):
         hint = suggestion(name, loaded.domain.actions)
         raise InputError(f"there is no action {name!r} in the domain, of which the bindings speak{hint and f'; {hint}'}")
-    return GoalHandle(backend_of(actions, loaded, settings, faults), loaded, settings, observer, stopwatch)
+    kept = _journal_of(journal, write_domain(loaded.domain), write_problem(loaded)) if journal else KEPT_NOWHERE
+    return GoalHandle(backend_of(actions, loaded, settings, faults), loaded, settings, observer, stopwatch, kept)
+
+
+def _journal_of(journal: JournalChoice | Path | str, *origin: str) -> TaskJournal:
+    """Return the journal of a task, whose world these texts describe; raise an `InputError` if it cannot be used."""
+    choice = JournalChoice(place_of(str(journal))) if isinstance(journal, Path | str) else journal
+    check_kinds("the journal", {"journal": (choice, JournalChoice)})
+    return TaskJournal.of(choice, sha256("\0".join(origin).encode()).hexdigest())
 
 
 async def achieve_at(
@@ -168,7 +184,9 @@ def carry_out(
     observer: TaskObserver | None = None,
     on_failure: OnFailure | None = None,
     knowledge: Path | None = None,
+    answers: Iterable[tuple[str, object]] = (),
     warn: Callable[[Iterable[Tolerated]], None] | None = None,
+    journal: JournalChoice | Path | str | None = None,
 ) -> PlanResult:
     """Carry out a hand-written plan of a file.
 
@@ -182,7 +200,9 @@ def carry_out(
         observer: notified of every event.
         on_failure: what running actions do when one has failed, in place of the plans' own policy.
         knowledge: the file in which global knowledge is kept, in place of what the plan chose.
+        answers: names of questions and what people would answer, who are not asked then.
         warn: called with the warnings about the files.
+        journal: the file that the run is kept in: if the process dies, the next call with the same plan and file goes on.
 
     Raises:
         InputError: an input is wrong; nothing was started.
@@ -191,7 +211,7 @@ def carry_out(
         asyncio.get_running_loop()
         raise InputError("an event loop is running here, and this needs one of its own: call it by `await asyncio.to_thread(...)`")
     settings, observer, stopwatch = settings or Settings(), observer or TaskObserver(), Stopwatch()
-    check_arguments(settings, observer, faults)
+    check_kinds("carry_out", {"settings": (settings, Settings), "observer": (observer, TaskObserver), "faults": (faults, Faults)})
     with stopwatch.of("parse"):
         plans = {name: _with_settings(plan, settings, on_failure) for name, plan in read_plans(file).items()}
         chosen = chosen_plan(plans, name)
@@ -202,11 +222,14 @@ def carry_out(
     bound = replace(settings, bindings=merge_bindings(plans.values()))
     backend = backend_of(actions, plans[chosen], bound, faults, tuple(plans.values()))
     wanted = Wanted(uuid4(), chosen, parameters=parameters or {}, is_plan=True)
+    origin = file.read_text(encoding="utf-8"), chosen, repr(sorted(wanted.parameters.items()))
+    kept = _journal_of(journal, *origin) if journal else KEPT_NOWHERE
 
     def opened() -> Sources:
-        return open_sources(sources_of(plans.values()), Surroundings(getattr(backend, "ros", None), file.parent), knowledge)
+        surroundings = Surroundings(getattr(backend, "ros", None), file.parent, tuple(answers))
+        return open_sources(sources_of(plans.values()), surroundings, knowledge)
 
-    task = _carry_out_at(backend, opened, programs, wanted, bound, observer=observer, stopwatch=stopwatch)
+    task = _carry_out_at(backend, opened, programs, wanted, bound, observer=observer, stopwatch=stopwatch, kept=kept)
     return run_async(task, virtual=actions == "simulated")
 
 
@@ -219,42 +242,39 @@ async def _carry_out_at(
     *,
     observer: TaskObserver,
     stopwatch: Stopwatch,
+    kept: TaskJournal,
 ) -> PlanResult:
     """Carry out one of the programs on a backend, with sources of knowledge that are opened when it is open."""
-    world, is_prepared = initial_knowledge(programs[wanted.text].plan), False
-    try:
-        await backend.open(world)
-        sources = opened()
+    world, is_prepared = kept.world(initial_knowledge(programs[wanted.text].plan)), False
+    with kept.opened(backend) as journal:
         try:
-            runner = PlanRunner(programs, backend, world, sources)
-            await check_ready(backend, runner.actions)
-            await runner.check(runner.prepare_run(wanted.text, wanted.parameters))  # before anything is prepared
-            await backend.share(runner.prefix, runner.knowledge_of, sources)
-            await runner.prepare()
-            is_prepared = True
-            nothing = Problem(wanted.text, Domain(wanted.text))
-            manager = TaskManager(nothing, world, backend, settings, _no_goal, source=sources, runner=runner)
-            return cast("PlanResult", await manager.run(wanted, observer, stopwatch))
+            await backend.open(world)
+            sources = opened()
+            try:
+                asked = PlanRunner(programs, backend, world, sources)  # of which nothing is kept
+                await check_ready(backend, asked.actions)
+                await asked.check(asked.prepare_run(wanted.text, wanted.parameters))  # before anything is prepared
+                runner = kept.runner(backend, world, journal, programs, sources)
+                await backend.share(runner.prefix, runner.knowledge_of, sources)
+                await runner.prepare()
+                is_prepared = True
+                nothing = Problem(wanted.text, Domain(wanted.text))
+                helper = sources if settings.ask_for_help else None
+                manager = TaskManager(nothing, runner, settings, _no_goal, helper=helper)
+                return cast("PlanResult", await kept.carry_out(manager, wanted, observer, stopwatch))
+            finally:
+                await sources.close()
+        except asyncio.CancelledError:
+            if is_prepared:  # and has been cancelled twice
+                raise
+            cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
+            return PlanResult(Code.CANCELLED, "cancelled", 0, (), stopwatch.seconds)
         finally:
-            await sources.close()
-    except asyncio.CancelledError:
-        if is_prepared:  # and has been cancelled twice
-            raise
-        cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
-        return PlanResult(Code.CANCELLED, "cancelled", 0, (), stopwatch.seconds)
-    finally:
-        await backend.close()
+            await backend.close()
 
 
 def _no_goal(text: str) -> Condition:
     raise InputError(f"there are no goals here: {text}")
-
-
-def check_arguments(settings: Settings, observer: TaskObserver, faults: Faults) -> None:
-    """Raise an `InputError` if one of these is something else, the name of a file for instance."""
-    for value, kind in ((settings, Settings), (observer, TaskObserver), (faults, Faults)):
-        if not isinstance(value, kind):
-            raise InputError(f"expected {kind.__name__}, found {value!r}")
 
 
 def backend_of(

@@ -15,12 +15,33 @@ import selectors
 from collections.abc import Awaitable, Callable, Coroutine, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
 from math import isfinite, ulp
+from time import monotonic
 from typing import Any, Final, TypeVar, cast
 
 from pnm.signals import StoppableWork
 
 T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class TimeUsed:
+    """How much of a limit is used.
+
+    Args:
+        limit: its seconds.
+        used: the seconds that were used when it last began to count, or stopped.
+        since: when it last began to count, on the clock of the event loop; None while it does not.
+    """
+
+    limit: float
+    used: float = 0.0
+    since: float | None = None
+
+    def until(self, now: float) -> float:
+        """Return the seconds that are used at a time."""
+        return self.used + (0.0 if self.since is None else now - self.since)
 
 
 class TimeLimit:
@@ -29,12 +50,14 @@ class TimeLimit:
     Args:
         seconds: how many; infinitely many are never used up.
         over: what is called then, with that number.
+        note: called with what is used whenever it begins to count, or stops: another process can go on with it.
 
     The mutable state is what the constructor sets under "state".
     """
 
-    def __init__(self, seconds: float, over: Callable[[float], None]) -> None:
+    def __init__(self, seconds: float, over: Callable[[float], None], note: Callable[[TimeUsed], None] = lambda _: None) -> None:
         self._over = over
+        self.note = note
         # state
         self._seconds = seconds
         self._used = 0.0
@@ -46,6 +69,10 @@ class TimeLimit:
         self._timer: asyncio.TimerHandle | None = None
         self.is_used_up = False
         """Whether the function was called."""
+
+    def continue_from(self, left: TimeUsed, at: float) -> None:
+        """Begin later with what another process had used when it died, at that time."""
+        self._seconds, self._used = max(self._seconds, left.limit), left.until(at)
 
     def begin(self) -> None:
         """Start the clock, now or at the end of a pause."""
@@ -64,6 +91,7 @@ class TimeLimit:
 
     def close(self) -> None:
         """Stop the clock for good."""
+        self.note = lambda _: None
         self._stop()
         self._has_begun = False
 
@@ -83,6 +111,7 @@ class TimeLimit:
         if self._since is None and self._has_begun and not (self._is_paused or self.is_used_up):
             loop = asyncio.get_running_loop()
             self._since = loop.time()
+            self.note(TimeUsed(self._seconds, self._used, self._since))
             if isfinite(self._seconds):
                 self._timer = loop.call_later(self.left, self._end)
 
@@ -94,6 +123,7 @@ class TimeLimit:
         if self._since is not None:
             self._used += asyncio.get_running_loop().time() - self._since
             self._since = None
+            self.note(TimeUsed(self._seconds, self._used))
         if self._timer:
             self._timer.cancel()
             self._timer = None
@@ -141,8 +171,8 @@ def short_pauses() -> Iterator[None]:
         gc.unfreeze()
 
 
-_RESOLUTION: Final = 1e-9
-"""Seconds that the virtual clock tells apart at its beginning."""
+_TOGETHER: Final = 1e-9
+"""Seconds that virtual time does not tell apart: sums of the same durations differ by how they were rounded."""
 
 
 class _Jumping(selectors.DefaultSelector):
@@ -173,16 +203,27 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
         self._jumping = _Jumping(self.next_timer)
         super().__init__(self._jumping)
 
+    def continue_from(self, time: float) -> None:
+        """Go on from a time, at which another process was."""
+        self._jumping.now = time
+
     def time(self) -> float:
         """Return the virtual time in seconds."""
         return self._jumping.now
 
     def next_timer(self) -> float:
-        """Return the time of the next timer, to which the clock jumps."""
-        when = self._scheduled[0].when()
-        # asyncio takes timers of that many seconds later for due: if no less can be told apart then, none would ever be
-        self._clock_resolution = max(_RESOLUTION, ulp(when))
+        """Return the time to which the clock jumps: of the next timer, or of the last one that goes off together with it."""
+        when = self._latest(0, self._scheduled[0].when() + _TOGETHER)
+        # asyncio takes timers of that many seconds later for due: one that goes off before its time would be set again for ever, for
+        # the clock stands still meanwhile; and if no less can be told apart, none would ever be due
+        self._clock_resolution = ulp(when)
         return when
+
+    def _latest(self, index: int, bound: float) -> float:
+        """Return the latest time until `bound` in a part of asyncio's heap of timers; 0 if there is none."""
+        if index >= len(self._scheduled) or (when := self._scheduled[index].when()) > bound:
+            return 0.0
+        return max(when, self._latest(2 * index + 1, bound), self._latest(2 * index + 2, bound))
 
     def run_in_executor(self, executor: Executor | None, func: Callable[..., T], *args: Any) -> asyncio.Future[T]:  # type: ignore[override]
         """Run the function in a thread; the clock stands still until it is done."""
@@ -195,16 +236,45 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
         self._jumping.held -= 1
 
 
+_STANDSTILL: Final = 0.5
+"""Seconds by which waiting takes too long when the process was stopped, or got no processor."""
+
+
+class _Waiting(selectors.DefaultSelector):
+    """Waits for file descriptors, and tells how long it has stood still meanwhile. The mutable state is whether it just did."""
+
+    def __init__(self, stood_still: Callable[[float], None], clock: Callable[[], float]) -> None:
+        super().__init__()
+        self._stood_still = stood_still
+        self._clock = clock
+        self._has_stood_still = False
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        began = self._clock()
+        ready = super().select(timeout)
+        took, limit = self._clock() - began, max(0.0, timeout or 0.0)
+        stood_still, self._has_stood_still = self._has_stood_still, timeout is not None and took - limit > _STANDSTILL
+        if self._has_stood_still:  # as if it had not waited, so that there is time to hear; only once in a row, or it would never go on
+            self._stood_still(took - limit if stood_still else took)
+        return ready
+
+
 class FollowingLoop(asyncio.SelectorEventLoop):
     """An event loop on real time that may follow another clock, such as that of a simulation.
 
-    Whoever moves that clock calls something on the loop, so that it looks at its timers. Its time never goes back.
+    Whoever moves that clock calls something on the loop, so that it looks at its timers. Its time never goes back. It does not go on
+    while the process is stopped: what has been reported meanwhile is heard before the limits for it are over.
     """
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, real: Callable[[], float] = monotonic) -> None:
+        self._real = real
+        super().__init__(_Waiting(self._stand_still, real))
         self._clock: Callable[[], float] | None = None
-        self._offset = self._latest = 0.0
+        self._shift = self._offset = self._latest = 0.0
+
+    def continue_from(self, time: float) -> None:
+        """Go on from a time, at which another process was: what it had still to wait for is waited for here."""
+        self._shift = time - self._real()
 
     def follow(self, clock: Callable[[], float]) -> None:
         """Go on from now with the pace of the clock."""
@@ -214,9 +284,21 @@ class FollowingLoop(asyncio.SelectorEventLoop):
     def time(self) -> float:
         """Return the time in seconds: real, or of the clock that is followed."""
         if self._clock is None:
-            return super().time()
+            return self._real() + self._shift
         self._latest = max(self._latest, self._offset + self._clock())
         return self._latest
+
+    def _stand_still(self, seconds: float) -> None:
+        """Go on as if these seconds had not been; a clock that is followed may have gone on, or not."""
+        if self._clock is None:
+            self._shift -= seconds
+
+
+def continue_from(time: float) -> None:
+    """Have the running event loop go on from a time, at which another process was; only if it is one of `run_async`."""
+    loop = asyncio.get_running_loop()
+    if isinstance(loop, VirtualTimeLoop | FollowingLoop):
+        loop.continue_from(time)
 
 
 def run_async(main: Coroutine[Any, Any, T], *, virtual: bool = False) -> T:

@@ -15,14 +15,14 @@ class PnmError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """Where in a file something stands; lines and columns count from 1."""
+    """Where in a file something stands; lines and columns count from 1. Without them, the file as a whole."""
 
     file: str
-    line: int
-    column: int
+    line: int = 0
+    column: int = 0
 
     def __str__(self) -> str:
-        return f"{self.file}:{self.line}:{self.column}"
+        return f"{self.file}:{self.line}:{self.column}" if self.line else self.file
 
 
 class InputError(PnmError):
@@ -63,7 +63,8 @@ def check_kinds(what: str, values: Mapping[str, tuple[object, type]]) -> None:
     """Refuse named values that are of another kind than expected; raise `InputError`."""
     for name, (value, kind) in values.items():
         if not isinstance(value, kind):
-            raise InputError(f"{what}: expected {kind.__name__} for {name}, found {value!r}")
+            found = repr(value) if len(repr(value)) < 200 else f"a {type(value).__name__}"
+            raise InputError(f"{what}: expected {kind.__name__} for {name}, found {found}")
 
 
 def _is_number(value: object) -> TypeGuard[float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Collection, Coroutine, Mapping
+from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import assert_never
@@ -17,10 +17,13 @@ from pnm.core.execution.events import (
     Ask,
     Begin,
     Cancel,
+    Command,
     Event,
     KnowledgeChanged,
     Pause,
+    Reattach,
     ResourcesChanged,
+    Restarted,
     Resume,
     Send,
     Stop,
@@ -33,9 +36,12 @@ from pnm.core.execution.handover import check_succession
 from pnm.core.execution.run import Run
 from pnm.core.logic.computed_values import MISSING, Question
 from pnm.core.logic.expressions import Fluent, Unknown, Value
-from pnm.core.machine.requests import ActionClient, Ended, Outcome, OutcomeKind, Report
+from pnm.core.machine.bindings import WhenLost
+from pnm.core.machine.requests import NOT_REATTACHED, ActionClient, Ended, Outcome, OutcomeKind, ReattachingClient, Report, Request
 from pnm.errors import RunError
+from pnm.journal.journal import NO_JOURNAL, Journal
 from pnm.knowledge.sources import Asker, Source, SourceError
+from pnm.knowledge.sources.help import was_carried_out
 
 _log = logging.getLogger(__name__)
 
@@ -51,15 +57,19 @@ class Executor:
         client: what requests are sent to.
         source: answers queries and takes updates of what the run does not know itself.
         name: of the run, for people who are asked.
+        journal: keeps what happens before anything is done about it; the run was made by it.
     """
 
-    def __init__(self, run: Run, client: ActionClient, source: Source | None = None, name: str = "") -> None:
+    def __init__(self, run: Run, client: ActionClient, source: Source | None = None, name: str = "", journal: Journal = NO_JOURNAL) -> None:
         self.run = run
         self._client = client
         self._source = source
+        self._journal = journal
         self._asker = Asker(run.id, name)
         self._source_tasks: dict[UUID, asyncio.Task[None]] = {}
         self._inbox: asyncio.Queue[Event] = asyncio.Queue()
+        if run.begun:  # in another process; before anything else, such as a stop, which could cancel no request that is not attached
+            self._inbox.put_nowait(Restarted())
         self._timer: asyncio.TimerHandle | None = None
         self._leaving: list[Callable[[], None]] = []
         self._waiting: set[KnowledgeChanged | ResourcesChanged] = set()
@@ -101,11 +111,9 @@ class Executor:
         check_succession(self.run.handover, run.handover)  # before anything changes: a refusal leaves the old run going on
         # From here on reports that wait in the inbox are handled by the new run; they name the request, not the run.
         old, self.run = self.run, run
+        self._journal.succeeded(old, run)
         self._asker = replace(self._asker, run=run.id)
-        self._leave(run.inherit(old))
-        old.retire(run.open_requests)  # after the new run has claimed what it adopts, which is therefore kept and not free for a moment
-        if old.pausing:  # before `Begin`, so that the new run starts nothing during a pause of the old one
-            run.handle(old.pausing, asyncio.get_running_loop().time())
+        self._leave({*run.take_the_place_of(old, asyncio.get_running_loop().time()), *run.open_requests})
         self._enter()
         # At once and not through the inbox: events that wait there concern requests that it must have adopted by then.
         self._handle(Begin())
@@ -124,17 +132,19 @@ class Executor:
 
     async def _carry_out(self) -> RunResult:
         self._enter()
-        self._inbox.put_nowait(Begin())
+        if not self.run.begun:
+            self._inbox.put_nowait(Begin())
         try:
             while not self.run.over:
                 self._handle(await self._inbox.get())
         except BaseException:
-            for request in self.run.open_requests:  # their reports will not be heard
-                self._client.cancel(request)
+            if self._journal.may_act():  # otherwise another process carries it on; their reports will not be heard
+                self._perform([*map(Cancel, self.run.open_requests)])
             raise
         finally:
             self.ended = True
             self._leave()
+            self._journal.retired(self.run)
             self.run.retire()
             # Reports that came with the last event would be lost, and with them the resources that their requests keep.
             while not self._inbox.empty():
@@ -142,15 +152,23 @@ class Executor:
         return self.run.result()
 
     def _hear(self, report: Report) -> None:
+        if self._source and self._leaving and isinstance(report, Ended) and self._is_doubtful(report):
+            self._start(report.request, self._ask_what_has_become(report, self._source))
+        else:
+            self._take_in(report)
+
+    def _is_doubtful(self, end: Ended) -> bool:
+        return end.outcome.kind is OutcomeKind.LOST and self.run.when_lost(end.request) is WhenLost.ASK
+
+    def _take_in(self, report: Report) -> None:
         if self._leaving:  # after the end no one reads the inbox, but a server may still confirm what was given up
             self._inbox.put_nowait(report)
         else:
             self._heard_late(report)
 
     def _heard_late(self, event: Event) -> None:
-        """Free what a request has kept that ends after the run."""
         if isinstance(event, Ended):
-            self.run.resources.confirm(event.request)
+            self._journal.confirmed(event.request, self.run.resources)
 
     def _enter(self) -> None:
         knowledge, resources = self.run.knowledge, self.run.resources
@@ -175,10 +193,16 @@ class Executor:
     def _handle(self, event: Event) -> None:
         if isinstance(event, KnowledgeChanged | ResourcesChanged):
             self._waiting.discard(event)  # before it is handled: a change that its own commands cause has to be looked at again
-        for command in self.run.handle(event, asyncio.get_running_loop().time()):
+        self._journal.handle(self.run, event, asyncio.get_running_loop().time(), self._perform)
+        self._announce()
+
+    def _perform(self, commands: Sequence[Command]) -> None:
+        for command in commands:
             match command:
                 case Send(request):
                     self._client.send(request, self._hear)
+                case Reattach(request, accepted):
+                    self._reattach(request, accepted=accepted)
                 case Cancel(request):
                     self._client.cancel(request)
                 case Wake(at):
@@ -192,7 +216,12 @@ class Executor:
                     self._start(identity, self._update(identity, question, value))
                 case _:
                     assert_never(command)
-        self._announce()
+
+    def _reattach(self, request: Request, *, accepted: bool) -> None:
+        if isinstance(self._client, ReattachingClient):
+            self._client.reattach(request, self._hear, accepted=accepted)
+        else:
+            self._inbox.put_nowait(Ended(request.id, NOT_REATTACHED))
 
     def _start(self, identity: UUID, work: Coroutine[None, None, None]) -> None:
         task = self._source_tasks[identity] = asyncio.get_running_loop().create_task(work)
@@ -203,7 +232,7 @@ class Executor:
         message = ""
         try:
             if self._source:
-                answer = await self._source.query(question, self._asker)
+                answer = await self._source.query(question, replace(self._asker, question=identity))
         except SourceError as error:
             message = str(error)
             _log.warning("%s has no answer: %s", question, message)  # the run may go on with that, as a choice does
@@ -227,6 +256,19 @@ class Executor:
             _log.exception("%s cannot be stored", question)
             outcome = Outcome(OutcomeKind.ABORTED, message=f"{question} cannot be stored: {str(error) or type(error).__name__}")
         self._inbox.put_nowait(Ended(identity, outcome))
+
+    async def _ask_what_has_become(self, end: Ended, source: Source) -> None:
+        """Ask a person about a request that was lost; until then it counts as under way."""
+        outcome, action = end.outcome, self.run.open_calls[end.request].action
+        try:
+            if await was_carried_out(source, replace(self._asker, question=end.request), str(action)):
+                outcome = Outcome(OutcomeKind.SUCCEEDED, message="a person says that it was carried out")
+            else:
+                outcome = replace(outcome, message=f"{outcome.message}; no person says that it was carried out")
+        except SourceError as error:
+            outcome = replace(outcome, message=f"{outcome.message}; a person was asked about it in vain: {error}")
+        finally:  # also when the run has ended meanwhile: no robot is at work on it
+            self._take_in(Ended(end.request, outcome))
 
     def _wake_at(self, at: float | None) -> None:
         if self._timer:

@@ -6,20 +6,41 @@ process share the knowledge of the world and the resources of its robots.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
+import json
+import logging
+from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import Enum, IntEnum
+from enum import IntEnum
 from typing import Final, Protocol, TypeAlias
 from uuid import UUID
 
 from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.machine.plan_graph import Cause
 from pnm.core.net.net import Marking
+
+EVENTS: Final = logging.getLogger("pnm.events")
+"""What happens to tasks and to the node that carries them out, for whoever has a handler here: `/rosout`, by `pnm.ros.node.ros_thread`."""
+EVENTS.propagate = False  # commands print it in their own way
+EVENTS.addHandler(logging.NullHandler())  # else Python prints warnings that have no handler
 
 SHORT: Final = 1000
 """Characters of a text that is read at once; a longer one is read in a thread, while the event loop goes on."""
+REMEMBERED: Final = 20
+"""Tasks that are over and still known: they are listed, and their clients may ask for their results, also in the next process."""
+SHOWN: Final = 200
+"""Characters of a goal, of parameters or of results that a line shows."""
 
 
-class Code(IntEnum):
+class NumberedWord(IntEnum):
+    """A word for people and programs with its number in messages."""
+
+    @property
+    def word(self) -> str:
+        """The word."""
+        return self.name.lower()
+
+
+class Code(NumberedWord):
     """How a task ended; the numbers are those of ``pnm_interfaces/action/AchieveGoal``."""
 
     GOAL_REACHED = 0
@@ -39,13 +60,8 @@ class Code(IntEnum):
     CONSTRAINT_VIOLATED = 14
     ERROR = 15
 
-    @property
-    def word(self) -> str:
-        """The code in one word for programs."""
-        return self.name.lower()
 
-
-class TaskState(IntEnum):
+class TaskState(NumberedWord):
     """How a task is doing; the numbers are those of ``pnm_interfaces/msg/TaskStatus``."""
 
     QUEUED = 0
@@ -58,7 +74,7 @@ class TaskState(IntEnum):
     OVER = 7
 
 
-class StepState(IntEnum):
+class StepState(NumberedWord):
     """How far a call of a plan has come; the numbers are those of ``pnm_interfaces/msg/PlanStep``."""
 
     WAITING = 0
@@ -68,13 +84,38 @@ class StepState(IntEnum):
     SKIPPED = 4
 
 
-class OnConflict(Enum):
-    """What to do about a goal that cannot be pursued beside others."""
+class OnConflict(NumberedWord):
+    """What to do about a goal that cannot be pursued beside others; the numbers are those of ``pnm_interfaces/action/AchieveGoal``."""
 
-    PLAN_AROUND = "plan_around"
+    DEFAULT = 0
+    """As the task manager has it."""
+    PLAN_AROUND = 1
     """Look for a plan that leaves the others alone; wait if there is none."""
-    QUEUE = "queue"
-    REFUSE = "refuse"
+    QUEUE = 2
+    REFUSE = 3
+
+
+class TraceKind(NumberedWord):
+    """What kind of thing has happened to a task; the numbers are those of ``pnm_interfaces/msg/TraceEvent``."""
+
+    GOAL = 0
+    STATE = 1
+    PLANNED = 2
+    UNPLANNED = 3
+    BLOCKED = 4
+    SENT = 5
+    FEEDBACK = 6
+    ENDED = 7
+    WITHHELD = 8
+    FAILED = 9
+    REPLANNED = 10
+    CONFLICT = 11
+    FIRED = 12
+
+    @property
+    def is_frequent(self) -> bool:
+        """Whether so much of it happens that it is neither kept nor printed."""
+        return self in (TraceKind.FEEDBACK, TraceKind.FIRED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,18 +127,20 @@ class Wanted:
         text: a condition in PDDL or the name of a goal; or the name or the text of a plan.
         priority: higher ones come first.
         deadline: seconds from the beginning of the task, None for none.
-        on_conflict: the policy for conflicts; None for the default of the task manager.
+        on_conflict: the policy for conflicts.
         parameters: of a plan that is loaded.
         is_plan: whether `text` is a plan, which is carried out as it is.
+        server: the action by which it came, without namespaces; empty for none.
     """
 
     id: UUID
     text: str
     priority: int = 0
     deadline: float | None = None
-    on_conflict: OnConflict | None = None
+    on_conflict: OnConflict = OnConflict.DEFAULT
     parameters: Mapping[str, object] = field(default_factory=dict)
     is_plan: bool = False
+    server: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +159,25 @@ class TaskStatus:
     """How often a plan that is loaded was begun anew."""
     parameters: Mapping[str, object] = field(default_factory=dict)
     """The parameters of a loaded plan."""
+    feedback: tuple[str, ...] = ()
+    """What the server of each running call has reported last, on one line; empty for nothing."""
+    code: Code | None = None
+    """How it has ended; None while it is not over."""
+
+    @property
+    def title(self) -> str:
+        """The goal with its parameters on one line, cut off where lines end."""
+        given = (
+            f"{name}: {value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)}"
+            for name, value in self.parameters.items()
+        )
+        return shortened(f"{self.goal}({', '.join(given)})" if self.parameters else self.goal)
+
+
+def shortened(text: str) -> str:
+    """Return a text on one line, cut off where lines end."""
+    text = " ".join(text.split())
+    return text if len(text) <= SHOWN else f"{text[: SHOWN - 1]}…"
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,8 +197,8 @@ class TaskStep:
     attempts: int = 0
     limit: float = 0.0
     """Seconds from its acceptance after which it is cancelled; 0 for what is no action of a server."""
-    reason: str = ""
-    """Why it has failed or was passed over, in one word."""
+    cause: Cause | None = None
+    """Why it has failed or was passed over."""
 
     def __str__(self) -> str:
         return f"{self.action}({', '.join(self.arguments)})"
@@ -149,16 +211,18 @@ class TraceEvent:
     Args:
         task: its id.
         time: on the clock of the event loop.
-        kind: one of the words that ``pnm_interfaces/msg/TraceEvent`` lists.
+        kind: what kind of thing.
         subject: the call or transition that it is about.
         text: details of the event.
+        level: of `logging`; a warning is what would not happen if all went well.
     """
 
     task: UUID
     time: float
-    kind: str
+    kind: TraceKind
     subject: str = ""
     text: str = ""
+    level: int = logging.INFO
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,6 +250,9 @@ class MadePlan:
     """The goal that was planned for, in PDDL."""
     steps: tuple[TaskStep, ...] = ()
 
+
+KeptTasks: TypeAlias = Iterable[tuple[Wanted, TaskEnding | None]]
+"""Tasks that another process has accepted, and how they have ended; None for those that go on."""
 
 Make: TypeAlias = Callable[[str, str, float | None], Awaitable[MadePlan]]
 """Finds a plan for a goal from the world as it is, with a planner ("" for the default) and a limit in seconds (None likewise).
@@ -223,8 +290,14 @@ class Tasks(Protocol):
     def begin(self, wanted: Wanted, /) -> None:
         """Begin a task. Whatever is wrong with it ends it, with a code and a reason."""
 
-    async def pause(self, task: UUID | None, /, *, at_once: bool, why: str = "paused on request") -> None:
+    async def pause(self, task: UUID | None, /, *, at_once: bool, why: str = "paused on request", is_kept: bool = True) -> None:
         """Start nothing more of a task, or of all; return when nothing of it is under way.
+
+        Args:
+            task: which one; all, and those that come later, if it is None.
+            at_once: whether running actions are cancelled.
+            why: the reason, for people.
+            is_kept: whether it is so in the next process as well.
 
         Raises:
             TaskRefused: there is no such task.

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
+from pnm.files.database.place import Place, place_of
+from tests.support.e2e.hosts.postgres import PostgresServer, postgres_server
 from tests.support.files import ROOT
 
 END_TO_END = ROOT / "tests" / "e2e"
@@ -47,3 +50,19 @@ def root() -> Path:
 def own_state(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
     """Keep tests, and the processes they start, away from the knowledge of whoever runs them."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path_factory.getbasetemp() / "state"))
+
+
+@pytest.fixture(scope="session")
+def postgres() -> Iterator[PostgresServer]:
+    """A PostgreSQL server of this test session."""
+    with postgres_server() as server:
+        yield server
+
+
+@pytest.fixture(params=["sqlite", "postgres"])
+def place(request: pytest.FixtureRequest, tmp_path: Path) -> Place:
+    """A place for a database, where there is none yet: a file, and then PostgreSQL."""
+    if request.param == "sqlite":
+        return tmp_path / "database"
+    server: PostgresServer = request.getfixturevalue("postgres")
+    return place_of(server.database())

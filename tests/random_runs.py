@@ -1,9 +1,9 @@
-"""Long random runs: scenarios of many tasks in simulation, broken machines, and visitors of the mall over ROS 2.
+"""Long random runs: scenarios of many tasks in simulation, processes that die, broken machines, and visitors of the mall over ROS 2.
 
-usage: python -m tests.random_runs [--seeds 500] [--first 0] [--jobs 2] [--keep FOLDER] [scenarios] [mutants] [visitors]
+usage: python -m tests.random_runs [--seeds 500] [--first 0] [--jobs 2] [--keep FOLDER] [scenarios] [deaths] [mutants] [visitors]
 
-The same number is the same run. Without a kind, all are run: as many scenarios and machines as there are seeds, six mutants of every
-machine, and a visitor for every tenth. The exit status is 1 if anything is wrong, and every failure is printed with its number.
+The same number is the same run. Without a kind, all are run: as many scenarios, deaths and machines as there are seeds, six mutants
+of every machine, and a visitor for every tenth. The exit status is 1 if anything is wrong, and every failure is printed with its number.
 """
 
 from __future__ import annotations
@@ -17,29 +17,35 @@ from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 from tests.support.e2e.mall.deployment import Mall
-from tests.support.ros.domains import ros_domain
+from tests.support.processes import ros_domain
 from tests.support.runs.mutation.gate import run_gate
-from tests.support.tasks.random_scenarios import run_scenario
+from tests.support.tasks.scenarios.random_deaths import run_deaths
+from tests.support.tasks.scenarios.random_scenarios import run_scenario
 
-KINDS = ("scenarios", "mutants", "visitors")
+KINDS = ("scenarios", "deaths", "mutants", "visitors")
 
 
-def failure_of(number: int) -> str:
-    """Run a scenario; return what was wrong, or nothing."""
+def failure_of(number: int, *, dies: bool) -> str:
+    """Run a scenario, or tasks in processes that die; return what was wrong, or nothing."""
     try:
-        run_scenario(number)
+        if dies:
+            with tempfile.TemporaryDirectory() as folder:
+                run_deaths(number, Path(folder))
+        else:
+            run_scenario(number)
     except Exception:
-        return f"scenario {number}\n{traceback.format_exc()}"
+        return f"{'deaths' if dies else 'scenario'} {number}\n{traceback.format_exc()}"
     return ""
 
 
-def scenarios(numbers: range, jobs: int) -> Iterator[str]:
+def scenarios(numbers: range, jobs: int, *, dies: bool) -> Iterator[str]:
     """Run scenarios, several at a time; yield the failures."""
     with ProcessPoolExecutor(jobs) as pool:
-        yield from filter(None, pool.map(failure_of, numbers, chunksize=5))
+        yield from filter(None, pool.map(partial(failure_of, dies=dies), numbers, chunksize=5))
 
 
 def false_accepts(numbers: range) -> tuple[Counter[str], list[str]]:
@@ -74,8 +80,8 @@ def visitors(numbers: range, keep: Path | None) -> Iterator[str]:
 
 def failures_of(kind: str, numbers: range, jobs: int, keep: Path | None) -> Iterator[str]:
     match kind:
-        case "scenarios":
-            return scenarios(numbers, jobs)
+        case "scenarios" | "deaths":
+            return scenarios(numbers, jobs, dies=kind == "deaths")
         case "mutants":
             return mutants(numbers, jobs)
         case _:
@@ -85,8 +91,10 @@ def failures_of(kind: str, numbers: range, jobs: int, keep: Path | None) -> Iter
 def main() -> int:
     """Return 1 if anything was wrong."""
     parser = argparse.ArgumentParser(prog="python -m tests.random_runs", description=__doc__.partition("\n")[0])
-    parser.add_argument("kinds", nargs="*", choices=[*KINDS, []], metavar="KIND", help="scenarios, mutants or visitors; all without one")
-    parser.add_argument("--seeds", type=int, default=500, help="how many scenarios and machines; visitors are a tenth if not alone")
+    parser.add_argument(
+        "kinds", nargs="*", choices=[*KINDS, []], metavar="KIND", help="scenarios, deaths, mutants or visitors; all without one"
+    )
+    parser.add_argument("--seeds", type=int, default=500, help="how many of each; visitors are a tenth if not alone")
     parser.add_argument("--first", type=int, default=0, help="the number of the first one")
     parser.add_argument("--jobs", type=int, default=2, help="how many are run at the same time")
     parser.add_argument("--keep", type=Path, help="a folder for what the processes of the mall print")

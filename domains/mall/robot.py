@@ -131,7 +131,7 @@ class Robot:
 
     def tell(self, event: str, call: str, **fields: str) -> None:
         """Publish and print what is done."""
-        self.doings.publish(TraceEvent(kind=event, subject=call, text=fields.get("outcome", "")))
+        self.doings.publish(TraceEvent(word=event, subject=call, text=fields.get("outcome", "")))
         sys.stdout.write(json.dumps({"time": round(time.time(), 4), "event": event, "call": call, **fields}) + "\n")
         sys.stdout.flush()
 

@@ -121,7 +121,7 @@ class Visitor:
     def play(self, script: dict[str, Any]) -> None:
         """Play a script to its end."""
         self.say("script", script["name"], visitor=script["visitor"])
-        self.arrivals.publish(TraceEvent(kind="visitor", subject=script["visitor"]))
+        self.arrivals.publish(TraceEvent(word="visitor", subject=script["visitor"]))
         self.requests = [Request(wish, script["visitor"], number) for number, wish in enumerate(script["requests"])]
         self.waiting, self.held = [], {}
         self.send(self.requests[0])
@@ -221,8 +221,8 @@ class Visitor:
 
     def seen(self, message: TraceEvent) -> None:
         """See what the robot does: reply late when it talks about something else, send what was to come now."""
-        self.say("robot", message.subject, did=message.kind, outcome=message.text)
-        if message.kind != "start":
+        self.say("robot", message.subject, did=message.word, outcome=message.text)
+        if message.word != "start":
             return
         name = message.subject.partition("(")[0]
         request = next((one for one in self.requests if one.about in message.subject), None)
@@ -242,8 +242,8 @@ class Visitor:
 
     def traced(self, message: TraceEvent) -> None:
         """See what happens to tasks."""
-        if message.kind != "fired":  # transitions are many
-            self.say("trace", message.subject, task=bytes(message.task.uuid).hex(), kind=message.kind, text=message.text)
+        if message.word != "fired":  # transitions are many
+            self.say("trace", message.subject, task=bytes(message.task.uuid).hex(), kind=message.word, text=message.text)
 
     def told(self, message: ExecutorStatus) -> None:
         """See how tasks are doing."""

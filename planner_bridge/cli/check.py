@@ -31,10 +31,10 @@ from pnm.core.readiness import Readiness, ReadyState
 from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import NO_SENSING
 
-_STYLES: Final = {ReadyState.READY: "green", ReadyState.ABSENT: "yellow", ReadyState.SILENT: "yellow", ReadyState.UNFIT: "bold red"}
+_STYLES: Final = {ReadyState.READY: "green", ReadyState.UNFIT: "bold red"}
 
 
-@click.command()
+@click.command(epilog="Example: pnm check domain.pddl problem.pddl --sensing sensing.yaml")
 @files_or_plan
 @bindings_option
 @sensing_option
@@ -52,9 +52,9 @@ def check(
     wait: float,
     as_json: bool,
 ) -> int:
-    """Check action servers and sensors against the ROS graph.
+    """Check servers and sensors in the ROS graph.
 
-    Nothing is sent. Exit status: 0 everything is ready, 1 something is not there yet or silent, 2 something can never work.
+    Nothing is sent. Exit status: 0 everything is ready, 1 something is not there yet, there twice or silent, 2 something can never work.
     """
     chosen = chosen_files(domain, problem, plan_file)
     if isinstance(chosen, Path):
@@ -81,7 +81,7 @@ def print_table(console: Console, rows: Sequence[Readiness]) -> None:
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     for number, (*parts, advice) in enumerate(lines):
         *plain, state = (part.ljust(width) for part, width in zip(parts, widths, strict=False))
-        style = _STYLES[rows[number - 1].state] if number else ""
+        style = _STYLES.get(rows[number - 1].state, "yellow") if number else ""
         line = Text("  ".join((*plain, ""))).append(state, style).append(f"  {advice}")
         line.rstrip()
         console.print(line, soft_wrap=True)

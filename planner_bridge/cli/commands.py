@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import signal
 import sys
-from contextlib import nullcontext
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -17,6 +16,7 @@ import click
 
 from planner_bridge.cli.options import (
     FILE,
+    RepeatableCommand,
     Seconds,
     as_json_option,
     bindings_option,
@@ -27,18 +27,19 @@ from planner_bridge.cli.options import (
     files,
     files_or_plan,
     force_option,
+    journal_options,
     knowledge_option,
     output_options,
     planning,
     planning_within,
-    print_warnings,
     problem_in,
+    quiet_option,
     searching,
     sensing_option,
     write,
-    write_files,
 )
 from pnm.errors import InputError
+from pnm.files.database.place import Place
 
 if TYPE_CHECKING:
     from planner_bridge.pipeline import Actions
@@ -46,8 +47,13 @@ if TYPE_CHECKING:
 
 _ELSEWHERE: Final = {
     "check": "check",
+    "export": "convert",
+    "import": "convert",
     "init": "init",
+    "schema": "convert",
     "serve": "serve",
+    "replay": "journal",
+    "history": "journal",
     **dict.fromkeys(("status", "watch", "goal", "pause", "resume", "cancel", "facts"), "running_node"),
 }
 """Commands in modules of their own, which are imported when they are looked up: their options come from what no other needs."""
@@ -64,9 +70,8 @@ class Commands(click.Group):
         """Return a command by name."""
         if cmd_name not in _ELSEWHERE:
             return super().get_command(ctx, cmd_name)
-        found = getattr(import_module(f"planner_bridge.cli.{_ELSEWHERE[cmd_name]}"), cmd_name)
-        assert isinstance(found, click.Command)
-        return found
+        module = import_module(f"planner_bridge.cli.{_ELSEWHERE[cmd_name]}")
+        return next(command for command in vars(module).values() if isinstance(command, click.Command) and command.name == cmd_name)
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -75,23 +80,23 @@ def app() -> None:
     """Run robots from goals: PDDL goal, plan, Petri Net Machine, ROS 2 actions, and a new plan when something fails."""
 
 
-@app.command()
+@app.command(epilog="Example: pnm plan domain.pddl problem.pddl --planner race")
 @files
 @planning_within(0.04)  # people look, and no robot moves
 @as_json_option
 @command
-def plan(domain: Path, problem: Path, planner: str, timeout: float, improve: float, as_json: bool) -> int:
+def plan(domain: Path, problem: Path, planner: str, planner_timeout: float, improve: float, as_json: bool) -> int:
     """Find and print a plan."""
     from planner_bridge.model.plan import PlanningStatus
     from planner_bridge.planning.kairos import DEFAULT_PLANNER, IMPROVE
     from planner_bridge.planning.solve import solve
 
-    loaded = problem_in(domain, problem)
-    with searching(planner):
-        result = solve(loaded, planner=planner, timeout=timeout, improve=improve)
+    loaded = problem_in(domain, problem, for_its_goal=True)
+    with searching(planner, planner_timeout):
+        result = solve(loaded, planner=planner, timeout=planner_timeout, improve=improve)
     if as_json:
         steps = [
-            {"action": step.action, "arguments": list(step.arguments), "start": step.start, "duration": step.duration}
+            {"action": step.action, "arguments": [*step.arguments], "start": round(step.start, 6), "duration": round(step.duration, 6)}
             for step in (result.plan.steps if result.plan else ())
         ]
         found = {"cost": result.plan.cost, "is_best": result.plan.is_best} if result.plan else {}
@@ -106,11 +111,13 @@ def plan(domain: Path, problem: Path, planner: str, timeout: float, improve: flo
         if improve < IMPROVE and planner == DEFAULT_PLANNER and result.plan.steps and not result.plan.is_best:
             print(f"note     --improve {IMPROVE:g}, the default of pnm run, may find a better one")
     else:
-        print(f"no plan: {result.reason}")
+        from planner_bridge.cli.console import SafeConsole
+
+        SafeConsole().print_reason("no plan:", result.reason)
     return 0 if result.plan else 2 if result.status is PlanningStatus.INVALID else 1
 
 
-@app.command()
+@app.command(epilog="Example: pnm net domain.pddl problem.pddl --format dot -o net.dot")
 @files_or_plan
 @click.option("--format", "written_as", type=click.Choice(["json", "dot"]), default="json", show_default=True, help="how it is written")
 @output_options
@@ -130,10 +137,13 @@ def net(
     verbose: bool,
     bindings: Path | None,
     planner: str,
-    timeout: float,
+    planner_timeout: float,
     improve: float,
 ) -> int:
-    """Plan, and write the machine; or write that of a hand-written plan."""
+    """Write the Petri Net Machine of a plan.
+
+    A planner finds the plan, or --plan names a hand-written one.
+    """
     from planner_bridge.loading import bindings_for
     from planner_bridge.ordering.plan_to_graph import plan_graph
     from planner_bridge.planning.solve import solve
@@ -147,12 +157,14 @@ def net(
 
         machine = machine_of(chosen, name, bindings)
     else:
-        loaded = problem_in(*chosen)
+        loaded = problem_in(*chosen, for_its_goal=True)
         bound = bindings_for(chosen[0], bindings, loaded.vocabulary)
-        with searching(planner):
-            result = solve(loaded, planner=planner, timeout=timeout, improve=improve)
+        with searching(planner, planner_timeout):
+            result = solve(loaded, planner=planner, timeout=planner_timeout, improve=improve)
         if result.plan is None:
-            print(f"no plan: {result.reason}", file=sys.stderr)
+            from planner_bridge.cli.console import SafeConsole
+
+            SafeConsole(stderr=True).print_reason("no plan:", result.reason)
             return 1
         machine = generate(plan_graph(loaded, result.plan), bound)
     proof = verify(machine)
@@ -162,7 +174,9 @@ def net(
     return 0
 
 
-@app.command()
+@app.command(
+    cls=RepeatableCommand, epilog="Examples: pnm run domain.pddl problem.pddl --actions ros2; pnm run --plan tea.yaml --set guest=Ada"
+)
 @files_or_plan
 @click.option("--set", "given", metavar="NAME=VALUE", multiple=True, help="a parameter of that plan; the value as YAML")
 @click.option("--actions", type=click.Choice(["simulated", "ros2"]), default="simulated", show_default=True, help="who performs actions")
@@ -176,6 +190,7 @@ def net(
 @click.option(
     "--patience", type=Seconds(0), default=0.0, show_default=True, help="seconds to wait for facts to change while there is no plan"
 )
+@click.option("--ask-for-help", is_flag=True, help="ask a person when the goal cannot be reached: 'try again' or 'give up'")
 @click.option(
     "--seconds", type=Seconds(0), help="how long the goal is pursued; by default an hour, or thrice what the plan takes if longer"
 )
@@ -184,6 +199,11 @@ def net(
     type=click.Choice(["drain", "cancel", "continue_others"]),
     help="what running actions do when one has failed; by default what a hand-written plan says, or else drain",
 )
+@click.option(
+    "--answer", "answers", metavar="NAME=VALUE", multiple=True, help="what people would answer, who are not asked then; several in turn"
+)
+@journal_options
+@quiet_option
 @as_json_option
 @command
 def run(
@@ -199,18 +219,26 @@ def run(
     knowledge: Path | None,
     sensing: Path | None,
     planner: str,
-    timeout: float,
+    planner_timeout: float,
     improve: float,
     sim_time: bool,
     replans: int,
     patience: float,
+    ask_for_help: bool,
     seconds: float | None,
     on_failure: str | None,
+    answers: tuple[str, ...],
+    journal: Place | None,
+    durability: str,
+    quiet: bool,
     as_json: bool,
 ) -> int:
-    """Plan, execute, and replan until the goal holds; or carry out a hand-written plan."""
-    from planner_bridge.cli.options import Files
-    from planner_bridge.cli.run import run_problem
+    """Plan, execute, and replan until the goal holds.
+
+    With --plan, carry out a hand-written plan.
+    """
+    from planner_bridge.cli.options import Files, Output
+    from planner_bridge.cli.run import journal_choice, run_problem
     from planner_bridge.tasks.replanning import Limits
     from planner_bridge.tasks.settings import Settings
     from pnm.core.machine.machine import OnFailure
@@ -221,21 +249,24 @@ def run(
         raise InputError("--faults belongs to simulated robots; give it to `pnm simulate`")
     if sensing and actions != "ros2":
         raise InputError("--sensing describes topics and services of ROS 2; expected --actions ros2")
-    others = Files(bindings, faults, knowledge, sensing)
+    choice = journal_choice(journal, durability) if journal else None
+    others = Files(bindings, faults, knowledge, sensing, choice)
+    output = Output.JSON if as_json else Output.ENDING if quiet else Output.EVENTS
     policy = OnFailure(on_failure) if on_failure else None
     limits = Limits(replans=replans, seconds=seconds, patience=patience)
-    settings = Settings(planner, timeout, improve, limits=limits, on_failure=policy or OnFailure.DRAIN, sim_time=sim_time)
+    failing = policy or OnFailure.DRAIN
+    settings = Settings(planner, planner_timeout, improve, limits=limits, on_failure=failing, ask_for_help=ask_for_help, sim_time=sim_time)
     chosen = chosen_files(domain, problem, plan_file)
     if isinstance(chosen, Path):
         from planner_bridge.cli.run import run_written
 
-        return run_written(chosen, name, given, others, actions=actions, settings=settings, on_failure=policy, as_json=as_json)
-    if name or given or knowledge:
-        raise InputError("--name, --set and --knowledge belong to hand-written plans; expected --plan and a file")
-    return run_problem(*chosen, others, actions=actions, settings=settings, as_json=as_json)
+        return run_written(chosen, name, given, answers, others, actions=actions, settings=settings, on_failure=policy, output=output)
+    if name or given or answers or knowledge:
+        raise InputError("--name, --set, --answer and --knowledge belong to hand-written plans; expected --plan and a file")
+    return run_problem(*chosen, others, actions=actions, settings=settings, output=output)
 
 
-@app.command()
+@app.command(epilog="Example: pnm simulate domain.pddl problem.pddl --faults faults.yaml")
 @files
 @bindings_option
 @faults_option
@@ -246,7 +277,10 @@ def run(
 def simulate(
     *, domain: Path, problem: Path, bindings: Path | None, faults: Path | None, speed: float | None, log: Path | None, force: bool
 ) -> int:
-    """Play the robots: offer a ROS 2 action server per action, and publish what sensors see."""
+    """Play the robots, as action servers of ROS 2.
+
+    There is one for each action of DOMAIN, or as the bindings say; what sensors see is published.
+    """
     from planner_bridge.cli.options import faults_for
     from planner_bridge.loading import bindings_for
     from planner_bridge.node.simulate import play
@@ -258,97 +292,34 @@ def simulate(
     return play(loaded, bound, faults_for(loaded, faults), speed or (1.0 if loaded.timed else 20.0), log)
 
 
-@app.command()
-@click.argument("domain", type=FILE)
-@click.argument("problem", type=FILE, required=False)
-@output_options
-@click.option("--plan", "with_plan", is_flag=True, help="find a plan for the problem, and write it as well")
-@click.option(
-    "--seed-compatible",
-    "original",
-    is_flag=True,
-    help="write the plan as the first implementation of Petri Net Machines loads it, which knows no durations",
-)
-@bindings_option
-@planning
-@command
-def export(
-    *,
-    domain: Path,
-    problem: Path | None,
-    output: Path | None,
-    force: bool,
-    with_plan: bool,
-    original: bool,
-    bindings: Path | None,
-    planner: str,
-    timeout: float,
-    improve: float,
-) -> int:
-    """Write a domain, a problem and a plan for it as YAML."""
-    from planner_bridge.loading import bindings_for
-    from planner_bridge.yaml.convert import exported
-    from planner_bridge.yaml.write_bindings import unwritten
-
-    bound = bindings_for(domain, bindings, None)
-    with searching(planner) if with_plan or original else nullcontext():
-        result = exported(
-            domain, problem, with_plan=with_plan, original=original, bindings=bound, planner=planner, timeout=timeout, improve=improve
-        )
-    print_warnings(result.warnings)
-    if result.reason:
-        print(f"no plan: {result.reason}", file=sys.stderr)
-        return 1
-    if left_out := [f"{key!r}" for key in unwritten(bound, original=original)]:
-        print(f"{' and '.join(left_out)} of the bindings are not in the text: give --bindings when it is run", file=sys.stderr)
-    write(output, result.text, force=force)
-    return 0
+@app.command("help", epilog="Example: pnm help run")
+@click.argument("name", metavar="[COMMAND]", required=False)
+@click.pass_context
+def show_help(context: click.Context, name: str | None) -> None:
+    """Show the help of a command."""
+    parent = context.parent
+    assert parent is not None
+    if name:
+        _, found, _ = app.resolve_command(parent, [name])
+        assert found is not None
+        parent = click.Context(found, info_name=name, parent=parent)
+    click.echo(parent.get_help())
 
 
-@app.command("import")
-@click.argument("file", type=FILE)
-@click.option(
-    "-o", "--output", type=FILE, required=True, help="a folder, for domain.pddl, problem.pddl and bindings.yaml; made if it is not there"
-)
-@force_option
-@command
-def from_yaml(file: Path, output: Path, force: bool) -> int:
-    """Write the domain of a YAML file, and its problem if there is one, as PDDL, and how actions are bound as bindings.yaml."""
-    from planner_bridge.yaml.convert import imported
-
-    result = imported(file)
-    print_warnings(result.warnings)
-    try:
-        output.mkdir(exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{output}: not a folder, and none can be made there: {error.strerror}") from error
-    write_files({output / name: text for name, text in result.texts.items()}, force=force)
-    return 0
-
-
-@app.command()
-@output_options
-@command
-def schema(output: Path | None, force: bool) -> int:
-    """Write the JSON Schema of the language's YAML files, for editors to complete and check them by."""
-    from pnm.language.files import SCHEMA
-
-    write(output, SCHEMA.read_text(encoding="utf-8"), force=force)
-    return 0
-
-
-@app.command()
+@app.command(epilog="Example: pnm demo mall")
 @click.argument("story", type=click.Choice(["delivery", "mall"]), default="delivery")
 @command
 def demo(story: str) -> int:
-    """Show the whole story on simulated robots: plan, machine, run, failure, replan, goal.
+    """Show the whole story on simulated robots.
+
+    Plan, machine, run, failure, replan, goal.
 
     `mall`, over ROS 2: several tasks that share a robot, with people who interrupt it and answer late.
     """
-    from planner_bridge.cli import demo, demo_mall
     from planner_bridge.cli.console import SafeConsole
+    from planner_bridge.cli.demo import show_delivery, show_mall
 
-    return demo_mall.show(SafeConsole()) if story == "mall" else demo.show(SafeConsole())
+    return show_mall(SafeConsole()) if story == "mall" else show_delivery(SafeConsole())
 
 
 def main() -> None:
@@ -356,4 +327,4 @@ def main() -> None:
     # Shells without job control start background processes with SIGINT ignored; one that is sent all the same asks us to stop in order.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    app()
+    app(prog_name="pnm")

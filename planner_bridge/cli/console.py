@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
+import textwrap
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 from rich.console import Console
 from rich.markup import escape
+from rich.text import Text
 
+from planner_bridge.cli.options import searching
 from planner_bridge.model.plan import Plan, PlanningResult
 from planner_bridge.tasks.replanning import PlanAgain, ResumePlan
-from planner_bridge.tasks.result import ConstraintResult, PreferenceResult, TaskResult, Violation
+from planner_bridge.tasks.result import ConstraintResult, TaskResult, Violation
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.core.execution.call_results import Explanation, Failure, RunResult
 from pnm.core.machine.machine import PetriNetMachine
@@ -21,6 +25,9 @@ from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from pnm.core.machine.verification.verify import Proof
 from pnm.knowledge.sources.person_text import printable
+
+_INDENT: Final = 9
+"""Columns before what belongs to the line above."""
 
 
 class SafeConsole(Console):
@@ -34,6 +41,23 @@ class SafeConsole(Console):
         """Print texts without control characters and without what UTF-8 cannot encode."""
         safe = ("\n".join(map(printable, part.split("\n"))) if isinstance(part, str) else part for part in objects)
         super().print(*safe, **options)
+
+    def print_reason(self, head: str, reason: str) -> None:
+        """Print a reason behind its head, which may have markup: on a terminal each part on lines of its own that are not too long."""
+        lines = [reason]
+        if self.is_terminal:
+            parts = re.split(r"(?<=;) ", reason)
+            lines = [line for part in parts for line in textwrap.wrap(part, max(20, self.width - _INDENT), break_on_hyphens=False)]
+            if Text.from_markup(head).cell_len >= _INDENT:
+                lines = ["", *lines]
+        first, *others = lines
+        self.print(
+            f"{head} {escape(first)}".rstrip(),
+            *(" " * _INDENT + escape(line) for line in others),
+            sep="\n",
+            highlight=False,
+            soft_wrap=True,
+        )
 
 
 @dataclass
@@ -59,16 +83,19 @@ class EventLines:
 class ConsoleObserver(TaskObserver):
     """Prints a line per event of a task; shows a spinner while it plans, when the output is a terminal.
 
+    `limit` is the seconds that the planner may take.
+
     The mutable state is the time from which seconds count, the spinner, why calls are tried again, by number, and what was printed
-    of failures: the same is not printed again but at the end.
+    of the failures of each call: the same is not printed again but at the end.
     """
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: SafeConsole, limit: float) -> None:
         self._console = console
+        self._limit = limit
         self._lines = EventLines(console)
         self._waiting = ExitStack()
-        self._causes: dict[int, str] = {}
-        self._printed: set[str] = set()
+        self._causes: dict[int, Failure] = {}
+        self._printed: set[tuple[str, str]] = set()
 
     def began(self, now: float) -> None:
         """Count seconds from the beginning of the task; a plan that goes on under a planner keeps its own."""
@@ -77,8 +104,11 @@ class ConsoleObserver(TaskObserver):
 
     def planning(self, planner: str) -> None:
         """Show that a planner is being asked."""
-        if self._console.is_terminal:
-            self._waiting.enter_context(self._console.status(f"{planner} is looking for a plan"))
+        self._waiting.enter_context(searching(planner, self._limit, self._console))
+
+    def restored(self) -> None:
+        """Print that the task goes on."""
+        self._console.print("[bold]resumed[/]  goes on where another process has left it", highlight=False, soft_wrap=True)
 
     def planned(self, plan: Plan) -> None:
         """Print the plan."""
@@ -91,7 +121,7 @@ class ConsoleObserver(TaskObserver):
 
     def blocked(self, reason: str) -> None:
         """Print why there is no plan, so that people can help."""
-        self._console.print(f"[bold yellow]help[/]     {escape(reason)}", highlight=False, soft_wrap=True)
+        self._console.print_reason("[bold yellow]help[/]    ", reason)
 
     def generated(self, machine: PetriNetMachine, proof: Proof) -> None:
         """Print the size of the machine, in which calls have numbers of their own."""
@@ -102,12 +132,15 @@ class ConsoleObserver(TaskObserver):
 
     def sent(self, call: ActionCall, request: Request, now: float) -> None:
         """Print that a call starts."""
-        again = f" (attempt {request.attempt}, after {self._causes.pop(call.index, 'a pause')})" if request.attempt > 1 else ""
+        again = ""
+        if request.attempt > 1:
+            cause = self._causes.pop(call.index, None)
+            again = f" (attempt {request.attempt}, after {f'{cause.cause}{self._new(call.action, cause.details)}' if cause else 'a pause'})"
         self._lines.print(now, "[blue]start[/] ", f"{call.action}{again}")
 
     def hindered(self, call: ActionCall, cause: Explanation, now: float) -> None:
-        """Keep the cause for when the call is tried again; what was expected besides, if no report has said it."""
-        self._causes[call.index] = f"{cause.cause}{self._new(Failure(call, *cause).details)}"
+        """Keep the cause for when the call is tried again; what was expected is printed then, unless a report has said it."""
+        self._causes[call.index] = Failure(call, *cause)
 
     def spared(self, call: ActionCall, now: float) -> None:
         """Print that a call is not needed."""
@@ -118,23 +151,23 @@ class ConsoleObserver(TaskObserver):
         if outcome.kind is OutcomeKind.SUCCEEDED:
             self._lines.print(now, "[green]done[/]  ", str(call.action.operation or call.action))
         else:
-            self._lines.print(now, "[red]ended[/] ", f"{call.action}: {outcome.kind.value}{self._new(outcome.message)}")
+            self._lines.print(now, "[red]ended[/] ", f"{call.action}: {outcome.kind.value}{self._new(call.action, outcome.message)}")
 
     def failed(self, failure: Failure, now: float) -> None:
         """Print that a failure place is marked."""
         step = failure.call.action if isinstance(failure.call, ActionCall) else failure.call
-        self._lines.print(now, "[bold red]failed[/]", f"{step}: {failure.cause}{self._new(failure.details)}")
+        self._lines.print(now, "[bold red]failed[/]", f"{step}: {failure.cause}{self._new(step, failure.details)}")
 
-    def _new(self, details: str) -> str:
-        """Return the details of a failure with a colon before them, unless they were printed already."""
-        if not details or details in self._printed:
+    def _new(self, step: object, details: str) -> str:
+        """Return the details of a step's failure with a colon before them, unless they were printed already."""
+        if not details or (str(step), details) in self._printed:
             return ""
-        self._printed.add(details)
+        self._printed.add((str(step), details))
         return f": {details}"
 
     def resigned(self, reason: str) -> None:
         """Print that a planner takes over."""
-        self._console.print(f"[bold yellow]replan[/]   {escape(reason)}", highlight=False, soft_wrap=True)
+        self._console.print_reason("[bold yellow]replan[/]  ", reason)
 
     def replanning(self, decision: ResumePlan | PlanAgain, result: RunResult) -> None:
         """Print what follows a failed run."""
@@ -144,24 +177,30 @@ class ConsoleObserver(TaskObserver):
             case PlanAgain(forbidden, why):
                 without = f"; not again: {', '.join(sorted(map(str, forbidden)))}" if forbidden else ""
                 text = f"a new plan is needed: {why}{without}"
-        self._console.print(f"[bold yellow]replan[/]   {escape(text)}", highlight=False, soft_wrap=True)
+        self._console.print_reason("[bold yellow]replan[/]  ", text)
 
     def violated(self, violation: Violation, now: float) -> None:
         """Print that a constraint is violated."""
         self._lines.print(now, "[bold red]broken[/]", f"{violation.constraint}; observed {violation.observed}")
 
 
-def print_result(console: Console, result: TaskResult) -> None:
+def print_result(console: SafeConsole, result: TaskResult) -> None:
     """Print how the task ended."""
-    word = "[bold green]goal[/]     holds" if result.goal_reached else "[bold red]goal[/]     not reached"
-    console.print(f"{word}: {escape(result.reason)}" if not result.goal_reached else word, highlight=False, soft_wrap=True)
+    if result.goal_reached:
+        console.print("[bold green]goal[/]     holds", highlight=False)
+    else:
+        console.print_reason("[bold red]goal[/]     not reached:", result.reason)
     sent = sum(call.attempts for call in result.calls)
     assumed = sum(call.assumed for call in result.calls)
-    unreported = f"; {assumed} calls had effects that nothing reports" if assumed else ""
+    unreported = f"; {_count(assumed, 'result')} believed, which no sensor confirms (docs/sensing.md)" if assumed else ""
     planned = ((result.plans, "plan"), (result.replans, "replan")) if result.plans or not result.episodes else ()
     counts = ", ".join(_count(number, word) for number, word in (*planned, (sent, "request"), (len(result.failures), "failure")))
     console.print(f"         {counts}{unreported}", highlight=False, soft_wrap=True)
-    for line in (*map(_constraint, result.constraints), *map(_preference, result.preferences)):
+    lines = [*map(_constraint, result.constraints)]
+    for preference in result.preferences:
+        times = f" {_count(preference.violated, 'time')}" if preference.violated else ""
+        lines.append(f"preference {preference.name or '(without a name)'} is {preference.status}{times}")
+    for line in lines:
         console.print(f"         {escape(line)}", highlight=False, soft_wrap=True)
 
 
@@ -170,11 +209,6 @@ def _constraint(result: ConstraintResult) -> str:
         return f"constraint {result.constraint} is {result.status}"
     more = len(result.violations) - 1
     return f"constraint {result.violations[0]}{f', and for {more} more choices of objects' if more else ''}"
-
-
-def _preference(result: PreferenceResult) -> str:
-    times = f" {_count(result.violated, 'time')}" if result.violated else ""
-    return f"preference {result.name or '(without a name)'} is {result.status}{times}"
 
 
 def _count(number: int, word: str) -> str:

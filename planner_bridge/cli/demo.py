@@ -1,13 +1,28 @@
-"""`pnm demo`: two robots deliver parcels, a way is blocked, and the goal is reached all the same."""
+"""`pnm demo`: two robots deliver parcels, a way is blocked, and the goal is reached all the same.
+
+`pnm demo mall`: a visitor asks a robot for the way, interrupts it, chats, answers late; and everything comes to its end. Robot, node
+and visitor are processes of their own, over real ROS 2. The programs of robot and visitor lie beside the domain.
+"""
 
 from __future__ import annotations
 
+import asyncio
+import json
+import os
+import sys
+import tempfile
+from asyncio.subprocess import DEVNULL, PIPE, Process
+from collections.abc import AsyncIterator, Mapping
+from contextlib import AsyncExitStack
+from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from rich.console import Console
+from rich.markup import escape
 
-from planner_bridge.cli.console import ConsoleObserver, print_result
+from planner_bridge.cli.console import ConsoleObserver, SafeConsole, print_result
 from planner_bridge.loading import load
 from planner_bridge.pipeline import achieve_at
 from planner_bridge.simulation import simulated_backend
@@ -25,7 +40,7 @@ def examples() -> Path:
     return _PACKAGE / "examples" if (_PACKAGE / "examples").is_dir() else _PACKAGE.parent
 
 
-def show(console: Console) -> int:
+def show_delivery(console: SafeConsole) -> int:
     """Run the delivery example with its faults and explain what is shown."""
     domain, problems = examples() / "domains" / "delivery", examples() / "problems" / "delivery"
     problem = load(domain / "domain.pddl", problems / "p01.pddl")
@@ -39,7 +54,7 @@ def show(console: Console) -> int:
         text = f"The robots are simulated, and something will go wrong: {fault.what} fails, {fault.message}."
         console.print(text, highlight=False, soft_wrap=True)
     console.print(f"[bold]goal[/]     {' '.join(map(str, conjuncts(problem.goal)))}", highlight=False, soft_wrap=True)
-    result = run_async(achieve_at(backend, problem, settings, ConsoleObserver(console)), virtual=True)
+    result = run_async(achieve_at(backend, problem, settings, ConsoleObserver(console, settings.planner_timeout)), virtual=True)
     print_result(console, result)
     console.print("In the simulated world, which nobody but the simulation sees:", soft_wrap=True)
     for part in conjuncts(problem.goal):
@@ -47,3 +62,179 @@ def show(console: Console) -> int:
     advice = "pnm run DOMAIN PROBLEM with your own files, or pnm net DOMAIN PROBLEM --format dot to see a machine"
     console.print(f"Next: {advice}.", soft_wrap=True)
     return 0 if result.goal_reached and world.holds(problem.goal) else 1
+
+
+# --- the mall ---
+
+NEEDED: Final = {"rclpy": "pip install 'petri-net-machines[ros2]'", "pnm_interfaces": "pip install ./ros/pnm_interfaces"}
+"""What is imported by the processes, and how it is installed."""
+SPEED: Final = "1.2"
+"""How many times faster than real time the robot is."""
+BEGINNING: Final = 60.0
+"""Seconds that a process may take until it is ready."""
+LIMIT: Final = 120.0
+"""Seconds that everything may take."""
+SCRIPT: Final = {
+    "late": 6.0,
+    "patience": 60.0,
+    "scripts": [
+        {
+            "name": "demo",
+            "visitor": "ann",
+            "requests": [
+                {"shop": "shop_0", "replies": ["no"]},
+                {"shop": "shop_1", "replies": ["late"], "on": "describe_route", "after": 0.8},
+                {"topic": "films", "turns": 2, "replies": [], "on": "question", "after": 0.8},
+            ],
+        }
+    ],
+}
+_SPEECH: Final = {"describe_route": "The way to {1} is as follows …", "ask_understood": "Do you know the way to {1} now?", "say": "{0}"}
+"""What the robot says when it begins an action, given its arguments."""
+_STATES: Final = {"RUNNING": "green", "PAUSED": "yellow", "OVER": "bold green"}
+"""The states of tasks that are printed, and their colours."""
+
+
+def show_mall(console: Console) -> int:
+    """Play the script, and print what there is to see."""
+    missing = [advice for module, advice in NEEDED.items() if find_spec(module) is None]
+    if missing:
+        console.print(f"This demo needs ROS 2 and our interfaces: {' && '.join(missing)}", highlight=False, soft_wrap=True, markup=False)
+        return 1
+    return asyncio.run(_play(console))
+
+
+async def _play(console: Console) -> int:
+    console.print("A robot in a mall, over ROS 2. Every request is a task of its own; all share the robot's voice and arm.", soft_wrap=True)
+    story = Story(console)
+    try:
+        async with asyncio.timeout(LIMIT), AsyncExitStack() as stack:
+            folder = stack.enter_context(tempfile.TemporaryDirectory())
+            script = Path(folder) / "script.json"
+            script.write_text(json.dumps(SCRIPT), encoding="utf-8")
+            domain, problem = examples() / "domains" / "mall", examples() / "problems" / "mall" / "p01.pddl"
+            robot = await _start(stack, str(domain / "robot.py"), SPEED)
+            world = ("--world", str(domain / "plans" / "world.yaml"))
+            node = await _start(
+                stack, "-m", "planner_bridge", "serve", str(domain / "domain.pddl"), str(problem), *world, "--journal", "none"
+            )
+            await asyncio.gather(_ready(robot, "the robot"), _ready(node, "the node"))
+            visitor = await _start(stack, str(domain / "visitor.py"), str(script))
+            quiet = asyncio.ensure_future(_drain(node))  # a full pipe would block it
+            stack.callback(quiet.cancel)
+            doing = asyncio.ensure_future(_each(robot, story.done))
+            stack.callback(doing.cancel)
+            await _each(visitor, story.seen)
+            if await visitor.wait():
+                raise ChildProcessError("the visitor has found nobody")
+    except (TimeoutError, ChildProcessError) as error:
+        console.print(f"[bold red]failed[/]   {escape(str(error) or f'it is not over after {LIMIT:g} s')}", highlight=False, soft_wrap=True)
+        return 1
+    story.sum_up()
+    return 0 if story.reached == story.requests > 0 and not story.clashes else 1
+
+
+async def _start(stack: AsyncExitStack, *arguments: str) -> Process:
+    own = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": os.environ.get("ROS_DOMAIN_ID") or str(os.getpid() % 100 + 1)}
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, *arguments, env={**os.environ, **own}, stdin=DEVNULL, stdout=PIPE, stderr=DEVNULL
+    )
+    stack.push_async_callback(_end, process)
+    return process
+
+
+async def _end(process: Process) -> None:
+    if process.returncode is None:
+        process.kill()
+        await process.wait()
+
+
+async def _lines(process: Process) -> AsyncIterator[str]:
+    assert process.stdout is not None
+    while line := await process.stdout.readline():
+        yield line.decode(errors="replace")
+
+
+async def _ready(process: Process, who: str) -> None:
+    async with asyncio.timeout(BEGINNING):
+        async for line in _lines(process):
+            if line.startswith("ready"):
+                return
+    raise ChildProcessError(f"{who} has not started")
+
+
+async def _drain(process: Process) -> None:
+    async for _ in _lines(process):
+        pass
+
+
+async def _each(process: Process, hear: Any) -> None:
+    async for line in _lines(process):
+        if line.startswith("{"):
+            hear(json.loads(line))
+
+
+@dataclass
+class Story:
+    """Prints who speaks, and the states of tasks. All fields but the first change."""
+
+    console: Console
+    began: float | None = None
+    names: dict[str, str] = field(default_factory=dict)
+    """What tasks are about, by their ids."""
+    states: dict[str, str] = field(default_factory=dict)
+    paused: int = 0
+    requests: int = 0
+    reached: int = 0
+    answers: int = 0
+    clashes: int = 0
+
+    def done(self, line: Mapping[str, Any]) -> None:
+        """Print what the robot does."""
+        self.clashes += "clash" in line
+        name, _, arguments = line["call"].rstrip(")").partition("(")
+        if line["event"] == "start" and name in _SPEECH:
+            self._print(line, "[bold cyan]robot[/]", f'"{_SPEECH[name].format(*arguments.split(", "))}"')
+        elif line["event"] == "start" and name == "point_at":
+            self._print(line, "[bold cyan]robot[/]", f"points at {arguments.split(', ')[-1]}")
+        elif line["event"] == "end" and line["outcome"] == "canceled":
+            self._print(line, "[bold cyan]robot[/]", f"breaks off: {name}({arguments})")
+
+    def seen(self, line: Mapping[str, Any]) -> None:
+        """Print what the visitor does and sees."""
+        match line["event"]:
+            case "request":
+                self.requests += 1
+                shop = line["about"].startswith("shop")
+                said = f"Where is {line['about']}?" if shop else f"Let us talk about {line['about']}!"
+                self._print(line, "[bold magenta]ann  [/]", f'"{said}"')
+            case "accepted":
+                self.names[line["task"]] = line["about"]
+            case "answer":
+                self.answers += 1
+                self._print(line, "[bold magenta]ann  [/]", f'"{line["value"].rpartition(" ")[0]}"  (about {line["about"]})')
+            case "result":
+                self.reached += line["reason"] == "goal_reached"
+            case "state" if line["state"] in _STATES and self.states.get(line["task"]) != line["state"]:
+                task, state = line["task"], line["state"]
+                resumed = self.states.get(task) == "PAUSED" and state == "RUNNING"
+                self.states[task] = state
+                self.paused += state == "PAUSED"
+                word = "resumed" if resumed else state.lower()
+                self._print(line, "[bold]task [/]", f"[{_STATES[state]}]{self.names.get(task, line['about'])}: {word}[/]", line["reason"])
+
+    def _print(self, line: Mapping[str, Any], who: str, text: str, more: str = "") -> None:
+        if self.began is None:
+            self.began = line["time"]
+        text = text if text.startswith("[") else escape(text)
+        text += f", {escape(more)}" if more else ""
+        self.console.print(f"  {line['time'] - self.began:6.2f} s  {who}  {text}", highlight=False, soft_wrap=True)
+
+    def sum_up(self) -> None:
+        """Print the sums."""
+        self.console.print(
+            f"{self.reached} of {self.requests} tasks reached their goal; {self.paused} times one was paused and resumed by itself; "
+            f"{self.answers} answers found their question; {self.clashes} times voice or arm were used by two.",
+            highlight=False,
+            soft_wrap=True,
+        )

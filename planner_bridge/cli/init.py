@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import re
 from pathlib import Path
 
@@ -13,13 +12,14 @@ from pnm.clock import run_async
 from pnm.errors import InputError
 
 
-@click.command()
+@click.command(epilog="Example: pnm init my_robot")
 @click.argument("folder", type=FILE)
 @force_option
 @command
 def init(folder: Path, force: bool) -> int:
-    """Look at the ROS graph, and write a first domain, problem, bindings and sensors into FOLDER.
+    """Write first files for the robot that is there.
 
+    A domain, a problem, bindings and sensors for what is in the ROS graph, into FOLDER.
     They pass `pnm check`; every line that needs a decision of yours has a comment with the word `decide`.
     """
     name = re.sub(r"\W", "-", folder.resolve().name.lower()).strip("-") or "robot"
@@ -27,15 +27,12 @@ def init(folder: Path, force: bool) -> int:
     async def look() -> dict[str, str]:
         from pnm.ros.node.ros_thread import RosThread  # here, because rclpy is an extra
 
-        ros = RosThread("pnm_init")
-        try:
+        async with RosThread("pnm_init") as ros:
             from pnm.ros.first_files import first_files  # needs rclpy, which is there by now
             from pnm.ros.node.graph import snapshot
 
             await ros.settled()
             return first_files(await ros.ask(lambda: snapshot(ros.node)), name)
-        finally:
-            await asyncio.to_thread(ros.close)
 
     texts = run_async(look())
     try:

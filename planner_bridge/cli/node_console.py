@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import Iterable
-from typing import Final
 from uuid import UUID
 
 from rich.console import Console
 
 from planner_bridge.cli.console import EventLines
 from planner_bridge.cli.options import print_warnings
-from planner_bridge.node.serve import NodeObserver
+from planner_bridge.node.node_log import NodeObserver, journal_words, standing_words
 from pnm.core.machine.verification.verify import Proof
 from pnm.errors import Tolerated
-from pnm.tasks import Code, TaskEnding, TaskListener, Tasks, TaskStatus, TraceEvent
-
-_SHOWN: Final = 200
-"""Characters of a goal, of parameters or of results that a line shows."""
+from pnm.tasks import Code, TaskEnding, TaskListener, Tasks, TraceEvent, shortened
 
 
 class NodeConsole(NodeObserver):
@@ -39,6 +34,14 @@ class NodeConsole(NodeObserver):
         """Print the proof of a plan."""
         self._console.print(f"[bold]plan[/]     {plan}: proved {proof}", highlight=False, soft_wrap=True)
 
+    def journalled(self, place: str, going_on: int) -> None:
+        """Print where tasks are kept."""
+        self._console.print(journal_words(place, going_on), highlight=False, soft_wrap=True, markup=False)
+
+    def standing_by(self, place: str, holder: str) -> None:
+        """Print who holds the journal."""
+        self._console.print(standing_words(place, holder), highlight=False, soft_wrap=True, markup=False)
+
     def activated(self, actions: tuple[str, ...]) -> None:
         """Print the action servers of the node."""
         text = f"ready: {len(actions)} action servers: {', '.join(actions)}"
@@ -56,30 +59,25 @@ class NodeConsole(NodeObserver):
         """Print why servers cannot be used."""
         self._console.print(f"[bold red]wrong[/]    {error}", highlight=False, soft_wrap=True)
 
-    def listener(self, tasks: Tasks) -> TaskListener:
-        """Return a listener that prints the events of tasks."""
-        return TaskConsole(self._console, tasks)
+    def configured(self, tasks: Tasks) -> None:
+        """Print the events of tasks from now on."""
+        tasks.listen(TaskConsole(self._console))
 
 
 class TaskConsole(TaskListener):
     """Prints the events of tasks. The mutable state is a printer for every task that is not over."""
 
-    def __init__(self, console: Console, tasks: Tasks) -> None:
+    def __init__(self, console: Console) -> None:
         self._console = console
-        self._tasks = tasks
         self._loop = asyncio.get_running_loop()
         self._began = self._loop.time()
         self._lines: dict[UUID, EventLines] = {}
 
-    def changed(self, task: UUID) -> None:
-        """Print the goal of a task that is new."""
-        self._lines_of(task)
-
     def happened(self, moment: TraceEvent) -> None:
         """Print an event, but not every transition that fires."""
-        if moment.kind != "fired" and not moment.text.startswith("over: "):  # `ended` prints the result
+        if not moment.kind.is_frequent and not moment.text.startswith("over: "):  # `ended` prints the result
             text = ": ".join(filter(None, (moment.subject, moment.text)))
-            self._lines_of(moment.task).print(moment.time, f"{moment.kind:<7}", shortened(text))
+            self._lines_of(moment.task).print(moment.time, f"{moment.kind.word:<7}", shortened(text))
 
     def ended(self, task: UUID, ending: TaskEnding) -> None:
         """Print how a task ended."""
@@ -88,23 +86,7 @@ class TaskConsole(TaskListener):
         del self._lines[task]
 
     def _lines_of(self, task: UUID) -> EventLines:
-        """Return the printer of a task; prints its goal first if the task is new."""
+        """Return the printer of a task."""
         if task not in self._lines:
-            lines = self._lines[task] = EventLines(self._console, f"{task.hex[:8]}  ", self._began)
-            goals = [_goal(status) for status in self._tasks.status() if status.id == task]
-            lines.print(self._loop.time(), "[bold]goal[/]  ", shortened("".join(goals)))
+            self._lines[task] = EventLines(self._console, f"{task.hex[:8]}  ", self._began)
         return self._lines[task]
-
-
-def _goal(status: TaskStatus) -> str:
-    given = (
-        f"{name}: {value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)}"
-        for name, value in status.parameters.items()
-    )
-    return f"{status.goal}({', '.join(given)})" if status.parameters else status.goal
-
-
-def shortened(text: str) -> str:
-    """Return a text on one line, cut off where lines end."""
-    text = " ".join(text.split())
-    return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 1]}…"

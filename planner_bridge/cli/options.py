@@ -8,6 +8,7 @@ import traceback
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from enum import Enum
 from functools import wraps
 from math import isfinite
 from pathlib import Path
@@ -17,10 +18,14 @@ import click
 
 from planner_bridge.loading import load, warning_lines
 from planner_bridge.model.problem import Problem
-from pnm.errors import InputError, PnmError, Tolerated
+from pnm.errors import InputError, PnmError, Position, Tolerated
+from pnm.files.database.place import Place, place_of
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from pnm.actions.faults import Faults
+    from pnm.journal.kept import JournalChoice
 
 P = ParamSpec("P")
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
@@ -39,6 +44,16 @@ class Seconds(click.FloatRange):
         if not isfinite(number):
             self.fail(f"{value} is not a finite number", param, ctx)
         return number
+
+
+class PlaceName(click.ParamType[Place]):
+    """A file, or the URL of a PostgreSQL database."""
+
+    name = "file or url"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Place:
+        """Return the place."""
+        return place_of(value) if isinstance(value, str) else value
 
 
 def command(function: Callable[P, int]) -> Callable[P, None]:
@@ -79,6 +94,19 @@ def options(*options: Decorator) -> Decorator:
     return add
 
 
+GIVEN = "given"
+"""The key of what a command was given, in the `meta` of its context."""
+
+
+class RepeatableCommand(click.Command):
+    """A command that knows what it was given, so that another process can be given the same."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Note the arguments."""
+        ctx.meta[GIVEN] = tuple(args)
+        return super().parse_args(ctx, args)
+
+
 files = options(click.argument("domain", type=FILE), click.argument("problem", type=FILE))
 files_or_plan = options(
     click.argument("domain", type=FILE, required=False),
@@ -94,17 +122,32 @@ def planning_within(improve: float) -> Decorator:
         click.option(
             "--planner", default="kairos", show_default=True, help="kairos, any engine of unified-planning, race, or race:NAME,NAME"
         ),
-        click.option("--timeout", type=Seconds(0.01), default=30.0, show_default=True, help="seconds the planner may take"),
+        click.option("--planner-timeout", type=Seconds(0.01), default=30.0, show_default=True, help="seconds the planner may take"),
         click.option("--improve", type=Seconds(0), default=improve, show_default=True, help="seconds to look for a better plan, at most"),
     )
 
 
 planning = planning_within(2.0)
+quiet_option = click.option("-q", "--quiet", is_flag=True, help="print how it ended, and nothing before")
 as_json_option = click.option("--json", "as_json", is_flag=True, help="print one JSON object as the last line, and nothing else")
 bindings_option = click.option("--bindings", type=FILE, help="how actions are bound to servers; by default bindings.yaml beside DOMAIN")
 force_option = click.option("--force", is_flag=True, help="replace files that exist")
 output_options = options(click.option("-o", "--output", type=FILE, help="a new file; by default the terminal"), force_option)
-knowledge_option = click.option("--knowledge", type=FILE, help="the SQLite file of the global knowledge, in place of what plans choose")
+journal_options = options(
+    click.option(
+        "--journal", type=PlaceName(), help="file, or postgresql://…, that the run is kept in: `pnm resume` goes on if this process dies"
+    ),
+    click.option(
+        "--durability",
+        type=click.Choice(["process-crash", "power-loss"]),
+        default="process-crash",
+        show_default=True,
+        help="what the journal survives: the death of the process, or that of the computer, which is slower",
+    ),
+)
+knowledge_option = click.option(
+    "--knowledge", type=PlaceName(), help="SQLite file of the global knowledge, or postgresql://…, in place of what plans choose"
+)
 sensing_option = click.option("--sensing", type=FILE, help="topics and services of ROS 2 that report the state of the world")
 faults_option = click.option("--faults", type=FILE, help="what goes wrong in simulation")
 
@@ -120,18 +163,30 @@ def chosen_files(domain: Path | None, problem: Path | None, plan_file: Path | No
     return domain, problem
 
 
-def searching(planner: str) -> AbstractContextManager[object]:
-    """Return what shows on a terminal, as long as it is entered, that a planner is being asked: it may take as long as its limit."""
-    if not sys.stderr.isatty():
+def searching(planner: str, limit: float, console: Console | None = None) -> AbstractContextManager[object]:
+    """Return what shows, while it is entered, that a planner is being asked, for how long already, and its limit; on terminals only.
+
+    Args:
+        planner: its name.
+        limit: seconds that it may take.
+        console: that of the output; by default stderr.
+    """
+    if not (console.is_terminal if console else sys.stderr.isatty()):
         return nullcontext()
     from rich.console import Console  # here, because most commands have no use for it
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    return Console(stderr=True).status(f"{planner} is looking for a plan")
+    text = TextColumn(f"{planner} is looking for a plan, {limit:g} s at most:", markup=False)
+    progress = Progress(SpinnerColumn(), text, TimeElapsedColumn(), console=console or Console(stderr=True), transient=True)
+    progress.add_task("")
+    return progress
 
 
-def problem_in(domain: Path, problem: Path) -> Problem:
-    """Read a problem; warnings about its files go to stderr."""
+def problem_in(domain: Path, problem: Path, *, for_its_goal: bool = False) -> Problem:
+    """Read a problem; warnings about its files go to stderr. One that is for its goal has to ask for something."""
     loaded = load(domain, problem)
+    if for_its_goal and loaded.asks_for_nothing:
+        raise InputError("the problem asks for nothing; expected (:goal CONDITION), what is to be reached", Position(str(problem)))
     print_warnings(loaded.warnings)
     return loaded
 
@@ -179,6 +234,14 @@ def print_warnings(warnings: Iterable[Tolerated]) -> None:
         print(line, file=sys.stderr)
 
 
+class Output(Enum):
+    """What `pnm run` prints."""
+
+    EVENTS = "every event, and how it ended"
+    ENDING = "how it ended"
+    JSON = "how it ended, as one JSON object"
+
+
 @dataclass(frozen=True, slots=True)
 class Files:
     """The files of a run besides its problem or plan, None for those that are not given."""
@@ -187,6 +250,7 @@ class Files:
     faults: Path | None = None
     knowledge: Path | None = None
     sensing: Path | None = None
+    journal: JournalChoice | None = None
 
 
 def faults_for(problem: Problem, file: Path | None) -> Faults:

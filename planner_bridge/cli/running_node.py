@@ -5,29 +5,31 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Awaitable, Callable
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 from uuid import UUID, uuid4
 
 import click
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from planner_bridge.cli.console import EventLines, SafeConsole
 from planner_bridge.cli.options import Seconds, as_json_option, command, options
 from pnm.clock import run_async
 from pnm.core.machine.requests import OutcomeKind
-from pnm.tasks import OnConflict, TaskState
+from pnm.files.database.place import place_of
+from pnm.tasks import Code, OnConflict, TaskState, TraceKind
 
 if TYPE_CHECKING:
     from pnm.ros.node_client import NodeClient
 
 T = TypeVar("T")
 
+SECOND: Final = 1.0
+"""Seconds between two lines with feedback about the same call."""
 _TRACE: Final = ("pnm_interfaces/msg/TraceEvent", "executor/trace")
-_POLICIES: Final = ("default", *(policy.value for policy in OnConflict))
-"""The conflict policies, at their numbers in goals."""
 
 namespace_option = click.option("-n", "--namespace", default="", help="the namespace of the node")
 one_or_all = options(
@@ -42,23 +44,66 @@ class Event:
     """One event of a task, as the node publishes it."""
 
     task: UUID
-    kind: str
+    kind: int
+    word: str
+    subject: str
     text: str
     time: float
 
     @staticmethod
     def of(message: Any) -> Event:
         """Read a ``TraceEvent``."""
-        text = ": ".join(filter(None, (message.subject, message.text)))
-        return Event(UUID(bytes=bytes(message.task.uuid)), message.kind, text, message.stamp.sec + message.stamp.nanosec / 1e9)
+        task, time = UUID(bytes=bytes(message.task.uuid)), message.stamp.sec + message.stamp.nanosec / 1e9
+        return Event(task, message.kind, message.word, message.subject, message.text, time)
+
+    def __str__(self) -> str:
+        return ": ".join(filter(None, (self.subject, self.text)))
 
 
-@click.command()
+class EventPrinter:
+    """Prints a line per event. Feedback about calls is shown below them on a terminal, and elsewhere printed once a second for each.
+
+    The mutable state is what is shown, by task and call, with its time.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self._lines = EventLines(console)
+        self._below = console.status("") if console.is_terminal else None
+        self._feedback: dict[tuple[UUID, str], Event] = {}
+
+    def close(self) -> None:
+        """Show nothing below the lines any more."""
+        if self._below:
+            self._below.stop()
+
+    def print(self, event: Event, label: str = "") -> None:
+        """Print an event; the label comes behind its time."""
+        if event.kind == TraceKind.FIRED:
+            return
+        self._lines.label, key = label, (event.task, event.subject)
+        last = self._feedback.get(key)
+        if event.kind != TraceKind.FEEDBACK:
+            self._feedback.pop(key, None)
+        elif self._below or last is None or event.time - last.time >= SECOND:
+            self._feedback[key] = event
+        else:
+            return
+        if self._below:
+            self._below.update(escape("; ".join(map(str, self._feedback.values()))))
+            (self._below.start if self._feedback else self._below.stop)()
+        if event.kind != TraceKind.FEEDBACK or not self._below:
+            self._lines.print(event.time, f"{event.word:<7}", str(event))
+
+
+@click.command(epilog="Example: pnm status --json")
 @namespace_option
 @as_json_option
 @command
 def status(namespace: str, as_json: bool) -> int:
-    """Show the tasks of the node: those that are not over, and those that ended last."""
+    """Show the tasks of the node.
+
+    Those that are not over, and those that ended last.
+    """
     message = _with_node(namespace, lambda node: node.status())
     if as_json:
         print(json.dumps({"paused": message.paused, "tasks": [_task_data(task) for task in message.tasks]}))
@@ -67,48 +112,57 @@ def status(namespace: str, as_json: bool) -> int:
     return 0
 
 
-@click.command()
+@click.command(epilog="Example: pnm watch -n /robot1")
 @namespace_option
 @command
 def watch(namespace: str) -> int:
-    """Show the tasks of the node, and a line for whatever happens to them, until interrupted."""
+    """Follow the tasks of the node until interrupted.
+
+    Shows them, and then a line for whatever happens to them.
+    """
     console = SafeConsole()
 
     async def show(node: NodeClient) -> None:
         async with node.hearing(*_TRACE) as heard:
             _print_status(console, await node.status())
-            lines = EventLines(console)
-            with suppress(asyncio.CancelledError):  # which is how it ends
+            with closing(EventPrinter(console)) as printer, suppress(asyncio.CancelledError):  # which is how it ends
                 while True:
                     event = Event.of(await heard.get())
-                    _print_event(lines, event, f"{event.task.hex[:8]}  ")
+                    printer.print(event, f"{event.task.hex[:8]}  ")
 
     _with_node(namespace, show)
     return 0
 
 
-@click.command()
+@click.command(epilog="Example: pnm goal '(at r1 hall)' --deadline 60")
 @click.argument("goal", default="")
 @click.option("--priority", type=click.IntRange(-(2**31), 2**31 - 1), default=0, show_default=True, help="higher ones come first")
 @click.option("--deadline", type=Seconds(0.001), help="seconds from now by which it must be reached")
-@click.option("--policy", type=click.Choice(_POLICIES), default="default", show_default=True, help="what to do if others are in its way")
+@click.option(
+    "--policy",
+    type=click.Choice([policy.word for policy in OnConflict]),
+    default="default",
+    show_default=True,
+    help="what to do if others are in its way",
+)
 @namespace_option
 @as_json_option
 @command
 def goal(*, goal: str, priority: int, deadline: float | None, policy: str, namespace: str, as_json: bool) -> int:
-    """Have a GOAL reached: a condition in PDDL, or a name that the node knows; by default that of its problem.
+    """Send a goal, and follow it until it is over.
 
+    GOAL is a condition in PDDL, or a name that the node knows; by default that of its problem.
     Prints what happens until the task is over. Ctrl-C cancels it.
     """
     console, task = SafeConsole(), uuid4()
-    fields = {"goal": goal, "priority": priority, "deadline": deadline or 0.0, "policy": _POLICIES.index(policy)}
+    fields = {"goal": goal, "priority": priority, "deadline": deadline or 0.0, "policy": int(OnConflict[policy.upper()])}
 
     async def print_events(heard: asyncio.Queue[Any]) -> None:
-        lines = EventLines(console)
-        while True:
-            event = Event.of(await heard.get())
-            if event.task == task and not as_json:
-                _print_event(lines, event, "")
+        with closing(EventPrinter(console)) as printer:
+            while True:
+                event = Event.of(await heard.get())
+                if event.task == task and not as_json and not event.text.startswith("over: "):  # the last line is about that
+                    printer.print(event)
 
     async def achieve(node: NodeClient) -> Any:
         async with node.hearing(*_TRACE) as heard:
@@ -121,7 +175,7 @@ def goal(*, goal: str, priority: int, deadline: float | None, policy: str, names
     outcome = _with_node(namespace, achieve)
     is_reached = outcome.kind is OutcomeKind.SUCCEEDED
     if as_json:
-        trace = {"trace": [f"{event['kind']} {event['subject']} {event['text']}".strip() for event in outcome.result.get("trace", ())]}
+        trace = {"trace": [f"{event['word']} {event['subject']} {event['text']}".strip() for event in outcome.result.get("trace", ())]}
         print(json.dumps({"task": str(task), "goal_reached": is_reached, **outcome.result, "message": outcome.message, **trace}))
     else:
         word = "[bold green]goal[/]     holds" if is_reached else "[bold red]goal[/]     not reached: "
@@ -131,32 +185,46 @@ def goal(*, goal: str, priority: int, deadline: float | None, policy: str, names
     return 0 if is_reached else 1
 
 
-@click.command()
+@click.command(epilog="Example: pnm pause 3f2a --at-once")
 @one_or_all
 @click.option("--at-once", is_flag=True, help="cancel what is under way, in place of waiting for its end")
 @command
 def pause(task: str, every: bool, namespace: str, at_once: bool) -> int:
-    """Pause a TASK, by the beginning of its id: nothing more is started. By default the only one that is going on."""
+    """Pause a task: it starts nothing more.
+
+    TASK is the beginning of its id; by default the only one that is going on.
+    """
     return _command("pause", "paused", task, every=every, namespace=namespace, at_once=at_once)
 
 
-@click.command()
+@click.command(epilog="Examples: pnm resume --all; pnm resume tea.journal")
 @one_or_all
 @command
 def resume(task: str, every: bool, namespace: str) -> int:
-    """Let a TASK go on that was paused."""
+    """Let a paused task, or a run that has died, go on.
+
+    TASK is the beginning of a task's id, by default of the only one that is paused; or the file that `pnm run --journal FILE`
+    has kept a run in, which goes on in this process, with the options that it was given.
+    """
+    if task.strip("0123456789abcdefABCDEF-"):  # no id
+        from planner_bridge.cli.journal import resume_run  # here, because it takes its time to import
+
+        return resume_run(place_of(task))
     return _command("resume", "goes on", task, every=every, namespace=namespace)
 
 
-@click.command()
+@click.command(epilog="Example: pnm cancel 3f2a")
 @one_or_all
 @command
 def cancel(task: str, every: bool, namespace: str) -> int:
-    """Cancel a TASK, and wait until what its robots do is over."""
+    """Cancel a task, and wait for its robots.
+
+    TASK is the beginning of its id; by default the only one that is going on.
+    """
     return _command("cancel", "cancelled", task, every=every, namespace=namespace)
 
 
-@click.command()
+@click.command(epilog="Example: pnm facts '(at r1 hall)' --add '(open door)'")
 @click.argument("questions", nargs=-1)
 @click.option("--add", multiple=True, metavar="FACT", help="record that it is so: '(at r1 hall)', '(= (battery r1) 0.8)'")
 @click.option("--remove", multiple=True, metavar="FACT", help="record that it is not so")
@@ -167,7 +235,10 @@ def cancel(task: str, every: bool, namespace: str) -> int:
 def facts(
     *, questions: tuple[str, ...], add: tuple[str, ...], remove: tuple[str, ...], forget: tuple[str, ...], namespace: str, as_json: bool
 ) -> int:
-    """Print what the node knows: the answers to QUESTIONS such as '(at r1 hall)' or '(battery r1)', or everything."""
+    """Print what the node knows, or change it.
+
+    Answers to QUESTIONS such as '(at r1 hall)' or '(battery r1)'; without any, everything.
+    """
     changes = {"add": list(add), "remove": list(remove), "forget": list(forget)}
 
     async def exchange(node: NodeClient) -> dict[str, str]:
@@ -191,13 +262,10 @@ def _with_node(namespace: str, work: Callable[[NodeClient], Awaitable[T]]) -> T:
     from pnm.ros.node.ros_thread import RosThread  # here, because rclpy is an extra
 
     async def connected() -> T:
-        ros = RosThread("pnm_client", namespace=namespace)
-        try:
+        async with RosThread("pnm_client", namespace=namespace) as ros:
             from pnm.ros.node_client import NodeClient  # needs rclpy, which is there by now
 
             return await work(NodeClient(ros))
-        finally:
-            await asyncio.to_thread(ros.close)
 
     return run_async(connected())
 
@@ -212,12 +280,6 @@ def _command(name: str, done: str, prefix: str, *, every: bool, namespace: str, 
     return 0
 
 
-def _print_event(lines: EventLines, event: Event, label: str) -> None:
-    if event.kind != "fired":
-        lines.label = label
-        lines.print(event.time, f"{event.kind:<7}", event.text)
-
-
 def _print_status(console: Console, message: Any) -> None:
     if message.paused:
         console.print("paused: nothing is started")
@@ -228,7 +290,8 @@ def _print_status(console: Console, message: Any) -> None:
     for column in ("task", "state", "goal", "ended", "under way, or why"):
         table.add_column(column, overflow="fold")
     for task in map(_task_data, message.tasks):
-        why = ", ".join(task["running"]) or task["reason"]
+        calls = (": ".join(filter(None, said)) for said in zip(task["running"], task["feedback"], strict=True))
+        why = ", ".join(calls) or task["reason"]
         table.add_row(task["id"][:8], task["state"], task["goal"], str(task["ended"]), why)
     console.print(table, markup=False)
 
@@ -238,9 +301,11 @@ def _task_data(task: Any) -> dict[str, Any]:
         "id": str(UUID(bytes=bytes(task.id.uuid))),
         "goal": task.goal,
         "priority": task.priority,
-        "state": TaskState(task.state).name.lower(),
+        "state": TaskState(task.state).word,
+        "code": Code(task.code).word if task.state == TaskState.OVER else None,
         "reason": task.reason,
         "running": list(task.running),
+        "feedback": list(task.feedback),
         "ended": task.ended,
         "replans": task.replans,
     }

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Final
 
 import click
 
-from planner_bridge.cli.options import command, options
+from planner_bridge.cli.options import FILE, command, options
 from planner_bridge.node.options import PARAMETERS
+from pnm.files.yaml_nodes import load_yaml
+from pnm.journal.kept import Fenced
 from pnm.ros.node.parameters import NodeParameter, ParameterValue
 
 ROS_ARGUMENTS: Final = "--ros-args"
+FENCED: Final = 3
+"""The exit status of a node whose journal another one has taken over; started again, it stands by."""
 
 
 class RosCommand(click.Command):
@@ -42,22 +48,30 @@ def _option(parameter: NodeParameter) -> Callable[[Any], Any]:
             return click.option(f"--{name}", parameter.name, metavar="TEXT", **about)
 
 
-@click.command(cls=RosCommand)
+@click.command(cls=RosCommand, epilog="Example: pnm serve domain.pddl problem.pddl --planner-timeout 5 --ros-args -r __ns:=/robot1")
 @click.argument("domain", required=False)
 @click.argument("problem", required=False)
+@click.option("--params-file", "files", multiple=True, type=FILE, help="parameters in a file as ROS has them; may be repeated")
 @options(*(_option(parameter) for parameter in PARAMETERS if parameter.name not in ("domain", "problem")))
 @command
-def serve(**given: ParameterValue | None) -> int:
-    """Take goals over ROS 2, and pursue them until interrupted: the node that a robot runs.
+def serve(files: tuple[Path, ...], **given: ParameterValue | None) -> int:
+    """Take goals over ROS 2 until interrupted.
 
-    Offers actions for goals of DOMAIN and PROBLEM, and for each plan of a world. What follows --ros-args is for ROS 2;
-    parameters that are given there come before options.
+    This is the node that a robot runs. It offers actions for goals of DOMAIN and PROBLEM, and for each plan of a world.
+    What follows --ros-args is for ROS 2; options come before parameters that are given there, and before files of parameters.
     """
     # here, because these take their time to import, which `pnm serve --help` need not wait for
     from planner_bridge.cli.console import SafeConsole
     from planner_bridge.cli.node_console import NodeConsole
     from planner_bridge.node.serve import serve
 
-    arguments = click.get_current_context().meta[ROS_ARGUMENTS]
-    serve({name: value for name, value in given.items() if value is not None}, arguments, NodeConsole(SafeConsole()))
+    for file in files:
+        load_yaml(file)  # which says where it is wrong; what it means is for ROS
+    named = [part for file in files for part in ("--params-file", str(file))]
+    arguments = [ROS_ARGUMENTS, *named, *click.get_current_context().meta[ROS_ARGUMENTS]]
+    try:
+        serve({name: value for name, value in given.items() if value is not None}, arguments, NodeConsole(SafeConsole()))
+    except Fenced as error:
+        print(f"{error}; it goes on there", file=sys.stderr)
+        return FENCED
     return 0

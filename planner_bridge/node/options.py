@@ -11,6 +11,8 @@ from planner_bridge.planning.kairos import DEFAULT_PLANNER, IMPROVE
 from planner_bridge.tasks.settings import OnChange
 from pnm.core.machine.machine import OnFailure
 from pnm.errors import InputError
+from pnm.files.database.place import Place, place_of
+from pnm.journal.kept import DAY, KEPT, LEASE, Durability
 from pnm.ros.node.parameters import NodeParameter, ParameterValue
 from pnm.tasks import OnConflict
 
@@ -23,12 +25,23 @@ PARAMETERS: Final = (
     NodeParameter("problems", "", "folder of the PDDL files of problem/save and problem/load; without it they name no files"),
     NodeParameter("world", "", "YAML file with a domain and files of hand-written plans, each of which becomes an action server"),
     NodeParameter("world_name", "", "which world of that file, if there are several", option="name"),
-    NodeParameter("knowledge", "", "SQLite file of the global knowledge, in place of what plans choose"),
+    NodeParameter("knowledge", "", "SQLite file of the global knowledge, or postgresql://…, in place of what plans choose"),
+    NodeParameter(
+        "journal", "", "file that tasks are kept in, or postgresql://… for several nodes: they go on from it when the process has died;"
+        " by default one for the node and its files in ~/.local/state/pnm/journals; 'none' keeps nothing",
+    ),
+    NodeParameter(
+        "durability", "process-crash", "what the journal survives: the death of the process, or that of the computer, which is slower",
+        choices=tuple(level.word for level in Durability),
+    ),
+    NodeParameter("keep_days", KEPT / DAY, "days for which the journal keeps what nothing needs any more; tasks are listed for longer"),
+    NodeParameter("lease", LEASE, "seconds until another node takes over a journal in PostgreSQL when this one is cut off", least=1),
     NodeParameter("planner", DEFAULT_PLANNER, "kairos, any engine of unified-planning, race, or race:NAME,NAME"),
     NodeParameter("planner_timeout", 30.0, "seconds the planner may take"),
-    NodeParameter("improve", IMPROVE, "seconds for which a better plan is looked for, at most; a tenth of that where one replaces another"),
+    NodeParameter("improve", IMPROVE, "seconds for which a better plan is looked for, at most"),
     NodeParameter("replans", 10, "how often the plan of a task may be replaced"),
     NodeParameter("patience", 0.0, "seconds for which a goal without a plan waits for facts to change"),
+    NodeParameter("ask_for_help", False, "whether a person is asked, as for values, when a task cannot go on: 'try again' or 'give up'"),
     NodeParameter("max_tasks", 8, "how many tasks are planned for and carried out at a time", least=1),
     NodeParameter("max_queue", 100, "how many tasks may wait besides; more are refused"),
     NodeParameter(
@@ -41,7 +54,7 @@ PARAMETERS: Final = (
     ),
     NodeParameter(
         "on_conflict", "plan_around", "what becomes of a goal that cannot be pursued beside others, unless the goal specifies it",
-        choices=tuple(policy.value for policy in OnConflict),
+        choices=tuple(policy.word for policy in OnConflict if policy),
     ),
     NodeParameter("cancel", 20.0, "seconds in which tasks have to end when the node is shut down"),
     NodeParameter("autostart", True, "whether the node configures and activates itself"),
@@ -60,12 +73,18 @@ class Options:
     problems: Path | None
     world: Path | None
     world_name: str | None
-    knowledge: Path | None
+    knowledge: Place | None
+    journal: str
+    """A file, postgresql://…, 'none', or empty for the default."""
+    durability: Durability
+    keep_days: float
+    lease: float
     planner: str
     planner_timeout: float
     improve: float
     replans: int
     patience: float
+    ask_for_help: bool
     max_tasks: int
     max_queue: int
     on_failure: OnFailure
@@ -78,8 +97,9 @@ class Options:
     def of(cls, values: Mapping[str, ParameterValue]) -> Options:
         """Convert the values of parameters, which have the right types; raise an `InputError` if they contradict each other."""
         given: dict[str, Any] = dict(values)
-        for name in ("domain", "problem", "bindings", "sensing", "goals", "problems", "world", "knowledge"):
+        for name in ("domain", "problem", "bindings", "sensing", "goals", "problems", "world"):
             given[name] = Path(given[name]).expanduser() if given[name] else None
+        given["knowledge"] = place_of(given["knowledge"]) if given["knowledge"] else None
         if (given["domain"] is None) != (given["problem"] is None):
             raise InputError("a domain and a problem belong together; expected both or neither")
         if given["domain"] is None and given["world"] is None:
@@ -87,6 +107,6 @@ class Options:
         if given["goals"] and given["domain"] is None:
             raise InputError("goals with names need a domain and a problem; expected both, or no goals")
         given["world_name"] = given["world_name"] or None
-        given["on_failure"], given["on_conflict"] = OnFailure(given["on_failure"]), OnConflict(given["on_conflict"])
-        given["on_change"] = OnChange(given["on_change"])
+        given["on_failure"], given["on_conflict"] = OnFailure(given["on_failure"]), OnConflict[given["on_conflict"].upper()]
+        given["on_change"], given["durability"] = OnChange(given["on_change"]), Durability.of(given["durability"])
         return cls(**given)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from typing import Final
 
 from planner_bridge.model.grounding import initial_knowledge
@@ -53,6 +53,7 @@ class LoadedProblem:
     Args:
         settings: planner and time limit of plan requests.
         plans: hand-written plans; while there is no problem, their declarations are the world's.
+        began: when the problem was as its initial state has it, on the clock of the event loop; now if not given.
     """
 
     def __init__(
@@ -62,18 +63,19 @@ class LoadedProblem:
         goals: Mapping[str, str],
         settings: Settings,
         plans: Iterable[HandWrittenPlan] = (),
+        began: float | None = None,
     ) -> None:
         self.knowledge = knowledge
         self.goals = goals
         self._settings = settings
         self._plans = tuple(plans)
         self._turn = asyncio.Lock()
-        self.begin(problem)
+        self.begin(problem, began)
 
-    def begin(self, problem: Problem) -> None:
+    def begin(self, problem: Problem, began: float | None = None) -> None:
         """Read goals in another problem from now on."""
         loop = asyncio.get_running_loop()
-        began = loop.time()
+        began = loop.time() if began is None else began
         self.problem = problem
         self._is_loaded = problem is not NOTHING
         goals = self.goals if self._is_loaded else {}
@@ -111,13 +113,23 @@ class ServedProblem:
 
     Args:
         folder: where problems are saved, and loaded from.
-        begin_anew: has the task manager take over another problem; raises an `InputError` if it cannot, and nothing changes.
+        begin_anew: has the task manager take over another problem, and the knowledge of its initial state; raises an `InputError` if it
+            cannot, and nothing changes.
+        check: raises an `InputError` if the robot's action servers and sensors, as they are bound, can never work with a problem;
+            returns what is to be done once that is the one.
     """
 
-    def __init__(self, loaded: LoadedProblem, folder: ProblemFolder, begin_anew: Callable[[Problem], None]) -> None:
+    def __init__(
+        self,
+        loaded: LoadedProblem,
+        folder: ProblemFolder,
+        begin_anew: Callable[[Problem, KnowledgeBase], None],
+        check: Callable[[Problem], Awaitable[Callable[[], Awaitable[None]]]] | None = None,
+    ) -> None:
         self._loaded = loaded
         self._folder = folder
         self._begin_anew = begin_anew
+        self._check = check
         self._turn = asyncio.Lock()
 
     async def query(self, questions: Sequence[str], /) -> list[tuple[str, str]]:
@@ -158,9 +170,11 @@ class ServedProblem:
                 return new, initial
 
             new, initial = await asyncio.to_thread(read)
-            self._begin_anew(new)  # may refuse, so it comes before the first change
-            loaded.knowledge.begin_anew(initial.facts(), initial.objects_by_type(), initial.rules)
+            adopt = await self._check(new) if self._check is not None else None
+            self._begin_anew(new, initial)
             loaded.begin(new)
+            if adopt is not None:
+                await adopt()
 
     def follow(self, listener: Callable[[Mapping[str, object]], None], /) -> Callable[[], None]:
         """Pass on every change from now on, as fields of a message; return a function that ends that."""

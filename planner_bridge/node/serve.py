@@ -3,35 +3,48 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import threading
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final
 from uuid import UUID
 
-from planner_bridge.loading import bindings_for, load
+from planner_bridge.loading import load
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan_world import names_of_world
 from planner_bridge.model.problem import Problem
+from planner_bridge.node.diagnoses import open_diagnoses
+from planner_bridge.node.journal_place import journal_of, left_behind, origin_of
+from planner_bridge.node.node_log import NodeLog, NodeObserver
 from planner_bridge.node.options import PARAMETERS, Options
 from planner_bridge.node.problem_folder import ProblemFolder
 from planner_bridge.node.problem_service import NOTHING, LoadedProblem, ServedProblem
-from planner_bridge.node.world_queries import read_goals
+from planner_bridge.node.robot_files import RobotFiles
+from planner_bridge.node.world_queries import SharedWorld, read_goals
+from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.planning.solve import check_planner
 from planner_bridge.tasks.replanning import Limits
-from planner_bridge.tasks.scheduling.task_manager import TaskLimits, TaskManager
+from planner_bridge.tasks.result import TASKS
+from planner_bridge.tasks.scheduling.task_limits import TaskLimits
+from planner_bridge.tasks.scheduling.task_manager import TaskManager
+from planner_bridge.tasks.scheduling.task_start import PREFIX
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.backend import check_ready
-from pnm.clock import run_async, short_pauses
+from pnm.clock import continue_from, run_async, short_pauses
+from pnm.core.broadcast import broadcast
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Bindings
-from pnm.core.machine.verification.verify import Proof
-from pnm.errors import InputError, Tolerated
-from pnm.knowledge.sensor_file import read_sensing
-from pnm.knowledge.sensor_model import NO_SENSING
+from pnm.errors import InputError, PnmError
+from pnm.files.database.place import Place, ServerUrl
+from pnm.journal.journal import NO_JOURNAL, Journal
+from pnm.journal.kept import DAY, Fenced, JournalChoice
+from pnm.journal.replay import Replay
+from pnm.journal.resume import stand_by
 from pnm.knowledge.sources.registry import Surroundings, open_sources
 from pnm.knowledge.sources.router import Sources
 from pnm.knowledge.sources.source import Asker
@@ -39,7 +52,9 @@ from pnm.language.plan import merge_bindings, read_world, sources_of
 from pnm.language.runner import PlanRunner, Program
 from pnm.ros.backend import Ros2Backend
 from pnm.ros.node.parameters import ParameterValue
-from pnm.tasks import Make, ServedWorld, TaskListener, Tasks
+from pnm.tasks import REMEMBERED, Make, ServedWorld, TaskEnding, Tasks, Wanted
+
+_log = logging.getLogger(__name__)
 
 NODE: Final = "pnm"
 _PREPARED: Final = 1.0
@@ -53,6 +68,7 @@ class NodeContext:
     """The resources that all tasks of a node share."""
 
     options: Options
+    files: RobotFiles
     problem: Problem | None
     runner: PlanRunner
     """Runs the plans of the world."""
@@ -60,6 +76,25 @@ class NodeContext:
     backend: Ros2Backend
     knowledge: KnowledgeBase
     sources: Sources
+    journal: Journal
+    replay: Replay | None
+    """What another process has begun, and goes on here."""
+    plan_actions: Mapping[str, str]
+    """The actions of plans, by plan."""
+
+    origin: str
+    """What the world was made from at the start of the node."""
+
+    def begin_journal(self, anew: Callable[[], None] = lambda: None, loaded: tuple[str, ...] = ()) -> None:
+        """Begin the journal anew, in the world as `anew` leaves it; it is not that of the files if other domain and problem were loaded."""
+        self.journal.begin(self.knowledge, self.runner.resources, anew, prefix=self.runner.prefix, origin=self.origin, loaded=loaded)
+
+
+def kept_tasks(replay: Replay | None) -> list[tuple[Wanted, TaskEnding | None]]:
+    """Return the tasks that go on here, and those that ended last, whose clients may still ask for their results."""
+    tasks = [(task.accepted.wanted, task.ending) for task in replay.tasks.values()] if replay else []
+    ended = [task for task in tasks if task[1] is not None]
+    return [*ended[-REMEMBERED:], *(task for task in tasks if task[1] is None)]
 
 
 @dataclass(frozen=True)
@@ -71,36 +106,9 @@ class NodeApi:
     world: ServedWorld
     knowledge_of: Callable[[UUID], tuple[Layered, Asker] | None]
     """Finds the run that sent a request."""
+    restore: Callable[[Replay], None]
+    """Goes on with the tasks of another process."""
     close: Callable[[], Awaitable[None]]
-
-
-class NodeObserver:
-    """Follows the life cycle of a node: one empty method per event."""
-
-    def unconfigured(self) -> None:
-        """Note that the node waits for a lifecycle manager."""
-
-    def tolerated(self, warnings: Iterable[Tolerated]) -> None:
-        """Note what is doubtful in the files that were read."""
-
-    def proved(self, plan: str, proof: Proof) -> None:
-        """Note that the machine of a plan is verified."""
-
-    def activated(self, actions: tuple[str, ...]) -> None:
-        """Note that goals are accepted, by the action servers of these names."""
-
-    def deactivated(self) -> None:
-        """Note that goals are rejected and tasks are paused."""
-
-    def missing(self, server: str) -> None:
-        """Note that an action server that a plan needs is missing."""
-
-    def failed(self, error: BaseException) -> None:
-        """Note that the action servers that plans need cannot be used."""
-
-    def listener(self, tasks: Tasks) -> TaskListener:
-        """Return the listener for the events of tasks."""
-        return TaskListener()
 
 
 async def make_task_manager(context: NodeContext) -> NodeApi:
@@ -119,26 +127,35 @@ async def make_task_manager(context: NodeContext) -> NodeApi:
     goals = read_goals(options.goals) if options.goals else {}
     plans = [program.plan for program in context.runner.programs.values()]
     try:
-        loaded = LoadedProblem(context.problem or NOTHING, context.knowledge, goals, settings, plans)
+        began = context.replay.began if context.replay else None
+        loaded = LoadedProblem(context.problem or NOTHING, context.knowledge, goals, settings, plans, began)
     except InputError as error:
         raise InputError(f"{options.goals}: {error}") from error
     manager = TaskManager(
         loaded.problem,
-        context.knowledge,
-        context.backend,
+        context.runner,
         settings,
         loaded.read_goal,
-        source=context.sources,
+        helper=context.sources if options.ask_for_help else None,
         limits=TaskLimits(options.max_tasks, options.max_queue, options.on_conflict),
-        runner=context.runner,
     )
 
-    def begin_anew(problem: Problem) -> None:
-        manager.begin_anew(problem)
+    async def check(problem: Problem) -> Callable[[], Awaitable[None]]:
+        _, sensing = await asyncio.to_thread(context.files.read, problem.vocabulary, strangers=True)
+        await context.backend.check_sensors(sensing, initial_knowledge(problem).objects)
+        await check_ready(context.backend, context.runner.actions, names_of_world(problem, plans))
+        return partial(context.backend.sense_objects, sensing)
+
+    def begin_anew(problem: Problem, initial: KnowledgeBase) -> None:
+        manager.begin_anew(problem)  # may refuse, so it comes before the first change
+        world = SharedWorld(problem, initial)
+        replace = partial(context.knowledge.begin_anew, initial.facts(), initial.objects_by_type(), initial.rules)
+        context.begin_journal(replace, (world.domain_text(), world.problem_text()))
         context.backend.declare(names_of_world(problem, plans))
 
-    world = ServedProblem(loaded, folder, begin_anew)
-    return NodeApi(manager, loaded.make, world, manager.knowledge_of, manager.close)
+    world = ServedProblem(loaded, folder, begin_anew, check)
+
+    return NodeApi(manager, loaded.make, world, manager.knowledge_of, manager.restore, manager.close)
 
 
 def serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], observer: NodeObserver) -> None:
@@ -160,13 +177,15 @@ async def _serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], 
 
     task = asyncio.current_task()
     assert task is not None
-    ros = RosThread(NODE, args=arguments, managed=True)
-    try:
-        await _run_lifecycle(ros, given, observer)
-    except asyncio.CancelledError:
-        task.uncancel()
-    finally:
-        await asyncio.to_thread(ros.close)
+    async with RosThread(NODE, args=arguments, managed=True) as ros:
+        log = NodeLog()
+        try:
+            await _run_lifecycle(ros, given, broadcast(NodeObserver, (observer, log)))
+        except PnmError as error:  # which the command prints, and nothing else
+            log.failed(error)
+            raise
+        except asyncio.CancelledError:
+            task.uncancel()
 
 
 async def _run_lifecycle(ros: Any, given: Mapping[str, ParameterValue], observer: NodeObserver) -> None:
@@ -176,7 +195,8 @@ async def _run_lifecycle(ros: Any, given: Mapping[str, ParameterValue], observer
 
     await follow_sim_time(ros)
     options = Options.of(await ros.ask(partial(declare, ros.node, PARAMETERS, given)))
-    lifecycle = Lifecycle(ros, ServingNode(ros, options, observer))
+    serving = ServingNode(ros, options, observer)
+    lifecycle = Lifecycle(ros, serving)
     await lifecycle.open()
     try:
         if options.autostart:
@@ -185,7 +205,10 @@ async def _run_lifecycle(ros: Any, given: Mapping[str, ParameterValue], observer
         else:
             observer.unconfigured()
         with short_pauses():  # once more, with the files that have been read
-            await lifecycle.finalized.wait()
+            finalized = asyncio.ensure_future(lifecycle.finalized.wait())
+            await asyncio.wait((finalized, serving.fenced), return_when=asyncio.FIRST_COMPLETED)
+            if serving.fenced.done():
+                raise serving.fenced.result()
     finally:
         await lifecycle.close()
 
@@ -202,7 +225,11 @@ class ServingNode:
         self._observer = observer
         self._open = AsyncExitStack()
         self._node: Any = None
+        self._state = "inactive"
         self._actions: tuple[str, ...] = ()
+        self._restore: Callable[[], None] = _nothing
+        self.fenced: asyncio.Future[Fenced] = asyncio.get_running_loop().create_future()
+        """Done when another node has taken the journal over."""
 
     async def configure(self) -> None:
         """Read and check all files, and bring up the actions, which reject goals until the node is activated."""
@@ -214,15 +241,26 @@ class ServingNode:
     async def activate(self) -> None:
         """Accept goals, and resume tasks."""
         await self._node.activate()
+        self._state = "active"
         self._observer.activated(self._actions)
+        self._restore()  # once: a node that was deactivated has its tasks still
+        self._restore = _nothing
+
+    def _restore_tasks(self, api: NodeApi, replay: Replay | None) -> None:
+        if replay is not None:
+            api.restore(replay)
+            self._node.restored(replay.is_held, {task.accepted.wanted.id for task in replay.unfinished if task.is_held})
 
     async def deactivate(self) -> None:
         """Reject goals, and pause tasks."""
         await self._node.deactivate()
+        self._state = "inactive"
         self._observer.deactivated()
 
     async def cleanup(self) -> None:
-        """Cancel tasks, and close all resources."""
+        """Cancel tasks, and close all resources. What another node has taken over is left alone: it goes on there."""
+        if self.fenced.done():
+            self._open.pop_all()
         await self._open.aclose()
 
     async def _open_context(self, stack: AsyncExitStack) -> NodeContext:
@@ -240,27 +278,78 @@ class ServingNode:
         programs = {plan.name: Program.of(plan) for plan in plans}
         for name, program in programs.items():
             self._observer.proved(name, program.proof)
-        bindings = bindings_for(options.domain, options.bindings, problem.vocabulary if problem else None).before(merge_bindings(plans))
-        knowledge = initial_knowledge(*((problem,) if problem else ()), *plans)
-        sensing = read_sensing(options.sensing, problem.vocabulary if problem else None) if options.sensing else NO_SENSING
-        backend = Ros2Backend(bindings, sensing, names_of_world(problem, plans), self._ros)
+        files = RobotFiles.of(options)
+        own, sensing = files.read(problem.vocabulary if problem else None)
+        bindings = own.before(merge_bindings(plans))
+        place = await self._journal_place(origin := origin_of(options))
+        plan_actions = await self._alone(programs, is_fleet=isinstance(place, ServerUrl))
+        journal, replay = await self._resume(place, origin, stack)
+        if replay and replay.shared and replay.shared.loaded:  # in place of that of the files
+            domain, text = replay.shared.loaded
+            problem = parse_problem(text, parse_domain(domain))
+            own, sensing = files.read(problem.vocabulary, strangers=True)
+            bindings = own.before(merge_bindings(plans))
+        knowledge = replay.world if replay else initial_knowledge(*((problem,) if problem else ()), *plans)
+        own_prefix = sha256(self._ros.node.get_fully_qualified_name().encode()).digest()[:PREFIX]
+        prefix = (replay.shared.prefix if replay and replay.shared else b"") or own_prefix
+        kept = replay.open_requests if replay else ()
+        backend = Ros2Backend(
+            bindings, sensing, names_of_world(problem, plans), self._ros, prefix=prefix, kept=kept, may_act=journal.may_act
+        )
         stack.push_async_callback(backend.close)
         await backend.open(knowledge)
         folder = (options.world or options.domain or Path()).parent
         sources = open_sources(sources_of(plans), Surroundings(self._ros, folder), options.knowledge)
         stack.push_async_callback(sources.close)
-        runner = PlanRunner(programs, backend, knowledge, sources)
+        runner = PlanRunner(programs, backend, knowledge, sources, journal, replay.resources if replay else None)
+        runner.prefix = prefix
         await check_ready(backend, runner.actions)
-        return NodeContext(options, problem, runner, bindings, backend, knowledge, sources)
+        context = NodeContext(options, files, problem, runner, bindings, backend, knowledge, sources, journal, replay, plan_actions, origin)
+        if replay is None:
+            context.begin_journal()
+        return context
+
+    async def _alone(self, plans: Iterable[str], *, is_fleet: bool) -> Mapping[str, str]:
+        """Return the actions of plans, by plan; raise an error if another node has the name of this one, or one of its actions.
+
+        In a fleet there are others, which stand by: who holds the journal has the names.
+        """
+        from pnm.ros.node.alone import check_alone  # here, because rclpy is an extra
+        from pnm.ros.tasks.task_node import action_names
+
+        plan_actions: Mapping[str, str]
+        task_actions, plan_actions = await self._ros.ask(partial(action_names, self._ros, plans))
+        self._actions = (*task_actions, *plan_actions.values())
+        if not is_fleet:
+            await check_alone(self._ros, self._actions)
+        return plan_actions
+
+    async def _journal_place(self, origin: str) -> Place | None:
+        node, domain_id = await self._ros.ask(lambda: (self._ros.node.get_fully_qualified_name(), self._ros.node.context.get_domain_id()))
+        return journal_of(self._options.journal, node, domain_id, origin)
+
+    async def _resume(self, place: Place | None, origin: str, stack: AsyncExitStack) -> tuple[Journal, Replay | None]:
+        """Open the journal when no other process holds it; the time of what goes on in it goes on as well."""
+        if place is None:
+            self._observer.journalled("", 0)
+            return NO_JOURNAL, None
+        options = self._options
+        if isinstance(place, Path) and not options.journal:
+            for words in left_behind(place):
+                _log.warning("%s", words)
+        choice = JournalChoice(place, options.durability, options.keep_days * DAY, lease=options.lease)
+        taken = await stand_by(choice, TASKS, origin, partial(self._observer.standing_by, str(place)))
+        journal, replay = taken.write(self.fenced.set_result), taken.replay
+        stack.callback(journal.close)
+        self._observer.journalled(str(place), len(replay.unfinished) if replay else 0)
+        if replay:
+            continue_from(replay.now)
+        return journal, replay
 
     async def _open_node(self, context: NodeContext, stack: AsyncExitStack) -> None:
-        from pnm.ros.node.alone import check_alone  # here, because rclpy is an extra
-        from pnm.ros.tasks.task_node import TaskNode, action_names
+        from pnm.ros.tasks.task_node import TaskNode  # here, because rclpy is an extra
 
         runner = context.runner
-        task_actions, plan_actions = await self._ros.ask(partial(action_names, self._ros, runner.programs))
-        self._actions = (*task_actions, *plan_actions.values())
-        await check_alone(self._ros, self._actions)
         api = await make_task_manager(context)
 
         def knowledge_of(request: UUID) -> tuple[Layered, Asker] | None:
@@ -273,11 +362,13 @@ class ServingNode:
         if preparing.done():
             preparing.result()  # raises what is wrong
         preparing.add_done_callback(self._prepared)
-        self._node = TaskNode(self._ros, api.tasks, api.make, api.world, plan_actions)
-        # The stack closes in reverse: first the node, which gives tasks their time to end and answers all goals;
-        # then what prints, so that it has seen every task end; then the task manager.
+        self._node = TaskNode(self._ros, api.tasks, api.make, api.world, context.plan_actions, kept_tasks(context.replay))
+        self._restore = partial(self._restore_tasks, api, context.replay)
+        look = partial(context.backend.look, runner.actions)
+        await open_diagnoses(stack, self._ros, look, api.tasks, lambda: self._state, self._options)
+        self._observer.configured(api.tasks)
+        # The stack closes in reverse: first the node, which gives tasks their time to end and answers all goals; then the task manager.
         stack.push_async_callback(_close_in_time, api.close)
-        stack.callback(api.tasks.listen(self._observer.listener(api.tasks)))
         stack.push_async_callback(self._node.close, context.options.cancel)
         await self._node.open()
 
@@ -289,6 +380,10 @@ class ServingNode:
             return
         for name in preparing.result():
             self._observer.missing(name)
+
+
+def _nothing() -> None:
+    """Restore nothing."""
 
 
 async def _close_in_time(close: Callable[[], Awaitable[None]]) -> None:

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product, starmap
 from math import prod
 from pathlib import Path
-from typing import TextIO
+from typing import Final, TextIO
 
 from planner_bridge.model.grounding import ground_action, initial_knowledge, modelled_duration
 from planner_bridge.model.problem import Problem
@@ -30,8 +31,11 @@ from pnm.core.machine.bindings import Bindings, placeholders
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Outcome, Report, Reporter, Request
 from pnm.errors import InputError
+from pnm.tasks import EVENTS
 
 DEFAULT_TYPE = "pnm_interfaces/action/GroundAction"
+_LOGGED: Final = frozenset({"start", "end", "clash"})
+"""What is logged as an event; changes of facts, and all facts at the end, are in the log file only."""
 
 
 def play(problem: Problem, bindings: Bindings, faults: Faults, speed: float, log: Path | None) -> int:
@@ -52,25 +56,24 @@ async def _serve(problem: Problem, bindings: Bindings, faults: Faults, speed: fl
     from pnm.ros.node.ros_thread import RosThread  # here, because rclpy is an extra
 
     robots = robots_of(problem, bindings, faults, speed=speed)
-    ros = RosThread("robots")
-    try:
+    async with RosThread("robots") as ros:
         from pnm.ros.action_server.simulated_servers import Offer, SimulatedServers, publish_state  # needs rclpy, which is there by now
 
-        logged = LoggedRobots(robots, log)
-        models = server_models(problem, bindings, robots.world.holds)
-        # The state before the servers: a client that finds them shall know the world.
-        await publish_state(ros, robots.world, robots.world.reported(bindings.assumed), robots.begin)
-        await SimulatedServers(ros, logged, robots.progress).open(
-            [Offer(model.server, model.type, model.decode, model.answer) for model in models]
-        )
-        print(f"ready: {len(models)} action servers: {', '.join(model.server for model in models)}", flush=True)
-        with suppress(asyncio.CancelledError):
-            await asyncio.Event().wait()
-        logged.write("state", facts=sorted(starmap(statement_text, robots.world.truth.facts().items())))
-    except asyncio.CancelledError:  # before the servers were up
-        pass
-    finally:
-        await asyncio.to_thread(ros.close)  # not on this thread: the ROS thread may be waiting for this loop
+        with suppress(asyncio.CancelledError):  # it may come before the servers are up
+            logged = LoggedRobots(robots, log)
+            models = [fitted(model) for model in server_models(problem, bindings, robots.world.holds)]
+            # The state before the servers: a client that finds them shall know the world.
+            await publish_state(ros, robots.world, robots.world.reported(bindings.assumed), robots.begin)
+            await SimulatedServers(ros, logged, robots.progress).open(
+                [Offer(model.server, model.type, model.decode, model.answer) for model in models]
+            )
+            plural = "s" * (len(models) > 1)
+            ready = f"ready: {len(models)} action server{plural}: {', '.join(model.server for model in models)}"
+            EVENTS.info(ready)
+            print(ready, flush=True)
+            with suppress(asyncio.CancelledError):
+                await asyncio.Event().wait()
+            logged.write("state", facts=sorted(starmap(statement_text, robots.world.truth.facts().items())))
 
 
 @dataclass(frozen=True)
@@ -138,8 +141,31 @@ def server_models(problem: Problem, bindings: Bindings, holds: Callable[[Conditi
         for fixed in _fixed(problem, schema, bindings):
             server = (bindings.of(schema.name).server or schema.name).format_map(fixed)
             choices.setdefault(server, []).append((schema, fixed))
-            types.setdefault(server, bindings.of(schema.name).type or DEFAULT_TYPE)
-    return [ServerModel(server, types[server], tuple(served), problem, bindings, holds) for server, served in choices.items()]
+            if named := bindings.of(schema.name).type:
+                types.setdefault(server, named)
+    return [
+        ServerModel(server, types.get(server, DEFAULT_TYPE), tuple(served), problem, bindings, holds) for server, served in choices.items()
+    ]
+
+
+def fitted(model: ServerModel) -> ServerModel:
+    """Return the model with its bindings fitted to the type of the server: results have the values of its constants, not their names.
+
+    Raises:
+        InputError: the type is not installed, or a binding does not fit it.
+    """
+    from pnm.ros.action_client.fitted_binding import fitted_binding  # needs rclpy, which is an extra
+    from pnm.ros.node.messages import import_type
+
+    action_type, bound = import_type(model.type), dict(model.bindings.actions)
+    for name in {schema.name for schema, _ in model.choices}:
+        binding = model.bindings.of(name)
+        try:
+            bound[name] = fitted_binding(binding, action_type)
+        except InputError as error:
+            advice = "" if binding.type else f"; without a 'type' in its binding, {model.server} is played as a {model.type}"
+            raise InputError(f"{name}: {error.message}{advice}", binding.position) from error
+    return replace(model, bindings=replace(model.bindings, actions=bound))
 
 
 def _fixed(problem: Problem, schema: ActionSchema, bindings: Bindings) -> Iterator[dict[str, str]]:
@@ -191,7 +217,10 @@ class LoggedRobots:
         self.robots.cancel(request)  # type: ignore[arg-type]
 
     def write(self, event: str, **data: object) -> None:
-        """Write one line, at once: the process may be killed at any time."""
+        """Write one line, at once: the process may be killed at any time. What people look for goes to the log of events as well."""
+        if event in _LOGGED:
+            level = logging.WARNING if event == "clash" or data.get("outcome", "succeeded") != "succeeded" else logging.INFO
+            EVENTS.log(level, "%s %s", event, ": ".join(str(value) for value in data.values() if value))
         if self.log:
             time = round(asyncio.get_running_loop().time() - self._began, 4)
             self.log.write(json.dumps({"time": time, "event": event, **data}) + "\n")

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import chain
+from typing import Final
 
 from planner_bridge.model.forbidden_actions import guarded, unused_name, with_guards
 from planner_bridge.model.grounding import initial_knowledge
@@ -17,9 +18,14 @@ from planner_bridge.model.problem import Problem
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, fluents, operands_of
 from pnm.core.logic.domain import Declaration
-from pnm.core.logic.effects import Effects, ForEach, Set, When, possible_assignments, read
+from pnm.core.logic.effects import Effects, ForEach, Set, TimedChange, When, possible_assignments, read
 from pnm.core.logic.expressions import NOTHING, Constant, Environment, Fluent, State, bind, choices, fluent_text
 from pnm.core.machine.plan_graph import ActionCall
+
+NEVER: Final[Mapping[Fluent, float]] = {}
+"""When others are done with what they need, of which nothing is known."""
+SOON: Final = 0.01
+"""Seconds from now at which something changes at the earliest, for planners that know nothing that changes at once."""
 
 
 @dataclass(frozen=True)
@@ -112,11 +118,12 @@ def _written(effects: Effects, state: State) -> dict[Fluent, set[bool | None]]:
     return written
 
 
-def avoid_interference(problem: Problem, others: Iterable[ReadWriteSets]) -> Problem:
+def avoid_interference(problem: Problem, others: Iterable[ReadWriteSets], released: Mapping[Fluent, float] = NEVER) -> Problem:
     """Return a problem whose plans do not interfere with other plans, as far as PDDL can express that.
 
     Facts that others may change count as changed already, so that no plan relies on them; no action may change the facts
-    that others read. Effects under quantifiers are ignored: whether a plan interferes has still to be checked.
+    that others read, before the seconds for which they are said to. Effects under quantifiers are ignored: whether a plan
+    interferes has still to be checked.
     """
     for other in others:
         lost = {
@@ -125,7 +132,7 @@ def avoid_interference(problem: Problem, others: Iterable[ReadWriteSets]) -> Pro
             if isinstance(problem.init.get(fluent), str) or (problem.init.get(fluent) is True and values & {False, None})
         }
         kept = {fluent: value for fluent, value in problem.init.items() if fluent not in lost}
-        problem = _protect(replace(problem, init=kept), other)
+        problem = _protect(replace(problem, init=kept), other, released)
     return problem
 
 
@@ -144,9 +151,9 @@ def optimistic_state(problem: Problem, under_way: Iterable[ActionCall]) -> Probl
     return replace(problem, init=init)
 
 
-def _protect(problem: Problem, other: ReadWriteSets) -> Problem:
+def _protect(problem: Problem, other: ReadWriteSets, released: Mapping[Fluent, float]) -> Problem:
     """Guard every action that gives a fact another value than the other plan reads."""
-    domain, init = problem.domain, dict(problem.init)
+    domain, init, timed = problem.domain, dict(problem.init), [*problem.timed]
     predicates, actions = dict(domain.predicates), dict(domain.actions)
     for needed in (True, False):
         kept = [
@@ -159,11 +166,14 @@ def _protect(problem: Problem, other: ReadWriteSets) -> Problem:
             ]
             if any(made for _, made in makers):  # a guard that no action can violate would only make the problem larger
                 predicates[guard] = Declaration(guard, domain.predicates[name].parameters)
-                init |= {(guard, *fluent[1:]): True for fluent in kept if fluent[0] == name}
+                guards = {fluent: (guard, *fluent[1:]) for fluent in kept if fluent[0] == name}
+                init |= dict.fromkeys(guards.values(), True)
+                lifted = ((released[fluent], kept_fact) for fluent, kept_fact in guards.items() if fluent in released)
+                timed += [TimedChange(max(time, SOON), {kept_fact: False}) for time, kept_fact in lifted]
             for action, made in makers:
                 for arguments in made:
                     actions[action.name] = guarded(actions[action.name], Not(Holds((guard, *arguments))))
-    return replace(problem, domain=with_guards(domain, predicates, actions), init=init)
+    return replace(problem, domain=with_guards(domain, predicates, actions), init=init, timed=tuple(timed))
 
 
 def _arguments_written(predicate: str, value: bool, effects: Effects) -> list[tuple[str, ...]]:

@@ -23,6 +23,7 @@ from pnm.core.logic.expressions import Fluent, expression_fluents
 from pnm.core.logic.rules import Rules
 from pnm.core.logic.trajectory import instances, names_in
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph, PlanGraphError
+from pnm.errors import check_kinds
 
 _DIGITS: Final = 5
 """Times are compared at this many decimals: planners separate events by 0.001 and compute in floats."""
@@ -40,6 +41,7 @@ def plan_graph(problem: Problem, plan: Plan, under_way: Sequence[ActionCall] = (
 
     Where calls of an earlier plan are still under way, the problem begins with the state after their ends.
     """
+    check_kinds("plan_graph", {"problem": (problem, Problem), "plan": (plan, Plan)})
     running = [replace(call, index=index, planned=0.0, under_way=True) for index, call in enumerate(under_way)]
     steps = calls_of(problem, plan, len(running))
     calls = [*running, *steps]

@@ -6,6 +6,7 @@ import re
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from functools import partial
 from math import inf
 from typing import Final
 
@@ -34,6 +35,9 @@ _WEIGHED: Final = 0.5
 """The same share where preferences are weighed: the first plans often fulfil none of them."""
 _THREADS: Final = 1
 """Phases of the search that run at once; one, so that the same problem always gets the same plan."""
+_BESIDE: Final = {"ehc": 0.2, "goals": 0.2, "novelty": 0.6}
+"""Other ways of searching in Kairos, which it has beside its own one, once there is a plan: one after the other, each for this share
+of the time for improvement. Each finds the best plans for some problems."""
 _STATUS: Final[Mapping[kairos.Status, PlanningStatus]] = {
     kairos.Status.SOLVED: PlanningStatus.NO_PLAN,  # without a plan, that is none
     kairos.Status.UNSOLVABLE: PlanningStatus.UNSOLVABLE,
@@ -82,18 +86,22 @@ def search_with_kairos(problem: Problem, parsed: kairos.Problem, timeout: float,
     Once there is a plan, a better one is looked for, `improve` seconds at most: for as long as that is little beside the time that
     the best one takes, for robots wait.
     """
-    search = kairos.Planner().start(parsed, timeout=timeout, anytime=improve > 0.0, threads=_THREADS)  # type: ignore[no-untyped-call]
+    start = partial(kairos.Planner().start, parsed, anytime=improve > 0.0, threads=_THREADS)  # type: ignore[no-untyped-call]
+    search: kairos.Search = start(timeout=timeout)
+    searches, others, best = [search], iter(_BESIDE.items()), None
     first = deadline = inf
     while search.running() and not cancel.is_set() and (now := time.monotonic()) < deadline:
-        if better := search.next_plan(min(_POLL, deadline - now)):
-            first = min(first, now)
+        search.next_plan(min(_POLL, deadline - now))
+        if (better := _best(problem, searches)) is not None and (best is None or better.cost != best.cost):
+            best, first = better, min(first, now)
             least = improve * (_WEIGHED if problem.has_preferences else _LEAST)
-            deadline = min(first + improve, now + max(least, better.makespan() * _WORTH))
-    is_over = not search.running()
-    search.stop()
-    best = search.best()
-    if best is not None:  # the search ends some milliseconds later, which changes nothing
-        is_best = is_over and search.stop_reason is kairos.StopReason.PROVEN_OPTIMAL
+            deadline = min(first + improve, now + max(least, best.makespan() * _WORTH))
+        if best is not None and not any(beside.running() for beside in searches[1:]) and (other := next(others, None)):
+            searches.append(start(timeout=improve * other[1], search=other[0]))
+    is_best = not search.running() and search.stop_reason is kairos.StopReason.PROVEN_OPTIMAL
+    for started in searches:
+        started.stop()
+    if (best := _best(problem, searches)) is not None:  # the searches end some milliseconds later, which changes nothing
         return PlanningResult(PlanningStatus.SOLVED, replace(_plan(best, problem), is_best=is_best), planner=DEFAULT_PLANNER)
     result = search.wait()
     status = _STATUS[result.status]
@@ -101,8 +109,15 @@ def search_with_kairos(problem: Problem, parsed: kairos.Problem, timeout: float,
         status = PlanningStatus.NO_PLAN  # Kairos 1.0.6 calls some such problems unsolvable although its validator accepts a plan
     message = "" if status is PlanningStatus.CANCELLED else _joined(result.diagnostics)
     if status is PlanningStatus.TIMED_OUT:
-        message = f"{message.removesuffix('.')}; a longer limit, or another planner, may find one"
+        message = f"{message.removesuffix('.')}; a longer limit (--planner-timeout) or another planner (--planner race) may find one"
     return PlanningResult(status, message=message, planner=DEFAULT_PLANNER)
+
+
+def _best(problem: Problem, searches: Iterable[kairos.Search]) -> kairos.Plan | None:
+    """Return the best plan that the searches have found so far, of equal ones that of the first; None if there is none."""
+    sign = -1.0 if problem.metric is not None and problem.metric.direction == "maximize" else 1.0
+    found = (plan for search in searches if (plan := search.best()) is not None)  # an empty plan is false, and a plan
+    return min(found, key=lambda plan: sign * plan.cost, default=None)
 
 
 def _joined(diagnostics: Iterable[kairos.Diagnostic]) -> str:

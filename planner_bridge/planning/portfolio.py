@@ -120,8 +120,11 @@ def _known(planners: tuple[str, ...]) -> tuple[str, ...]:
     """Return the planners, each once; refuse one that is not known."""
     for name in planners:
         if name != DEFAULT_PLANNER and name not in ENGINES:
-            known = (DEFAULT_PLANNER, *ENGINES)
-            hint = suggestion(name, known)
+            known = (
+                DEFAULT_PLANNER,
+                *(engine.name if engine.is_installed else f"{engine.name} (not installed)" for engine in ENGINES.values()),
+            )
+            hint = suggestion(name, (DEFAULT_PLANNER, *ENGINES))
             raise InputError(f"{name!r} cannot take part in a race; these can: {', '.join(known)}{f'; {hint}' if hint else ''}")
     return tuple(dict.fromkeys(planners))
 

@@ -169,7 +169,7 @@ class Reachability:
         """Return how far what is not true is from true: most what actions are there for, then maps and tables, least a single switch."""
         subject, truth = literal
         if isinstance(subject, Compare):
-            return 2 * max((len(fluent) for fluent in self.without_value(subject)), default=1)
+            return max((len(fluent) for fluent in self.without_value(subject)), default=1)
         if not self.is_end(literal.condition):
             return _FAR[min(len(self._ways), len(_FAR)) - 1]
         return len(subject) if truth and subject[0] in self._in_tables else 1

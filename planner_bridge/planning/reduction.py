@@ -23,7 +23,7 @@ from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
 if TYPE_CHECKING:
     import kairos
 
-MAX_STEPS: Final = 60
+MAX_STEPS: Final = 250
 """Steps of a plan that is reduced: the work grows with the square of their number."""
 
 

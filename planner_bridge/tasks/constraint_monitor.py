@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from math import inf
 from typing import Final
 
@@ -13,7 +14,7 @@ from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.problem import Problem
 from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.replanning import Progress, why_not
-from planner_bridge.tasks.result import ConstraintResult, PreferenceResult, Violation
+from planner_bridge.tasks.result import ConstraintResult, KeptGoal, PreferenceResult, TrajectoryNote, Violation
 from pnm.actions.backend import schedule
 from pnm.clock import TimeLimit
 from pnm.core.knowledge_base import KnowledgeBase, Layered
@@ -70,6 +71,23 @@ class ConstraintMonitor:
             _MonitoredConstraint(ground, names_in(ground), ConstraintProgress((ground,)))
             for ground in instances(constraint, self._knowledge, env)
         ]
+
+    @property
+    def note(self) -> tuple[tuple[ConstraintProgress, ...], dict[int, Violation]]:
+        """What is known of the ground constraints, in their order, and the violations of some, by position."""
+        ground = (*self._hard, *self._soft)
+        violations = {position: watched.violation for position, watched in enumerate(ground) if watched.violation}
+        return tuple(watched.progress for watched in ground), violations
+
+    def restore(self, note: TrajectoryNote) -> None:
+        """Go on with what another process knew; the problem is the same."""
+        for position, (watched, progress) in enumerate(zip((*self._hard, *self._soft), note.progress, strict=True)):
+            watched.progress, watched.violation = progress, note.violations.get(position)
+
+    @property
+    def violations(self) -> tuple[Violation, ...]:
+        """The violations of constraints so far, preferences left out."""
+        return tuple(watched.violation for watched in self._hard if watched.violation)
 
     @property
     def idle(self) -> bool:
@@ -166,31 +184,53 @@ class TaskMonitor:
     """The clock of a task, which is stopped when its time is used up, or a constraint of its monitor is violated.
 
     The mutable state is what stands below "state".
+
+    Args:
+        context: of the task.
+        kept: the goal as another process left it, if it goes on here.
     """
 
-    def __init__(self, context: TaskContext) -> None:
+    def __init__(self, context: TaskContext, kept: KeptGoal | None = None) -> None:
         self._context = context
+        self._kept = kept
         self.constraints = ConstraintMonitor(context.problem, context.knowledge)
         # state
         self.began = 0.0
+        self._since = 0.0
+        """When the world was as the problem of the context has it."""
+        self._noted: TrajectoryNote | None = None
         self.limit = TimeLimit(
             context.settings.limits.allowed(),
             lambda seconds: context.control.stop(Code.TIMED_OUT, f"the limit of {seconds:g} s is reached"),
+            partial(context.journal.counted, context.task.id),
         )
         """The seconds that the task may take, pauses left out."""
         self._next_look: asyncio.TimerHandle | None = None
 
     def begin(self, cleanup: ExitStack) -> None:
         """Begin: schedule the timed facts that nothing reports, and look at the constraints at every change and when their time comes."""
-        self.began = asyncio.get_running_loop().time()
+
+        def end_looking() -> None:
+            if self._next_look:
+                self._next_look.cancel()
+
+        self.began = now = asyncio.get_running_loop().time()
+        self._since = now if self._context.since is None else self._context.since
+        if self._kept and self._kept.trajectory:
+            self.began, self._noted = self._kept.trajectory.began, self._kept.trajectory
+            self.constraints.restore(self._noted)
+        if self._kept and self._kept.used:
+            self.limit.continue_from(self._kept.used, self._kept.left_at)
         self._context.observer.began(self.began)
         world = self._context.world
-        cleanup.callback(schedule(world, self._context.problem.timed, self.began))
-        cleanup.callback(self._end_looking)
+        cleanup.callback(schedule(world, self._context.problem.timed, self._since))
+        cleanup.callback(end_looking)
         cleanup.callback(world.listen(self.look))
         cleanup.callback(self.limit.close)
         self._context.control.limit_time(self.limit)
         self.limit.begin()
+        for violation in self.constraints.violations:  # which the other process has seen as the last thing
+            self._context.control.stop(Code.CONSTRAINT_VIOLATED, str(violation))
         self.look()
 
     @property
@@ -204,6 +244,10 @@ class TaskMonitor:
         for violation in self.constraints.look(now):
             self._context.observer.violated(violation, asyncio.get_running_loop().time())
             self._context.control.stop(Code.CONSTRAINT_VIOLATED, str(violation))
+        note = TrajectoryNote(self.began, *self.constraints.note)
+        if note != self._noted:  # in the transaction of what was looked at: it counts for both or for none
+            self._noted = note
+            self._context.journal.noted(self._context.task.id, note)
         if self._next_look:
             self._next_look.cancel()
         time = self.constraints.next_look(now)
@@ -218,8 +262,8 @@ class TaskMonitor:
 
     def now(self, world: KnowledgeBase | None = None) -> Problem:
         """Return the problem that is left, from this world, or from the one that is known."""
-        elapsed = self.elapsed
-        return self.constraints.rest_of(problem_now(self._context.problem, world or self._context.world, elapsed), elapsed)
+        passed = asyncio.get_running_loop().time() - self._since
+        return self.constraints.rest_of(problem_now(self._context.problem, world or self._context.world, passed), self.elapsed)
 
     @property
     def missing(self) -> tuple[Constraint, ...]:
@@ -230,7 +274,3 @@ class TaskMonitor:
         """Return why the rest of a plan does not lead from here to its goal; empty when it does."""
         left = self.constraints.rest_of(self._context.problem, self.elapsed)
         return why_not(progress, self._context.world, forbidden, (*left.domain.constraints, *left.constraints))
-
-    def _end_looking(self) -> None:
-        if self._next_look:
-            self._next_look.cancel()

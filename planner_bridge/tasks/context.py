@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import inf
 from typing import Protocol
 from uuid import UUID
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall, calls_acquiring, calls_served_by
 from planner_bridge.model.problem import Problem
+from planner_bridge.ordering.forecast import Forecast
 from planner_bridge.ordering.interference import ReadWriteSets, read_write_sets
 from planner_bridge.tasks.control import TaskControl
 from planner_bridge.tasks.replanning import History
@@ -22,6 +24,7 @@ from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.bindings import goal_data
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
+from pnm.journal.journal import Journal
 from pnm.knowledge.sources.source import Source
 from pnm.tasks import OnConflict
 
@@ -36,6 +39,7 @@ class Conflict:
         footprint: what its plan still needs and changes.
         why: the fact or function in the way.
         yields: whether it has a lower priority, so that it can be preempted.
+        until: the seconds from now after which it is expected to be out of the way.
     """
 
     task: UUID
@@ -43,6 +47,7 @@ class Conflict:
     footprint: ReadWriteSets
     why: str
     yields: bool = False
+    until: float = inf
 
     def __str__(self) -> str:
         return f"{self.name}: {self.why}"
@@ -77,6 +82,9 @@ class Scheduler(Protocol):
     def new_conflicts(self, task: Task, footprint: Callable[[], ReadWriteSets]) -> tuple[Conflict, ...]:
         """Return the conflicts in which neither task has been preempted for the other yet."""
 
+    def forecasts(self, task: Task) -> Mapping[Task, Forecast]:
+        """Return what is expected of the plans of other active tasks that do not yield to this one."""
+
     def running_calls(self, task: Task) -> tuple[RunningCalls, ...]:
         """Return the calls of other tasks that have begun and not ended."""
 
@@ -86,8 +94,8 @@ class Scheduler(Protocol):
     async def begin_turn(self, task: Task) -> None:
         """Wait for the turn of the task to plan; one whose attempt failed waits for a change first."""
 
-    def end_turn(self, task: Task, *, failed: bool) -> None:
-        """End the turn of the task to plan."""
+    def end_turn(self, task: Task, *, failed: bool, again: float = inf) -> None:
+        """End the turn of the task to plan. After so many seconds it may try again though nothing is known to have changed."""
 
 
 @dataclass(frozen=True)
@@ -102,9 +110,11 @@ class TaskContext:
         settings: planner, bindings, limits and policies.
         resources: shared by the calls of all tasks.
         source: answers what runs do not know; None for none.
+        helper: the person who is asked for help when the task cannot go on; None for none.
         scheduler: knows the other tasks.
         on_conflict: what to do about a goal that is in conflict with those of other tasks.
         new_run_id: makes the identities of runs.
+        journal: records the runs.
     """
 
     task: Task
@@ -114,9 +124,13 @@ class TaskContext:
     settings: Settings
     resources: Resources
     source: Source | None
+    helper: Source | None
     scheduler: Scheduler
     on_conflict: OnConflict
     new_run_id: Callable[[], UUID]
+    journal: Journal
+    since: float | None = None
+    """When the world was as the problem has it, on the clock of the event loop, if not when the task begins here."""
 
     @property
     def control(self) -> TaskControl:

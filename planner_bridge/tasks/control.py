@@ -8,6 +8,7 @@ from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Final, Protocol, TypeVar
 
+from planner_bridge.ordering.forecast import Forecast
 from planner_bridge.ordering.interference import ReadWriteSets
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.clock import TimeLimit
@@ -21,12 +22,21 @@ _ALWAYS_SHOWN: Final = frozenset({TaskState.PAUSING, TaskState.PAUSED, TaskState
 
 
 class TaskEnded(Exception):
-    """The task has come to its end, with a code and a reason."""
+    """The task has come to its end, with a code and a reason.
 
-    def __init__(self, code: Code, reason: str) -> None:
+    Args:
+        code: how it ended.
+        reason: why.
+        can_be_helped: whether a person who mends something may keep it from ending so.
+        by_facts: whether it is tried again when facts change, as well.
+    """
+
+    def __init__(self, code: Code, reason: str, *, can_be_helped: bool = False, by_facts: bool = True) -> None:
         super().__init__(reason)
         self.code = code
         self.reason = reason
+        self.can_be_helped = can_be_helped
+        self.by_facts = by_facts
 
 
 class Execution(Protocol):
@@ -41,8 +51,12 @@ class Execution(Protocol):
         """What the rest of the plan needs and changes."""
 
     @property
-    def running(self) -> tuple[str, ...]:
-        """The calls that are under way."""
+    def forecast(self) -> Forecast:
+        """When the plan is expected to be done with what it needs, and what it leaves behind then."""
+
+    @property
+    def running(self) -> tuple[tuple[str, str], ...]:
+        """The calls that are under way, each with what its server has said last."""
 
     @property
     def awaits_answers(self) -> bool:
@@ -68,6 +82,8 @@ class TaskControl:
         self.execution: Execution | None = None
         self.reserved: Callable[[], ReadWriteSets] | None = None
         """The footprint of the plan found last, computed if another task needs it: others respect it before the plan is executed."""
+        self.awaits_help = False
+        """Whether a person is asked for help, without which the task does not go on."""
         self.planner_stop = threading.Event()
         """Ends searches for plans."""
         self.over = asyncio.Event()
@@ -96,6 +112,13 @@ class TaskControl:
         if self.execution:
             return self.execution.footprint
         return self.reserved() if self.reserved else None
+
+    @property
+    def forecast(self) -> Forecast | None:
+        """What is expected of the plan; None while there is none. Whoever waits for people takes as long as they do."""
+        if self.execution and not self.execution.awaits_answers:
+            return self.execution.forecast
+        return None if self.footprint is None else Forecast(self.footprint)
 
     # --- stopping and pausing ---------------------------------------------------------------------
 
@@ -136,6 +159,10 @@ class TaskControl:
         if self.state is TaskState.CANCELLING:
             await self.over.wait()
 
+    def hold(self) -> None:
+        """Be paused from the beginning, as in a process that has died; `pause` follows."""
+        self._is_unpaused.clear()
+
     def resume(self) -> None:
         """Go on after a pause: with the rest of the plan if that still works."""
         if self.is_paused:
@@ -166,6 +193,8 @@ class TaskControl:
             execution.executor.stop(reason=self.stopped.reason)
         if self.is_paused:
             execution.executor.pause(at_once=False)
+        elif execution.executor.run.pausing:  # it was held back in a process that has died
+            execution.resume()
 
     def end_execution(self) -> None:
         """Note that no plan is executed any more."""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Awaitable
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
+from uuid import uuid5
 
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.plan_simulation import NotProjectable, snapshot
@@ -13,16 +15,29 @@ from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
 from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.control import TaskEnded
-from planner_bridge.tasks.plan_execution import PlanExecution, proved_machine
+from planner_bridge.tasks.plan_execution import PlanExecution, ProvedMachine, proved_machine
 from planner_bridge.tasks.plan_search import NoPlan, PlanSearch
 from planner_bridge.tasks.replanning import Decision, GiveUp, History, PlanAgain, Progress, ResumePlan, decide, shortened, times_that_matter
-from planner_bridge.tasks.result import TaskLog, TaskResult, code_of_failures, code_of_planning, join_reasons, retry_reason
+from planner_bridge.tasks.result import (
+    GoalNote,
+    KeptGoal,
+    TaskLog,
+    TaskResult,
+    code_of_failures,
+    code_of_planning,
+    join_reasons,
+    retry_reason,
+)
+from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.resources import who_keeps
 from pnm.core.logic.evaluation import evaluate
-from pnm.core.machine.machine import OnFailure
+from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import PlanGraph, PlanGraphError
 from pnm.core.machine.verification.part import Unsound
+from pnm.journal.replay import ReplayedRun
+from pnm.knowledge.sources.help import Advice, ask_for_help
+from pnm.knowledge.sources.source import Asker, Source
 from pnm.tasks import Code, TaskState
 
 
@@ -30,22 +45,29 @@ class GoalLoop:
     """Pursues the goal of a task with as many plans as it takes.
 
     Whether a run is over or goes on, one method decides what follows it (`_replan`): a run that is over is a run with nothing under
-    way. The mutable state is the log, when the back-off ends before the current run is replaced, and that of the other parts.
+    way. The mutable state is the log, when the back-off ends before the current run is replaced, whether facts have changed since the
+    last attempt began, the question to a person that is open, and that of the other parts.
 
     Args:
         context: of the task.
         history: what has failed before.
         given: a plan to begin with, in place of one that would have to be found; the task ends with it.
+        kept: the goal as another process left it, if it goes on here.
     """
 
-    def __init__(self, context: TaskContext, *, history: History | None = None, given: Plan | None = None) -> None:
+    def __init__(
+        self, context: TaskContext, *, history: History | None = None, given: Plan | None = None, kept: KeptGoal | None = None
+    ) -> None:
         self._context = context
         self._control = context.control
         self._given = given
-        self._monitor = TaskMonitor(context)
+        self._monitor = TaskMonitor(context, kept)
         self._search = PlanSearch(context, self._monitor)
-        self._log = TaskLog(history or History())
+        self._log = kept.log if kept else TaskLog(history or History())
+        self._kept_run = kept.run if kept else None
         self._retry_at: float | None = None
+        self._facts_changed = asyncio.Event()
+        self._question: asyncio.Future[Advice] | None = None
 
     async def pursue(self) -> TaskResult:
         """Plan, execute and replan until the task has come to its end.
@@ -54,44 +76,105 @@ class GoalLoop:
             InputError: the planner refuses the problem; nothing was started.
         """
         with ExitStack() as cleanup:
-            try:
-                self._monitor.begin(cleanup)
+            cleanup.callback(self._withdraw)
+            cleanup.callback(self._context.world.listen(lambda changes: self._facts_changed.set() if changes else None))
+            self._monitor.begin(cleanup)
+            while True:
+                self._facts_changed.clear()
+                ended: TaskEnded | None = await self._attempt()
+                if ended and ended.can_be_helped and self._context.helper is not None:
+                    ended = await self._helped(ended, self._context.helper)
+                if ended is not None:
+                    return self._result(ended)
+
+    async def _attempt(self) -> TaskEnded:
+        """Plan, execute and replan; return how the task ends if nothing helps."""
+        try:
+            kept_run, self._kept_run = self._kept_run, None
+            with suppress(*(TaskEnded for _ in (kept_run,) if kept_run)):  # it is carried on even to be stopped: robots are at work
                 await self._control.until(self._context.backend.refresh())
                 await self._monitor.settle()  # before anything is planned: a constraint may only look violated because a report is late
-                if self._given is None:
-                    search = partial(self._search.plan, self._context.forbidden(self._log.history))
-                    plan = await self._search.patiently(lambda: self._search.in_turn(search))
-                else:
-                    plan = await self._search.in_turn(partial(self._search.given, self._given))
+            if kept_run is not None:
+                graph = await self._carry_on(kept_run)
+            elif self._given is None:
+                search = partial(self._search.plan, self._context.forbidden(self._log.history))
+                plan = await self._search.patiently(lambda: self._search.in_turn(search), self._patience)
                 graph = await self._accepted(plan)
-                while True:
-                    graph = await self._execute(graph)
-            except NoPlan as no_plan:
-                withheld = who_keeps(self._context.resources.withheld)  # nobody knows what their servers have made of the world
-                unfulfilled = self._log.unfulfilled(self._monitor.missing)
-                reason = join_reasons(self._log.last_failure, str(no_plan), unfulfilled, withheld)
-                ended = TaskEnded(code_of_planning(no_plan.status, self._log.failures), reason)
-            except TaskEnded as error:
-                ended = error
-            except (PlanGraphError, Unsound) as error:  # a plan that is valid, but not by causes alone
-                ended = TaskEnded(Code.PLANNER_ERROR, f"the plan cannot be executed: {error}")
-            return self._result(ended)
+            else:
+                graph = await self._accepted(await self._search.in_turn(partial(self._search.given, self._given)))
+            while True:
+                graph = await self._execute(graph)
+        except NoPlan as no_plan:
+            withheld = who_keeps(self._context.resources.withheld)  # nobody knows what their servers have made of the world
+            unfulfilled = self._log.unfulfilled(self._monitor.missing)
+            reason = join_reasons(self._log.last_failure, str(no_plan), unfulfilled, withheld)
+            return TaskEnded(code_of_planning(no_plan.status, self._log.failures), reason, can_be_helped=True)
+        except TaskEnded as error:
+            return error
+        except (PlanGraphError, Unsound) as error:  # a plan that is valid, but not by causes alone
+            return TaskEnded(Code.PLANNER_ERROR, f"the plan cannot be executed: {error}")
+
+    async def _helped(self, ended: TaskEnded, helper: Source) -> TaskEnded | None:
+        """Ask a person for help. Return how the task ends; None if it begins again because of the answer, or because facts change."""
+        context, control, task, history = self._context, self._control, self._context.task, self._log.history
+        reason = f"asks for help: {join_reasons(ended.reason, history.remedy(context.settings.limits))}"
+        if self._question is None:
+            trouble = f"This goal cannot be reached: {reason.removeprefix('asks for help: ')}"
+            asker = Asker(task.id, task.wanted.text or str(context.problem.goal), uuid5(task.id, f"help {self._log.helped}"))
+            self._question = asyncio.ensure_future(ask_for_help(helper, asker, trouble))
+            context.observer.blocked(reason)
+        # What was replaced too often is not replaced once more because facts keep changing.
+        news = self._facts_changed if ended.by_facts else asyncio.Event()
+        self._question.add_done_callback(lambda _: news.set())
+        control.reserved, control.awaits_help = None, True
+        control.enter(TaskState.QUEUED, reason)
+        try:
+            await control.until(news.wait())
+        except TaskEnded as stopped:
+            return stopped
+        finally:
+            control.awaits_help = False
+        if not self._question.done():
+            await control.wait(context.settings.limits.backoff)  # facts seldom change alone, and some all the time
+            return None
+        advice, self._question = self._question.result(), None
+        if advice.try_again:
+            self._log.history = History()  # what has failed may work again
+            self._log.helped += 1
+            self._note_goal()
+            return None
+        return TaskEnded(ended.code, join_reasons(ended.reason, advice.why))
+
+    def _withdraw(self) -> None:
+        """Withdraw the question to a person, if one is open."""
+        if self._question is not None:
+            self._question.cancel()
+            self._question = None
 
     async def _execute(self, graph: PlanGraph) -> PlanGraph:
         """Execute a plan, and those that succeed it while calls are under way; return the one that follows when the run is over."""
         context = self._context
         with suppress(TaskEnded):  # the run reports then that nothing of the plan was begun
             await self._control.until(context.backend.prepare({call.action: None for call in graph.calls}))
-        self._retry_at = None
         making = proved_machine(context, graph)  # also of a plan that is not begun any more: the result says what would have been called
         machine = await (making if self._control.stopped else self._control.until(making))
-        async with PlanExecution(context, self._monitor, self._log, machine, self._search.origin) as execution:
+        return await self._carry_on(machine)
+
+    async def _carry_on(self, begin_with: ProvedMachine | ReplayedRun) -> PlanGraph:
+        """Carry a run on to its end, and those that succeed it; return the plan that follows then."""
+        context, self._retry_at = self._context, None
+        async with PlanExecution(context, self._monitor, self._log, begin_with, self._search.origin) as execution:
             while True:
                 with context.task.stopwatch.of("execute"):
                     await execution.attention()
                 if (follower := await self._replan(execution)) is not None:
                     return follower
                 execution.release()
+
+    @property
+    def _patience(self) -> float:
+        """The seconds for which facts may change while there is no plan; while a person is asked, that is waited for besides."""
+        return 0.0 if self._question else self._context.settings.limits.patience
 
     # --- replanning -----------------------------------------------------------------------------
 
@@ -128,10 +211,11 @@ class GoalLoop:
                     return None
                 self._log.end(execution.run.machine, execution.result, decision)
                 unfulfilled = self._log.unfulfilled(self._monitor.missing)
-                raise TaskEnded(Code.REPLAN_LIMIT, join_reasons(decision.reason, self._log.last_failure, unfulfilled))
+                reason = join_reasons(decision.reason, self._log.last_failure, unfulfilled)
+                raise TaskEnded(decision.code, reason, can_be_helped=self._given is None, by_facts=False)
             self._context.observer.replanning(decision, execution.result)
             if execution.is_over:
-                self._log.follow(execution.run.machine, execution.result, decision, history)
+                self._follow(execution.run.machine, execution.result, decision, history)
                 return await self._follower(execution, decision)
             graph = await self._successor(execution, decision, history, under_way)
             if graph is None or not execution.is_over:
@@ -139,8 +223,17 @@ class GoalLoop:
             await self._catch_up(execution)  # it came to its end while its successor was planned
             self._check_end(execution)
             if not self._monitor.why_not(Progress.beginning(graph), self._context.forbidden(history)):
-                self._log.follow(execution.run.machine, execution.result, decision, history)
+                self._follow(execution.run.machine, execution.result, decision, history)
                 return graph
+
+    def _follow(self, machine: PetriNetMachine, result: RunResult, decision: Decision, history: History) -> None:
+        """Record a run that another follows, and why."""
+        self._log.follow(machine, result, decision, history)
+        self._note_goal(decision)
+
+    def _note_goal(self, decision: Decision | None = None) -> None:
+        log = self._log
+        self._context.journal.noted(self._context.task.id, GoalNote(log.history, log.plans, decision, log.helped))
 
     async def _catch_up(self, execution: PlanExecution) -> None:
         await self._context.backend.refresh()
@@ -223,8 +316,11 @@ class GoalLoop:
         if isinstance(decision, ResumePlan) and not execution.is_blocked:
             return decision.rest
         if self._given is None:
-            # What is forbidden is looked at anew each time: a value that a call lacked may be known by then.
-            plan = await self._search.patiently(lambda: self._search.following(execution, self._context.forbidden(self._log.history)))
+
+            def search() -> Awaitable[Plan | None]:  # what is forbidden is looked at anew: a value that a call lacked may be known by then
+                return self._search.following(execution, self._context.forbidden(self._log.history))
+
+            plan = await self._search.patiently(search, self._patience)
             assert plan is not None, "a plan that is searched for in turn is in no conflict"
             return await self._accepted(plan)
         if isinstance(decision, PlanAgain):
@@ -261,7 +357,7 @@ class GoalLoop:
                 self._control.check()
                 machine, result = execution.run.machine, execution.result
                 execution.succeed(successor)
-                self._log.follow(machine, result, decision, history)
+                self._follow(machine, result, decision, history)
                 self._retry_at = None
         except (NoPlan, TaskEnded, NotProjectable, PlanGraphError, Unsound):  # what is under way may not fit into any plan
             return None
@@ -272,7 +368,9 @@ class GoalLoop:
     async def _accepted(self, plan: Plan, under_way: tuple[UnderWay, ...] = ()) -> PlanGraph:
         """Note that a plan will be executed, and return its graph, with calls that are under way."""
         limits = self._context.settings.limits
+        self._withdraw()
         self._log.plans += 1
+        self._note_goal()
         self._monitor.limit.allow(limits.allowed(plan.makespan if plan.temporal else 0.0))
         self._context.observer.planned(plan)
         with self._context.task.stopwatch.of("translate"):

@@ -7,13 +7,14 @@ from collections.abc import Mapping
 from types import TracebackType
 from typing import TypeAlias
 
+from planner_bridge.ordering.forecast import Forecast, forecast
 from planner_bridge.ordering.interference import ReadWriteSets, read_write_sets
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
 from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.replanning import Progress, why_not
 from planner_bridge.tasks.result import TaskLog
 from planner_bridge.tasks.settings import OnChange
-from pnm.broadcast import broadcast
+from pnm.core.broadcast import broadcast
 from pnm.core.execution.call_results import Failure, RunResult
 from pnm.core.execution.events import Observer
 from pnm.core.execution.handover import UnderWay
@@ -25,6 +26,7 @@ from pnm.core.machine.machine import CallOutcome, PetriNetMachine
 from pnm.core.machine.plan_graph import PlanGraph
 from pnm.core.machine.verification.verify import Proof, verify
 from pnm.executor import Executor
+from pnm.journal.replay import ReplayedRun
 from pnm.tasks import TaskState
 
 ProvedMachine: TypeAlias = tuple[PetriNetMachine, Proof]
@@ -41,11 +43,13 @@ class PlanExecution(Observer):
         context: of the task.
         monitor: of the task.
         log: what has failed before.
-        machine: of the plan to begin with, and its proof.
+        begin_with: the machine of a plan, with its proof; or the run with which another process has begun.
         origin: the time from which the times of plans count.
     """
 
-    def __init__(self, context: TaskContext, monitor: TaskMonitor, log: TaskLog, machine: ProvedMachine, origin: float) -> None:
+    def __init__(
+        self, context: TaskContext, monitor: TaskMonitor, log: TaskLog, begin_with: ProvedMachine | ReplayedRun, origin: float
+    ) -> None:
         self._context = context
         self._monitor = monitor
         self._log = log
@@ -57,7 +61,8 @@ class PlanExecution(Observer):
         self.is_blocked = False
         """Whether others have begun, during a pause, with what the rest of the plan is in conflict with; its run ends then, even
         if they are over before it is."""
-        self.executor = Executor(self._run_of(machine, {}), context.backend.client, context.source, context.task.wanted.text)
+        run = self._go_on_with(begin_with) if isinstance(begin_with, ReplayedRun) else self._run_of(begin_with, {})
+        self.executor = Executor(run, context.backend.client, context.source, context.task.wanted.text, context.journal)
         self._future: asyncio.Future[RunResult] = asyncio.get_running_loop().create_future()
 
     async def __aenter__(self) -> PlanExecution:
@@ -115,14 +120,24 @@ class PlanExecution(Observer):
         return read_write_sets(progress.rest, progress.plan.goal, self._context.world)
 
     @property
+    def forecast(self) -> Forecast:
+        """When the plan is expected to be done with what it needs; a call that is late is expected to take as long again as it is late."""
+        progress, now, left = self.progress, asyncio.get_running_loop().time(), dict[int, float]()
+        for result in (result for result in progress.calls if result.call.index in progress.under_way):
+            began = now if result.started is None else result.started
+            left[result.call.index] = abs(began + (result.call.action.duration or 0.0) - now)
+        return forecast(progress.plan, progress.events, left, self._context.world)
+
+    @property
     def under_way(self) -> tuple[UnderWay, ...]:
         """The requests that another run can take over."""
         return () if self.is_over else self.run.under_way()
 
     @property
-    def running(self) -> tuple[str, ...]:
-        """The calls that are under way."""
-        return tuple(str(call.action) for call in self.run.open_calls.values())
+    def running(self) -> tuple[tuple[str, str], ...]:
+        """The calls that are under way, each with what its server has said last."""
+        feedback = self.run.feedback
+        return tuple((str(call.action), feedback[request]) for request, call in self.run.open_calls.items())
 
     @property
     def awaits_answers(self) -> bool:
@@ -203,8 +218,9 @@ class PlanExecution(Observer):
     async def at_rest(self) -> bool:
         """Wait until everything that is under way can be handed over; return whether the run is still going on then."""
         while not self.executor.ended:
-            # A request that is out but not accepted, or that is being cancelled, cannot be handed over yet.
-            is_settled = all(result.kind is not CallOutcome.RUNNING for result in self.run.interim_result().calls)
+            # A request that is out but not accepted, or that is being cancelled, cannot be handed over yet; nor can a call that has failed,
+            # and that its server has reported done while it was being cancelled.
+            is_settled = not self.run.settling and all(call.kind is not CallOutcome.RUNNING for call in self.run.interim_result().calls)
             if is_settled and set(self.run.open_requests) == {running.request for running in self.under_way}:
                 return True
             await self.executor.happens()
@@ -217,16 +233,22 @@ class PlanExecution(Observer):
         numbers = (call.index for call in successor[0].plan.calls if call.under_way)  # in the order that they had in the old plan
         self.executor.succeed(self._run_of(successor, dict(zip(numbers, (under_way[index] for index in sorted(under_way)), strict=True))))
 
+    def _go_on_with(self, replayed: ReplayedRun) -> Run:
+        """Return the run with which another process has begun."""
+        context = self._context
+        return context.journal.go_on(replayed, broadcast(Observer, (context.observer, self)), context.backend.client.goal_fields)
+
     def _run_of(self, proved: ProvedMachine, adopted: Mapping[int, UnderWay]) -> Run:
         """Return the run of a machine, which takes over requests."""
         context, (machine, proof) = self._context, proved
         context.observer.generated(machine, proof)
-        return Run(
+        return context.journal.make_run(
             machine,
             context.knowledge,
             id=context.new_run_id(),
             bindings=context.settings.bindings,
             goal_fields=context.backend.client.goal_fields,
+            name=context.task.name,
             asks=context.source is not None,
             observer=broadcast(Observer, (context.observer, self)),
             origin=self._origin,

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
+from contextlib import suppress
+from dataclasses import replace
 from functools import cache, partial
+from math import inf
 from typing import Final, TypeAlias, TypeVar, cast
 from uuid import UUID
 
@@ -13,6 +16,7 @@ from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus
 from planner_bridge.model.plan_simulation import projected_state
 from planner_bridge.model.problem import Problem
+from planner_bridge.ordering.forecast import Forecast, awaited, with_forecasts
 from planner_bridge.ordering.interference import avoid_interference, optimistic_state, read_write_sets
 from planner_bridge.ordering.plan_to_graph import calls_of
 from planner_bridge.planning.solve import solve
@@ -20,15 +24,19 @@ from planner_bridge.tasks.constraint_monitor import TaskMonitor
 from planner_bridge.tasks.context import Conflict, RunningCalls, TaskContext
 from planner_bridge.tasks.control import TaskEnded
 from planner_bridge.tasks.plan_execution import PlanExecution
+from planner_bridge.tasks.task import Task
 from pnm.clock import in_own_thread
 from pnm.core.execution.handover import UnderWay
 from pnm.core.logic.conditions import TRUE
+from pnm.core.logic.expressions import fluent_text
 from pnm.core.machine.plan_graph import ActionCall, PlanGraph
 from pnm.errors import InputError
 from pnm.tasks import Code, OnConflict, TaskState
 
-_AGAIN: Final = 0.1
-"""Share of the time for improvement that there is for a plan that replaces another one: robots stand still."""
+_ELSEWHERE: Final = 60.0
+"""Seconds for which a task without a plan waits for servers that are at work on goals of other programs, or on forgotten ones."""
+_LOOK: Final = 1.0
+"""Seconds between two looks whether they still are."""
 _NO_PLAN: Final = frozenset({PlanningStatus.UNSOLVABLE, PlanningStatus.NO_PLAN})
 
 P = TypeVar("P", Plan, PlanGraph)
@@ -38,17 +46,25 @@ Attempt: TypeAlias = Callable[[], Awaitable[tuple[P | None, tuple[Conflict, ...]
 
 
 class NoPlan(Exception):
-    """The planner has found no plan without the forbidden calls, and would find none without the other tasks."""
+    """The planner has found no plan without the forbidden calls, and would find none without the other tasks.
 
-    def __init__(self, result: PlanningResult, forbidden: frozenset[ForbiddenCall]) -> None:
+    Args:
+        result: the planner's answer.
+        forbidden: the calls.
+        busy: action servers that are at work on what this process has not asked for: while a robot moves, it is nowhere.
+    """
+
+    def __init__(self, result: PlanningResult, forbidden: frozenset[ForbiddenCall], busy: tuple[str, ...] = ()) -> None:
         failed = sorted(str(call) for call in forbidden if ANY not in call.arguments)
         lacking = sorted(str(call) for call in forbidden if ANY in call.arguments)
         without = [
             *([f" without {', '.join(failed)}, not to be tried again"] if failed else []),
             *([f" without {', '.join(lacking)}, whose servers or resources are not to be had"] if lacking else []),
         ]
-        super().__init__(f"no plan{' and'.join(without)}: {result.reason}")
+        meanwhile = f", while {', '.join(busy)} {'are' if len(busy) > 1 else 'is'} at work on goals of other programs" if busy else ""
+        super().__init__(f"no plan{' and'.join(without)}{meanwhile}: {result.reason}")
         self.status = result.status
+        self.busy = busy
 
 
 class PlanSearch:
@@ -85,22 +101,25 @@ class PlanSearch:
                     else:
                         blocking = conflicts
             finally:
-                context.scheduler.end_turn(task, failed=bool(blocking))
+                until = min((conflict.until for conflict in blocking), default=inf)
+                context.scheduler.end_turn(task, failed=bool(blocking), again=until)
             if blocking:
                 reason = "; ".join(map(str, blocking))
                 if context.on_conflict is OnConflict.REFUSE:
                     raise TaskEnded(Code.CONFLICT, reason)
                 control.enter(TaskState.QUEUED, f"waits for {reason}")
 
-    async def patiently(self, search: Callable[[], Awaitable[T]]) -> T:
-        """Search for a plan; while there is none, wait for facts to change and search again, as long as the task has patience.
+    async def patiently(self, search: Callable[[], Awaitable[T]], patience: float) -> T:
+        """Search for a plan; while there is none, wait for facts to change and search again, for these seconds.
+
+        While servers are at work on what this process has not asked for, it waits longer, for `_ELSEWHERE` seconds.
 
         Raises:
             NoPlan: there is none, and it has waited long enough.
             TaskEnded: the task was stopped meanwhile.
         """
-        control, limits, loop = self._control, self._context.settings.limits, asyncio.get_running_loop()
-        changed, until = asyncio.Event(), None
+        control, loop = self._control, asyncio.get_running_loop()
+        changed, began = asyncio.Event(), None
         unsubscribe = self._context.world.listen(lambda changes: changed.set() if changes else None)
         try:
             while True:
@@ -108,18 +127,20 @@ class PlanSearch:
                 try:
                     return await search()
                 except NoPlan as no_plan:
-                    until = loop.time() + limits.patience if until is None else until
+                    began = loop.time() if began is None else began
+                    until = began + (max(patience, _ELSEWHERE) if no_plan.busy else patience)
                     if no_plan.status not in _NO_PLAN or loop.time() >= until:
                         raise
                     reason = f"waits {until - loop.time():g} s at most for facts to change: {no_plan}"
                     control.enter(TaskState.QUEUED, reason)
                     self._context.observer.blocked(reason)
-                    try:
-                        async with asyncio.timeout_at(until):
-                            await control.until(changed.wait())
-                    except TimeoutError:
-                        raise no_plan from None
-                await control.wait(limits.backoff)  # facts seldom change alone, and some all the time
+                    while not changed.is_set() and await self._context.backend.busy_elsewhere() == no_plan.busy:
+                        if loop.time() >= until:
+                            raise no_plan from None
+                        with suppress(TimeoutError):
+                            async with asyncio.timeout_at(min(until, loop.time() + _LOOK) if no_plan.busy else until):
+                                await control.until(changed.wait())
+                await control.wait(self._context.settings.limits.backoff)  # facts seldom change alone, and some all the time
         finally:
             unsubscribe()
 
@@ -170,18 +191,27 @@ class PlanSearch:
         self._control.reserved = None  # while it plans anew, the last plan must not keep others away
         context.observer.planning(context.settings.planner)
         running = context.scheduler.running_calls(context.task)  # now, and not when the planner has answered
-        result = await self._solve(now)
+        weighs = context.on_conflict is OnConflict.PLAN_AROUND
+        forecasts = context.scheduler.forecasts(context.task) if weighs and now.is_timed and under_way is None else {}
+        result, conflicts = await self._solve(now), tuple[Conflict, ...]()
         if result.plan is None:
             context.observer.unplanned(result)
-            conflicts = await self._too_early(now, running, result)
         else:
             self._has_found = True
             conflicts = self._reserve(now, result.plan, going_on)
-            if any(not conflict.yields for conflict in conflicts) and context.on_conflict is OnConflict.PLAN_AROUND:
+            if weighs and any(not conflict.yields for conflict in conflicts):
                 result, conflicts = await self._around(now, going_on, result, conflicts)
+        if forecasts and not (conflicts and all(conflict.yields for conflict in conflicts)):
+            can_begin = result.plan is not None and not conflicts
+            conflicts = await self._sooner(now, forecasts, result.plan.makespan if result.plan and can_begin else inf) or conflicts
+        if result.plan is None and not conflicts:
+            conflicts = await self._too_early(now, running, result)
         self._control.check()
         if result.plan is None and not conflicts:
-            raise NoPlan(result, forbidden)
+            busy = await context.backend.busy_elsewhere()
+            if result.status is PlanningStatus.UNSOLVABLE and (busy or context.resources.given_up):  # not in the world that will be
+                result = replace(result, status=PlanningStatus.NO_PLAN)
+            raise NoPlan(result, forbidden, busy)
         return self._unless_in_conflict(result.plan, conflicts)
 
     async def given(self, plan: Plan) -> tuple[Plan | None, tuple[Conflict, ...]]:
@@ -226,6 +256,25 @@ class PlanSearch:
         ]
         return tuple(conflict for conflict in conflicts if needed.disturbed_by(conflict.footprint)) or tuple(conflicts)
 
+    async def _sooner(self, now: Problem, forecasts: Mapping[Task, Forecast], latest: float) -> tuple[Conflict, ...]:
+        """Return the tasks to wait for because the goal is reached before the latest time then; in seconds from now."""
+        releases = (time for forecast in forecasts.values() for time in forecast.released.values())
+        if min(releases, default=inf) >= latest:
+            return ()
+        expected = with_forecasts(now, forecasts.values())
+        try:
+            result = await self._solve(expected)
+        except InputError:  # of a planner that knows no facts that change by themselves
+            return ()
+        if result.plan is None or result.plan.makespan >= latest:
+            return ()
+        needed, conflicts = read_write_sets(calls_of(expected, result.plan), now.goal, initial_knowledge(expected)), list[Conflict]()
+        for task, forecast in forecasts.items():
+            if needs := awaited(needed, forecast):
+                why = f"it is expected to be done with {fluent_text(needs[0])} in {needs[1]:.0f} s"
+                conflicts.append(Conflict(task.id, task.name, forecast.needed, why, until=needs[1]))
+        return tuple(conflicts)
+
     async def _around(
         self, now: Problem, under_way: list[ActionCall], result: PlanningResult, conflicts: tuple[Conflict, ...]
     ) -> tuple[PlanningResult, tuple[Conflict, ...]]:
@@ -246,10 +295,9 @@ class PlanSearch:
         settings, stop = self._context.settings, self._control.planner_stop
         # The planner may not take longer than the task has left.
         timeout = max(0.01, min(settings.planner_timeout, self._monitor.limit.left))
-        improve = settings.improve * (_AGAIN if self._has_found else 1.0)
 
         def search() -> PlanningResult:
-            planner, executor = settings.planner, settings.executor
+            planner, improve, executor = settings.planner, settings.improve, settings.executor
             return solve(problem, planner=planner, timeout=timeout, improve=improve, cancel=stop, executor=executor)
 
         try:

@@ -7,16 +7,18 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall
 from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.problem import Problem
+from planner_bridge.ordering.forecast import Forecast
 from planner_bridge.ordering.interference import ReadWriteSets, read_write_sets
 from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.goal_loop import GoalLoop
 from planner_bridge.tasks.replanning import History
-from planner_bridge.tasks.result import Episode, PlanResult, code_of_run
+from planner_bridge.tasks.result import Episode, KeptGoal, PlanResult, code_of_run, goal_of
 from planner_bridge.yaml.reader import read
 from pnm.actions.backend import schedule
 from pnm.core.logic.conditions import TRUE
@@ -24,6 +26,7 @@ from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, Cause
 from pnm.errors import InputError
 from pnm.executor import Executor
+from pnm.journal.replay import ReplayedTask
 from pnm.language.runner import PlanRun, PlanRunner
 from pnm.tasks import Code, TaskState
 
@@ -36,16 +39,24 @@ class PlanTask:
     Args:
         runner: carries out the plan.
         context: of the task.
+        kept: the task as another process left it, if it goes on here.
 
     Raises:
         InputError: there is no such plan, or it has no such parameter.
     """
 
-    def __init__(self, runner: PlanRunner, context: TaskContext) -> None:
+    def __init__(self, runner: PlanRunner, context: TaskContext, kept: ReplayedTask | None = None) -> None:
         wanted, observer = context.task.wanted, context.observer
         self._runner = runner
         self._context = context
-        self._plan_run: PlanRun = runner.prepare_run(wanted.text, wanted.parameters, observer, task=wanted.id, priority=wanted.priority)
+        self._kept = kept
+        self._plan_run: PlanRun
+        begun = [replayed for replayed in kept.runs if replayed.run.begun] if kept else []
+        if begun:
+            runner.kept |= {replayed.made.caller: replayed for replayed in begun if replayed.made.caller is not None}
+            self._plan_run = runner.go_on_with(begun[0], wanted.text, observer)
+        else:
+            self._plan_run = runner.prepare_run(wanted.text, wanted.parameters, observer, task=wanted.id, priority=wanted.priority)
 
     async def carry_out(self) -> PlanResult:
         """Carry the plan out and return how it ended.
@@ -61,9 +72,10 @@ class PlanTask:
             await context.backend.refresh()
             context.observer.generated(program.machine, program.proof)
             context.control.enter(TaskState.RUNNING)
-            began = asyncio.get_running_loop().time()
+            origin = plan_run.executor.run.origin  # of a run with which another process has begun
+            began = asyncio.get_running_loop().time() if origin is None else origin
             context.observer.began(began)
-            stop_time = schedule(context.world, program.plan.timed, began)
+            stop_time = schedule(context.world, program.plan.timed, began, -inf if self._kept is None else self._kept.replay.now)
             try:
                 with context.task.stopwatch.of("execute"):
                     run = await self._runner.execute(plan_run)
@@ -99,8 +111,13 @@ class PlanTask:
         return read_write_sets([call for call in plan.calls if call.index not in ended], plan.goal, self._context.world)
 
     @property
-    def running(self) -> tuple[str, ...]:
-        """The calls that are under way, those in plans that it calls as well."""
+    def forecast(self) -> Forecast:
+        """What the plan needs; when it is done with that depends on loops, choices and people."""
+        return Forecast(self.footprint)
+
+    @property
+    def running(self) -> tuple[tuple[str, str], ...]:
+        """The calls that are under way, those in plans that it calls as well, each with what its server has said last."""
         return self._plan_run.running
 
     @property
@@ -124,7 +141,7 @@ class PlanTask:
         history = History(given_up, frozenset(map(ForbiddenCall.of, unconfirmed)))
         try:
             problem = await self._problem(result.began)
-            loop = GoalLoop(replace(context, problem=problem), history=history)
+            loop = GoalLoop(replace(context, problem=problem, since=None), history=history, kept=self._kept_goal())
             rest = await loop.pursue()
         except InputError as error:
             return replace(result, reason=f"{result.reason}; no planner can be asked: {error}")
@@ -137,6 +154,11 @@ class PlanTask:
             constraints=rest.constraints,
             preferences=rest.preferences,
         )
+
+    def _kept_goal(self) -> KeptGoal | None:
+        """Return what another process has done after the plan had failed; None if nothing."""
+        later = [replayed for replayed in self._kept.runs[1:] if replayed.made.caller is None] if self._kept else []
+        return goal_of(replace(self._kept, runs=later)) if self._kept and (later or self._kept.notes) else None
 
     async def _problem(self, began: float) -> Problem:
         """Return the problem of reaching the plan's goal from the world as it is, with the timed changes that are still to come."""

@@ -18,10 +18,11 @@ from pnm.core.execution.call_results import CallResult, Failure
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.evaluation import evaluate, explanation
 from pnm.core.logic.trajectory import Constraint
-from pnm.core.machine.bindings import NO_BINDINGS, Bindings
+from pnm.core.machine.bindings import NO_BINDINGS, Bindings, WhenLost
 from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, Cause, GroundAction, Moment, PlanEvent, PlanGraph
 from pnm.errors import check_counts, check_seconds
+from pnm.tasks import Code
 
 MAX_SHORTENED: Final = 100
 """Calls of the longest rest of a plan that needless calls are removed from."""
@@ -74,6 +75,8 @@ class History:
     """Action servers that were not there, and how often they were not since they last carried something out."""
     uninformed: frozenset[GroundAction] = frozenset()
     """Actions whose goals lacked a value: until there is one, they are of no use."""
+    lost: frozenset[GroundAction] = frozenset()
+    """Actions of which nobody knows how they have ended, and whose bindings have the task end then."""
     replans: int = 0
     fruitless: int = 0
     """Runs in a row in which no call succeeded."""
@@ -97,6 +100,8 @@ class History:
         at_work = [call for failure, call in of_calls if failure.unconfirmed]
         at_work += [result.call for result in calls if result.kind is CallOutcome.UNCONFIRMED]
         uninformed = {call.action for failure, call in of_calls if failure.cause is Cause.DATA_MISSING}
+        of_lost = (call.action for failure, call in of_calls if failure.cause is Cause.LOST)
+        lost = {action for action in of_lost if bindings.of(action.name).when_lost is WhenLost.ABORT}
         progress = any(result.kind is CallOutcome.SUCCEEDED for result in calls)
         return History(
             failed,
@@ -104,12 +109,16 @@ class History:
             self.lacking.union(*(failure.lacking for failure in failures)),
             absent,
             self.uninformed | uninformed,
+            self.lost | lost,
             self.replans + 1,
             0 if progress else self.fruitless + 1,
         )
 
     def given_up(self, limits: Limits) -> GiveUp | None:
-        """Return why nothing follows; None if the limit of replans is not reached."""
+        """Return why nothing follows; None if the limit of replans is not reached, and everybody knows what the robots have done."""
+        if self.lost:
+            names = ", ".join(sorted(map(str, self.lost)))
+            return GiveUp(f"nobody knows how {names} has ended, and its binding says 'when_lost: abort'", Code.SERVER_UNAVAILABLE)
         return GiveUp(f"the limit of {limits.replans} replans is reached") if self.replans > limits.replans else None
 
     def changed(self) -> History:
@@ -120,9 +129,26 @@ class History:
         """Return the calls that failed too often, or whose servers may still be at work."""
         return self.unconfirmed | {call for call, times in self.failed.items() if times >= limits.forbid_after}
 
+    def objection(self, action: GroundAction, limits: Limits) -> str:
+        """Return why an action must not be used, in words that follow its name."""
+        call = ForbiddenCall.of(action)
+        if call in self.unconfirmed:
+            return "may still be under way: its server has not confirmed that it is over"
+        if self.failed.get(call, 0) >= limits.forbid_after:
+            return f"has failed {self.failed[call]} times"
+        return "needs an action server, a resource or a value that is not there"
+
     def absent_servers(self, limits: Limits) -> frozenset[str]:
         """Return the action servers that were not there too often."""
         return frozenset(server for server, times in self.absent.items() if times >= limits.forbid_after)
+
+    def remedy(self, limits: Limits) -> str:
+        """Return in words what would help after these failures; empty if there were none."""
+        needs = [f"the action server {server} is there again" for server in sorted(self.absent_servers(limits))]
+        needs += [f"{name} is given back" for name in sorted(self.lacking)]
+        needs += [f"{action} gets the value that it lacks" for action in sorted(map(str, self.uninformed))]
+        needs += [f"{call} works again" for call in sorted(map(str, self.forbidden(limits)))]
+        return f"it would help if {', or '.join(needs)}" if needs else ""
 
     def backoff(self, limits: Limits) -> float:
         """Return the back-off: the seconds to wait before the next attempt."""
@@ -146,9 +172,10 @@ class PlanAgain:
 
 @dataclass(frozen=True, slots=True)
 class GiveUp:
-    """A limit is reached."""
+    """A limit is reached, or only people can decide how to go on."""
 
     reason: str
+    code: Code = Code.REPLAN_LIMIT
 
 
 Decision = ResumePlan | PlanAgain | GiveUp
@@ -227,7 +254,9 @@ def decide(
     whole = "; the whole network of tasks is planned for once more" if now.network else ""
     if by_the_clock := times_that_matter(now):
         return PlanAgain(forbidden, by_the_clock + whole)
-    obstacle = why_not(progress, knowledge, forbidden, (*now.domain.constraints, *now.constraints))
+    if action := barred(progress, forbidden):
+        return PlanAgain(forbidden, f"{action} {history.objection(action, limits)}{whole}")
+    obstacle = why_not(progress, knowledge, constraints=(*now.domain.constraints, *now.constraints))
     return PlanAgain(forbidden, obstacle + whole) if obstacle else ResumePlan(rest_of(now, progress))
 
 
@@ -248,6 +277,12 @@ def rest_of(now: Problem, progress: Progress) -> PlanGraph:
     return deordered(now, renumbered, order)
 
 
+def barred(progress: Progress, forbidden: Iterable[ForbiddenCall]) -> GroundAction | None:
+    """Return the first action of the rest of a plan that must not be used; None if there is none."""
+    rest = (call.action for call in progress.rest if call.index not in progress.under_way)
+    return next((action for action in rest if any(call.covers(action) for call in forbidden)), None)
+
+
 def why_not(
     progress: Progress,
     knowledge: KnowledgeBase,
@@ -260,9 +295,8 @@ def why_not(
     through which the constraints, none of which may speak of times, are progressed.
     """
     plan = progress.plan
-    for call in progress.rest:
-        if call.index not in progress.under_way and any(forbidden_call.covers(call.action) for forbidden_call in forbidden):
-            return f"{call.action} has failed too often, lacks a value, or a server may still be at work on it or with what it needs"
+    if action := barred(progress, forbidden):
+        return f"{action} must not be used"
     simulation = PlanSimulation(snapshot(knowledge), {number: plan.calls[number].action for number in progress.under_way})
     progression = ConstraintProgression(constraints, simulation.state)
     for event in progress.events:

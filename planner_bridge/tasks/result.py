@@ -6,15 +6,23 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import zip_longest
 from math import isfinite
 from typing import Any, Final, Literal, TypeAlias
 
+from planner_bridge.model import forbidden_actions
 from planner_bridge.model.plan import PlanningStatus
+from planner_bridge.tasks import replanning
 from planner_bridge.tasks.replanning import Decision, GiveUp, History, PlanAgain, ResumePlan
+from pnm.clock import TimeUsed
 from pnm.core.execution.call_results import CallResult, Failure, RunResult
-from pnm.core.logic.trajectory import Constraint
+from pnm.core.logic import trajectory
+from pnm.core.logic.trajectory import Constraint, ConstraintProgress
 from pnm.core.machine.machine import CallOutcome, PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, Cause
+from pnm.journal.codec import value_classes
+from pnm.journal.format import RECORDS
+from pnm.journal.replay import ReplayedRun, ReplayedTask
 from pnm.tasks import Code, TaskEnding
 
 _PLANNING: Final = {
@@ -255,6 +263,8 @@ class TaskLog:
     episodes: list[Episode] = field(default_factory=list)
     plans: int = 0
     """How many have been found, or given."""
+    helped: int = 0
+    """How often a person has helped."""
 
     @property
     def failures(self) -> list[Failure]:
@@ -279,6 +289,84 @@ class TaskLog:
         """Return which constraints are not fulfilled after the runs; empty when all are, or nothing was executed."""
         more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
         return f"not fulfilled: {', '.join(map(str, missing[:3]))}{more}" if self.episodes and missing else ""
+
+
+# --- going on in another process -----------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class GoalNote:
+    """What a goal remembers from one run to the next.
+
+    Args:
+        history: of its failures.
+        plans: how many have been found.
+        decision: why another run follows the last one; None for a plan that was found, and for help.
+        helped: how often a person has helped.
+    """
+
+    history: History
+    plans: int
+    decision: Decision | None = None
+    helped: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class TrajectoryNote:
+    """What has become of the constraints and preferences of a task.
+
+    Args:
+        began: when the task began, on the clock of the event loop.
+        progress: what is left of every ground constraint, in their order.
+        violations: of those that are violated, by their position.
+    """
+
+    began: float
+    progress: tuple[ConstraintProgress, ...] = ()
+    violations: Mapping[int, Violation] = field(default_factory=dict)
+
+
+TASKS: Final = RECORDS.including((GoalNote, TrajectoryNote, Violation, *value_classes(replanning, forbidden_actions, trajectory)))
+"""The codec of the journal of tasks."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeptGoal:
+    """A goal as another process left it.
+
+    Args:
+        log: its record.
+        run: the run that goes on, if there is one.
+        left_at: when the process died, on the clock of the event loop.
+        trajectory: what has become of its constraints; None if it had not begun.
+        used: how much of its limit is used.
+    """
+
+    log: TaskLog
+    run: ReplayedRun | None
+    left_at: float
+    trajectory: TrajectoryNote | None
+    used: TimeUsed | None
+
+
+def goal_of(task: ReplayedTask | None) -> KeptGoal | None:
+    """Return the goal of a task that was replayed; None for a task that begins here."""
+    if task is None:
+        return None
+    notes = [note for note in task.notes if isinstance(note, GoalNote)]
+    decisions = [note.decision for note in notes if note.decision is not None]
+    begun = [replayed for replayed in task.runs if replayed.run.begun]
+    # A run is succeeded, or followed, before that is noted: the last one that has begun is the one that counts, unless it is followed.
+    current = begun[-1] if len(begun) > len(decisions) else None
+    before = begun[:-1] if current else begun
+    episodes = [
+        Episode(replayed.run.machine, replayed.result or replayed.run.interim_result(), decision)
+        for replayed, decision in zip_longest(before, decisions[: len(before)])
+    ]
+    last = notes[-1] if notes else GoalNote(History(), 0)
+    trajectories = [note for note in task.notes if isinstance(note, TrajectoryNote)]
+    log = TaskLog(last.history, episodes, last.plans, last.helped)
+    return KeptGoal(log, current, task.replay.now, trajectories[-1] if trajectories else None, task.used)
 
 
 # --- reasons -------------------------------------------------------------------------------

@@ -29,6 +29,9 @@ class TaskObserver(Observer):
     def began(self, now: float) -> None:
         """Note the time from which the seconds of the task count."""
 
+    def restored(self) -> None:
+        """Note that the task goes on where another process has left it."""
+
     def planning(self, planner: str) -> None:
         """Note that a planner is being asked."""
 
@@ -73,7 +76,7 @@ class Settings:
     planner: str = DEFAULT_PLANNER
     planner_timeout: float = 30.0
     improve: float = IMPROVE
-    """Seconds for which a better plan is looked for once there is one, at most; a tenth of that where a plan replaces another."""
+    """Seconds for which a better plan is looked for once there is one, at most."""
     bindings: Bindings = field(default_factory=Bindings)
     limits: Limits = field(default_factory=Limits)
     on_failure: OnFailure = OnFailure.DRAIN
@@ -82,6 +85,8 @@ class Settings:
     """Runs the planners when they race; a process for each by default."""
     sensing: Sensing = NO_SENSING
     """Which topics and services of ROS 2 speak of what."""
+    ask_for_help: bool = False
+    """Whether a person is asked when the task cannot go on: at the terminal, or over ROS 2 topics where there is none."""
     sim_time: bool = False
     """Whether time is that of a simulation, from ``/clock``; with the action servers of ROS 2 only."""
 

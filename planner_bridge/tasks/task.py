@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections import deque
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, field
@@ -14,14 +15,14 @@ from planner_bridge.tasks.control import TaskControl
 from planner_bridge.tasks.replanning import PlanAgain, ResumePlan
 from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import TaskObserver
-from pnm.broadcast import broadcast
+from pnm.core.broadcast import broadcast
 from pnm.core.execution.call_results import CallResult, Failure, RunResult
 from pnm.core.machine.machine import CallOutcome, PetriNetMachine, Rule
 from pnm.core.machine.plan_graph import ActionCall
-from pnm.core.machine.requests import Outcome, Request
+from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from pnm.core.machine.verification.verify import Proof
 from pnm.core.net.net import Marking
-from pnm.tasks import StepState, TaskEnding, TaskListener, TaskState, TaskStatus, TaskStep, TraceEvent, Wanted
+from pnm.tasks import Code, StepState, TaskEnding, TaskListener, TaskState, TaskStatus, TaskStep, TraceEvent, TraceKind, Wanted
 
 TRACE: Final = 200
 """The events of a task that are kept, the last ones."""
@@ -117,17 +118,27 @@ class Task(TaskObserver):
     def wants_to_go_on(self) -> bool:
         """Whether the task has something to do: it has begun, no operator has paused it, and it does not only wait for answers."""
         execution = self.control.execution
-        has_work = self.control.has_begun and self.ending is None and not self.is_held
+        has_work = self.control.has_begun and self.ending is None and not self.is_held and not self.control.awaits_help
         return has_work and not (execution is not None and execution.awaits_answers)
 
     @property
     def status(self) -> TaskStatus:
         """The status of the task now."""
         control, wanted = self.control, self.wanted
-        running = control.execution.running if control.execution else ()
-        counts = (self.ended_calls, self.replans, self.restarts)
+        under_way = control.execution.running if control.execution else ()
         return TaskStatus(
-            self.id, wanted.text or self.goal, wanted.priority, control.state, control.reason, running, *counts, wanted.parameters
+            self.id,
+            wanted.text or self.goal,
+            wanted.priority,
+            control.state,
+            control.reason,
+            tuple(call for call, _ in under_way),
+            self.ended_calls,
+            self.replans,
+            self.restarts,
+            wanted.parameters,
+            tuple(feedback for _, feedback in under_way),
+            self.ending.code if self.ending else None,
         )
 
     @property
@@ -157,7 +168,7 @@ class Task(TaskObserver):
                 result.ended,
                 result.attempts,
                 run.limit(call),
-                str(result.cause or ""),
+                result.cause,
             )
 
         return tuple(map(step, graph.calls))
@@ -173,19 +184,20 @@ class Task(TaskObserver):
     def entered(self, state: TaskState, why: str) -> None:
         """Note that the task is in another state."""
         if state is not TaskState.OVER:  # which is noted with the result
-            self.note("state", "", f"{state.name.lower()}{f': {why}' if why else ''}")
+            self.note(TraceKind.STATE, "", f"{state.name.lower()}{f': {why}' if why else ''}")
             self.listener.changed(self.id)
 
-    def note(self, kind: str, subject: str = "", text: str = "") -> None:
+    def note(self, kind: TraceKind, subject: str = "", text: str = "", level: int = logging.INFO) -> None:
         """Note an event of the task."""
-        event = TraceEvent(self.id, self.clock(), kind, subject, text)
+        event = TraceEvent(self.id, self.clock(), kind, subject, text, level)
         self.trace.append(event)
         self.listener.happened(event)
 
     def end(self, ending: TaskEnding) -> None:
         """End the task."""
         self.control.enter(TaskState.OVER, ending.message)
-        self.note("state", "", f"over: {ending.code.word}: {ending.message}")
+        level = {Code.GOAL_REACHED: logging.INFO, Code.CANCELLED: logging.WARNING}.get(ending.code, logging.ERROR)
+        self.note(TraceKind.STATE, "", f"over: {ending.code.word}: {ending.message}", level)
         self.ending = TaskEnding(ending.code, ending.message, self.replans, tuple(self.trace), ending.results, ending.cause)
         if self.deadline:
             self.deadline.cancel()
@@ -195,15 +207,17 @@ class Task(TaskObserver):
     def planned(self, plan: Plan) -> None:
         """Note that a plan was found."""
         self.plans += 1
-        self.note("planned", "", f"{len(plan.steps)} calls: {', '.join(map(str, plan.steps[:5]))}{', …' if len(plan.steps) > 5 else ''}")
+        self.note(
+            TraceKind.PLANNED, "", f"{len(plan.steps)} calls: {', '.join(map(str, plan.steps[:5]))}{', …' if len(plan.steps) > 5 else ''}"
+        )
 
     def unplanned(self, result: PlanningResult) -> None:
         """Note that no plan was found."""
-        self.note("unplanned", "", result.reason)
+        self.note(TraceKind.UNPLANNED, "", result.reason, logging.WARNING)
 
     def blocked(self, reason: str) -> None:
         """Note that the task waits for facts to change."""
-        self.note("blocked", "", reason)
+        self.note(TraceKind.BLOCKED, "", reason, logging.WARNING)
 
     def generated(self, machine: PetriNetMachine, proof: Proof) -> None:
         """Note that there is another net."""
@@ -213,34 +227,40 @@ class Task(TaskObserver):
     def resigned(self, reason: str) -> None:
         """Note that a hand-written plan has failed, and that a planner looks for another way."""
         self.replans += 1
-        self.note("replanned", "", f"a planner looks for another way: {reason}")
+        self.note(TraceKind.REPLANNED, "", f"a planner looks for another way: {reason}", logging.WARNING)
         self.listener.changed(self.id)
 
     def replanning(self, decision: ResumePlan | PlanAgain, result: RunResult) -> None:
         """Note that the plan is replaced."""
         self.replans += 1
-        self.note("replanned", "", "the rest of the plan still works" if isinstance(decision, ResumePlan) else decision.why)
+        text = "the rest of the plan still works" if isinstance(decision, ResumePlan) else decision.why
+        self.note(TraceKind.REPLANNED, "", text, logging.WARNING)
         self.listener.changed(self.id)
 
     def sent(self, call: ActionCall, request: Request, now: float) -> None:
         """Note that a call is being sent."""
-        self.note("sent", str(call.action))
+        self.note(TraceKind.SENT, str(call.action))
         self.listener.changed(self.id)
+
+    def progressed(self, call: ActionCall, feedback: str, now: float) -> None:
+        """Tell what the server of a call says; too much for the trace of the task."""
+        self.listener.happened(TraceEvent(self.id, now, TraceKind.FEEDBACK, str(call.action), feedback))
 
     def ended(self, call: ActionCall, outcome: Outcome, now: float) -> None:
         """Note that a call is over."""
         self.ended_calls += 1
-        self.note("ended", str(call.action), f"{outcome.kind.value}{f': {outcome.message}' if outcome.message else ''}")
+        level = logging.INFO if outcome.kind is OutcomeKind.SUCCEEDED else logging.WARNING
+        self.note(TraceKind.ENDED, str(call.action), f"{outcome.kind.value}{f': {outcome.message}' if outcome.message else ''}", level)
         self.listener.changed(self.id)
 
     def failed(self, failure: Failure, now: float) -> None:
         """Note that something has failed."""
-        self.note("failed", str(failure.call), str(failure))
+        self.note(TraceKind.FAILED, str(failure.call), failure.why, logging.ERROR)
 
     def withheld(self, call: ActionCall, names: tuple[str, ...], now: float) -> None:
         """Note that a request was given up, and what it keeps."""
         kept = f", and keeps {', '.join(names)} until its server reports the end" if names else ""
-        self.note("withheld", str(call.action), f"has not confirmed that it is over{kept}")
+        self.note(TraceKind.WITHHELD, str(call.action), f"has not confirmed that it is over{kept}", logging.WARNING)
 
     def waiting(self, is_so: bool, now: float) -> None:
         """Note that nothing goes on before a person has answered, or that this is over."""
@@ -251,5 +271,5 @@ class Task(TaskObserver):
         if rule.restarts:
             self.restarts += 1
             self.listener.changed(self.id)
-        self.listener.happened(TraceEvent(self.id, now, "fired", transition))
+        self.listener.happened(TraceEvent(self.id, now, TraceKind.FIRED, transition))
         self.listener.moved(self.id)

@@ -63,7 +63,7 @@ def parse(text: str, file: str) -> Contents:
     top = domain_document([Mapped.of(node, file) for node in nodes])
     if top is None:
         raise InputError("there is no domain in the file; expected the key 'actions'", Position(file, 1, 1))
-    top.only(*DOMAIN_KEYS, *PLAN_KEYS)
+    top.only(*PLAN_KEYS, *DOMAIN_KEYS, *_recipes(top))
     model, _ = read_model(top, strict=True)
     if not model.domain.name:
         model = replace(model, name=model.name or Path(file).stem, domain=replace(model.domain, name=Path(file).stem))
@@ -88,7 +88,7 @@ def _domain(model: ProblemModel, top: Mapped) -> Domain:
         actions[name] = replace(schema, preferences=tuple(soft))
     for preference in top.listed("preferences"):
         preference.mapped().needed("constraints")  # no state that could be preferred is known here
-    left_out = [(f"{key!r}", top.nodes[key][0]) for key in _LEFT_OUT if key in top.nodes]
+    left_out = [(f"{key!r}", top.nodes[key][0]) for key in (*_LEFT_OUT, *_recipes(top)) if key in top.nodes]
     for name, entry in top.mapping("actions").items():
         left_out += [(f"{key!r} of {name}", position) for key, (position, _) in entry.nodes.items() if key not in _KEPT]
     left_out.sort(key=lambda item: (item[1].line, item[1].column))
@@ -100,6 +100,12 @@ def _domain(model: ProblemModel, top: Mapped) -> Domain:
         hierarchy=tuple([_hddl_text(node, HIERARCHY) for node in top.listed("hierarchy")]),
         warnings=tuple([Tolerated(f"{what} is left out: PDDL has nothing like it", position) for what, position in left_out]),
     )
+
+
+def _recipes(top: Mapped) -> list[str]:
+    """Return the names of the plans that stand under their names."""
+    others = top.nodes.keys() - {*DOMAIN_KEYS, *PLAN_KEYS}
+    return [key for key, _, node in top.entries() if key in others and node.is_mapping and "plan" in node.mapped().nodes]
 
 
 def _problem(model: ProblemModel, domain: Domain, section: Mapped) -> Problem:

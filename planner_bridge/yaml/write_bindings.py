@@ -10,7 +10,7 @@ from typing import Final
 from planner_bridge.pddl.syntax.words import number_text
 from planner_bridge.yaml import emitter
 from planner_bridge.yaml.emitter import Bare, Entry, Value, document, items
-from pnm.core.machine.bindings import DEFAULT, NO_BINDINGS, Binding, Bindings, Table
+from pnm.core.machine.bindings import DEFAULT, NO_BINDINGS, Binding, Bindings, Foreign, Table, WhenLost
 from pnm.core.message_fields import Comparison, Every, FieldValue, Flag, Negation, Some
 
 LANGUAGE_DEFAULT: Final = Binding(retries=0)
@@ -46,6 +46,8 @@ def _value(value: object) -> Value:
     match value:
         case str():
             return value
+        case Foreign() | WhenLost():
+            return str(value.value)
         case Table(of, rows):
             return _value({"of": of, "table": rows})
         case FieldValue(field, None):

@@ -8,11 +8,13 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Iterable
+from math import inf
 from typing import Protocol
 
 from pnm.actions.simulated_robots import SimulatedRobots
 from pnm.actions.simulated_world import report_changes
 from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.declared_names import Vocabulary
 from pnm.core.logic.effects import TimedChange
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import ActionClient
@@ -38,10 +40,12 @@ class Backend(Protocol):
         The identities of all requests begin with `mark`; `source` answers what the run does not know.
         """
 
-    async def check(self, actions: Iterable[GroundAction] = (), wait: float = 0.0) -> tuple[Readiness, ...]:
+    async def check(
+        self, actions: Iterable[GroundAction] = (), wait: float = 0.0, known: Vocabulary | None = None
+    ) -> tuple[Readiness, ...]:
         """Return how ready the servers of all declared actions and of these, and all sensors are.
 
-        What is not there yet is waited for, for `wait` seconds.
+        What is not there yet is waited for, for `wait` seconds. `known` has other declared names than those that are in use.
         """
 
     async def refresh(self) -> None:
@@ -50,24 +54,30 @@ class Backend(Protocol):
     async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
         """Look for the servers of these actions; return the names of those that are not there yet."""
 
+    async def busy_elsewhere(self) -> tuple[str, ...]:
+        """Return the action servers that are at work on what this process has not asked for."""
+
     async def close(self) -> None:
         """Disconnect."""
 
 
-async def check_ready(backend: Backend, actions: Iterable[GroundAction] = ()) -> None:
+async def check_ready(backend: Backend, actions: Iterable[GroundAction] = (), known: Vocabulary | None = None) -> None:
     """Log what is not ready yet of what the backend needs; raise an `InputError` if something can never work."""
-    rows = await backend.check(actions)
+    rows = await backend.check(actions, known=known)
     refuse_unfit(rows)
     for row in rows:
         if row.state is not ReadyState.READY:
             _log.warning("%s%s", row, f"; {row.waits}" if row.waits else "")
 
 
-def schedule(knowledge: KnowledgeBase, timed: Iterable[TimedChange], began: float) -> Callable[[], None]:
-    """Schedule the timed changes that no sensor reports, after the plan began at `began`; return a function that cancels them."""
+def schedule(knowledge: KnowledgeBase, timed: Iterable[TimedChange], began: float, after: float = -inf) -> Callable[[], None]:
+    """Schedule the timed changes that no sensor reports, after the plan began at `began`; return a function that cancels them.
+
+    Those of a time before `after` have been made.
+    """
     loop = asyncio.get_running_loop()
     timers: list[asyncio.TimerHandle] = []
-    for change in timed:
+    for change in (change for change in timed if began + change.time >= after):
         assumed = {fluent: value for fluent, value in change.changes.items() if not knowledge.is_sensed(fluent)}
         timers.append(loop.call_at(began + change.time, knowledge.update, assumed))
 
@@ -90,7 +100,9 @@ class ClientBackend:
     async def share(self, mark: bytes, find: FindKnowledge, source: Source) -> None:
         """Do nothing: what the client carries out queries nothing."""
 
-    async def check(self, actions: Iterable[GroundAction] = (), wait: float = 0.0) -> tuple[Readiness, ...]:
+    async def check(
+        self, actions: Iterable[GroundAction] = (), wait: float = 0.0, known: Vocabulary | None = None
+    ) -> tuple[Readiness, ...]:
         """Do nothing: servers and sensors are nothing that could be looked at."""
         return ()
 
@@ -99,6 +111,10 @@ class ClientBackend:
 
     async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
         """Do nothing: the client finds its servers itself."""
+        return ()
+
+    async def busy_elsewhere(self) -> tuple[str, ...]:
+        """Return nothing: what else the client carries out is not known."""
         return ()
 
     async def close(self) -> None:

@@ -2,22 +2,41 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterator
 from dataclasses import fields
 from pathlib import Path
+from typing import Final
 
 from pnm.core.knowledge_base import parse_fluent
 from pnm.core.logic.declared_names import Vocabulary
-from pnm.core.machine.bindings import _NAME, DEFAULT, Binding, Bindings, Table, placeholders
-from pnm.errors import InputError, Position, suggestion
+from pnm.core.machine.bindings import _NAME, DEFAULT, Binding, Bindings, Foreign, Table, WhenLost, placeholders
+from pnm.errors import InputError, Position
 from pnm.files.yaml_nodes import Mapped, Node, load_yaml
 from pnm.knowledge.field_reader import field_test, field_value
 
+_SERVER: Final = re.compile(r"~?[\w/{}]+", re.ASCII)
+"""The name of an action server, in whose braces parameters stand."""
+_TYPE: Final = re.compile(r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*")
 
-def read_bindings(path: Path, known: Vocabulary | None = None) -> Bindings:
+
+def read_bindings(path: Path | str, known: Vocabulary | None = None) -> Bindings:
     """Read a bindings file, its names checked against the known ones if given; raise `InputError` where something is wrong."""
-    top = load_yaml(path)
+    return bindings_in(load_yaml(path), known)
+
+
+def bindings_in(top: Mapped, known: Vocabulary | None = None, *, strangers: bool = False) -> Bindings:
+    """Return the bindings of a file that is loaded, as `read_bindings` does.
+
+    Args:
+        top: what is in the file.
+        known: the declared names.
+        strangers: whether there may be bindings of actions that are not declared.
+    """
     top.only("actions", "assumed", "lag")
+    for key, where, node in top.section("actions").entries():
+        if key in binding_keys("type") and not (node.is_mapping or node.is_null):
+            raise InputError(f"{key!r} belongs under an action: two more spaces before it", where)
     entries = top.mapping("actions")
     actions: dict[str, Binding] = {}
     for name, entry in entries.items():
@@ -25,6 +44,8 @@ def read_bindings(path: Path, known: Vocabulary | None = None) -> Bindings:
         actions[name] = read_binding(entry)
     if known is not None:
         for name, entry in entries.items():
+            if strangers and name not in known.actions:
+                continue
             known.check_action(name, entry.start)
             for parameter in placeholders(actions[name].server or ""):
                 known.check_parameter(name, parameter, entry.position("server"))
@@ -33,7 +54,7 @@ def read_bindings(path: Path, known: Vocabulary | None = None) -> Bindings:
                     known.check_parameter(name, parameter, position)
             if (goal := entry.filled("goal")) is not None:
                 _check_sources(goal, name, known)
-        for name in top.strings("assumed"):
+        for name in () if strangers else top.strings("assumed"):
             known.check_set(name, top.position("assumed"))
     return Bindings(actions, frozenset(top.strings("assumed")), top.number("lag", 1.0))
 
@@ -48,19 +69,26 @@ def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAUL
 
     The type of the ROS action stands under `type_key`; `retries` is the number of an action that gives none.
     """
-    goal, success, reason = entry.filled("goal"), entry.filled("success"), entry.filled("reason")
+    goal, success, reason, final = map(entry.filled, ("goal", "success", "reason", "final"))
     if goal is not None and not goal.is_mapping:
         raise goal.wrong("expected goal fields and their values")
     server = entry.string("server")
     if server is not None:
         check_pattern(server, entry.position("server"), "/{robot}/navigate")
+        if _SERVER.fullmatch(server) is None:
+            raise InputError(f"{server!r} cannot name an action server; expected letters, digits, _ and /", entry.position("server"))
+    action_type = entry.string(type_key)
+    if action_type is not None and _TYPE.fullmatch(action_type) is None:
+        example = "nav2_msgs/action/NavigateToPose"
+        raise InputError(f"expected a type such as {example} under {type_key!r}, found {action_type!r}", entry.position(type_key))
     return Binding(
         server=server,
         several_servers=entry.flag("several_servers"),
-        type=entry.string(type_key),
+        type=action_type,
         goal=None if goal is None else {name: _source(part) for name, _, part in goal.mapped().entries()},
         success=None if success is None else field_test(success),
         reason=None if reason is None else field_value(reason),
+        final=None if final is None else field_test(final),
         store=read_texts(entry, "store", "expected result fields and the variables to store them in"),
         timeout=entry.number("timeout", None),
         accept=entry.number("accept", DEFAULT.accept),
@@ -68,6 +96,8 @@ def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAUL
         retries=entry.whole("retries", retries),
         ask=read_texts(entry, "ask", "expected variables, and what a person is asked when nobody knows them"),
         resources=tuple(dict.fromkeys(name for name, _ in _read_resources(entry))),
+        foreign=entry.choice("foreign", Foreign),
+        when_lost=entry.choice("when_lost", WhenLost) or DEFAULT.when_lost,
         position=entry.start,
     )
 
@@ -110,9 +140,8 @@ def _check_sources(node: Node, action: str, known: Vocabulary) -> None:
         is_function, is_parameter = text.startswith("("), text.startswith("?")
         objects = known.values(parse_fluent(text)[0]) if is_function else known.arguments(action, text[1:]) if is_parameter else ()
         for name, where, _ in rows.entries():
-            if objects and name not in objects:
-                hint = suggestion(name, objects) or f"expected one of {', '.join(objects)}"
-                raise InputError(f"{of.text} of {action} cannot be {name}; {hint}", where)
+            if objects and name in known.types_of and name not in objects:  # other problems may have other objects
+                raise InputError(f"{of.text} of {action} cannot be {name}; expected one of {', '.join(objects)}", where)
         if absent := [name for name in objects if name not in rows.nodes]:
             raise InputError(f"the table has no row for {', '.join(absent)}, which {of.text} of {action} may be", rows.start)
         inner = [row for _, _, row in rows.entries()]

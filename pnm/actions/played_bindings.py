@@ -9,6 +9,7 @@ from typing import assert_never
 from pnm.core.machine.bindings import Binding, Table
 from pnm.core.machine.requests import Outcome, OutcomeKind
 from pnm.core.message_fields import Comparison, Every, Field, Flag, Negation, Some, Test
+from pnm.files.yaml_nodes import parse_value
 
 _CLOSE = 1e-6
 """How much numbers may differ: a float32 keeps seven digits."""
@@ -49,7 +50,8 @@ def _fits(source: object, value: object, arguments: dict[str, str]) -> bool:
 def result_of(binding: Binding, outcome: Outcome) -> dict[str, object]:
     """Return the result fields by which the binding finds that an action has succeeded, or why it has failed.
 
-    Fields of items in lists are left alone, and so are negations: their defaults have to do.
+    Fields of items in lists are left alone, and so are negations: their defaults have to do. Where numbers stand for reasons, it is the
+    one that has the outcome's message for a word, or the first.
     """
     result: dict[str, object] = {}
     if outcome.kind is OutcomeKind.SUCCEEDED:
@@ -57,6 +59,9 @@ def result_of(binding: Binding, outcome: Outcome) -> dict[str, object]:
             _satisfy(binding.success, result)
     elif binding.reason is not None and binding.reason.table is None:
         _put(result, binding.reason.field, outcome.message)
+    elif binding.reason is not None and binding.reason.table and outcome.kind is OutcomeKind.ABORTED:
+        words = {str(word): key for key, word in binding.reason.table.items()}
+        _put(result, binding.reason.field, parse_value(words.get(outcome.message, next(iter(words.values()))), "reason"))
     return result
 
 

@@ -15,17 +15,28 @@ from uuid import UUID
 
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
 from pnm.actions.simulated_world import Activity, SimulatedWorld
+from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.computed_values import MISSING, Question, compute
 from pnm.core.logic.effects import TimedChange
 from pnm.core.logic.evaluation import TOLERANCE
 from pnm.core.logic.expressions import Fluent, Unknown, Value, bind
 from pnm.core.logic.operators import Uncomputable
-from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.bindings import Bindings, WhenLost
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
 
 SLOWNESS: Final = 10.0
 """The factor by which a slow action takes longer."""
+
+
+class RobotLog:
+    """The log of simulated robots: one empty method per moment."""
+
+    def began(self, request: Request) -> None:
+        """Note that a robot begins to carry out a request."""
+
+    def ended(self, request: Request, outcome: Outcome) -> None:
+        """Note that a request that had begun is over, before that is reported."""
 
 
 @dataclass(slots=True)
@@ -64,7 +75,10 @@ class SimulatedRobots:
     """How many jobs may use a resource at the same time; one for those not listed."""
     clashes: list[str] = field(default_factory=list)
     """Resources that more jobs used at once than their capacity allows: a mistake of the client."""
+    log: RobotLog = field(default_factory=RobotLog)
     _jobs: dict[UUID, _Job] = field(default_factory=dict)
+    _results: dict[UUID, tuple[str, Outcome]] = field(default_factory=dict)
+    """The servers of requests that are over, and how these have ended."""
     _lost: set[str] = field(default_factory=set)
     _seen: dict[int, int] = field(default_factory=dict)
     _chance: random.Random = field(init=False)
@@ -84,6 +98,12 @@ class SimulatedRobots:
         for time, changes in (*timed, *((change.time, change.changes) for change in self.scheduled)):
             self._later(time, self.world.change, changes)
 
+    def go_on_from(self, known: KnowledgeBase, passed: float) -> None:
+        """Begin in the world that another process knew, so many seconds after its beginning."""
+        facts = {fluent: value for fluent, value in known.facts().items() if not isinstance(value, Unknown)}
+        self.world.truth.replace({fluent[0] for fluent in self.world.truth.facts()}, facts)
+        self.scheduled = tuple(TimedChange(change.time - passed, change.changes) for change in self.scheduled if change.time > passed)
+
     def close(self) -> None:
         """Cancel all timers: the world no longer changes."""
         for timer in self._timers.values():
@@ -100,6 +120,10 @@ class SimulatedRobots:
         self.begin()
         asyncio.get_running_loop().call_soon(self._receive, request, report)
 
+    def reattach(self, request: Request, report: Reporter, /, *, accepted: bool) -> None:
+        """Report on a request that was sent before, or perform it, beginning in the next turn of the loop."""
+        asyncio.get_running_loop().call_soon(self._report_again, request, report, accepted)
+
     def cancel(self, request: UUID, /) -> None:
         """Stop the request unless it ignores that."""
         job = self._jobs.get(request)
@@ -113,6 +137,20 @@ class SimulatedRobots:
             return 0.0
         return min(1.0, (asyncio.get_running_loop().time() - job.began) / job.lasts)
 
+    @property
+    def at_work(self) -> tuple[Request, ...]:
+        """The requests that are being carried out; a robot that hangs is at work for ever."""
+        return tuple(job.request for job in self._jobs.values())
+
+    def restart(self, server: str) -> None:
+        """Restart a server: its robot stops, and it knows nothing any more of what it was asked before."""
+        for job in [job for job in self._jobs.values() if self.bindings.server(job.request.action) == server]:
+            self._forget(job)
+            job.activity.undo()
+            self.log.ended(job.request, Outcome(OutcomeKind.LOST, message="the server was restarted"))
+        for request in [request for request, (name, _) in self._results.items() if name == server]:
+            del self._results[request]
+
     # --- what the robots do ---------------------------------------------------------------------
 
     def _receive(self, request: Request, report: Reporter) -> None:
@@ -122,12 +160,12 @@ class SimulatedRobots:
             return
         fault = self._fault(action)
         if fault and fault.kind is FaultKind.REJECT:
-            report(Ended(request.id, Outcome(OutcomeKind.REJECTED, message=fault.message or "goal rejected")))
+            self._answer(request, report, Outcome(OutcomeKind.REJECTED, message=fault.message or "goal rejected"))
             return
         begun = self.world.begin(action)
         report(Accepted(request.id))
         if isinstance(begun, str):
-            report(Ended(request.id, Outcome(OutcomeKind.ABORTED, message=begun)))
+            self._answer(request, report, Outcome(OutcomeKind.ABORTED, message=begun))
             return
         now, resources = asyncio.get_running_loop().time(), self.bindings.resources(action)
         job = self._jobs[request.id] = _Job(request, report, begun, fault, now, resources)
@@ -135,8 +173,20 @@ class SimulatedRobots:
             users = [str(user.request.action) for user in self._jobs.values() if name in user.resources]
             if len(users) > self.capacities.get(name, 1):
                 self.clashes.append(f"{name} is used by {' and '.join(users)} at once")
+        self.log.began(request)
         self._happen("start", action)
         self._schedule(job)
+
+    def _report_again(self, request: Request, report: Reporter, accepted: bool) -> None:
+        if job := self._jobs.get(request.id):
+            job.report = report
+            report(Accepted(request.id))
+        elif request.id in self._results:
+            report(Ended(request.id, self._results[request.id][1]))
+        elif accepted and self.bindings.of(request.action.name).when_lost is not WhenLost.RESEND:
+            report(Ended(request.id, Outcome(OutcomeKind.LOST, message="the robot knows nothing of it")))
+        else:
+            self._receive(request, report)
 
     def _schedule(self, job: _Job) -> None:
         duration = self.untimed if job.request.action.duration is None else job.request.action.duration
@@ -182,9 +232,14 @@ class SimulatedRobots:
 
     def _end(self, job: _Job, outcome: Outcome) -> None:
         self._forget(job)
-        job.report(Ended(job.request.id, outcome))
+        self.log.ended(job.request, outcome)
+        self._answer(job.request, job.report, outcome)
         if outcome.kind is OutcomeKind.SUCCEEDED:
             self._happen("end", job.request.action)
+
+    def _answer(self, request: Request, report: Reporter, outcome: Outcome) -> None:
+        self._results[request.id] = self.bindings.server(request.action), outcome
+        report(Ended(request.id, outcome))
 
     def _forget(self, job: _Job) -> None:
         self._jobs.pop(job.request.id, None)

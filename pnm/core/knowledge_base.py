@@ -156,7 +156,7 @@ class KnowledgeBase:
         return isinstance(fluent, tuple) and fluent[:1] != () and fluent[0] in self._derived
 
     def listen(self, listener: Listener) -> Callable[[], None]:
-        """Call the listener with every batch of changes, an empty one for variables; return a function that unsubscribes it."""
+        """Call the listener with every batch of changes, an empty one for variables and what is sensed; return what unsubscribes it."""
         self._listeners.append(listener)
         return lambda: self._listeners.remove(listener)
 
@@ -165,11 +165,19 @@ class KnowledgeBase:
     def sense(self, names: Iterable[str], *, lag: float = 0.0) -> None:
         """Mark predicates and functions as sensed: reported, at most `lag` seconds late; raise `InputError` if that is not finite."""
         check_seconds("a report", lag)
-        self._sensed.update((name, lag) for name in names if name not in self._derived)
+        news = {name: lag for name in names if name not in self._derived and self._sensed.get(name) != lag}
+        self._sensed.update(news)
+        for listener in tuple(self._listeners) if news else ():
+            listener({})
+
+    def sensed_names(self) -> dict[str, float]:
+        """Return the sensed predicates and functions, and how many seconds late their reports may be."""
+        return dict(self._sensed)
 
     def is_sensed(self, fluent: Fluent) -> bool:
         """Return whether the fluent is sensed; a derived one, whether all fluents below it are."""
-        return all(name in self._sensed for name in self.rules.base((fluent[0],)))
+        name = fluent[0]
+        return all(below in self._sensed for below in self.rules.base((name,))) if name in self._derived else name in self._sensed
 
     def lag(self, names: Iterable[str]) -> float:
         """Return the lag in seconds of the slowest report about the names, or the base names below them."""

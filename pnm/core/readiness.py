@@ -15,8 +15,12 @@ class ReadyState(Enum):
     READY = "ready"
     ABSENT = "absent"
     """Not there, which may change."""
+    SEVERAL = "several"
+    """There more than once, which may change."""
     SILENT = "silent"
     """There, but nothing was heard of it."""
+    STALE = "stale"
+    """It was heard, and has fallen silent, or says what cannot be so."""
     UNFIT = "unfit"
     """It can never work with the files as they are."""
 
@@ -38,6 +42,7 @@ class Readiness:
     """How long it is waited for, if it is."""
     position: Position | None = None
     """Of the binding or of the sensor in its file."""
+    is_sensor: bool = False
 
     def __str__(self) -> str:
         return (self.where or f"{self.what}: ") + self.advice

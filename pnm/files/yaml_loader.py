@@ -19,6 +19,18 @@ NO_ANCHORS: Final[Mapping[str, Mapping[str, str]]] = {}
 
 _PDDL: Final = re.compile(r"(?:\s|;.*\n)*\(\s*define\b", re.IGNORECASE)
 
+_HINTS: Final = {
+    "expected ':'": "a key has a colon and a space behind it",
+    "'?'": "inside braces and brackets a '?' needs quotes",
+    "'{'": "inside braces and brackets a text with '{' needs quotes",
+    "':'": "inside braces and brackets a text with ':' needs quotes",
+    "'\\t'": "indent with spaces, not with tabs",
+    "cannot start any token": "a text that begins with it needs quotes",
+    "mapping values are not allowed": "a text with ': ' in it needs quotes, unless the line above lacks its colon",
+    "<block end>": "it is indented otherwise than what it stands beside",
+}
+"""What usually is the mistake, by words of the parser's message; the first that fits."""
+
 CORE: Final = "tag:yaml.org,2002:"
 TEXTS: Final = frozenset({"str", "timestamp", "value", "merge"})
 """Kinds of values that stay text; so do dates, which no action server and no JSON has."""
@@ -40,9 +52,8 @@ def compose(text: str, file: str, anchors: Mapping[str, Mapping[str, str]] = NO_
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         where = Position(file, mark.line + 1, mark.column + 1) if mark else start
-        unquoted = next((sign for sign in ("?", "{", ":") if f"'{sign}'" in str(error.problem)), "")
-        hint = f"; inside braces and brackets {'a text with ' if unquoted in '{:' else 'a '}'{unquoted}' needs quotes" if unquoted else ""
-        raise InputError(f"not YAML: {error.problem}{hint}", where) from error
+        hint = next((hint for words, hint in _HINTS.items() if words in str(error.problem)), "")
+        raise InputError(f"not YAML: {error.problem}{hint and f'; {hint}'}", where) from error
     except yaml.YAMLError as error:
         raise InputError(f"not YAML: {str(error).splitlines()[0]}", start) from error
     except RecursionError as error:

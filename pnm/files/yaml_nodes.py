@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from enum import Enum
 from math import isfinite
 from pathlib import Path
 from sys import float_info
@@ -21,11 +22,14 @@ from pnm.files.text import read_text
 from pnm.files.yaml_loader import NO_ANCHORS, TEXTS, compose, is_null, kind, position
 
 MAX_BYTES: Final = 4_000_000
+_LISTED: Final = 14
+"""Keys that an error names, at most."""
 
 T = TypeVar("T")
+E = TypeVar("E", bound=Enum)
 
 
-def load_yaml(path: Path) -> Mapped:
+def load_yaml(path: Path | str) -> Mapped:
     """Read a YAML file whose top level is a mapping; raise `InputError` for anything else."""
     documents = parse_yaml(read_text(path, MAX_BYTES), str(path))
     if len(documents) > 1:
@@ -113,7 +117,9 @@ class Mapped:
         """Refuse every key but the known ones, naming the nearest."""
         for key, (where, _) in self.nodes.items():
             if key not in known:
-                hint = suggestion(key, known) or f"expected one of {', '.join(known)}"
+                names = [*dict.fromkeys(known)]
+                listed = ", ".join((*names[:_LISTED], *(["…"] if names[_LISTED:] else ())))
+                hint = suggestion(key, known) or f"expected one of {listed}"
                 raise InputError(f"unknown key {key!r}; {hint}", where)
 
     def position(self, key: str) -> Position:
@@ -175,6 +181,16 @@ class Mapped:
         if not value.is_integer():
             raise InputError(f"expected a whole number under {key!r}, found {value:g}", self.position(key))
         return int(value)
+
+    def choice(self, key: str, kinds: type[E]) -> E | None:
+        """Return one of the values of an enumeration, or None when the key is not there."""
+        value = self.plain(key)
+        if value is None:
+            return None
+        words = [str(kind.value) for kind in kinds]
+        if value not in words:
+            raise InputError(f"expected one of {', '.join(words)} under {key!r}, found {value!r}", self.position(key))
+        return kinds(value)
 
     def flag(self, key: str) -> bool:
         """Return true or false; false when the key is not there."""
@@ -271,6 +287,14 @@ class Node:
     def written(self) -> str:
         """How a scalar is written in the file, without quotes; empty for lists and mappings."""
         return self.raw.value if isinstance(self.raw, yaml.ScalarNode) else ""
+
+    def texts(self, *left_out: str) -> Iterator[Node]:
+        """Yield every text in it, at any depth; not what stands under the keys that are left out."""
+        if self.text is not None:
+            yield self
+        parts = [node for key, _, node in self.mapped().entries() if key not in left_out] if self.is_mapping else self.items or ()
+        for part in parts:
+            yield from part.texts(*left_out)
 
     def mapped(self) -> Mapped:
         """Return the mapping that it must be."""

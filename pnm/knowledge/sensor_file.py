@@ -45,7 +45,11 @@ _OWN: Final = ("for", "facts", "variables", "stale", "lag", "type")
 
 def read_sensing(path: Path, known: Vocabulary | None = None) -> Sensing:
     """Read a file of sensors, its names checked against the known ones if given; raise `InputError` where something is wrong."""
-    top = load_yaml(path)
+    return sensing_in(load_yaml(path), known)
+
+
+def sensing_in(top: Mapped, known: Vocabulary | None = None) -> Sensing:
+    """Return the sensors of a file that is loaded, as `read_sensing` does."""
     top.only("sensors", "stale")
     stale = _seconds(top, "stale")
     sensors = tuple(_Reader(entry, known, stale).sensor() for entry in top.sequence("sensors"))

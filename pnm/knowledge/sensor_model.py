@@ -117,6 +117,10 @@ class Sensor:
     """Seconds that its reports may be late; None for the lag of the bindings."""
     position: Position = field(compare=False)
 
+    def lag_or(self, otherwise: float) -> float:
+        """Return the lag in seconds, given that of the bindings."""
+        return otherwise if self.lag is None else self.lag
+
 
 @dataclass(frozen=True, slots=True)
 class Sensing:
@@ -139,7 +143,7 @@ class Sensing:
             for statement in sensor.statements:
                 if not isinstance(statement, Stored):
                     name = statement.fluent[0]
-                    lags[name] = max(lags.get(name, 0.0), otherwise if sensor.lag is None else sensor.lag)
+                    lags[name] = max(lags.get(name, 0.0), sensor.lag_or(otherwise))
         return lags
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from math import prod
@@ -17,6 +18,7 @@ from typing import Final
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
 from pnm.core.logic.declared_names import FluentKind, Vocabulary
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Value, absent_value
+from pnm.core.readiness import Readiness, ReadyState
 from pnm.errors import InputError, suggestion
 from pnm.knowledge.complaints import Complaints
 
@@ -142,6 +144,16 @@ class StateReports:
             if returns >= RETURNS:
                 self._complaints.note(f"several senders contradict each other about {name}; expected names of its own from each")
         self._senders[name] = sequence, returns
+
+    def readiness(self, topic: str, kinds: Collection[str]) -> tuple[Readiness, ...]:
+        """Return how ready the topic of these reports is, once it was heard; its publishers have these types."""
+        heard = ", ".join(sorted(self._watchdogs.keys() | self._before.keys()))
+        row = Readiness(heard, topic, ", ".join(kinds), ReadyState.STALE, is_sensor=True)
+        if self._before:
+            return (replace(row, advice=f"nothing right was reported about {', '.join(sorted(self._before))} of late; it is unknown"),)
+        if heard and not kinds:
+            return (replace(row, advice=f"nothing reports about {heard} any more; what was reported last is believed"),)
+        return (replace(row, state=ReadyState.READY),) if heard else ()
 
     def refuse(self, names: Collection[str], reason: str) -> None:
         """Refuse a report about these names that cannot be read: they become unknown."""

@@ -30,7 +30,7 @@ from pnm.language.files import PlanHead, beside, is_world, parse_documents, plan
 from pnm.language.formulas.scope import NOTHING_DECLARED, FormulaScope, unknown
 from pnm.language.formulas.values import read_literal
 from pnm.language.ground_calls import Facts
-from pnm.language.steps import StepReader
+from pnm.language.steps import StepReader, taken_literally
 from pnm.language.to_plan_graph import PlanGraphBuilder
 
 
@@ -139,13 +139,15 @@ def _plan(head: PlanHead, others: Mapping[str, PlanHead]) -> HandWrittenPlan:
     graph = builder.graph(steps, domain.model.goal if goal == TRUE else goal, domain.rules, _capacities(entry))
     graph = replace(graph, due=_due(graph.goal, domain))
     _check_capacities(entry, graph, actions)
+    parameters = None if head.parameters is None else tuple(variable.name[1:] for variable in head.parameters)
+    variables = {name: read_literal(value).value for name, _, value in entry.section("initial_knowledge").entries()}
     return HandWrittenPlan(
         head.name,
         graph,
         Bindings({name: action.binding for name, action in actions.items()}),
-        parameters=None if head.parameters is None else tuple(variable.name[1:] for variable in head.parameters),
+        parameters=parameters,
         results=tuple(entry.strings("results")),
-        variables={name: read_literal(value).value for name, _, value in entry.section("initial_knowledge").entries()},
+        variables=variables,
         facts=facts,
         timed=domain.model.timed,
         objects=domain.model.objects_by_type,
@@ -153,7 +155,7 @@ def _plan(head: PlanHead, others: Mapping[str, PlanHead]) -> HandWrittenPlan:
         on_failure=_on_failure(entry),
         sources=domain.sources,
         calls=frozenset(call.action.name for call in graph.calls) & others.keys(),
-        warnings=head.warnings,
+        warnings=(*head.warnings, *taken_literally(entry.needed("plan"), {*variables, *(parameters or ())})),
         declared=domain.model,
         domain_file=domain.file,
     )

@@ -9,8 +9,8 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Coroutine, Mapping
+from dataclasses import InitVar, dataclass, field
 from functools import partial
 from math import inf
 from uuid import UUID, uuid4
@@ -20,17 +20,28 @@ from pnm.clock import TimeLimit
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.events import Observer
 from pnm.core.execution.resources import Resources
-from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import MISSING, Layer, Literal, Query, Question, parts
 from pnm.core.machine.bindings import ABOUT_THE_CALL
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import GroundAction
-from pnm.core.machine.requests import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Reporter, Request
+from pnm.core.machine.requests import (
+    NOT_REATTACHED,
+    Accepted,
+    ActionClient,
+    Ended,
+    Outcome,
+    OutcomeKind,
+    ReattachingClient,
+    Reporter,
+    Request,
+)
 from pnm.core.machine.verification.verify import Proof, verify
 from pnm.errors import InputError, suggestion
 from pnm.executor import Executor
+from pnm.journal.journal import NO_JOURNAL, Journal
+from pnm.journal.replay import ReplayedRun
 from pnm.knowledge.sources.source import Asker, Source
 from pnm.language.plan import HandWrittenPlan
 
@@ -59,8 +70,8 @@ async def check_values(plan: HandWrittenPlan, knowledge: Layered, source: Source
             askable |= {asked, *(str(part.name.value) for part in read if isinstance(part, Query) and isinstance(part.name, Literal))}
     for name in nameless:
         if name not in askable and not await _is_known(name, source, asker):
-            where = f"such as {{{name}: …}} among the parameters, under initial_knowledge, or in the global knowledge"
-            raise InputError(f"{plan.name} needs a value for its parameter {name!r}; expected one {where}")
+            where = f"{{{name}: …}} among the parameters (--set {name}=…), or under initial_knowledge, or one in the global knowledge"
+            raise InputError(f"{plan.name} needs a value for its parameter {name!r}; expected {where}")
 
 
 async def _is_known(name: str, source: Source | None, asker: Asker) -> bool:
@@ -120,13 +131,15 @@ class PlanRun:
         self.executor.stop(reason=f"the plan's limit of {seconds:g} s is reached")
 
     @property
-    def running(self) -> tuple[str, ...]:
-        """The calls that are under way, those in a plan that this one calls behind the name of the call."""
-        names: list[str] = []
+    def running(self) -> tuple[tuple[str, str], ...]:
+        """The calls that are under way, with what their servers have said last; those in a plan that is called behind the call's name."""
+        calls: list[tuple[str, str]] = []
+        feedback = self.executor.run.feedback
         for request, call in self.executor.run.open_calls.items():
-            called = self.client.plan_run(request)
-            names += [f"{call.action}: {inner}" for inner in called.running] if called and called.running else [str(call.action)]
-        return tuple(names)
+            called, name = self.client.plan_run(request), str(call.action)
+            inside = called.running if called else ()
+            calls += [(f"{name}: {inner}", said) for inner, said in inside] or [(name, feedback[request])]
+        return tuple(calls)
 
     @property
     def awaits_answers(self) -> bool:
@@ -158,24 +171,30 @@ class PlanRunner:
         backend: carries the actions out.
         world: what all runs share.
         source: the source for questions and updates outside the run.
+        journal: records the runs.
+        shared: resources that another process has used, in place of new ones.
     """
 
     programs: Mapping[str, Program]
     backend: Backend
     world: KnowledgeBase
     source: Source | None = None
+    journal: Journal = NO_JOURNAL
+    shared: InitVar[Resources | None] = None
     resources: Resources = field(init=False)
     """Shared by all runs, those of plans that are called included."""
     prefix: bytes = field(default_factory=partial(os.urandom, 4))
     """The first four bytes of the identities of all runs and requests: action servers find this process by them."""
     going_on: list[PlanRun] = field(default_factory=list)
+    kept: dict[UUID, ReplayedRun] = field(default_factory=dict)
+    """By the request that has called it, runs of plans that another process has begun, and that are still to go on."""
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, shared: Resources | None) -> None:
         capacities: dict[str, int] = {}
         for program in self.programs.values():  # the most careful of the plans counts
             for name, capacity in program.plan.graph.capacities.items():
                 capacities[name] = min(capacity, capacities.get(name, capacity))
-        self.resources = Resources(capacities)
+        self.resources = shared or Resources(capacities)
         self.programs = {name: program.sharing(self.resources) for name, program in self.programs.items()}
 
     @property
@@ -201,6 +220,7 @@ class PlanRunner:
         *,
         task: UUID | None = None,
         priority: int = 0,
+        caller: UUID | None = None,
     ) -> PlanRun:
         """Make a run of the plan; `execute` carries it out.
 
@@ -210,6 +230,7 @@ class PlanRunner:
             observer: of the run.
             task: on whose behalf resources are claimed, those of plans that it calls included; the run's own if None.
             priority: how these claims stand among others.
+            caller: the request of the plan that calls it.
 
         Raises:
             InputError: there is no such plan, or it has no such parameter.
@@ -222,19 +243,30 @@ class PlanRunner:
         knowledge = Layered(self.world, KnowledgeBase(variables={**program.plan.variables, **given}))
         identity = UUID(bytes=self.prefix + uuid4().bytes[4:])
         client = PlansClient(self, observer, task or identity, priority)
-        run = Run(
+        run = self.journal.make_run(
             program.machine,
             knowledge,
             id=identity,
             bindings=program.plan.bindings,
             goal_fields=client.goal_fields,
+            name=name,
+            caller=caller,
             asks=self.source is not None,
             observer=observer,
             resources=self.resources,
             task=task or identity,
             priority=priority,
         )
-        return PlanRun(program, Executor(run, client, self.source, name), client)
+        return PlanRun(program, Executor(run, client, self.source, name, self.journal), client)
+
+    def go_on_with(self, replayed: ReplayedRun, name: str, observer: Observer | None) -> PlanRun:
+        """Return a run of the plan that goes on where another process has left it; the arguments are those of `prepare_run`."""
+        client = PlansClient(self, observer, replayed.made.task, replayed.made.priority)
+        run = self.journal.go_on(replayed, observer, client.goal_fields)
+        plan_run = PlanRun(self.programs[name], Executor(run, client, self.source, name, self.journal), client)
+        if replayed.used:
+            plan_run.limit.continue_from(replayed.used, replayed.left_at)
+        return plan_run
 
     async def check(self, plan_run: PlanRun) -> None:
         """See to it that every parameter of the plan has a value, before it is carried out; see `check_values`."""
@@ -244,6 +276,7 @@ class PlanRunner:
     async def execute(self, plan_run: PlanRun) -> RunResult:
         """Carry the plan out, within its time."""
         self.going_on.append(plan_run)
+        plan_run.limit.note = partial(self.journal.counted, plan_run.executor.run.id)
         plan_run.limit.begin()
         try:
             plan_run.result = await plan_run.executor.execute()
@@ -296,7 +329,23 @@ class PlansClient:
         if request.action.name not in self._runner.programs:
             self._client.send(request, report)
             return
-        task = asyncio.get_running_loop().create_task(self._run_plan(request, report))
+        self._begin(self._run_plan(request, report))
+
+    def reattach(self, request: Request, report: Reporter, /, *, accepted: bool) -> None:
+        """Go on with the plan that the request has begun in another process; or have it found out what became of the goal."""
+        replayed = self._runner.kept.pop(request.id, None)
+        if replayed is not None:
+            plan_run = self._runner.go_on_with(replayed, request.action.name, self._observer)
+            self._begin(self._execute(request, plan_run, report))
+        elif request.action.name in self._runner.programs:  # nothing of it was begun
+            self.send(request, report)
+        elif isinstance(self._client, ReattachingClient):
+            self._client.reattach(request, report, accepted=accepted)
+        else:
+            asyncio.get_running_loop().call_soon(report, Ended(request.id, NOT_REATTACHED))
+
+    def _begin(self, work: Coroutine[None, None, None]) -> None:
+        task = asyncio.get_running_loop().create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
@@ -312,13 +361,18 @@ class PlansClient:
         """Return the run that a request for a plan has started; None if it has none, or it is over."""
         return self._plan_runs.get(request)
 
-    async def _run_plan(self, request: Request, report: Callable[[Accepted | Ended], None]) -> None:
+    async def _run_plan(self, request: Request, report: Reporter) -> None:
         given = {name: value for name, value in request.goal.items() if name not in ABOUT_THE_CALL}
         try:
-            plan_run = self._runner.prepare_run(request.action.name, given, self._observer, task=self._task, priority=self._priority)
+            plan_run = self._runner.prepare_run(
+                request.action.name, given, self._observer, task=self._task, priority=self._priority, caller=request.id
+            )
         except InputError as error:
             report(Ended(request.id, Outcome(OutcomeKind.REJECTED, message=str(error))))
             return
+        await self._execute(request, plan_run, report)
+
+    async def _execute(self, request: Request, plan_run: PlanRun, report: Reporter) -> None:
         self._plan_runs[request.id] = plan_run
         report(Accepted(request.id))
         try:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf
@@ -12,11 +13,11 @@ from pnm.actions.bindings_file import check_pattern, read_texts
 from pnm.core.logic.computed_values import KnowledgeOperation
 from pnm.core.logic.domain import ProblemModel
 from pnm.core.machine.plan_graph import Moment
-from pnm.errors import InputError, Position
+from pnm.errors import InputError, Position, Tolerated
 from pnm.files.yaml_nodes import Mapped, Node
 from pnm.language.actions import OPERATION, RESERVED, ActionKind, LanguageAction
 from pnm.language.formulas.conditions import read_condition
-from pnm.language.formulas.scope import FormulaScope, shown, unknown
+from pnm.language.formulas.scope import FormulaScope, known_names, shown, unknown
 from pnm.language.formulas.values import read_data, read_operation
 from pnm.language.plan_tree import (
     CallStep,
@@ -39,6 +40,8 @@ _PLACE: Final = ("id", "after")
 _CALL: Final = ("recoveries", "retries", "timeout", "resources", "store", "end_after", "duration", "release", "latest_start", "deadline")
 OPTIONS: Final = (*_PLACE, *_CALL)
 """The keys of a step beside the one that names its action or block."""
+_INSERTED: Final = re.compile(r"\$\{(?P<first>[A-Za-z_]\w*)\}|\$(?P<second>[A-Za-z_]\w*)|\{(?P<third>[A-Za-z_]\w*)\}")
+"""How other languages write the value of a variable inside of a text."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,7 @@ class StepReader:
     def steps(self, node: Node) -> SequenceStep:
         """Read a list of steps."""
         if node.items is None and not node.is_null:
-            raise node.wrong(f"expected a list of steps, found {shown(node)}")
+            raise node.wrong(f"expected a list of steps, found {shown(node)}{'; each begins with a dash and a space' * node.is_mapping}")
         return self.sequence(node.items or (), node.position)
 
     def sequence(self, nodes: tuple[Node, ...], position: Position) -> SequenceStep:
@@ -94,10 +97,16 @@ class StepReader:
                 entry.only("sequence", *_PLACE)
                 return SequenceStep(place, self.steps(entry.needed("sequence")).steps)
             case "while":
+                for key in [key for key in entry.nodes if key in ("condition", "actions", "limit")]:
+                    raise InputError(f"{key!r} belongs under 'while': two more spaces before it", entry.nodes[key][0])
                 entry.only("while", *_PLACE)
                 return self._loop(entry.needed("while").mapped(), place)
             case "if":
                 entry.only("if", "then", "else", *_PLACE)
+                within = entry.needed("if").mapped().nodes if entry.needed("if").is_mapping else {}
+                for key in [key for key in ("condition", "then", "else") if key in within]:
+                    how = "'if' has the condition itself, without this word" if key == "condition" else "it stands beside 'if'"
+                    raise InputError(f"{key!r} does not belong under 'if': {how}", within[key][0])
                 condition = read_condition(entry.needed("if"), self.scope)
                 then = self.steps(entry.needed("then"))
                 return ChoiceStep(
@@ -138,12 +147,18 @@ class StepReader:
 
     def _call(self, name: str, entry: Mapped, place: StepPlacement) -> CallStep:
         if name not in self.actions:
-            where = entry.nodes[name][0]
+            where, word = entry.nodes[name][0], name.partition("{")[0].strip(": ")
+            if word in self.actions:
+                raise InputError(f"expected ': ' after {word!r}, found {name!r}", where)
             if any(action.kind is not ActionKind.PLAN for action in self.actions.values()):
                 raise unknown("action", name, self.actions.keys() | RESERVED - {"then", "else"}, where)
             raise InputError(f"there is no domain that would have an action {name!r}; expected 'actions', or 'domain' and a file", where)
         action = self.actions[name]
         argument = entry.needed(name)
+        if not (argument.is_null or argument.is_mapping):
+            first = next((variable.name[1:] for variable in action.schema.parameters), "" if not action.is_open else "parameter")
+            write = f"- {name}: {{{first}: {argument.written or '…'}}}" if first else f"- {name}:"
+            raise argument.wrong(f"expected the parameters of {name}, found {shown(argument)}; write '{write}'")
         arguments = Mapped(entry.file, entry.start, {}) if argument.is_null else argument.mapped()
         entries = [entry for entry in arguments.entries() if action.kind is not ActionKind.KB or entry[0] != OPERATION]
         given = {key: self._given(action, key, where, node) for key, where, node in entries}
@@ -179,7 +194,7 @@ class StepReader:
     def _given(self, action: LanguageAction, key: str, where: Position, node: Node) -> GivenValue:
         parameters = [variable.name[1:] for variable in action.schema.parameters]
         if not action.is_open and key not in parameters:
-            raise unknown(f"parameter of {action.name}", key, parameters, where)
+            raise InputError(f"{action.name} has no parameter {key!r}; {known_names(key, parameters)}", where)
         data = read_data(node, self.scope)
         if f"?{key}" in action.objects:
             _check_object(action, key, node, self.declared)
@@ -190,6 +205,17 @@ class StepReader:
         if node is None:
             raise InputError(f"{action.name} works on knowledge; expected the key {OPERATION!r}", arguments.start)
         return read_operation(node, self.scope.inside(action.schema.parameters))
+
+
+def taken_literally(steps: Node, variables: Collection[str]) -> Iterator[Tolerated]:
+    """Yield a warning for what looks like a variable inside of a text, where other languages would put its value."""
+    for node in steps.texts("resources"):
+        for match in _INSERTED.finditer(node.text or ""):
+            name = str(match[match.lastgroup or 0])
+            if name in variables or match["first"]:
+                value = f"{{LocalQuery: {name}}}"
+                how = value if match[0] == node.text else f"{{Operation: [concat, [..., {value}]]}}"
+                yield Tolerated(f"{match[0]!r} stays as it is written; for the value of {name} write {how}", node.position)
 
 
 def _check_object(action: LanguageAction, key: str, node: Node, declared: ProblemModel) -> None:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Iterable
-from functools import partial
+from collections.abc import Awaitable, Callable, Iterable
 from time import monotonic
 from typing import Any, Final
 from uuid import UUID
@@ -16,7 +15,7 @@ from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import ActionClient
 from pnm.core.readiness import Readiness, ReadyState
 from pnm.errors import InputError
-from pnm.knowledge.sensor_model import NO_SENSING, Sensing, unknown
+from pnm.knowledge.sensor_model import NO_SENSING, Objects, Sensing, instances, unknown
 from pnm.knowledge.sources.source import FindKnowledge, Source
 from pnm.knowledge.state_reports import StateReports
 from pnm.ros.action_client.client import Ros2ActionClient
@@ -25,6 +24,7 @@ from pnm.ros.knowledge.knowledge_services import KnowledgeServices
 from pnm.ros.node.graph import server_name, snapshot
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.readiness import action_readiness, sensor_readiness, server_calls
+from pnm.ros.sensors.sensor import resolved
 from pnm.ros.sensors.sensors import Sensors
 from pnm.ros.sensors.state_topic import TOPIC, SensedReports
 from pnm.ros.sim_time import USE_SIM_TIME, follow_sim_time
@@ -42,6 +42,9 @@ class Ros2Backend:
         known: the declared names, which reports are checked against; None if nothing is declared.
         ros: the thread of a node that goes on when the backend is closed; by default the backend has one of its own.
         sim_time: whether time is that of a simulation, from ``/clock``.
+        may_act: whether something may be sent; asked by any thread, right before that.
+        prefix: the first bytes of the ids of all goals that processes of this node send; empty if they have none in common.
+        kept: goals of another process of this node that this one goes on with.
 
     The mutable state is what `open` and `share` make.
 
@@ -57,12 +60,18 @@ class Ros2Backend:
         ros: RosThread | None = None,
         *,
         sim_time: bool = False,
+        prefix: bytes = b"",
+        kept: Iterable[UUID] = (),
+        may_act: Callable[[], bool] = lambda: True,
     ) -> None:
+        self._prefix = prefix
+        self._kept = kept
         for name in sorted(sensing.names & bindings.assumed):
             raise InputError(f"there is a sensor for {name}, which is among the 'assumed' of the bindings; expected one of the two")
         self._bindings = bindings
         self._shared = ros
         self._sim_time = sim_time
+        self._may_act = may_act
         self._sensing = sensing
         self._known = known
         self._knowledge = KnowledgeBase()
@@ -87,7 +96,10 @@ class Ros2Backend:
             await follow_sim_time(self.ros)
         lag, sensing = self._bindings.lag, self._sensing
         self._sensors = Sensors(self.ros, sensing, knowledge, lag)
-        self._client = Ros2ActionClient(self.ros, self._bindings, loop, self._ended)
+        from pnm.ros.action_client.other_goals import OtherGoals  # here, because rclpy is an extra
+
+        self._others = OtherGoals(self.ros, self._prefix, self._kept, self._may_act)
+        self._client = Ros2ActionClient(self.ros, self._bindings, loop, self._ended, self._others, self._may_act)
         ignored = {
             **dict.fromkeys(knowledge.rules.derived, "its facts follow from rules"),
             **dict.fromkeys(sensing.names, "there is a sensor for it"),
@@ -98,7 +110,9 @@ class Ros2Backend:
         await self._sensors.open()
         await self._sensed.first(DISCOVERY)
 
-    async def check(self, actions: Iterable[GroundAction] = (), wait: float = 0.0) -> tuple[Readiness, ...]:
+    async def check(
+        self, actions: Iterable[GroundAction] = (), wait: float = 0.0, known: Vocabulary | None = None
+    ) -> tuple[Readiness, ...]:
         """Return how ready the servers of all declared actions and of these, and all sensors are.
 
         What is not there is looked for until this node has discovered the others, and for `wait` seconds.
@@ -106,17 +120,9 @@ class Ros2Backend:
         Raises:
             InputError: the name of a server is not valid in ROS.
         """
-        known, until = self._known or Vocabulary({}), monotonic() + wait
-        calls = tuple(dict.fromkeys((*server_calls(known, self._bindings), *actions)))
-        bound = {call: (self._bindings.server(call), self._bindings.of(call.name).position) for call in calls}
-        servers = await self.ros.ask(lambda: {call: server_name(self.ros.node, *named) for call, named in bound.items()})
-        has_settled = False
+        until, has_settled = monotonic() + wait, False
         while True:
-            graph = await self.ros.ask(partial(snapshot, self.ros.node))
-            uses = self._sensors.uses() if self._sensors else ()
-            sensed = (unknown(use.instance, self._knowledge.objects).variables for use in uses)
-            variables = frozenset(self._knowledge.variables()).union(*sensed)
-            rows = (*action_readiness(servers, self._bindings, known, graph, variables, self._patience), *sensor_readiness(uses, graph))
+            rows = await self.look(actions, known)
             if all(row.state in (ReadyState.READY, ReadyState.UNFIT) for row in rows) or (has_settled and monotonic() >= until):
                 return rows
             if not has_settled:
@@ -124,6 +130,34 @@ class Ros2Backend:
                 has_settled = True
             else:
                 await asyncio.sleep(_LOOK)
+
+    async def check_sensors(self, sensing: Sensing, objects: Objects) -> None:
+        """Raise an `InputError` if these sensors cannot be those of another world: two report the same, or a name is not valid in ROS."""
+        every = instances(sensing, objects)
+        await self.ros.ask(lambda: [resolved(self.ros.node.resolve_topic_name, instance, "sensor") for instance in every])
+
+    async def sense_objects(self, sensing: Sensing) -> None:
+        """Have the sensors report on the objects that are known now, if these are others than before."""
+        if self._sensors is not None and instances(sensing, self._knowledge.objects) != self._sensors.instances:
+            await self._sensors.close()
+            self._sensors = Sensors(self.ros, sensing, self._knowledge, self._bindings.lag)
+            await self._sensors.open()
+
+    async def look(self, actions: Iterable[GroundAction] = (), known: Vocabulary | None = None) -> tuple[Readiness, ...]:
+        """Return how ready they are at this moment, as far as this node has discovered the others; see `check`."""
+        known = known or self._known or Vocabulary({})
+        calls = tuple(dict.fromkeys((*server_calls(known, self._bindings), *actions)))
+        bound = {call: (self._bindings.server(call), self._bindings.of(call.name).position) for call in calls}
+        node = self.ros.node
+        servers = await self.ros.ask(lambda: {call: server_name(node, *named) for call, named in bound.items()})
+        graph, topic = await self.ros.ask(lambda: (snapshot(node), str(node.resolve_topic_name(TOPIC))))
+        await self.ros.ask(lambda: [self._others.watch(server) for server in {*servers.values()} & graph.servers.keys()])
+        uses = self._sensors.uses() if self._sensors else ()
+        sensed = (unknown(use.instance, self._knowledge.objects).variables for use in uses)
+        variables = frozenset(self._knowledge.variables()).union(*sensed)
+        reports = self._reports.readiness(topic, graph.topics.get(topic, ())) if self._reports else ()
+        rows = (*action_readiness(servers, self._bindings, known, graph, variables, self._patience), *sensor_readiness(uses, graph))
+        return *rows, *reports
 
     async def refresh(self) -> None:
         """Ask the services that are sensors, and wait for their answers, within their limits."""
@@ -145,11 +179,17 @@ class Ros2Backend:
         """Withdraw what a server is still asking for a request that is over, and ask how the world is now."""
         for services in self._services:
             services.end(request)
+        if self._sensors is not None:
+            self._sensors.expect_news()
         return self.refresh()
 
     async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
         """Look for the servers of these actions; wait for them only while this node itself is new."""
         return await self._client.prepare(actions, self._patience)  # type: ignore[no-any-return]
+
+    async def busy_elsewhere(self) -> tuple[str, ...]:
+        """Return the action servers that are at work on goals of other programs, or on goals that this node has forgotten."""
+        return await self.ros.ask(self._others.busy_servers)  # type: ignore[no-any-return]
 
     @property
     def _patience(self) -> float:

@@ -11,9 +11,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from pnm.core.message_fields import parse_field
 from pnm.errors import InputError
 from pnm.ros.node.graph import GraphSnapshot
 from pnm.ros.node.messages import import_type
+from pnm.ros.node.typed_fields import NUMBER, find_field
 
 _OURS: Final = "pnm_interfaces/action/"
 _POSES: Final = {
@@ -24,9 +26,12 @@ _POSES: Final = {
     "geometry_msgs/Point": "{x: 0.0, y: 0.0}",
 }
 """Types of goal fields that are places, and what a row of a table for one looks like."""
-_CONSTANT: Final = re.compile(r"boolean|u?int\d+|float|double")
+_SETTING: Final = re.compile(r"behavior_tree|\w+_id")
+"""Names of texts in goals that choose how something is done, and are no objects: those of Nav2."""
 _VERDICTS: Final = frozenset({"success", "succeeded", "ok", "is_success"})
-_CODES: Final = frozenset({"error_code", "result_code", "return_code", "status", "code"})
+_CODES: Final = frozenset({"error_code", "result_code", "return_code", "status", "code", "val"})
+_FINE: Final = ("SUCCESS", "SUCCEEDED", "STATUS_SUCCEEDED", "DONE", "OK", "NONE", "NO_ERROR")
+"""Constants of codes that mean success."""
 _REASONS: Final = frozenset({"message", "error_msg", "error_message", "error_string", "reason"})
 _MESSAGE: Final = re.compile(r"\w+/\w+")
 _DEPTH: Final = 2
@@ -123,16 +128,19 @@ def bind_goal(action: DraftAction, goal: Any, objects: dict[str, list[str]]) -> 
         elif kind in _POSES:
             action.parameters[name] = "place"
             objects["place"] = ["somewhere"]
-            action.goal.append(f'      {name}: {{of: "?{name}", table: {{somewhere: {_POSES[kind]}}}}}   # decide: a row for every place')
-        elif kind.startswith("string"):
+            turn = "; turned by an angle a: orientation: {z: sin(a/2), w: cos(a/2)}" if "w:" in _POSES[kind] else ""
+            action.goal += [f"      {name}:", f'        of: "?{name}"', f"        table:   # decide: a row for every place{turn}"]
+            action.goal.append(f"          somewhere: {_POSES[kind]}")
+        elif kind.startswith("string") and not _SETTING.fullmatch(name):
             action.parameters[name] = f"{name}_name"
             objects[f"{name}_name"] = [f"some_{name}"]
             action.goal.append(f'      {name}: "?{name}"   # decide: the name of the object is sent; or a constant, or a table')
-        elif _CONSTANT.fullmatch(kind):
-            default = str(getattr(goal(), name)).lower()
-            action.goal.append(
-                f'      {name}: {default}   # decide: a constant, an argument such as "?to", or a function: "(speed ?robot)"'
-            )
+        elif kind.startswith("string"):
+            action.goal.append(f'      {name}: ""   # decide: a constant')
+        elif kind == "boolean":
+            action.goal.append(f"      {name}: false   # decide: true or false; if it is both, two actions with the same server")
+        elif NUMBER.fullmatch(kind):
+            action.goal.append(f'      {name}: {getattr(goal(), name)}   # decide: a number, or a function of the domain: "(speed)"')
         else:
             inner = ", ".join(f"{path}: {its}" for path, its in list(_leaves_of(kind))[:12])
             action.goal.append(f"      # {name}: {{{inner}}}   # decide: a {kind}; its default is sent")
@@ -144,15 +152,20 @@ def verdict_lines(result: Any) -> Iterator[str]:
     verdict = next((path for path, kind in found if path.rpartition(".")[2] in _VERDICTS and kind == "boolean"), None)
     code = next((path for path, kind in found if path.rpartition(".")[2] in _CODES and "int" in kind), None)
     reason = next((path for path, kind in found if path.rpartition(".")[2] in _REASONS and kind.startswith("string")), None)
+    constants = find_field(result, parse_field(code)).constants if code else {}
+    fine = next((name for name in _FINE if name in constants), next((name for name, value in constants.items() if value == 0), "0"))
     if verdict:
         yield f"    success: {{field: {verdict}}}   # decide: the server may report failure inside of a success"
     elif code:
-        yield f"    success: {{field: {code}, eq: 0}}   # decide: which numbers are a success"
+        which = ", ".join(f"{name} ({value})" for name, value in list(constants.items())[:12])
+        yield f"    success: {{field: {code}, eq: {fine}}}   # decide: which {'of ' + which if which else 'number'} is a success"
     elif found:
         paths = ", ".join(path for path, _ in found[:8])
         yield f"    # success: {{field: ..., eq: ...}}   # decide: only if one of these tells success: {paths}"
     if reason:
         yield f"    reason: {reason}"
+    elif words := [f"{name}: {name.lower().replace('_', ' ')}" for name in constants if name != fine]:
+        yield f"    reason: {{field: {code}, table: {{{', '.join(words)}}}}}   # decide: the words that people read"
 
 
 def leaves(message: Any, before: str, depth: int) -> Iterator[tuple[str, str]]:
@@ -171,26 +184,24 @@ def _leaves_of(kind: str) -> Iterator[tuple[str, str]]:
 
 def sensors_in(graph: GraphSnapshot, robots: list[str]) -> tuple[str, dict[str, str]]:
     """Return the text about sensors, and what the domain declares for them."""
-    lines, others, declared = list[str](), list[str](), dict[str, str]()
+    lines, others, declared = dict[str, str](), list[str](), dict[str, str]()
     for topic, types in sorted(graph.topics.items()):
         parts = topic.strip("/").split("/")
         is_robots = len(parts) == 2 and parts[0] in robots
         pattern, variable = (f"/{{robot}}/{parts[1]}", " ?robot") if is_robots else (topic, "")
         word = re.sub(r"\W", "_", parts[-1]).lower()
         scope = ["    for: {robot: robot}"] if is_robots else []
-        if any(f"topic: {pattern}\n" in line for line in lines):
-            continue
         head = "\n".join((f"  - topic: {pattern}", f"    type: {types[0]}", *scope, "    facts:")) + "\n"
         if types == ("std_msgs/msg/Bool",):
-            lines.append(f"{head}      - fact: ({word}{variable})   # decide: its name\n        when: {{field: data, eq: true}}\n")
+            lines[pattern] = f"{head}      - fact: ({word}{variable})   # decide: its name\n        when: {{field: data, eq: true}}\n"
             declared[f"({word}{' ?robot - robot' if is_robots else ''})"] = "predicate"
         elif types == ("sensor_msgs/msg/BatteryState",):
-            lines.append(f"{head}      - number: ({word}{variable})\n        field: percentage\n")
+            lines[pattern] = f"{head}      - number: ({word}{variable})\n        field: percentage\n"
             declared[f"({word}{' ?robot - robot' if is_robots else ''})"] = "function"
         elif not types[0].startswith(("rcl_interfaces/", "pnm_interfaces/", "action_msgs/")):
             others.append(f"# {topic}   {types[0]}\n")
     text = "# What topics and services say of the world. Facts that nothing reports are assumed to come true as actions say.\n\n"
-    text += f"sensors:\n{''.join(lines)}" if lines else "sensors: []\n"
+    text += f"sensors:\n{''.join(lines.values())}" if lines else "sensors: []\n"
     if others:
         text += (
             f"\n# decide: which of these say something that goals or actions are about; docs/sensing.md has the entries\n{''.join(others)}"
@@ -204,19 +215,18 @@ def sensors_in(graph: GraphSnapshot, robots: list[str]) -> tuple[str, dict[str, 
 def domain_text(name: str, actions: list[DraftAction], sensed: Mapping[str, str]) -> str:
     """Return the domain: nothing is known of what actions need and change."""
     types = " ".join(sorted({kind for action in actions for kind in action.parameters.values()}))
-    facts = [f"    ({fact[1:-1]})" for fact, kind in sensed.items() if kind == "predicate"]
+    facts = [f"    {fact}" for fact, kind in sensed.items() if kind == "predicate"]
     facts += [f"    (done_{action.name}{action.variables})" for action in actions]
     numbers = [fact for fact, kind in sensed.items() if kind == "function"]
-    text = f"; What the robot can do. decide: what each action needs (:condition) and what it changes (:effect).\n(define (domain {name})\n"
-    text += "  (:requirements :typing :durative-actions :fluents)\n"
+    text = f"; What the robot can do. Actions may have other names, and more parameters, than their servers.\n(define (domain {name})\n"
+    text += f"  (:requirements :adl{' :numeric-fluents' if numbers else ''})\n"
     text += f"  (:types {types})\n" if types else ""
-    text += "  (:predicates\n" + "\n".join(facts) + ")\n"
+    text += "  (:predicates   ; decide: the facts that matter, such as (at ?place - place)\n" + "\n".join(facts) + ")\n"
     text += f"  (:functions {' '.join(numbers)})\n" if numbers else ""
     for action in actions:
-        text += f"\n  (:durative-action {action.name}   ; {action.server}, {action.type}\n    :parameters ({action.variables.strip()})\n"
-        text += "    :duration (= ?duration 10)   ; decide: how long it usually takes\n"
-        text += "    :condition (and)             ; decide: such as (at start (at ?robot ?from))\n"
-        text += f"    :effect (at end {action.fact}))   ; decide: what is so afterwards\n"
+        text += f"\n  (:action {action.name}   ; {action.server}, {action.type}\n    :parameters ({action.variables.strip()})\n"
+        text += "    :precondition (and)   ; decide: what must be so before, such as (at ?from), with ?from among the parameters\n"
+        text += f"    :effect (and {action.fact}))   ; decide: what is so afterwards, and what no more, such as (not (at ?from))\n"
     return f"{text})\n"
 
 
@@ -234,9 +244,11 @@ def bindings_text(actions: list[DraftAction], left_out: list[str]) -> str:
     """Return the bindings, with what was left out."""
     text = "# Which action server carries out which action, and with which goal.\n\nactions:\n"
     for action in actions:
-        text += f'  {action.name}:\n    server: "{action.server}"\n    type: {action.type}\n'
+        server = f'"{action.server}"' if "{" in action.server else action.server
+        text += f"  {action.name}:\n    server: {server}\n    type: {action.type}\n"
         is_bound = any(not line.lstrip().startswith("#") for line in action.goal)
-        text += "".join(f"{line}\n" for line in (f"    goal:{'' if is_bound else ' {}'}", *action.goal))
+        empty = " {}" if not action.goal else " {}   # decide: in place of the braces, some of these lines"
+        text += "".join(f"{line}\n" for line in (f"    goal:{'' if is_bound else empty}", *action.goal))
         text += "".join(f"{line}\n" for line in action.verdict)
         text += "    timeout: 60   # decide: seconds after which it has failed\n"
         text += '    resources: ["{robot}"]   # a robot does one thing at a time\n' if "robot" in action.parameters else ""

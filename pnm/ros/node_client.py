@@ -27,6 +27,8 @@ LIMIT: Final = 10.0
 """Seconds for the node to be found, and to answer what takes it no time."""
 ENDING: Final = 60.0
 """Seconds for what ends only when robots have confirmed that they stop."""
+RETURN: Final = 120.0
+"""Seconds for a node that has died to be back with its tasks."""
 _ACHIEVE: Final = GroundAction("achieve_goal")
 _NOBODY: Final = UUID(int=0)
 """What stands for all tasks."""
@@ -90,7 +92,7 @@ class NodeClient:
         """Have a goal reached, as the task of this id; when cancelled, cancel it and wait until it is over."""
         loop = asyncio.get_running_loop()
         binding = Binding(server=_ACHIEVE.name, type="pnm_interfaces/action/AchieveGoal")
-        client = Ros2ActionClient(self._ros, Bindings({_ACHIEVE.name: binding}), loop)
+        client = Ros2ActionClient(self._ros, Bindings({_ACHIEVE.name: binding}), loop, grace=RETURN)
         over: asyncio.Future[Outcome] = loop.create_future()
 
         def hear(report: Report) -> None:

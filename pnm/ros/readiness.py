@@ -117,6 +117,10 @@ def server_readiness(
             return replace(row, advice=error.message)
         if advice and there:
             return replace(row, state=ReadyState.ABSENT, advice=advice)
+    number = graph.processes.get(server, 1) if len(there) == 1 else 1  # servers of other types do not carry out our goals
+    if number > 1 and not any(one.several_servers for one in bound.values()):
+        advice = f"{number} processes offer {server}, unless one of them was killed lately; all would carry out every goal"
+        return replace(row, state=ReadyState.SEVERAL, advice=f"{advice} (see `several_servers`)")
     if there:
         return replace(row, state=ReadyState.READY)
     waits = f"it is waited for where it is needed, {patience:.0f} s at most"
@@ -186,7 +190,7 @@ def sensor_row(use: SensorUse, kind: str, known: Mapping[str, tuple[str, ...]]) 
     first, *others = [part.name if isinstance(part, Stored) else fluent_text(part.fluent) for part in sensor.statements]
     wanted = sensor.type
     type_name = wanted or ", ".join(there)
-    row = Readiness(f"{first}{', …' if others else ''}", use.name, type_name, ReadyState.UNFIT, position=sensor.position)
+    row = Readiness(f"{first}{', …' if others else ''}", use.name, type_name, ReadyState.UNFIT, position=sensor.position, is_sensor=True)
     if use.refused is not None:
         return replace(row, advice=use.refused.message, position=use.refused.position)
     if wanted and there and wanted not in there:
@@ -200,6 +204,9 @@ def sensor_row(use: SensorUse, kind: str, known: Mapping[str, tuple[str, ...]]) 
             return replace(row, advice=error.message, position=error.position)
     if not there:
         return replace(row, state=ReadyState.ABSENT, advice=f"there is no {kind} {use.name}{similar(use.name, known)}")
+    if use.is_stale:
+        advice = f"nothing was heard on {use.name} for {sensor.stale:g} s; what it reports is unknown"
+        return replace(row, state=ReadyState.STALE, advice=advice)
     if not use.is_heard:
         heard = f"nothing was heard on {use.name} yet" if kind == "topic" else f"{use.name} has not answered yet"
         return replace(row, state=ReadyState.SILENT, advice=f"{heard}; until then what it reports is unknown")

@@ -9,8 +9,7 @@ it has to wait for a call that is under way. Only failures after which a planner
 from __future__ import annotations
 
 import sys
-import time
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
@@ -18,49 +17,22 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
 from planner_bridge.loading import load
-from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Problem
 from planner_bridge.pipeline import achieve_at
 from planner_bridge.simulation import robots_of
 from planner_bridge.tasks.replanning import Limits
-from planner_bridge.tasks.settings import OnChange, Settings, TaskObserver
+from planner_bridge.tasks.settings import OnChange, Settings
 from pnm.actions.backend import SimulatedBackend
 from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.clock import run_async
-from pnm.core.execution.call_results import Failure
 from pnm.core.machine.bindings import Bindings
-from pnm.core.machine.machine import OnFailure, Rule
+from pnm.core.machine.machine import OnFailure
 from pnm.errors import PnmError
+from tests.support.runs.timing import FailureClock
 
 SEEDS = range(8)
 SPEED = 50.0
-
-
-@dataclass
-class Clock(TaskObserver):
-    """Seconds from failures to the begin of what follows, and how many of them the planner took."""
-
-    found: list[tuple[float, float]] = field(default_factory=list)
-    failed_at: float | None = None
-    asked_at: float = 0.0
-    planner: float = 0.0
-
-    def failed(self, failure: Failure, now: float) -> None:
-        if self.failed_at is None:
-            self.failed_at, self.planner = time.perf_counter(), 0.0
-
-    def planning(self, planner: str) -> None:
-        self.asked_at = time.perf_counter()
-
-    def planned(self, plan: Plan) -> None:
-        self.planner = time.perf_counter() - self.asked_at
-
-    def fired(self, transition: str, rule: Rule, now: float) -> None:
-        if transition == "begin" and self.failed_at is not None:
-            if self.planner:
-                self.found.append((time.perf_counter() - self.failed_at, self.planner))
-            self.failed_at = None
 
 
 def measured(problem: Problem, bindings: Bindings) -> list[tuple[float, float]]:
@@ -69,7 +41,7 @@ def measured(problem: Problem, bindings: Bindings) -> list[tuple[float, float]]:
     bindings = replace(bindings, actions={name: replace(one, retries=0) for name, one in bindings.actions.items()})
     for seed in SEEDS:
         faults = Faults(tuple(Fault(name, FaultKind.ABORT, chance=0.2) for name in problem.domain.actions), seed=seed)
-        clock = Clock()
+        clock = FailureClock()
         backend = SimulatedBackend(robots_of(problem, bindings, faults, speed=SPEED), bindings.assumed)
         limits = Limits(replans=30, seconds=60.0, forbid_after=1, backoff=0.0)
         settings = Settings(

@@ -12,7 +12,7 @@ import pytest
 
 from tests.support.e2e.deployment import ProblemDeployment, RosDomain
 from tests.support.e2e.plan_deployment import PlanDeployment
-from tests.support.ros.domains import ros_domain
+from tests.support.processes import ros_domain
 
 P = TypeVar("P", bound=RosDomain)
 

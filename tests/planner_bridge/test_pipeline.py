@@ -95,9 +95,9 @@ def test_what_would_be_ignored_is_refused() -> None:
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"settings": {"planner": "kairos"}}, "expected Settings, found {'planner': 'kairos'}"),
-        ({"observer": print}, "expected TaskObserver, found <built-in function print>"),
-        ({"faults": "faults.yaml"}, "expected Faults, found 'faults.yaml'"),
+        ({"settings": {"planner": "kairos"}}, "achieve: expected Settings for settings, found {'planner': 'kairos'}"),
+        ({"observer": print}, "achieve: expected TaskObserver for observer, found <built-in function print>"),
+        ({"faults": "faults.yaml"}, "achieve: expected Faults for faults, found 'faults.yaml'"),
         (
             {"settings": Settings(bindings=Bindings({"moev": Binding()}))},
             "there is no action 'moev' in the domain, of which the bindings speak; did you mean 'move'?",
@@ -122,7 +122,7 @@ def test_what_is_of_another_kind_is_refused(wrong: dict[str, Any], message: str)
         (lambda: Binding("/move", retries=1.5), "the binding of /move: expected a whole number from 0 for retries, found 1.5"),
         (lambda: Bindings({"move": {"server": "/move"}}), "bindings: expected Binding for move, found {'server': '/move'}"),
         (lambda: solve(ring(), timeout=inf), "the search for a plan waits for inf seconds; expected a finite number from 0"),
-        (lambda: load("d.pddl", None), "expected a file, a Problem or a Problem of unified-planning, found None"),
+        (lambda: load("d.pddl", None), "expected a file, a Problem or a Problem of unified-planning for problem, found None"),
     ],
 )
 def test_values_that_would_be_ignored_or_misunderstood_are_refused(make: Callable[[], object], message: str) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import math
+import selectors
 import threading
 
 import pytest
@@ -71,7 +73,7 @@ def test_timers_follow_the_clock_that_is_followed_and_time_never_goes_back():
             seconds[0] = time
             for _ in range(3):  # turns of the loop
                 await asyncio.sleep(0)
-            return loop.time() - start, list(fired)
+            return round(loop.time() - start, 6), list(fired)  # differences of large numbers are not exact
 
         assert await at(500.0) == (0.0, [])
         assert await at(509.0) == (9.0, [])
@@ -81,3 +83,37 @@ def test_timers_follow_the_clock_that_is_followed_and_time_never_goes_back():
 
     with asyncio.Runner(loop_factory=FollowingLoop) as runner:
         runner.run(main())
+
+
+def test_timers_that_only_rounding_tells_apart_go_off_together_and_none_before_its_time() -> None:
+    async def main() -> list[float]:
+        loop, times = asyncio.get_running_loop(), []
+        for when in (15.0, 16.0, math.nextafter(15.0, 0.0), 15.00001):
+            loop.call_at(when, lambda: times.append(loop.time()))
+        await asyncio.sleep(20.0)
+        return times
+
+    assert in_virtual_time(main) == [15.0, 15.0, 15.00001, 16.0]
+
+
+def test_time_does_not_go_on_while_the_process_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A limit does not end while nothing can be heard: what was reported meanwhile is taken in before."""
+    clock, wait = [0.0], selectors.DefaultSelector.select
+
+    def stopped_for_a_minute(selector, timeout=None):
+        clock[0] += timeout + 60.0 if timeout else 0.0
+        return wait(selector, 0)
+
+    async def main() -> list[float]:
+        loop, times = asyncio.get_running_loop(), list[float]()
+        for when in (1.0, 2.0, 5.0):
+            loop.call_at(when, lambda: times.append(loop.time()))
+        await asyncio.sleep(6.0)
+        return times
+
+    with asyncio.Runner(loop_factory=lambda: FollowingLoop(lambda: clock[0])) as runner:
+        runner.get_loop()
+        with monkeypatch.context() as patch:
+            patch.setattr(selectors.DefaultSelector, "select", stopped_for_a_minute)
+            times = runner.run(main())
+    assert times == pytest.approx([1.0, 2.0, 5.0])

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import subprocess
 import sys
+import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, Final, TypeVar
 
@@ -16,6 +19,22 @@ from tests.support.files import ROOT
 
 LIMIT: Final = 120.0
 """Seconds that anything may take; a busy machine needs many, and only what hangs needs more."""
+
+
+@contextmanager
+def ros_domain() -> Iterator[int]:
+    """Yield a number that nobody else has who asks here; the lock ends with the process at the latest."""
+    for number in range(101, 0, -1):
+        file = (Path(tempfile.gettempdir()) / f"pnm-test-domain-{number}").open("w")
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.close()
+            continue
+        with file:
+            yield number
+        return
+    raise RuntimeError("all ROS domains are in use by tests")
 
 
 def working_in(folder: Path, word: str = "") -> list[int]:
@@ -54,16 +73,17 @@ class Program:
         arguments: of Python.
         environment: what is added to the environment.
         within: what the command begins with, such as that which runs it on another host.
+        cwd: the folder that it works in.
     """
 
-    def __init__(self, arguments: Sequence[str], environment: Mapping[str, str], within: Sequence[str] = ()) -> None:
+    def __init__(self, arguments: Sequence[str], environment: Mapping[str, str], within: Sequence[str] = (), cwd: Path = ROOT) -> None:
         self.arguments = arguments
         self.out: list[str] = []
         self.err: list[str] = []
         self._heard = threading.Condition()
         self.process = subprocess.Popen(
             [*within, sys.executable, *arguments],
-            cwd=ROOT,
+            cwd=cwd,
             env={**os.environ, **environment},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,

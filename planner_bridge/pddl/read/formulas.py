@@ -172,11 +172,11 @@ class _Flattened:
 
     def flatten(self, node: Group) -> Group:
         """Return the list with variables for the functions among its arguments."""
-        inner = self._operand if node.head in _OVER_NUMBERS else self._argument
-        return Group((node.items[0], *[inner(part) for part in node.rest]), node.offset, node.source)
-
-    def _operand(self, node: Node) -> Node:
-        return self.flatten(node) if isinstance(node, Group) and node.items else node
+        if node.head in _OVER_NUMBERS:
+            parts = [self.flatten(part) if isinstance(part, Group) and part.items else part for part in node.rest]
+        else:
+            parts = [self._argument(part) for part in node.rest]
+        return Group((node.items[0], *parts), node.offset, node.source)
 
     def _argument(self, node: Node) -> Node:
         declared = self.scope.symbols.find_function(node) if isinstance(node, Group) else None

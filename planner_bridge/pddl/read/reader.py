@@ -44,7 +44,7 @@ PROBLEM_SECTIONS: Final = (*(":domain", ":init", ":goal", ":objects", ":metric",
 _DIRECTIONS: Final[dict[str, Literal["minimize", "maximize"]]] = {"minimize": "minimize", "maximize": "maximize"}
 
 
-def read_domain(path: Path) -> Domain:
+def read_domain(path: Path | str) -> Domain:
     """Read a PDDL domain.
 
     Raises:
@@ -54,7 +54,7 @@ def read_domain(path: Path) -> Domain:
     return _domain(define(text, str(path), "domain", DOMAIN_SECTIONS), warnings)
 
 
-def read_problem(path: Path, domain: Domain) -> Problem:
+def read_problem(path: Path | str, domain: Domain) -> Problem:
     """Read a PDDL problem for a domain.
 
     Raises:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -14,6 +15,7 @@ from pnm.errors import InputError, Position
 
 _REPEATABLE: Final = (":action", ":durative-action", ":derived", ":task", ":method")
 """Sections that a file may have several times."""
+_YAML: Final = re.compile(r"(?:\s|#.*\n|---\s*\n)*[\w-]+:(?:\s|$)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,13 +60,15 @@ def define(text: str, file: str, kind: Literal["domain", "problem"], known: tupl
         case (Group(items=(Atom() as word, *_)), *_):
             raise wrong(word, f"expected 'define', found {word}")
         case (first, *_):
-            raise wrong(first, f"expected {form}, found {first}")
+            hint = "; this is YAML: `pnm import` writes a domain in YAML as PDDL" if _YAML.match(text) else ""
+            raise wrong(first, f"expected {form}, found {first}{hint}")
     match whole.rest:
         case (Group(items=(_, name)) as head, *sections) if head.head == kind:
             return Definition(new_name(name, kind), whole, _sections(sections, known))
         case (other, *_):
             misplaced = isinstance(other, Group) and other.head in {"domain", "problem"} - {kind}
-            raise wrong(other, f"expected ({kind} NAME), found {other}{f'; this file is not a {kind}' if misplaced else ''}")
+            hint = f"; this file is not a {kind}: the domain comes first, then the problem" if misplaced else ""
+            raise wrong(other, f"expected ({kind} NAME), found {other}{hint}")
         case _:
             raise wrong(whole, f"expected {form}, found {whole}")
 

@@ -44,6 +44,10 @@ class Source:
         line = bisect_right(self._line_starts, offset)
         return Position(self.file, line, offset - self._line_starts[line - 1] + 1)
 
+    def line_start(self, offset: int) -> int:
+        """Return the offset at which the line of an offset begins."""
+        return self._line_starts[bisect_right(self._line_starts, offset) - 1]
+
     @cached_property
     def _line_starts(self) -> list[int]:
         return [0, *(match.end() for match in _LINE_END.finditer(self.text))]
@@ -183,11 +187,29 @@ class _Parser:
                 add(Atom(token, offset, self.source))
         if not self.stack:
             return tuple(self.items)
-        if self.suspect is None:
-            raise InputError("this '(' is never closed; expected ')' before the end of the file", self.source.position(self.stack[-1][0]))
-        start, word = self.suspect
-        message = f"this '(' is not closed before the next section; expected ')' before {word} in line {where(word).line}"
-        raise InputError(message, self.source.position(start))
+        raise self._unclosed()
+
+    def _unclosed(self) -> InputError:
+        """Return the error about a list that is open at the end: the one that the indentation shows, or the section, or how many are."""
+        start, word = self.suspect or (0, None)
+        text, opened = self.source.text, list[tuple[int, int]]()  # offsets, and columns of those that begin a line
+        for token, offset in tokens(text):
+            before = text[self.source.line_start(offset) : offset]
+            column = len(before) if before.isspace() or not before else -1
+            is_less = column >= 0 and token[0] != ";" and opened and opened[-1][1] >= max(1, column + (token == ")"))
+            if is_less and len(opened) > 1 and opened[-1][0] >= start:
+                line = self.source.position(offset).line
+                return InputError(f"this '(' is not closed; expected ')' before line {line}", self.source.position(opened[-1][0]))
+            if token == "(":
+                opened.append((offset, column))
+            elif token == ")" and opened:
+                opened.pop()
+        if word:
+            message = f"this '(' is not closed before the next section; expected ')' before {word} in line {where(word).line}"
+            return InputError(message, self.source.position(start))
+        line = self.source.position(self.stack[-1][0]).line
+        message = f"the text ends here; expected {')' * len(self.stack)!r}, for the '(' in line {line} is not closed"
+        return InputError(message, self.source.position(len(text.rstrip())))
 
     def _add_word(self, word: Atom) -> None:
         if not self.items and len(self.stack) > 2 and word.text[0] == ":" and not self.suspect:

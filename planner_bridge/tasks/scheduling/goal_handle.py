@@ -10,10 +10,13 @@ from uuid import uuid4
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.tasks.result import Stopwatch, TaskResult
+from planner_bridge.tasks.scheduling.task_journal import KEPT_NOWHERE, TaskJournal
 from planner_bridge.tasks.scheduling.task_manager import TaskManager
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.actions.backend import Backend, check_ready
 from pnm.errors import InputError
+from pnm.journal.journal import Journal
+from pnm.knowledge.sources.registry import SourceChoice, Surroundings, make_source
 from pnm.tasks import Code, TaskState, Wanted
 
 
@@ -23,7 +26,16 @@ class GoalHandle:
     The mutable state is the task manager, once the backend is open, and the asyncio task, once it has begun.
     """
 
-    def __init__(self, backend: Backend, problem: Problem, settings: Settings, observer: TaskObserver, stopwatch: Stopwatch) -> None:
+    def __init__(
+        self,
+        backend: Backend,
+        problem: Problem,
+        settings: Settings,
+        observer: TaskObserver,
+        stopwatch: Stopwatch,
+        journal: TaskJournal = KEPT_NOWHERE,
+    ) -> None:
+        self._journal = journal
         self._backend = backend
         self._problem = problem
         self._settings = settings
@@ -51,18 +63,30 @@ class GoalHandle:
 
         Cancelling this stops the task: what is under way is cancelled and waited for; cancelling it again leaves it alone.
         """
-        knowledge = initial_knowledge(self._problem)
+        with self._journal.opened(self._backend) as journal:
+            return await self._pursue(journal)
+
+    async def _pursue(self, journal: Journal) -> TaskResult:
+        backend, goal = self._backend, self._problem.goal
+        knowledge = self._journal.world(initial_knowledge(self._problem))
+        helper = None
         try:
             try:
-                await self._backend.open(knowledge)
-                await check_ready(self._backend)
+                await backend.open(knowledge)
+                await check_ready(backend)
             except asyncio.CancelledError:
                 cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
                 return TaskResult(Code.CANCELLED, "cancelled", 0, (), self._stopwatch.seconds)
-            self._manager = TaskManager(self._problem, knowledge, self._backend, self._settings, lambda _: self._problem.goal)
-            return await self._manager.run(Wanted(uuid4(), ""), self._observer, self._stopwatch)
+            if self._settings.ask_for_help:
+                helper = make_source(SourceChoice("person"), Surroundings(getattr(backend, "ros", None)))
+            runner = self._journal.runner(backend, knowledge, journal)
+            manager = TaskManager(self._problem, runner, self._settings, lambda _: goal, helper=helper)
+            self._manager = manager
+            return await self._journal.carry_out(manager, Wanted(uuid4(), ""), self._observer, self._stopwatch)
         finally:
-            await self._backend.close()
+            if helper is not None:
+                await helper.close()
+            await backend.close()
 
     @property
     def state(self) -> TaskState:

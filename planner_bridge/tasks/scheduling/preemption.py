@@ -8,14 +8,20 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterator, Mapping
+from math import inf
+from typing import Final
 from uuid import UUID
 
+from planner_bridge.ordering.forecast import Forecast
 from planner_bridge.ordering.interference import ReadWriteSets, interference
 from planner_bridge.tasks.context import Conflict, RunningCalls
 from planner_bridge.tasks.scheduling.planning_queue import PlanningQueue
 from planner_bridge.tasks.task import Task
 from pnm.core.execution.resources import Resources
-from pnm.tasks import TaskListener, TaskState
+from pnm.tasks import TaskListener, TaskState, TraceKind
+
+_SHORTEST: Final = 1.0
+"""Seconds after which a task tries again at the earliest when others are expected to be out of its way."""
 
 
 class Preemption(TaskListener):
@@ -59,6 +65,11 @@ class Preemption(TaskListener):
         settled = task.preempted_by | {other.id for other in self._others(task) if task.id in other.preempted_by}
         return tuple(conflict for conflict in self.conflicts(task, footprint) if conflict.task not in settled)
 
+    def forecasts(self, task: Task) -> Mapping[Task, Forecast]:
+        """Return what is expected of the plans of other active tasks that do not yield to this one."""
+        ahead = [other for other in self._others(task) if not (other.is_active and other.wanted.priority < task.wanted.priority)]
+        return {other: expected for other in ahead if (expected := other.control.forecast) is not None}
+
     def running_calls(self, task: Task) -> tuple[RunningCalls, ...]:
         """Return the calls of other tasks that have begun and not ended; tasks that are being paused or cancelled are among them."""
         running: list[RunningCalls] = []
@@ -77,9 +88,11 @@ class Preemption(TaskListener):
         """Wait for the turn of the task to plan; one whose attempt failed waits for a change first."""
         await self._queue.enter(task)
 
-    def end_turn(self, task: Task, *, failed: bool) -> None:
-        """End the turn of the task to plan."""
+    def end_turn(self, task: Task, *, failed: bool, again: float = inf) -> None:
+        """End the turn of the task to plan. After so many seconds it may try again though nothing is known to have changed."""
         self._queue.leave(task, failed=failed)
+        if again < inf:
+            asyncio.get_running_loop().call_later(max(again, _SHORTEST), self._queue.changed)
 
     # --- preempting -----------------------------------------------------------------------------
 
@@ -109,7 +122,7 @@ class Preemption(TaskListener):
     def _set_preempted(self, task: Task, other: Task) -> None:
         if other.id not in task.preempted_by and task.id in self._tasks:
             task.preempted_by.add(other.id)
-            task.note("conflict", "", f"makes way for {other.name}")
+            task.note(TraceKind.CONFLICT, "", f"makes way for {other.name}")
         self._update(task)
 
     def changed(self, task: UUID) -> None:

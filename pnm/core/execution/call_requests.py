@@ -8,14 +8,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from hashlib import sha1
 from typing import Final, NamedTuple, assert_never
-from uuid import UUID, uuid5
+from uuid import UUID
 
 from pnm.core.execution.call_results import CallResult
 from pnm.core.execution.effect_checks import Intention, denied_at_end, finished, intention, lag_of_effects, unseen
-from pnm.core.execution.events import Cancel, Command, Send, Store
+from pnm.core.execution.events import Cancel, Command, Reattach, Send, Store
 from pnm.core.execution.handover import UnderWay
-from pnm.core.execution.questions import EvaluationContext
+from pnm.core.execution.questions import EvaluationContext, unknown_values
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import (
     MISSING,
@@ -27,7 +28,6 @@ from pnm.core.logic.computed_values import (
     Update,
     compute,
     question_of,
-    variable_name,
 )
 from pnm.core.logic.conditions import Condition, ground
 from pnm.core.logic.effects import Changes, ground_effects, is_fixed, undo, values_before
@@ -37,7 +37,7 @@ from pnm.core.logic.operators import CHANGING, Uncomputable
 from pnm.core.machine.bindings import Binding, Bindings, goal_data, open_parameters, placeholders
 from pnm.core.machine.machine import TransitionAction
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
-from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Report, Request
+from pnm.core.machine.requests import Ended, Feedback, Outcome, OutcomeKind, Report, Request
 from pnm.core.message_fields import Unreadable, parse_field, value_in
 
 
@@ -64,6 +64,8 @@ class CallAttempt(NamedTuple):
     intended: Intention
     accepted: float | None = None
     """When it was; None while it is not, or is being cancelled."""
+    unanswered: Request | None = None
+    """What was sent, until it is accepted or being cancelled."""
     begun: Changes | None = None
     """Values before what it has written; None before it has begun, and after a rollback."""
     ended: Mapping[Fluent, Value | Unknown] = {}
@@ -72,6 +74,8 @@ class CallAttempt(NamedTuple):
     """Conditions over all and at the end that were not so, and what was so instead."""
     interrupted: float | None = None
     """When conditions over all broke."""
+    feedback: str = ""
+    """What its server has said last."""
 
 
 GoalFields = Callable[[GroundAction], tuple[str, ...] | None]
@@ -95,6 +99,10 @@ class Calls:
         """The requests that are not over, as far as is known, and their calls."""
         self._attempts: dict[int, CallAttempt] = {}
         """The last one of each call that was sent."""
+        self._stores: dict[UUID, Store] = {}
+        """Updates outside that are not confirmed."""
+        self._contexts: dict[tuple[int | None, bool], EvaluationContext] = {}
+        """Those without answers, which do not change, by call and whether questions may be asked."""
 
     # --- what is asked about a call -----------------------------------------------------------
 
@@ -104,7 +112,23 @@ class Calls:
 
     def as_sent(self, call: int) -> ActionCall:
         """Return the call with what its parameters had for values when it was sent last."""
-        return replace(self._plan.calls[call], action=self.action(call))
+        return self._with(call, self.action(call))
+
+    def _with(self, call: int, action: GroundAction) -> ActionCall:
+        planned = self._plan.calls[call]
+        return planned if action is planned.action else replace(planned, action=action)
+
+    def feedback(self, call: int) -> str:
+        """Return what the server of the call, which was sent, has said last; empty if it has said nothing."""
+        return self._attempts[call].feedback
+
+    def note_feedback(self, feedback: Feedback) -> ActionCall | None:
+        """Note what a server says about a request; return its call if it is under way, and that is something else than before."""
+        call = self.open.get(feedback.request)
+        if call is None or self._attempts[call].feedback == feedback.text:
+            return None
+        self._attempts[call] = self._attempts[call]._replace(feedback=feedback.text)
+        return self.as_sent(call)
 
     def limit(self, call: int) -> float:
         """Return how many seconds the call may take from its acceptance; 0 for an operation on knowledge."""
@@ -122,9 +146,15 @@ class Calls:
     def context_of(self, call: int | None, answers: Mapping[Question, object] | None) -> EvaluationContext:
         """Return the evaluation context of the call; no questions are asked when there are no answers."""
         asks = self._asks and answers is not None
-        if call is None or call >= len(self._plan.calls):
-            return EvaluationContext(self._knowledge, answers=answers or {}, asks=asks)
-        return EvaluationContext(self._knowledge, self._plan.calls[call].action, self.binding(call), answers or {}, asks)
+        if answers:
+            return replace(self.context_of(call, {}), answers=answers)
+        if (found := self._contexts.get((call, asks))) is None:
+            if call is None or call >= len(self._plan.calls):
+                found = EvaluationContext(self._knowledge, asks=asks)
+            else:
+                found = EvaluationContext(self._knowledge, self._plan.calls[call].action, self.binding(call), asks=asks)
+            self._contexts[call, asks] = found
+        return found
 
     def ready(self, call: int, context: EvaluationContext) -> GroundAction:
         """Return the action with what knowledge now has for the parameters that the plan leaves open."""
@@ -147,12 +177,14 @@ class Calls:
         """Return the fields of the goal, and the names of those for which there is no value."""
         action = self.ready(call, context)
         if action.operation is not None:
-            return {}, _unknown_values(action.operation, context)
-        binding = self.binding(call)
+            return {}, unknown_values(action.operation, context)
+        binding = context.binding
         fields, missing = goal_data(action, binding, self._goal_fields(action), context)
+        if not (unbound := open_parameters(action)):
+            return fields, missing
         patterns = (binding.server or "", *binding.resources, *action.resources)
         in_names = {name for pattern in patterns for name in placeholders(pattern)}
-        return fields, tuple(dict.fromkeys((*missing, *(name for name in open_parameters(action) if name in in_names))))
+        return fields, tuple(dict.fromkeys((*missing, *(name for name in unbound if name in in_names))))
 
     def claiming(self, call: int, action: TransitionAction | None, context: EvaluationContext) -> tuple[UUID, GroundAction]:
         """Return for which request, and with which parameters, the call claims resources: for the next one if it is being sent."""
@@ -194,7 +226,7 @@ class Calls:
             case TransitionAction.SEND:
                 ready = self.ready(call, context)
                 if not all(map(is_fixed, (*ready.start_effects, *ready.end_effects))):
-                    intention(replace(self._plan.calls[call], action=ready), context)
+                    intention(self._with(call, ready), context)
             case TransitionAction.FINISH if not all(map(is_fixed, (intended := self._attempts[call].intended).end_effects)):
                 finished(self.action(call), intended, context)
             case _:
@@ -210,12 +242,12 @@ class Calls:
                 return _NOTHING  # the request is known since the run was made
             case TransitionAction.CANCEL:
                 # A request that is being cancelled is not handed over: the successor would take it for one that goes on.
-                self._attempts[call] = self._attempts[call]._replace(accepted=None)
+                self._attempts[call] = self._attempts[call]._replace(accepted=None, unanswered=None)
                 return Performed((Cancel(self._attempts[call].request),))
             case TransitionAction.BEGIN:
                 attempt = self._attempts[call]
                 # Read before they are written, for a rollback if the call ends without success.
-                self._attempts[call] = attempt._replace(accepted=now, begun=values_before(attempt.intended.start, context))
+                self._attempts[call] = attempt._replace(accepted=now, unanswered=None, begun=values_before(attempt.intended.start, context))
                 return self._write(attempt.intended.start)
             case TransitionAction.FINISH:
                 attempt = self._attempts[call]
@@ -230,10 +262,27 @@ class Calls:
             case _:
                 assert_never(action)
 
+    def again(self) -> tuple[Command, ...]:
+        """Return what another process does about requests that are out.
+
+        It finds out about them, asks once more for the end of those that are being cancelled, and repeats updates, which set values.
+        """
+        commands: list[Command] = []
+        for identity, call in self.open.items():
+            if identity in self._stores:
+                commands.append(self._stores[identity])
+                continue
+            attempt = self._attempts[call]
+            request = attempt.unanswered or Request(identity, self.action(call), {})
+            commands.append(Reattach(request, accepted=attempt.unanswered is None))
+            if attempt.unanswered is None and attempt.accepted is None:  # its process may have died before it could say so
+                commands.append(Cancel(identity))
+        return tuple(commands)
+
     def adopt(self, call: int, taken: UnderWay) -> None:
         """Take over a request with all that its run knew of it."""
         self.open[taken.request] = call
-        self._attempts[call] = CallAttempt(0, taken.request, taken.call.action, taken.intended, taken.accepted, taken.begun)
+        self._attempts[call] = CallAttempt(0, taken.request, taken.call.action, taken.intended, taken.accepted, begun=taken.begun)
 
     def under_way(self, results: Sequence[CallResult]) -> tuple[UnderWay, ...]:
         """Return the requests that another run may take over; `results` are the interim results of the calls."""
@@ -272,11 +321,14 @@ class Calls:
     def _send(self, call: int, count: int, context: EvaluationContext) -> Performed:
         action, (number, identity) = self.ready(call, context), self._next(call)
         # Computed now: once the robot moves, sensors report some of the effects, and conditions would read the new state.
-        self._attempts[call] = CallAttempt(number, identity, action, intention(replace(self._plan.calls[call], action=action), context))
+        attempt = CallAttempt(number, identity, action, intention(self._with(call, action), context))
         self.open[identity] = call
         if action.operation is not None:
+            self._attempts[call] = attempt
             return self._operate(identity, action.operation, context)
-        return Performed((Send(Request(identity, action, self.goal(call, context)[0], count)),))
+        request = Request(identity, action, self.goal(call, context)[0], count)
+        self._attempts[call] = attempt._replace(unanswered=request)
+        return Performed((Send(request),))
 
     def _next(self, call: int) -> tuple[int, UUID]:
         """Return the number and the identity of the next request."""
@@ -285,7 +337,7 @@ class Calls:
 
     def identity(self, what: str) -> UUID:
         """Return an identity that follows from the run's and what it is for; the first four bytes are the run's, to be found by."""
-        return UUID(bytes=self._run.bytes[:4] + uuid5(self._run, what).bytes[4:])
+        return UUID(bytes=self._run.bytes[:4] + sha1(self._run.bytes + what.encode()).digest()[4:16], version=5)
 
     def _write(self, changes: Changes) -> Performed:
         """Write the assumed effects; sensors report all others."""
@@ -326,7 +378,8 @@ class Calls:
             return _ended(identity, changes_knowledge=True)
         if self._asks:
             outside = replace(question, layer=Layer.GLOBAL if question.layer is Layer.ALL else question.layer)
-            return Performed((Store(identity, outside, value),), changes_knowledge=True)
+            self._stores[identity] = Store(identity, outside, value)
+            return Performed((self._stores[identity],), changes_knowledge=True)
         if question.layer is Layer.PERSON:
             raise Uncomputable(f"there is nobody to be told {value!r}")
         self._knowledge.world.store({question.name: value})
@@ -335,20 +388,3 @@ class Calls:
 
 def _ended(identity: UUID, *, changes_knowledge: bool = False) -> Performed:
     return Performed((), (Ended(identity, Outcome(OutcomeKind.SUCCEEDED)),), changes_knowledge)
-
-
-def _unknown_values(operation: KnowledgeOperation, context: EvaluationContext) -> tuple[str, ...]:
-    """Return the variables without a value that an update copies; raises `Unanswered` if the operation depends on a question."""
-    try:
-        match operation:
-            case Update(name, data, _, meta):
-                variable_name(name, context)
-                compute(meta, context)
-                if compute(data, context) is not MISSING:
-                    return ()
-                return (question_of(data, context).name,) if isinstance(data, Query) else (str(data).removeprefix("?"),)
-            case _:
-                compute(operation, context)
-                return ()
-    except Uncomputable:
-        return ()  # the operation itself will report that

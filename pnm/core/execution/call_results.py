@@ -36,8 +36,13 @@ class Failure:
         observed = f"observed {self.observed}" if expected and self.observed else self.observed
         return "; ".join(filter(None, (expected, observed)))
 
+    @property
+    def why(self) -> str:
+        """The cause with its details."""
+        return f"{self.cause}{f': {self.details}' if self.details else ''}"
+
     def __str__(self) -> str:
-        return f"{self.call}: {self.cause}{f': {self.details}' if self.details else ''}"
+        return f"{self.call}: {self.why}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +199,8 @@ class CallResults:
 
     def sent(self, call: ActionCall) -> None:
         """Record the call with the arguments that it was sent with."""
-        self.current[call.index] = replace(self.current[call.index], call=call)
+        if self.current[call.index].call is not call:
+            self.current[call.index] = replace(self.current[call.index], call=call)
 
     def failed(self, step: int, now: float, check: Explanation | None, rule: Rule, lacking: tuple[str, ...]) -> Failure:
         """Record the failure of a step.

@@ -25,6 +25,11 @@ class Begin:
 
 
 @dataclass(frozen=True, slots=True)
+class Restarted:
+    """Go on in another process: what was out when the last one died is asked for again, by the same identities."""
+
+
+@dataclass(frozen=True, slots=True)
 class KnowledgeChanged:
     """Facts have changed; conditions that were waiting are asked again."""
 
@@ -69,7 +74,7 @@ class Answered:
     """Why there is no value, when there is none."""
 
 
-Event: TypeAlias = Begin | KnowledgeChanged | ResourcesChanged | Tick | Stop | Pause | Resume | Answered | Report
+Event: TypeAlias = Begin | Restarted | KnowledgeChanged | ResourcesChanged | Tick | Stop | Pause | Resume | Answered | Report
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +82,17 @@ class Send:
     """Send the request."""
 
     request: Request
+
+
+@dataclass(frozen=True, slots=True)
+class Reattach:
+    """Find out what has become of a request that another process has sent, or was about to send; reports follow as if it were sent now.
+
+    One that was not accepted is sent if its server does not know it: it was not sent, or got lost.
+    """
+
+    request: Request
+    accepted: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +134,7 @@ class Store:
     value: object
 
 
-Command: TypeAlias = Send | Cancel | Wake | Ask | Withdraw | Store
+Command: TypeAlias = Send | Reattach | Cancel | Wake | Ask | Withdraw | Store
 
 
 class Observer:
@@ -132,6 +148,9 @@ class Observer:
 
     def ended(self, call: ActionCall, outcome: Outcome, now: float) -> None:
         """Note that a request is over."""
+
+    def progressed(self, call: ActionCall, feedback: str, now: float) -> None:
+        """Note what the server of a call that is under way says about it, when that is something else than before."""
 
     def hindered(self, call: ActionCall, cause: Explanation, now: float) -> None:
         """Note why a call does not go on as planned: it is tried again, recovers, or fails."""

@@ -73,6 +73,8 @@ class Guards:
         match rule.guard:
             case Always():
                 return -NEVER
+            case After(seconds):
+                return state.marked_at[place] + seconds
             case Ending():
                 return _now_if(state.ending)
             case Failing():
@@ -113,8 +115,6 @@ class Guards:
                 return _now_if(call in state.adopted)
             case Accepts() | Ends():
                 return NEVER  # opened by a report alone, see `Run._take`
-            case After(seconds):
-                return state.marked_at[place] + seconds
             case Due(seconds, since):
                 ids = state.engine.compiled.place_id
                 return max([(state.origin or 0.0) + seconds, *(state.marked_at[ids[earlier]] + delay for earlier, delay in since)])
@@ -153,10 +153,11 @@ class Guards:
     def forget(self, place: int) -> Iterator[UUID]:
         """Forget since when guards at the place have been waiting; yield its questions, whose answers are no longer needed."""
         # The next token at this place is a new decision, with delays that begin anew.
-        for consumer, _ in self._state.engine.compiled.consumers[place]:
-            self._false_since.pop(consumer, None)
-            self._withheld_since.pop(consumer, None)
-            self._held.pop(consumer, None)
+        if self._false_since or self._withheld_since or self._held:
+            for consumer in self._state.index.choices[place]:
+                self._false_since.pop(consumer, None)
+                self._withheld_since.pop(consumer, None)
+                self._held.pop(consumer, None)
         return self._questions.left(place)
 
     def context(self, call: int | None, place: int | None) -> EvaluationContext:

@@ -9,21 +9,33 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Final, NamedTuple
 from uuid import UUID
 
 from pnm.core.execution.events import Ask, Command, Withdraw
 from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.logic.computed_values import MISSING, Layer, Question, Unanswered, compute
+from pnm.core.logic.computed_values import (
+    MISSING,
+    KnowledgeOperation,
+    Layer,
+    Query,
+    Question,
+    Unanswered,
+    Update,
+    compute,
+    question_of,
+    variable_name,
+)
 from pnm.core.logic.expressions import NOTHING, Environment, Fluent, Unknown, Value
 from pnm.core.logic.operators import Uncomputable
 from pnm.core.machine.bindings import DEFAULT, Binding, open_parameters
-from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.machine.plan_graph import GroundAction, PlanGraph
 
 _NO_ACTION = GroundAction("")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class EvaluationContext:
     """Context in which conditions, goal fields and operations are evaluated.
 
@@ -42,6 +54,10 @@ class EvaluationContext:
     def world(self) -> KnowledgeBase:
         """Knowledge that all runs share."""
         return self.knowledge.world
+
+    @cached_property
+    def _open(self) -> tuple[str, ...]:
+        return open_parameters(self.action)
 
     def value(self, fluent: Fluent, /) -> Value | Unknown | None:
         """Return the value of the fluent in the world."""
@@ -99,15 +115,15 @@ class EvaluationContext:
 
     def given(self) -> dict[str, object]:
         """Return the values that the plan gives to goal fields, or leaves open for knowledge to fill, as far as there are any."""
-        values = {name: self._parameter(name) for name in open_parameters(self.action)}
+        values = {name: self._parameter(name) for name in self._open}
         values |= {name: self._parameter(name) for name, _ in self.action.given}
         return {name: value for name, value in values.items() if value is not MISSING}
 
     def environment(self) -> Environment:
         """Return what knowledge has for the parameters that the plan leaves open."""
-        if not any(value.startswith("?") for value in self.action.arguments):
+        if not self._open:
             return NOTHING
-        values = {f"?{name}": self._parameter(name) for name in open_parameters(self.action)}
+        values = {f"?{name}": self._parameter(name) for name in self._open}
         return {name: value for name, value in values.items() if value is not MISSING}
 
     def uncomputable(self, names: Iterable[str], /) -> Iterator[str]:
@@ -129,6 +145,11 @@ class EvaluationContext:
 
 LIMITS: Final = {layer: 3600.0 if layer is Layer.PERSON else 600.0 for layer in Layer}
 """Seconds that a run waits for an answer, whatever its source does; sources have shorter limits of their own."""
+
+
+def subject_of(plan: PlanGraph, call: int | None) -> str:
+    """Return for whose sake a question is asked: the action as the plan has it."""
+    return "" if call is None or call >= len(plan.calls) else str(plan.calls[call].action)
 
 
 class Need(NamedTuple):
@@ -196,6 +217,12 @@ class Questions:
             return Need()
         return Need((Ask(new, question),), until)
 
+    def again(self) -> tuple[Ask, ...]:
+        """Return the open questions, to be asked in another process."""
+        asked = {identity: question for identity, (_, question, _) in self._asked.items()}
+        inherited = {identity: question for identity, (_, question) in self._open.items()}
+        return tuple(Ask(identity, question) for identity, question in (asked | inherited).items())
+
     def close(self, why: str) -> tuple[Withdraw, ...]:
         """Ask nothing any more, for that reason; what is asked counts as answered with nothing, and is withdrawn."""
         self._closed = why
@@ -223,6 +250,8 @@ class Questions:
         """Forget all that concerns the place; yield the questions whose answers are no longer needed."""
         self._answers.pop(place, None)
         self._silence.pop(place, None)
+        if not self._asked:
+            return
         # Answers that come later find no place, and are ignored.
         for identity in [question for question, (where, *_) in self._asked.items() if where == place]:
             del self._asked[identity]
@@ -260,3 +289,20 @@ class Questions:
     def _keep(self, subject: str, question: Question, value: object) -> None:
         if question.layer is Layer.PERSON and value is not MISSING:
             self._inherited.append((subject, question, value))
+
+
+def unknown_values(operation: KnowledgeOperation, context: EvaluationContext) -> tuple[str, ...]:
+    """Return the variables without a value that an update copies; raises `Unanswered` if the operation depends on a question."""
+    try:
+        match operation:
+            case Update(name, data, _, meta):
+                variable_name(name, context)
+                compute(meta, context)
+                if compute(data, context) is not MISSING:
+                    return ()
+                return (question_of(data, context).name,) if isinstance(data, Query) else (str(data).removeprefix("?"),)
+            case _:
+                compute(operation, context)
+                return ()
+    except Uncomputable:
+        return ()  # the operation itself will report that

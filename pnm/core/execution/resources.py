@@ -150,6 +150,11 @@ class Resources:
             self.give(request)
 
     @property
+    def given_up(self) -> tuple[UUID, ...]:
+        """The requests that were given up, and keep resources until their end is confirmed."""
+        return tuple(self._withheld)
+
+    @property
     def withheld(self) -> Mapping[str, str]:
         """The resources of which all units are withheld, with the names of the requests."""
         return self.withheld_from(dict.fromkeys(name for request in self._withheld for name in self._held[request].names))

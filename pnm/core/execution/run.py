@@ -1,10 +1,9 @@
 """One execution of one machine, without I/O: `Run.handle(event, now)` returns commands.
 
-No clock, no threads, no waiting. Everything that moves a token is in this file. An event leads
-to at most one firing by itself (a report opens one guard); then transitions fire one at a time
-until none is open, in a fixed order: places in the order in which they were marked, at each
-place the first open rule. A place at which nothing is open yet is *undecided*; it is asked
-again when facts change, when the run begins to end, or when its moment has come.
+No clock, no threads, no waiting. Everything that moves a token is in this file. An event leads to at most one firing by itself (a
+report opens one guard); then transitions fire one at a time until none is open, in a fixed order: places in the order in which they
+were marked, at each place the first open rule. A place at which nothing is open yet is *undecided*; it is asked again when facts
+change, when the run begins to end, or when its moment has come.
 """
 
 from __future__ import annotations
@@ -26,6 +25,7 @@ from pnm.core.execution.events import (
     Observer,
     Pause,
     ResourcesChanged,
+    Restarted,
     Resume,
     Send,
     Stop,
@@ -35,24 +35,20 @@ from pnm.core.execution.events import (
 )
 from pnm.core.execution.guards import NEVER, Guards
 from pnm.core.execution.handover import UnderWay, check_adoption
-from pnm.core.execution.questions import Questions
+from pnm.core.execution.questions import Questions, subject_of
 from pnm.core.execution.resources import Resources, RunClaims
-from pnm.core.execution.run_state import MachineIndex, RunState, Timers, admits
+from pnm.core.execution.run_state import RunState, Timers, admits, index_of
 from pnm.core.execution.run_view import RunView
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import Question, Unanswered
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import After, CallOutcome, Due, EffectsMissing, PetriNetMachine, Rule, TransitionAction, Withheld
-from pnm.core.machine.plan_graph import Cause, GroundAction, PlanGraph
-from pnm.core.machine.requests import BEFORE_ACCEPTANCE, Accepted, Ended, OutcomeKind, Postponed, Report
+from pnm.core.machine.plan_graph import Cause
+from pnm.core.machine.requests import BEFORE_ACCEPTANCE, Accepted, Ended, Feedback, OutcomeKind, Postponed, Report
 from pnm.core.net.firing_engine import Engine
 from pnm.errors import RunError
 
 _NONE: Final[Mapping[int, UnderWay]] = {}
-
-
-def _unknown_fields(action: GroundAction) -> None:
-    """Know nothing about the goal message of the action."""
 
 
 class Run(RunView):
@@ -85,7 +81,7 @@ class Run(RunView):
         *,
         id: UUID,
         bindings: Bindings | None = None,
-        goal_fields: GoalFields = _unknown_fields,
+        goal_fields: GoalFields = lambda _: None,
         asks: bool = False,
         observer: Observer | None = None,
         origin: float | None = None,
@@ -100,7 +96,7 @@ class Run(RunView):
         self.resources = Resources(machine.capacities) if resources is None else resources
         self.task = id if task is None else task
         self._observer = observer or Observer()
-        self._index = MachineIndex(machine)
+        self._index = index_of(machine)
         # state
         self._engine = Engine(machine.compiled, machine.initial)
         self._agenda: deque[int] = deque()
@@ -121,11 +117,9 @@ class Run(RunView):
         self._state = RunState(self._engine, self._index, self._results, origin, adopted=dict(adopted))
         self._claims = RunClaims(self.resources, self.task, priority)
         self._guards = Guards(self._state, self._calls, self._claims, self._questions)
-        self._adopt(adopted)  # last, because it may refuse; until then nothing of the shared resources is touched
-
-    def _adopt(self, adopted: Mapping[int, UnderWay]) -> None:
-        self.resources.check_capacities(self.machine.capacities)
-        check_adoption(self.machine, adopted, self._calls.resources)
+        # last, because it may be refused; until then nothing of the shared resources is touched
+        self.resources.check_capacities(machine.capacities)
+        check_adoption(machine, adopted, self._calls.resources)
         for call, request in adopted.items():
             self._calls.adopt(call, request)
             if request.resources:
@@ -135,10 +129,15 @@ class Run(RunView):
         """Give back all resources but those of the requests kept: the run is not carried on. Open requests keep their resources."""
         self._claims.end(kept, {request: str(call.action) for request, call in self.open_calls.items()})
 
-    def inherit(self, old: Run) -> frozenset[UUID]:
-        """Take over the answers of people from the run that this one succeeds; return the questions that shall remain asked."""
-        subjects = (_subject(self.machine.plan, call.index) for call in self.machine.plan.calls)
-        return self._questions.inherit(old._questions, frozenset(subjects))
+    def take_the_place_of(self, old: Run, now: float) -> frozenset[UUID]:
+        """Go on where another run stands, whose requests this one was made with; return the questions that shall remain asked."""
+        # Answers of people are known here as well, and what they are being asked is not asked again.
+        subjects = (subject_of(self.machine.plan, call.index) for call in self.machine.plan.calls)
+        questions = self._questions.inherit(old._questions, frozenset(subjects))
+        old.retire(self.open_requests)  # now that this one has claimed what it adopts, which is therefore not free for a moment
+        if old.pausing:  # before `Begin`, so that nothing starts during a pause of the old one
+            self.handle(old.pausing, now)
+        return questions
 
     # --- events -------------------------------------------------------------------------------
 
@@ -147,8 +146,17 @@ class Run(RunView):
         state = self._state
         state.now = max(now, state.now)  # guards compare times with each other, so the run's clock never goes back
         match event:
+            case Accepted() | Ended():
+                # a request taken over may end before the run has begun: its place is not marked yet
+                (self._report if state.has_begun else self._early.append)(event)
             case Begin():
                 self._begin()
+            case Restarted():
+                self._wake = NEVER
+                for sent in self._calls.open.values():  # the answer to a dead process is not heard: the limit for the next one begins anew
+                    self._guards.postpone(sent)
+                self._commands += (*self._questions.again(), *self._calls.again())
+                self._agenda.extend(self._undecided)
             case KnowledgeChanged():
                 self._ask_again_about_knowledge()
             case ResourcesChanged():
@@ -173,9 +181,9 @@ class Run(RunView):
                 self._agenda.extend([] if place is None else [place])
             case Postponed(request):
                 self._guards.postpone(self._calls.open.get(request))
-            case Accepted() | Ended():
-                # a request taken over may end before the run has begun: its place is not marked yet
-                (self._report if state.has_begun else self._early.append)(event)
+            case Feedback():  # it moves no token
+                if call := self._calls.note_feedback(event):
+                    self._observer.progressed(call, event.text, state.now)
             case _:
                 assert_never(event)
         self._settle()
@@ -210,8 +218,7 @@ class Run(RunView):
             if report.outcome.kind not in BEFORE_ACCEPTANCE:
                 self._take(call, Accepted(report.request))  # a client may leave out what goes without saying
             del self._calls.open[report.request]  # before the firing, so that observers and guards see the request as over
-            # results are stored before the firing: effects and checks after it may read them
-            if report.outcome.kind is OutcomeKind.SUCCEEDED:
+            if report.outcome.kind is OutcomeKind.SUCCEEDED:  # stored before the firing: effects and checks after it may read results
                 self._calls.succeeded(call, report.outcome, self._state.now)
                 self._has_changed_knowledge = True
             self._results.answered(call, report.outcome)  # before the firing as well: the explanation of a failure quotes the message
@@ -222,11 +229,10 @@ class Run(RunView):
     def _take(self, call: int, report: Report) -> bool:
         """Fire the transition of the call that the report opens, if there is one."""
         missing, rules = self._engine.missing, self._index.rules
-        for transition in self._index.reported[call]:  # at most one fires: the request of a call is waited for at one place at a time
-            if not missing[transition] and admits(rules[transition], report):
-                self._fire(transition, None)
-                return True
-        return False
+        opened = (one for one in self._index.reported[call] if not missing[one] and admits(rules[one], report))
+        if (transition := next(opened, None)) is not None:  # there is one at most: the request is waited for at one place at a time
+            self._fire(transition, None)
+        return transition is not None
 
     # --- δ̂ ------------------------------------------------------------------------------------
 
@@ -244,18 +250,19 @@ class Run(RunView):
             self._commands.append(Wake(self._wake))
 
     def _ask_again_about_knowledge(self) -> None:
-        self._agenda.extend(place for place in self._undecided if self._index.listening[place])
+        self._agenda.extend(place for place in self._undecided if place in self._index.listening)
 
     def _decide(self, place: int) -> None:
         """Fire the first open transition that takes from the place; if there is none, note when to ask again."""
         if not self._engine.tokens[place]:
             return  # the token has gone since the place was put on the agenda
-        again, waiting, asking, takes, now = NEVER, False, False, self._index.takes, self._state.now
-        for transition, _ in self._engine.compiled.consumers[place]:
+        index, missing, now = self._index, self._engine.missing, self._state.now
+        again, waiting, asking, takes = NEVER, place in index.awaiting, False, index.takes
+        for transition in index.choices[place]:
             # a transition that lacks nothing but resources is asked all the same: its call has to stand in line for them
-            if not self._engine.is_enabled(transition) and not (transition in takes and self._guards.lacks_resources(transition)):
+            if missing[transition] and not (transition in takes and self._guards.lacks_resources(transition)):
                 continue
-            rule = self._index.rules[transition]
+            rule = index.rules[transition]
             if asking and not isinstance(rule.guard, After | Due):
                 continue
             try:
@@ -285,7 +292,7 @@ class Run(RunView):
             self._timers.set(place, again)
 
     def _ask(self, place: int, call: int | None, question: Question) -> None:
-        needed = self._questions.need(place, _subject(self.machine.plan, call), question, self._state.now, self._calls.identity)
+        needed = self._questions.need(place, subject_of(self.machine.plan, call), question, self._state.now, self._calls.identity)
         self._commands += needed.commands
         if needed.until is None:  # it is answered, if only with nothing
             self._agenda.append(place)
@@ -297,10 +304,10 @@ class Run(RunView):
     def _is_put_off(self, transition: int, place: int) -> bool:
         """Return whether the transition must wait: for the end of a pause, or for the resources of its call."""
         takes = transition in self._index.takes
-        if self._state.pause and (takes or self._index.rules[transition].action is TransitionAction.SEND):  # what is sent goes on
-            self._leave_line(place)
-            return True
-        return takes and not self._guards.has_resources(transition, place)
+        if not self._state.pause or not (takes or self._index.rules[transition].action is TransitionAction.SEND):  # what is sent goes on
+            return takes and not self._guards.has_resources(transition, place)
+        self._leave_line(place)
+        return True
 
     def _leave_line(self, place: int) -> None:
         """No longer wait for resources at the place; calls behind it in line may have them now."""
@@ -317,7 +324,7 @@ class Run(RunView):
         which change whether the run is ending; then the places marked are put on the agenda, and the undecided ones if it is.
         """
         compiled, rule, index, state = self._engine.compiled, self._index.rules[transition], self._index, self._state
-        fails = [output for output, _ in compiled.outputs[transition] if output in index.failures]
+        fails = index.fails[transition]
         check = None if rule.cause is None else self._guards.explain_check(rule, place)
         if transition in index.takes and rule.call is not None:
             self._claims.take(rule.call, self._guards.claim(transition, place))
@@ -352,8 +359,9 @@ class Run(RunView):
         self._observer.fired(compiled.transitions[transition], rule, state.now)
 
     def _note(self, rule: Rule, call: int, place: int | None, check: Explanation | None) -> None:
-        is_missing = isinstance(rule.guard, EffectsMissing)
-        unseen = self._calls.explain_unseen(call, self._guards.context(call, place)) if is_missing else None
+        if rule.outcome is None and rule.cause is None and check is None and not rule.gives_up:
+            return
+        unseen = self._calls.explain_unseen(call, self._guards.context(call, place)) if isinstance(rule.guard, EffectsMissing) else None
         assumed = rule.outcome is CallOutcome.SUCCEEDED and is_assumed(self._calls.action(call), self._guards.context(call, place))
         cause = self._results.fired(rule, call, self._state.now, check, unseen=unseen, assumed=assumed)
         if cause is not None:
@@ -389,10 +397,4 @@ class Run(RunView):
             self._observer.withheld(self._calls.as_sent(call), names, self._state.now)
         else:
             self._claims.give(call)
-        # Other calls of this run may stand in line: their listener is on the executor and would only notice with the next event.
-        self._agenda.extend(self._claims.served())
-
-
-def _subject(plan: PlanGraph, call: int | None) -> str:
-    """Return for whose sake a question is asked: the action as the plan has it."""
-    return "" if call is None or call >= len(plan.calls) else str(plan.calls[call].action)
+        self._agenda.extend(self._claims.served())  # of this run: the listener on the executor only notices with the next event

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
 from heapq import heappop, heappush
 from math import inf
 from typing import Final
+from weakref import WeakKeyDictionary
 
 from pnm.core.execution.call_results import CallResults
 from pnm.core.execution.events import Pause, Stop
@@ -29,66 +29,91 @@ from pnm.core.machine.machine import (
     TransitionAction,
 )
 from pnm.core.machine.requests import Ended, Report
-from pnm.core.net.firing_engine import Engine
+from pnm.core.net.firing_engine import CompiledNet, Engine
 
 _KNOWING: Final = (ConditionTrue, ConditionFalse, ConditionUnknown, InvariantFalse, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
 """Guards whose answer may change when facts change."""
 
 
-@dataclass
+@dataclass(frozen=True, slots=True)
 class MachineIndex:
-    """The index of a machine's places and transitions. Nothing changes once it is made."""
+    """The index of a machine's places and transitions."""
 
-    machine: PetriNetMachine
-    rules: list[Rule] = field(init=False)
+    rules: list[Rule]
     """For every transition, its rule."""
-    reported: dict[int, list[int]] = field(init=False)
+    choices: list[tuple[int, ...]]
+    """For every place, the transitions that are decided on there, in their order."""
+    reported: dict[int, list[int]]
     """For every call, the transitions that reports about its request open."""
-    records: frozenset[int] = field(init=False)
+    awaiting: frozenset[int]
+    """Places at which a report is waited for."""
+    listening: frozenset[int]
+    """Places at which what is decided may change when facts change."""
+    records: frozenset[int]
     """Places at which nothing is decided."""
-    resources: frozenset[int] = field(init=False)
-    takes: frozenset[int] = field(init=False)
+    resources: frozenset[int]
+    takes: frozenset[int]
     """Transitions that take resources; what is taken over has its own."""
-    gives: frozenset[int] = field(init=False)
+    gives: frozenset[int]
     """Transitions that give resources back."""
-    alive: tuple[int, ...] = field(init=False)
-    settling: dict[int, int] = field(init=False)
-    restarts: frozenset[int] = field(init=False)
-    failures: dict[int, int] = field(init=False)
-    goal: int = field(init=False)
-    failed: int = field(init=False)
+    alive: tuple[int, ...]
+    settling: dict[int, int]
+    restarts: frozenset[int]
+    failures: dict[int, int]
+    fails: list[tuple[int, ...]]
+    """For every transition, the failure places that it marks."""
+    goal: int
+    failed: int
+    on_failure: OnFailure
 
-    def __post_init__(self) -> None:
-        machine, compiled = self.machine, self.machine.compiled
-        ids = compiled.place_id
-        self.rules = [machine.rules[name] for name in compiled.transitions]
-        self.reported = {}
-        for transition, rule in enumerate(self.rules):
-            if isinstance(rule.guard, Accepts | Ends):
-                self.reported.setdefault(rule.guard.call, []).append(transition)
-        self.records = frozenset(ids[place] for place in machine.record_places)
-        self.resources = frozenset(ids[place] for place in machine.resource_places)
-        self.takes = frozenset(
-            transition for transition in self._touching(compiled.inputs) if self.rules[transition].action is not TransitionAction.ADOPT
-        )
-        self.gives = self._touching(compiled.outputs)
-        self.alive = tuple(ids[place] for place in machine.alive_places)
-        self.settling = {ids[place]: call for place, call in machine.settling_places.items()}
-        self.restarts = frozenset(ids[place] for place in machine.restart_places)
-        self.failures = {ids[place]: call for place, call in machine.failure_places.items()}
-        self.goal, self.failed = ids[machine.goal_place], ids[machine.failed_place]
 
-    @cached_property
-    def listening(self) -> list[bool]:
-        """For every place, whether what is decided there may change when facts change."""
-        return [
-            any(isinstance(self.rules[transition].guard, _KNOWING) for transition, _ in arcs) for arcs in self.machine.compiled.consumers
-        ]
+_INDICES: Final[WeakKeyDictionary[CompiledNet, MachineIndex]] = WeakKeyDictionary()
 
-    def _touching(self, arcs: list[list[tuple[int, int]]]) -> frozenset[int]:
-        if not self.resources:  # most machines have none, and this is made for every machine
-            return frozenset()
-        return frozenset(transition for transition, touched in enumerate(arcs) if any(place in self.resources for place, _ in touched))
+
+def index_of(machine: PetriNetMachine) -> MachineIndex:
+    """Return the index of a machine, which is made once."""
+    found = _INDICES.get(machine.compiled)
+    if found is None:
+        found = _INDICES[machine.compiled] = _indexed(machine)
+    return found
+
+
+def _indexed(machine: PetriNetMachine) -> MachineIndex:
+    compiled = machine.compiled
+    ids = compiled.place_id
+    rules = [machine.rules[name] for name in compiled.transitions]
+    reported: dict[int, list[int]] = {}
+    for transition, rule in enumerate(rules):
+        if isinstance(rule.guard, Accepts | Ends):
+            reported.setdefault(rule.guard.call, []).append(transition)
+    by_report = {transition for transitions in reported.values() for transition in transitions}
+    knowing = {transition for transition, rule in enumerate(rules) if isinstance(rule.guard, _KNOWING)}
+    resources = frozenset(ids[place] for place in machine.resource_places)
+    failures = {ids[place]: call for place, call in machine.failure_places.items()}
+
+    def touching(arcs: list[list[tuple[int, int]]]) -> Iterator[int]:
+        if resources:  # most machines have none
+            yield from (transition for transition, touched in enumerate(arcs) if any(place in resources for place, _ in touched))
+
+    return MachineIndex(
+        rules,
+        [tuple(transition for transition, _ in arcs if transition not in by_report) for arcs in compiled.consumers],
+        reported,
+        frozenset(place for transition in by_report for place, _ in compiled.inputs[transition]),
+        frozenset(place for transition in knowing for place, _ in compiled.inputs[transition]),
+        frozenset(ids[place] for place in machine.record_places),
+        resources,
+        frozenset(transition for transition in touching(compiled.inputs) if rules[transition].action is not TransitionAction.ADOPT),
+        frozenset(touching(compiled.outputs)),
+        tuple(ids[place] for place in machine.alive_places),
+        {ids[place]: call for place, call in machine.settling_places.items()},
+        frozenset(ids[place] for place in machine.restart_places),
+        failures,
+        [tuple(place for place, _ in arcs if place in failures) for arcs in compiled.outputs],
+        ids[machine.goal_place],
+        ids[machine.failed_place],
+        machine.on_failure,
+    )
 
 
 class Timers:
@@ -155,13 +180,13 @@ class RunState:
     @property
     def ending(self) -> bool:
         """Whether nothing more is started."""
-        return self.failing or any(self.engine.tokens[place] for place in self.index.restarts)
+        return self.failing or (bool(self.index.restarts) and any(self.engine.tokens[place] for place in self.index.restarts))
 
     @property
     def cancels(self) -> bool:
         """Whether running calls shall be cancelled."""
         cancelled = self.stop is not None and self.stop.cancel
-        return cancelled or (self.ending and self.index.machine.on_failure is OnFailure.CANCEL)
+        return cancelled or (self.ending and self.index.on_failure is OnFailure.CANCEL)
 
     @property
     def suspends(self) -> bool:

@@ -12,6 +12,7 @@ from pnm.core.execution.handover import Handover, UnderWay
 from pnm.core.execution.questions import Questions
 from pnm.core.execution.resources import RunClaims
 from pnm.core.execution.run_state import MachineIndex, RunState
+from pnm.core.machine.bindings import WhenLost
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.net.firing_engine import Engine
@@ -49,6 +50,11 @@ class RunView:
         return self._state.has_begun
 
     @property
+    def origin(self) -> float | None:
+        """The time from which releases count; the beginning of the run unless it was given another one."""
+        return self._state.origin
+
+    @property
     def ending(self) -> bool:
         """Whether nothing more is started: a failure or restart place is marked, or the run was stopped."""
         return self._state.ending
@@ -83,9 +89,19 @@ class RunView:
         """The calls whose requests are not over, as far as is known, as they were sent."""
         return {request: self._calls.as_sent(call) for request, call in self._calls.open.items()}
 
+    @property
+    def feedback(self) -> dict[UUID, str]:
+        """What servers have said last about the requests that are not over; empty where they have said nothing."""
+        return {request: self._calls.feedback(call) for request, call in self._calls.open.items()}
+
     def arguments(self, call: ActionCall) -> tuple[str, ...]:
         """Return the arguments that a call would be sent with now; parameters without a value by their names."""
         return self._calls.arguments(call.index)
+
+    def when_lost(self, request: UUID) -> WhenLost:
+        """Return what to do if nobody knows how a request has ended."""
+        call = self._calls.open.get(request)
+        return WhenLost.REPLAN if call is None else self._calls.binding(call).when_lost
 
     def limit(self, call: ActionCall) -> float:
         """Return how many seconds a call may take from its acceptance; 0 for an operation on knowledge."""

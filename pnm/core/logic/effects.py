@@ -181,7 +181,7 @@ def decided(effects: Effects, state: State) -> Effects:
 
 def is_early(effect: Effect) -> bool:
     """Return whether some condition in the effect is decided before it happens."""
-    return any(isinstance(part, When) and part.early for part in every_effect((effect,)))
+    return not isinstance(effect, Set) and any(isinstance(part, When) and part.early for part in every_effect((effect,)))
 
 
 def assignments(effects: Effects, state: State, env: Environment = NOTHING) -> Iterator[tuple[Fluent, Set, Environment]]:

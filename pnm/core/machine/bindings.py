@@ -11,7 +11,9 @@ from __future__ import annotations
 import re
 import string
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from enum import Enum
 from functools import partial
 from typing import Final, Protocol
 
@@ -20,7 +22,7 @@ from pnm.core.logic.computed_values import MISSING
 from pnm.core.logic.expressions import UNDEFINED, Fluent, Unknown, Value, bind
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Outcome, OutcomeKind
-from pnm.core.message_fields import FieldValue, Test, Unreadable, succeeds, value_in, written
+from pnm.core.message_fields import FieldValue, Test, Unreadable, fields_in, shown, succeeds, value_in, written
 from pnm.errors import InputError, Position, check_counts, check_kinds, check_seconds
 
 ABOUT_THE_CALL: Final = frozenset({"action", "arguments", "duration"})
@@ -35,6 +37,30 @@ class Table:
     """A parameter, a variable or a fluent."""
     rows: Mapping[str, object]
     """Values by the text of the source's value; they are filled like goal fields."""
+
+
+class Foreign(Enum):
+    """What to do while a server is at work on goals that other programs have sent."""
+
+    WAIT = "wait"
+    """Send nothing before they are over."""
+    CANCEL = "cancel"
+    """Cancel them, and send nothing before they are over."""
+    SHARE = "share"
+    """Send goals all the same: the server decides."""
+
+
+class WhenLost(Enum):
+    """What to do about a request that its server had accepted, and does not know any more, or that is gone with it."""
+
+    REPLAN = "replan"
+    """It has failed: it is not made again where its effects are seen, else retried within the plan, else there is a new plan."""
+    RESEND = "resend"
+    """Send it again, once, if the server is back: to carry the action out twice does no harm."""
+    ASK = "ask"
+    """Ask a person whether it was carried out."""
+    ABORT = "abort"
+    """End the task: only people can know what the robot has done."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +79,8 @@ class Binding:
     """What the result must say besides: a server that reports success has failed where it does not."""
     reason: FieldValue | None = None
     """The result field that says why the action failed, with a table of words if it is a number."""
+    final: Test | None = None
+    """What the result of a failure says when another attempt is of no use: the action is not tried again within the plan."""
     store: Mapping[str, str] = field(default_factory=dict)
     """Result fields and the variables they are stored in; every other field is stored by its own name."""
     timeout: float | None = None
@@ -67,6 +95,10 @@ class Binding:
     """Variables, and what a person is asked when their values are unknown; ``{shop}`` stands for the argument of parameter ``?shop``."""
     resources: tuple[str, ...] = ()
     """Resources that the action has for itself while it runs, such as ``{robot}/base``."""
+    foreign: Foreign | None = None
+    """What to do while the server is at work on goals of other programs; by default it waits for them if the action has resources."""
+    when_lost: WhenLost = WhenLost.REPLAN
+    """What to do about a request of which nobody knows any more how it has ended."""
     position: Position | None = field(default=None, compare=False)
     """Where it stands in a file."""
 
@@ -75,19 +107,25 @@ class Binding:
         check_counts(f"the binding of {self.server or 'an action'}", retries=self.retries)
 
     def judged(self, outcome: Outcome) -> Outcome:
-        """Return the outcome as the result's fields tell it: a success that they deny is an abort, and a failure has its reason."""
-        look, kind, message = partial(value_in, outcome.result), outcome.kind, outcome.message
-        if kind is OutcomeKind.SUCCEEDED and self.success is not None:
+        """Return the outcome as the result has it: a success that it denies is an abort, a failure has its reason and may be final."""
+        look, kind, message, seen = partial(value_in, outcome.result), outcome.kind, outcome.message, ""
+        if kind in (OutcomeKind.SUCCEEDED, OutcomeKind.ABORTED) and self.success is not None:
             try:
-                kind = kind if succeeds(self.success, look) else OutcomeKind.ABORTED
+                if not succeeds(self.success, look):
+                    kind, values = OutcomeKind.ABORTED, [f"{where} = {shown(look(where))}" for where in fields_in(self.success)]
+                    seen = f"its result has {', '.join(dict.fromkeys(values))}"
             except Unreadable as error:
-                kind, message = OutcomeKind.ABORTED, f"its result does not tell whether it succeeded: {error}"
+                if kind is OutcomeKind.SUCCEEDED:
+                    kind, message = OutcomeKind.ABORTED, f"its result does not tell whether it succeeded: {error}"
         if kind is not OutcomeKind.SUCCEEDED and self.reason is not None and outcome.result:
             try:
                 message = str(self.reason.value(look)) or message
             except Unreadable as error:
                 message = message or str(error)
-        return replace(outcome, kind=kind, message=message)
+        if kind is OutcomeKind.ABORTED and self.final is not None:
+            with suppress(Unreadable):  # a result that says nothing of it does not keep the action from being tried again
+                kind = OutcomeKind.ABORTED_FOR_GOOD if succeeds(self.final, look) else kind
+        return replace(outcome, kind=kind, message=message or seen)
 
 
 DEFAULT = Binding()
@@ -197,9 +235,12 @@ def goal_data(
         **knowledge.given(),
     }
     needed = binding.goal if binding.goal is not None else dict.fromkeys(fields if fields is not None else open_parameters(action))
+    wanted = dict.fromkeys((*needed, *(fields if fields is not None else own)))
+    if binding.goal is None and wanted.keys() <= own.keys():  # the call has all of them
+        return {name: own[name] for name in wanted}, ()
     filled: dict[str, object] = {}
     missing: list[str] = []
-    for name in dict.fromkeys((*needed, *(fields if fields is not None else own))):
+    for name in wanted:
         source = needed[name] if binding.goal is not None and name in needed else f"${name}"
         value = _resolve(source, own, knowledge, knowledge.find if name in needed else knowledge.variable)
         if value is not MISSING:

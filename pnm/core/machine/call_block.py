@@ -32,7 +32,7 @@ from pnm.core.logic.computed_values import may_ask
 from pnm.core.logic.conditions import TRUE, All, Condition, conjunction, conjuncts, data_in, names
 from pnm.core.logic.effects import When, every_effect, names_written
 from pnm.core.logic.rules import Rules
-from pnm.core.machine.bindings import Binding
+from pnm.core.machine.bindings import Binding, WhenLost
 from pnm.core.machine.machine import (
     Accepts,
     Adopted,
@@ -67,7 +67,8 @@ _EARLY = {OutcomeKind.REJECTED: Cause.REJECTED, OutcomeKind.UNAVAILABLE: Cause.U
 """Ends of a request that may come before its acceptance."""
 _NOT_EARLY = frozenset(OutcomeKind) - frozenset(_EARLY)
 _LATE = {OutcomeKind.ABORTED: Cause.ABORTED, OutcomeKind.CANCELED: Cause.CANCELED, OutcomeKind.LOST: Cause.LOST}
-_ODD = _UNSUCCESSFUL - frozenset(_LATE)
+_FOR_GOOD = frozenset({OutcomeKind.ABORTED_FOR_GOOD})
+_ODD = _UNSUCCESSFUL - frozenset(_LATE) - _FOR_GOOD
 _SEND, _CANCEL, _UNDO = TransitionAction.SEND, TransitionAction.CANCEL, TransitionAction.UNDO
 _RESTARTED = "restarted "
 """Prefix of the places and transitions of attempts after the start was announced."""
@@ -237,10 +238,14 @@ class CallBlock(Block[ActionCall]):
         call, returned = self.step.index, "returned" if self.awaited else "finished"
         recover = [self.name(phase + "recover")]
         self.fire(Rule("succeeded", Ends(call, _SUCCEEDED), call), "running", returned)
+        for_good = [self.name("done"), self.name("failed")]
         for kind, cause in _LATE.items():
-            self._outcome(kind.value, Ends(call, frozenset({kind})), "running", cause, recover)
+            is_final = cause is Cause.LOST and self.binding.when_lost is WhenLost.ABORT
+            self._outcome(kind.value, Ends(call, frozenset({kind})), "running", cause, for_good if is_final else recover)
         # No server sends these after an acceptance, but the place needs an exit for every kind of end.
         self._outcome("ended_oddly", Ends(call, _ODD), "running", Cause.ABORTED, recover)
+        # Past `recover`: whatever is left of the budget, another attempt would end in the same way.
+        self._outcome("aborted_for_good", Ends(call, _FOR_GOOD), "running", Cause.ABORTED, for_good)
         # Before `suspend`: a call that is stopped does not begin anew after the pause.
         self.fire(Rule("stop", CancelAsked(), call, action=_CANCEL), "running", "stopping")
         self.fire(Rule("suspend", PauseAsked(), call, action=_CANCEL), "running", "suspending")
@@ -254,12 +259,12 @@ class CallBlock(Block[ActionCall]):
         timeout = self.builder.bindings.timeout(self.step.action) if self.step.timeout is None else self.step.timeout
         self.fire(Rule("timed_out", After(timeout), call, action=_CANCEL), "running", "overdue")
 
-        in_vain = After(self.binding.cancel)
+        in_vain, confirmation = After(self.binding.cancel), f"a confirmed cancellation within {self.binding.cancel:g} s"
         # A success after the limit is a success: cancelling is a race with the server that it may win.
         self.fire(Rule("late_success", Ends(call, _SUCCEEDED), call), "overdue", returned)
         late = Ends(call, _UNSUCCESSFUL)
-        self._outcome("expired", late, "overdue", Cause.TIMED_OUT, recover, "an end in time", "none; then {message}")
-        either = "an end, or a confirmed cancellation, in time"
+        self._outcome("expired", late, "overdue", Cause.TIMED_OUT, recover, f"an end within {timeout:g} s", "none; then {message}")
+        either = f"an end within {timeout:g} s, or {confirmation} after that"
         # Never retried: two requests for the same robot could be at work at the same time.
         unconfirmed = Rule("unconfirmed", in_vain, call, _UNDO, None, Cause.TIMED_OUT, either, "neither", gives_up=True)
         self.fire(unconfirmed, "overdue", "done", "failed")
@@ -270,7 +275,7 @@ class CallBlock(Block[ActionCall]):
         # Back to `ready` directly, past `recover`: a pause is no failure and takes nothing from the budget.
         suspended = Rule("suspended", Ends(call, _UNSUCCESSFUL), call, _UNDO, CallOutcome.SUSPENDED)
         self.fire(suspended, "suspending", phase + "ready")
-        confirmation = "a confirmed cancellation in time, for a pause"
+        confirmation += ", for a pause"
         unconfirmed = Rule("unconfirmed_pause", in_vain, call, _UNDO, None, Cause.TIMED_OUT, confirmation, "none", gives_up=True)
         self.fire(unconfirmed, "suspending", "done", "failed")
 

@@ -15,6 +15,7 @@ from pnm.core.machine.call_block import CallBlock
 from pnm.core.machine.machine import Always, ConditionFalse, ConditionTrue, Due, Ending, Failing, OnFailure, PetriNetMachine, Rule
 from pnm.core.machine.plan_graph import ActionCall, Cause, Choice, Junction, Loop, PlanGraph, Step, check_capacity
 from pnm.core.machine.step_block import ChoiceBlock, JunctionBlock, LoopBlock
+from pnm.errors import check_kinds
 
 
 def generate(
@@ -36,6 +37,7 @@ def generate(
     Raises:
         InputError: the name of a server or a resource has a part in braces that is not a parameter of its action.
     """
+    check_kinds("generate", {"plan": (plan, PlanGraph)})
     builder = Builder(plan, bindings or Bindings())
     start, end = builder.net.place("start"), builder.net.place("end")
     goal, failed = builder.net.place("goal"), builder.net.place("failed")

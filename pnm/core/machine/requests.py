@@ -2,8 +2,8 @@
 
 A *request* is one dispatch of a call to an action server, with a UUID chosen by us. It is
 answered by reports: at most one `Accepted`, then exactly one `Ended` with an `Outcome`. (An
-`Accepted` may be left out before an end that implies it, and any number of `Postponed` may come
-before it.) A client that cannot keep that promise is still safe: the run gives every request a limit.
+`Accepted` may be left out before an end that implies it, any number of `Postponed` may come
+before it, and of `Feedback` after it.) A client that cannot keep that promise is still safe: the run gives every request a limit.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ class OutcomeKind(Enum):
 
     SUCCEEDED = "succeeded"
     ABORTED = "aborted"
+    ABORTED_FOR_GOOD = "aborted_for_good"
+    """For a reason that another attempt would meet again; see `Binding.final`."""
     CANCELED = "canceled"
     REJECTED = "rejected"
     TIMED_OUT = "timed_out"
@@ -42,6 +44,10 @@ class Outcome:
     kind: OutcomeKind
     result: Mapping[str, object] = field(default_factory=dict)
     message: str = ""
+
+
+NOT_REATTACHED: Final = Outcome(OutcomeKind.LOST, message="its server cannot be asked what has become of it")
+"""Outcome of a request that another process has sent, with a client that finds out nothing about such requests."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +83,15 @@ class Postponed:
     request: UUID
 
 
-Report: TypeAlias = Accepted | Ended | Postponed
+@dataclass(frozen=True, slots=True)
+class Feedback:
+    """What the server says about the goal while it is at work, on one line; a few times a second at most."""
+
+    request: UUID
+    text: str
+
+
+Report: TypeAlias = Accepted | Ended | Postponed | Feedback
 Reporter: TypeAlias = Callable[[Report], None]
 
 
@@ -93,3 +107,14 @@ class ActionClient(Protocol):
 
     def cancel(self, request: UUID, /) -> None:
         """Ask for the request to be cancelled; its `Ended` says whether it was. Unknown ids are ignored."""
+
+
+@runtime_checkable
+class ReattachingClient(ActionClient, Protocol):
+    """An action client that finds out about requests that another process has sent."""
+
+    def reattach(self, request: Request, report: Reporter, /, *, accepted: bool) -> None:
+        """Report on the request as if it were sent now; reports may repeat.
+
+        If its server does not know it, it is sent, unless it was `accepted` before: then it is `LOST`.
+        """

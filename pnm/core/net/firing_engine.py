@@ -66,14 +66,14 @@ class Engine:
             self._add(place, weight * times)
 
     def _add(self, place: int, count: int) -> None:
-        before = self.tokens[place]
+        missing, before = self.missing, self.tokens[place]
         after = self.tokens[place] = before + count
         for transition, weight in self.compiled.consumers[place]:
             # Only a change across the weight matters: the place begins, or ceases, to be covered for this consumer.
             if before < weight <= after:
-                self.missing[transition] -= 1
+                missing[transition] -= 1
             elif after < weight <= before:
-                self.missing[transition] += 1
+                missing[transition] += 1
 
     def marking(self) -> Marking:
         """Return the current marking."""

@@ -15,11 +15,13 @@ from typing import Any, Final, TypeAlias
 from pnm.core.execution.questions import LIMITS
 from pnm.core.logic.computed_values import Layer
 from pnm.errors import InputError, Position, suggestion
+from pnm.files.database.place import Place, ServerUrl
 from pnm.knowledge.sources import person_text as people
+from pnm.knowledge.sources.database import DatabaseKnowledge
 from pnm.knowledge.sources.memory import MemoryKnowledge
 from pnm.knowledge.sources.router import GRACE, LIMIT, PERSON_LIMIT, Sources
+from pnm.knowledge.sources.scripted import ScriptedAnswers
 from pnm.knowledge.sources.source import Source
-from pnm.knowledge.sources.sqlite import SqliteKnowledge
 from pnm.knowledge.sources.terminal import TerminalSource, is_terminal
 
 GROUPS: Final = {"pnm.knowledge.sources": Layer.GLOBAL, "pnm.people": Layer.PERSON}
@@ -34,6 +36,8 @@ class Surroundings:
     """The `pnm.ros.node.ros_thread.RosThread` of this process; None when it has none."""
     folder: Path = field(default_factory=Path)
     """The folder that paths in the options are relative to."""
+    answers: tuple[tuple[str, object], ...] = ()
+    """Names and values: what people would answer, so that they are not asked."""
 
 
 Factory: TypeAlias = Callable[[Mapping[str, object], Surroundings], Source]
@@ -57,6 +61,7 @@ class _Registered:
 
 _OWN: Final = {
     "sqlite": ("pnm.knowledge.sources.registry:sqlite", Layer.GLOBAL),
+    "postgres": ("pnm.knowledge.sources.registry:postgres", Layer.GLOBAL),
     "memory": ("pnm.knowledge.sources.registry:memory", Layer.GLOBAL),
     "ros2": ("pnm.ros.knowledge.knowledge_source:ros2", Layer.GLOBAL),
     "person": ("pnm.knowledge.sources.registry:person", Layer.PERSON),
@@ -101,26 +106,25 @@ def check_source(name: str, position: Position | None = None) -> str:
     raise InputError(f"there is no source of knowledge {name!r}; {hint}; {how}", position)
 
 
-def open_sources(choices: Sequence[SourceChoice], surroundings: Surroundings, file: Path | None = None) -> Sources:
+def open_sources(choices: Sequence[SourceChoice], surroundings: Surroundings, place: Place | None = None) -> Sources:
     """Make the chosen sources, and the default ones where none was chosen: the knowledge file of this user, and a person.
 
-    Nothing is opened or asked yet: a source that cannot be used fails when it is needed. `file` is an SQLite file for
+    Nothing is opened or asked yet: a source that cannot be used fails when it is needed. `place` has the
     global knowledge, in place of any chosen source. Raises `InputError` if a name or an option is wrong, or there are two
     sources for people, `SourceError` if a source cannot be made here.
     """
     chosen: dict[Layer, list[SourceChoice]] = {layer: [] for layer in _DEFAULTS}
-    if file is not None:
-        chosen[Layer.GLOBAL].append(SourceChoice("sqlite", {"file": str(file.absolute())}))
     for choice in choices:
         layer = _all()[check_source(choice.name, choice.position)].layer
         if layer is Layer.PERSON and chosen[layer]:
             raise InputError(f"{choice.name} speaks for people, and so does another source; expected one of them", choice.position)
-        if layer is Layer.PERSON or file is None:
+        if layer is Layer.PERSON or place is None:
             chosen[layer].append(choice)
     shared, people = (chosen[layer] or [default] for layer, default in _DEFAULTS.items())
+    asked = make_source(people[0], surroundings)
     return Sources(
-        [make_source(choice, surroundings) for choice in shared],
-        make_source(people[0], surroundings),
+        [DatabaseKnowledge(place)] if place else [make_source(choice, surroundings) for choice in shared],
+        ScriptedAnswers(surroundings.answers, asked) if surroundings.answers else asked,
         limit=_limit_of(shared, LIMIT, LIMITS[Layer.GLOBAL]),
         person_limit=_limit_of(people, PERSON_LIMIT, LIMITS[Layer.PERSON]),
     )
@@ -170,7 +174,13 @@ def sqlite(options: Mapping[str, object], surroundings: Surroundings) -> Source:
     """Make the source ``sqlite``: knowledge in a ``file``, by default the user's own."""
     only(options, "file")
     file = text(options, "file", "")
-    return SqliteKnowledge(surroundings.folder / Path(file).expanduser() if file else None)
+    return DatabaseKnowledge(surroundings.folder / Path(file).expanduser() if file else None)
+
+
+def postgres(options: Mapping[str, object], surroundings: Surroundings) -> Source:
+    """Make the source ``postgres``: knowledge in the database of a ``url``, which hosts share."""
+    only(options, "url")
+    return DatabaseKnowledge(ServerUrl.of(text(options, "url", "")))
 
 
 def terminal(options: Mapping[str, object], surroundings: Surroundings) -> Source:

@@ -23,6 +23,8 @@ class Asker:
     run: UUID
     plan: str = ""
     """Its plan, as shown to a person."""
+    question: UUID | None = None
+    """What a question is known by, also when it is asked again by another process."""
 
 
 class Source(Protocol):

@@ -147,9 +147,13 @@ ANYTHING: Final = FormulaScope()
 
 def unknown(what: str, name: str, known: Collection[str], position: Position | None) -> InputError:
     """Return the error about a name that is not there, with the nearest one that is."""
+    return InputError(f"there is no {what} {name!r} here; {known_names(name, known)}", position)
+
+
+def known_names(name: str, known: Collection[str]) -> str:
+    """Return the known name nearest to this one, or which names are known, as the end of an error."""
     names = sorted(known)
-    hint = suggestion(name, names) or f"expected one of: {', '.join(names[:20]) or 'none at all'}"
-    return InputError(f"there is no {what} {name!r} here; {hint}", position)
+    return suggestion(name, names) or (f"expected one of: {', '.join(names[:20])}" if names else "there is none")
 
 
 def is_variable(text: str) -> bool:

@@ -7,18 +7,22 @@ import logging
 from collections.abc import Awaitable, Callable, Iterable
 from functools import partial
 from time import monotonic
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 from uuid import UUID
 
-from pnm.core.machine.bindings import ABOUT_THE_CALL, Bindings
+from pnm.core.machine.bindings import ABOUT_THE_CALL, Bindings, Foreign
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Report, Reporter, Request
 from pnm.errors import PnmError
-from pnm.ros.action_client.goal import Goal
+from pnm.ros.action_client.goal import Goal, Kept
+from pnm.ros.action_client.liveness import GRACE
 from pnm.ros.action_client.server_link import ServerLink
 from pnm.ros.node.graph import server_name
 from pnm.ros.node.messages import fields
 from pnm.ros.node.ros_thread import RosThread, call_on_loop
+
+if TYPE_CHECKING:
+    from pnm.ros.action_client.other_goals import OtherGoals
 
 LOOK: Final = 0.25
 """Seconds between two looks at the goals that are under way."""
@@ -43,8 +47,12 @@ class Ros2ActionClient:
     Args:
         ended: called on the event loop's thread with each request that is over, before its end is reported, to have asked how the world
             is then. An end without success is reported when that is known: it decides whether there is another attempt.
+        may_act: whether something may be sent; asked on the ROS thread, right before that. What may not be is kept until it may.
+        others: what servers are at work on that this process has not sent.
+        grace: seconds for which a server may be missing from the graph before the goals that it has accepted are lost.
 
-    The mutable state is on the ROS thread (the links and the open goals), except `_closed`, and the ends that are to be reported.
+    The mutable state is on the ROS thread (the links, the open goals, and the requests whose cancelling has to wait), except `_closed`, and
+    the ends that are to be reported.
     """
 
     def __init__(
@@ -53,11 +61,20 @@ class Ros2ActionClient:
         bindings: Bindings,
         loop: asyncio.AbstractEventLoop,
         ended: Callable[[UUID], Awaitable[object]] = lambda request: asyncio.sleep(0),
+        others: OtherGoals | None = None,
+        may_act: Callable[[], bool] = lambda: True,
+        grace: float = GRACE,
     ) -> None:
         self._ros = ros
         self._bindings = bindings
         self._loop = loop
         self._ended = ended
+        self._may_act = may_act
+        self._grace = grace
+        self._uncancelled: set[UUID] = set()
+        from pnm.ros.action_client.other_goals import OtherGoals  # here, because rclpy is an extra
+
+        self._others = others or OtherGoals(ros, may_act=may_act)
         self._links: dict[_Key, ServerLink] = {}
         self._goals: dict[UUID, tuple[Goal, ServerLink]] = {}
         self._closed = False
@@ -95,10 +112,16 @@ class Ros2ActionClient:
     def send(self, request: Request, report: Reporter, /) -> None:
         """Send the goal; `report` is called later, on the event loop's thread."""
         # Noted before the thread is left: the type may become known until the goal is dispatched.
-        is_blind = request.goal.keys() >= ABOUT_THE_CALL and self.goal_fields(request.action) is None
+        is_blind = _may_be_blind(request) and self.goal_fields(request.action) is None
         # Later and not at once: the caller does not expect a report before `send` has returned.
-        if not self._ros.call(partial(self._send, request, report, is_blind)):
+        if not self._ros.call(partial(self._send, request, report, is_blind=is_blind)):
             self._loop.call_soon(report, Ended(request.id, Outcome(OutcomeKind.UNAVAILABLE, message=_CLOSED)))
+
+    def reattach(self, request: Request, report: Reporter, /, *, accepted: bool) -> None:
+        """Find out what has become of a goal that another process has sent, by its id; `report` is called later."""
+        kept, is_blind = Kept.ACCEPTED if accepted else Kept.UNANSWERED, _may_be_blind(request)
+        if not self._ros.call(partial(self._send, request, report, is_blind=is_blind, kept=kept)):
+            self._loop.call_soon(report, Ended(request.id, Outcome(OutcomeKind.LOST, message=_CLOSED)))
 
     def cancel(self, request: UUID, /) -> None:
         """Ask for the request to be cancelled; it ends when the server says so, or not at all if it refuses."""
@@ -137,15 +160,18 @@ class Ros2ActionClient:
             name = server_name(self._ros.node, server)
             same = next((link for link in self._links.values() if link.name == name), None)
             if same is None:
-                same = ServerLink(self._ros.node, server, type_name, self._ros.joined, several=several)
+                options: dict[str, Any] = {"several": several, "may_act": self._may_act, "grace": self._grace}
+                same = ServerLink(self._ros.node, server, type_name, self._ros.joined, self._others, **options)
             else:
                 same.expect(type_name, several=several)
             self._links[key] = same
         return self._links[key]
 
-    def _send(self, request: Request, report: Reporter, is_blind: bool) -> None:
+    def _send(self, request: Request, report: Reporter, *, is_blind: bool = False, kept: Kept | None = None) -> None:
         binding = self._bindings.of(request.action.name)
-        goal = Goal(request, binding, partial(self._pass_on, report), is_blind)
+        foreign = binding.foreign or (Foreign.WAIT if self._bindings.resources(request.action) else Foreign.SHARE)
+        timeout = self._bindings.timeout(request.action)
+        goal = Goal(request, binding, partial(self._pass_on, report), kept, foreign, timeout, is_blind)
         try:
             link = self._link(self._key(request.action))
             self._goals[request.id] = goal, link
@@ -158,7 +184,9 @@ class Ros2ActionClient:
         self._keep_looking()
 
     def _cancel(self, request: UUID) -> None:
-        if request in self._goals:
+        if not self._may_act():
+            self._uncancelled.add(request)
+        elif request in self._goals:
             goal, link = self._goals[request]
             link.cancel(goal)
 
@@ -176,6 +204,10 @@ class Ros2ActionClient:
             self._timer.reset()
 
     def _look(self) -> None:
+        if not self._may_act():
+            return
+        while self._uncancelled:
+            self._cancel(self._uncancelled.pop())
         for link in set(self._links.values()):
             link.look()
         if not self._goals and not any(link.is_busy for link in self._links.values()):
@@ -190,4 +222,10 @@ class Ros2ActionClient:
             self._timer.destroy()
         for link in set(self._links.values()):
             link.close()
+        self._others.close()
         self._goals.clear()
+
+
+def _may_be_blind(request: Request) -> bool:
+    """Return whether the values of a request may have been collected for all fields that a type may have."""
+    return request.goal.keys() >= ABOUT_THE_CALL

@@ -40,6 +40,7 @@ class Connection:
         joined: when the node joined the ROS graph, on the monotonic clock.
         changed: called when goals may be sent that could not be sent before.
         doubled: called with a goal that several servers have answered, though there may not be several.
+        may_act: whether a goal may be cancelled; asked right before that.
     """
 
     def __init__(
@@ -52,6 +53,7 @@ class Connection:
         several: bool,
         changed: Callable[[], None],
         doubled: Callable[[UUID], None],
+        may_act: Callable[[], bool],
     ) -> None:
         self._node = node
         self.name = server_name(node, server)
@@ -60,6 +62,7 @@ class Connection:
         self._several = several
         self._changed = changed
         self._doubled = doubled
+        self._may_act = may_act
         self._doubled_at = -math.inf
         self.client: Any = None
         self.handshake: Any = None
@@ -118,6 +121,7 @@ class Connection:
             result_service_qos_profile=deep,
             cancel_service_qos_profile=deep,
             answered_twice=self._note_second_answer,
+            may_act=self._may_act,
         )
         self.handshake = Handshake(self.client, self._changed)
 

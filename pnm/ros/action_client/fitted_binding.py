@@ -34,7 +34,8 @@ def fitted_binding(binding: Binding, action_type: Any, example: Example = lambda
         find_field(action_type.Result, parse_field(name))
     success = binding.success and fitted_test(binding.success, action_type.Result)
     reason = binding.reason and fitted_source(binding.reason, action_type.Result, ANY, "a value")
-    return replace(binding, success=success, reason=reason)
+    final = binding.final and fitted_test(binding.final, action_type.Result)
+    return replace(binding, success=success, reason=reason, final=final)
 
 
 def _check(source: object, kind: str, path: str, example: Example) -> None:

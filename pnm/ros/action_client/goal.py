@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from enum import Enum
+from math import inf
 from typing import Any, Final
 
-from pnm.core.machine.bindings import Binding
-from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Postponed, Report, Request
+from pnm.core.machine.bindings import Binding, Foreign, WhenLost
+from pnm.core.machine.requests import Ended, Feedback, Outcome, OutcomeKind, Postponed, Report, Request
+from pnm.ros.action_client.feedback_line import feedback_line
 from pnm.ros.action_client.liveness import Liveness
 
 # action_msgs/msg/GoalStatus
@@ -18,14 +21,28 @@ _MESSAGES: Final = ("message", "error_msg", "error_string")
 """Result fields for an error text: ours, Nav2's, MoveIt's and ros2_control's."""
 
 
+class Kept(Enum):
+    """How far a goal came in another process."""
+
+    ACCEPTED = "accepted"
+    UNANSWERED = "unanswered"
+    """It may not even have been sent."""
+
+
 @dataclass(eq=False)
 class Goal:
-    """A request and its progress. Every field but the request, the report and `is_blind` changes, on the ROS thread only."""
+    """A request and its progress. What has a default changes, on the ROS thread only, but for `foreign`, `timeout` and `is_blind`."""
 
     request: Request
     binding: Binding
     """Of its action; fitted to the server's type before it is sent."""
     report: Callable[[Report], None]
+    kept: Kept | None = None
+    """How far it came in another process: it is found out about, in place of being sent."""
+    foreign: Foreign = Foreign.SHARE
+    """What is done while its server is at work on goals of other programs."""
+    timeout: float = inf
+    """Seconds that the action may take, and that it waits for goals of other programs."""
     is_blind: bool = False
     """Whether its values were collected before its type was known: for all fields that it may have."""
     sent: float = 0.0
@@ -41,9 +58,21 @@ class Goal:
     """The futures of the requests for the result."""
     unknown_since: float | None = None
     """When the server answered first that it does not know the goal: it was restarted, or has not taken it up yet."""
+    is_resent: bool = False
+    """Whether it was sent once more, because its server did not know it."""
     refused: str = ""
     """Why it is cancelled though nobody has asked for that."""
+    waits_since: float | None = None
+    """Since when it waits for the server to be done with goals of other programs."""
     ended: bool = False
+    feedback: Any = None
+    """The latest message about it that was not reported yet."""
+
+    def report_feedback(self) -> None:
+        """Report the feedback that has come since the last report, if there is some."""
+        if self.feedback is not None:
+            self.report(Feedback(self.request.id, feedback_line(self.feedback)))
+            self.feedback = None
 
     def postpone(self, now: float) -> None:
         """Report that the limit for its acceptance begins anew."""
@@ -77,6 +106,11 @@ class Goal:
     def accept(self) -> float:
         """Seconds the server may take to answer the goal before it is cancelled."""
         return self.binding.accept
+
+    @property
+    def may_be_resent(self) -> bool:
+        """Whether it is sent to a server that does not know it: nobody can have begun it, or to begin it twice does no harm."""
+        return self.kept is Kept.UNANSWERED or (self.binding.when_lost is WhenLost.RESEND and not self.is_resent)
 
     @property
     def over(self) -> bool:

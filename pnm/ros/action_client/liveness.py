@@ -6,7 +6,8 @@ the ROS graph shows:
 - The process is *gone* from the graph: at once after an orderly shutdown, after its lease (20 s) when it is killed
   or cut off. The goal is lost a moment later, unless the same process comes back.
 - *Another* process appeared under the name: for the rest of the lease, a restart looks like this. The result is requested
-  again: the new process answers that it knows no such goal.
+  again: the new process answers that it knows no such goal. If it says on the status topic that it is at work on the goal,
+  it goes on with what the other has accepted: both may have it from then on, see `pnm.ros.action_client.server_link`.
 - The status topic says that the goal is *over*, but no result has arrived: it is requested again.
 
 A server that is too busy to answer is never taken for dead, because none of the three is a question to it.
@@ -46,15 +47,22 @@ class Liveness:
     over_since: float | None = None
     asked: float = float("-inf")
     asks: int = 0
+    seen: frozenset[bytes] = frozenset()
+    """The processes that were present at the last look."""
+    grace: float = GRACE
+    """Seconds for which all of them may be missing from the graph."""
 
     def check(self, present: frozenset[bytes], over: bool, now: float) -> Verdict:
         """Return the verdict, given the present processes and whether the status topic says that the goal is over."""
+        if present - self.seen:  # a process that has not been asked: the one that was may have died before it could answer
+            self.asks = 0
+        self.seen = present
         if not self.processes:  # the publisher was not discovered yet when the goal was accepted
             self.processes = present
         if not present & self.processes:  # none of the processes that may have the goal is left; another one under the name does not count
             if self.gone_since is None:
                 self.gone_since = now
-            if now - self.gone_since >= GRACE:  # a process may be missing from the graph for a moment while discovery is busy
+            if now - self.gone_since >= self.grace:  # a process may be missing from the graph for a moment while discovery is busy
                 return Verdict.LOST
             return self._ask(now) if present else Verdict.FINE
         # It is back: an answer may have been lost meanwhile, so the result is requested again, with all attempts.

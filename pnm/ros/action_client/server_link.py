@@ -14,24 +14,31 @@ from __future__ import annotations
 
 import logging
 from collections import deque
+from collections.abc import Callable
 from functools import partial
 from time import monotonic
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 from uuid import UUID
 
+from pnm.core.machine.bindings import Foreign
 from pnm.core.machine.requests import Accepted, OutcomeKind
 from pnm.errors import PnmError
 from pnm.ros.action_client.connection import Connection
 from pnm.ros.action_client.fitted_binding import fitted_binding
 from pnm.ros.action_client.goal import OVER, UNKNOWN, Goal
 from pnm.ros.action_client.handshake import ros_uuid
-from pnm.ros.action_client.liveness import AGAIN, ASKS, Liveness, Verdict
+from pnm.ros.action_client.liveness import AGAIN, ASKS, GRACE, Liveness, Verdict
 from pnm.ros.node.messages import fields, to_data, to_message
+
+if TYPE_CHECKING:
+    from pnm.ros.action_client.other_goals import OtherGoals  # which needs rclpy, an extra
 
 IN_FLIGHT: Final = 8
 """Goals without an answer at a time."""
 RESENSED: Final = 1.0
 """Seconds from the notice of a restart until its goals are lost: sensors should report the new state before a retry."""
+FOUND: Final = 2.0
+"""Seconds in which a server says that it does not know a goal that another process has sent; it is at work on it otherwise."""
 _log = logging.getLogger(__name__)
 
 
@@ -41,14 +48,34 @@ class ServerLink:
     Args:
         several: whether there may be several servers of this name, all of which carry out every goal.
         joined: when the node joined the ROS graph, on the monotonic clock.
+        may_act: whether a goal may be sent; asked right before that.
+        grace: seconds for which the server may be missing from the graph before its goals are lost.
+        others: what servers are at work on that this process has not sent.
     """
 
-    def __init__(self, node: Any, server: str, type_name: str | None, joined: float, *, several: bool = False) -> None:
+    def __init__(
+        self,
+        node: Any,
+        server: str,
+        type_name: str | None,
+        joined: float,
+        others: OtherGoals,
+        *,
+        several: bool = False,
+        may_act: Callable[[], bool] = lambda: True,
+        grace: float = GRACE,
+    ) -> None:
+        self._may_act = may_act
+        self._grace = grace
+        self._others = others
         self._queued: deque[Goal] = deque()
         self._unanswered: set[Goal] = set()
         self._accepted: set[Goal] = set()
-        self._connection = Connection(node, server, type_name, joined, several=several, changed=self._pump, doubled=self._stop_doubled)
+        self._connection = Connection(
+            node, server, type_name, joined, several=several, changed=self._pump, doubled=self._stop_doubled, may_act=may_act
+        )
         self.name = self._connection.name
+        others.watch(self.name)
 
     def __repr__(self) -> str:
         return f"<ServerLink {self.name} {len(self._queued)} queued, {len(self._unanswered)} unanswered, {len(self._accepted)} accepted>"
@@ -84,18 +111,49 @@ class ServerLink:
 
     def send(self, goal: Goal) -> None:
         """Send the goal as soon as the server is there, the handshake is done, and few enough goals are unanswered."""
+        self._others.sent(goal.request.id)
         self._queued.append(goal)
         self._pump()
 
     def _pump(self) -> None:
         # Asked for each goal: a dispatch may fail at once, and the server may go away meanwhile.
         while self._queued and sum(not goal.cancel_asked for goal in self._unanswered) < IN_FLIGHT and self._may_send():
+            if self._waits(self._queued[0]):
+                break
             self._dispatch(self._queued.popleft())
 
+    def _waits(self, goal: Goal) -> bool:
+        """Return whether a goal must wait until the server is done with what this process has not sent."""
+        if goal.kept:
+            return False
+        others = self._others.others(self.name)
+        if goal.foreign is Foreign.SHARE:
+            return self._others.are_forgotten(others)
+        if others and goal.foreign is Foreign.CANCEL:
+            self._others.cancel(self.name, others)
+        return bool(others) or not self._others.is_heard(self.name)
+
     def _may_send(self) -> bool:
-        return self._connection.ready() and self._connection.may_send()
+        return self._may_act() and self._connection.ready() and self._connection.may_send()
 
     def _dispatch(self, goal: Goal) -> None:
+        if goal.kept:
+            self._find(goal)
+        else:
+            self._send(goal)
+
+    def _find(self, goal: Goal) -> None:
+        """Ask for the result of a goal that another process has sent; a server that does not know it says so, all others are at work."""
+        goal.binding, goal.handle = fitted_binding(goal.binding, self.type), self._connection.handshake.handle(goal.request.id)
+        goal.sent = monotonic()
+        goal.liveness = Liveness(self._connection.processes(), asked=goal.sent, grace=self._grace)
+        self._connection.client.follow(goal)
+        self._accepted.add(goal)
+        self._ask_result(goal)
+        if goal.cancel_asked:  # before anything could be sent
+            self._send_cancel(goal)
+
+    def _send(self, goal: Goal) -> None:
         known = fields(self.type.Goal)
         # Half a goal message would be sent with zeros in the other fields, which the server takes for values.
         if unfilled := goal.unfilled(known):
@@ -118,6 +176,7 @@ class ServerLink:
             goal.postpone(goal.sent)
         # The processes of this moment: one that appears later cannot have this goal.
         goal.liveness = Liveness(self._connection.processes())
+        self._connection.client.follow(goal)
         self._unanswered.add(goal)
         future.add_done_callback(partial(self._answered, goal))
 
@@ -134,15 +193,18 @@ class ServerLink:
         elif goal.ended:
             # It was accepted after its time limit, when the run had already gone on without it.
             handle.cancel_goal_async()
-        else:
-            goal.handle, goal.unknown_since = handle, None  # kept by us, because `rclpy` refers to handles only weakly
-            goal.liveness = Liveness(self._connection.processes(), asked=monotonic())
-            self._accepted.add(goal)
-            goal.report(Accepted(goal.request.id))
-            self._ask_result(goal)
-            if goal.cancel_asked:  # it was asked for before there was a handle to cancel with
-                self._send_cancel(goal)
+        elif goal not in self._accepted:
+            self._take_as_accepted(goal, handle)
         self._pump()  # a goal fewer is unanswered, so the next one may go
+
+    def _take_as_accepted(self, goal: Goal, handle: Any) -> None:
+        goal.handle, goal.unknown_since = handle, None  # kept by us, because `rclpy` refers to handles only weakly
+        goal.liveness = Liveness(self._connection.processes(), asked=monotonic(), grace=self._grace)
+        self._accepted.add(goal)
+        goal.report(Accepted(goal.request.id))
+        self._ask_result(goal)
+        if goal.cancel_asked:  # it was asked for before there was a handle to cancel with
+            self._send_cancel(goal)
 
     # the end
 
@@ -182,7 +244,7 @@ class ServerLink:
     def cancel(self, goal: Goal) -> None:
         """Request cancellation, now or as soon as the server has accepted the goal."""
         goal.cancel_asked = True
-        if goal in self._queued:
+        if goal in self._queued and not goal.kept:  # what another process has sent may be executed, and is cancelled when it is found
             self._queued.remove(goal)
             goal.end(OutcomeKind.CANCELED, "cancelled before it was sent")
         elif goal in self._accepted or goal in self._unanswered:
@@ -227,6 +289,8 @@ class ServerLink:
             self._stop_for_rivals(present)
             for goal in tuple(self._unanswered):
                 self._look_at_unanswered(goal, present, now)
+            for goal in self._accepted:
+                goal.report_feedback()
             self._look_at_accepted(present, now)
         self._pump()
         if self._queued and self._may_send():  # then only the answers to others are waited for
@@ -241,18 +305,35 @@ class ServerLink:
         reason = self._connection.rivals(self._connection.processes()) if is_ready else self._connection.absence(now)
         if reason:  # all queued goals together: they would all wait in vain for the same server
             while self._queued:
-                self._queued.popleft().end(OutcomeKind.UNAVAILABLE, reason)
+                goal = self._queued.popleft()
+                if goal.kept and self._connection.handshake:  # it may be at work on it, where it cannot be reached
+                    self._connection.handshake.abandon(goal.request.id, None)
+                goal.end(OutcomeKind.LOST if goal.kept else OutcomeKind.UNAVAILABLE, reason)
         elif is_ready and not self._connection.may_send():
             abandoned = self._connection.abandoned
-            for goal in tuple(self._queued):
+            for goal in [goal for goal in self._queued if not goal.kept]:  # the limits of a run are those of what it has begun
                 goal.sent = goal.sent or now  # the limit counts from here: the server is ready, the goal could have been sent
                 if now - goal.sent >= goal.accept:
                     given_up = f"did not end within {goal.accept:g} s what was given up: {abandoned} goal{'s' * (abandoned > 1)}"
                     self._queued.remove(goal)
                     goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {given_up if abandoned else _silence(goal)}")
 
+        elif is_ready and self._waits(self._queued[0]):
+            for goal in [goal for goal in self._queued if not goal.kept]:
+                if goal.waits_since is None and self._others.others(self.name):
+                    goal.waits_since = now
+                    _log.warning("%s waits: %s is at work on goals of other programs", goal.request.action, self.name)
+                elif goal.waits_since is not None and now - goal.waits_since >= goal.timeout:
+                    self._queued.remove(goal)
+                    reason = f"{self.name} was at work on goals of other programs for {goal.timeout:g} s"
+                    goal.end(OutcomeKind.UNAVAILABLE, reason)
+
     def _look_at_unanswered(self, goal: Goal, present: frozenset[bytes], now: float) -> None:
         verdict = goal.liveness.check(present, False, now)
+        if verdict is not Verdict.FINE and goal.request.id in self._others.watch(self.name):  # its process died before it could answer,
+            self._unanswered.discard(goal)  # but had kept it: another one goes on with it
+            self._take_as_accepted(goal, self._handle(goal))
+            return
         if verdict is Verdict.LOST:
             reason = "went away before it answered"
         elif verdict is Verdict.ASK and goal.liveness.asks == ASKS and not self._connection.are_several(present):
@@ -270,10 +351,15 @@ class ServerLink:
         goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {reason}")
 
     def _look_at_accepted(self, present: frozenset[bytes], now: float) -> None:
-        requests = 0
+        requests, at_work = 0, self._others.watch(self.name)
         for goal in tuple(self._accepted):
+            if goal.kept and goal.unknown_since is None and now - goal.sent >= FOUND:
+                goal.kept = None
+                goal.report(Accepted(goal.request.id))
             if requests == IN_FLIGHT:
                 return  # like goals, requests for results must not overflow the server's queue; the rest has the next turn
+            if goal.request.id in at_work:  # if another process says so, it goes on with what one that died has accepted
+                goal.liveness.processes |= present
             match goal.liveness.check(present, goal.over, now):
                 case Verdict.ASK:
                     requests += 1
@@ -287,6 +373,15 @@ class ServerLink:
                     pass
             if goal.unknown_since and self._connection.are_several(present):
                 goal.unknown_since = None  # it was another server that does not know it
+            elif goal.unknown_since and now - goal.unknown_since >= RESENSED and goal.may_be_resent:
+                self._accepted.discard(goal)
+                goal.kept = goal.handle = goal.unknown_since = None
+                self._connection.client.forget(goal)
+                goal.is_resent = True
+                if goal.cancel_asked:
+                    goal.end(OutcomeKind.CANCELED, "cancelled before it was sent")
+                else:
+                    self.send(goal)
             elif goal.unknown_since and now - goal.unknown_since >= RESENSED and not self._connection.are_unclear(present):
                 self._lose(goal, f"{self.name} no longer knows the goal; it was restarted")
             # Requests may be lost like any other, and cancelling twice does no harm.

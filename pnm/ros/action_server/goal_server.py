@@ -1,7 +1,8 @@
-"""An action server whose goals are carried out on the event loop, and end when that reports their result.
+"""An action server whose goals are accepted and carried out on the event loop, and end when that reports their result.
 
-`rclpy` would have a coroutine wait for the end of every goal, and resumes all of them at each turn of its executor.
-Here a goal is only marked as executing, and its execute callback runs when there is a result to send.
+`rclpy` decides about a goal before it says its id, and would have a coroutine wait for the end of every goal, all of which are resumed
+at each turn of its executor. Here a goal is answered when the event loop has decided, so that it can be kept first; it is only marked
+as executing, and its execute callback runs when there is a result to send.
 """
 
 from __future__ import annotations
@@ -9,21 +10,24 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 from uuid import UUID
 
+from action_msgs.msg import GoalInfo
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
-from rclpy.action.server import GoalEvent
+from rclpy.action.server import GoalEvent, ServerGoalHandle
 from rclpy.qos import QoSProfile
+from rclpy.task import Future
+from unique_identifier_msgs import msg as identifiers
 
 from pnm.errors import PnmError
 from pnm.ros.node.messages import import_type, to_message
-from pnm.ros.node.ros_thread import RosThread
+from pnm.ros.node.ros_thread import RosThread, call_on_loop
 from pnm.ros.node.service_client import until_true
 from pnm.ros.node.service_server import arrived
 
@@ -55,29 +59,54 @@ class GoalResult:
     fields: Mapping[str, object]
 
 
-BeginGoal: TypeAlias = Callable[[UUID], None]
-"""Begins an accepted goal of this id; called on the event loop's thread."""
-
-
 @dataclass(frozen=True, slots=True)
 class GoalCallbacks:
-    """What carries out the goals of a server.
+    """What carries out the goals of a server; called on the event loop's thread.
 
     Args:
-        accept: returns what begins the goal, or the reason why it is rejected; called on the ROS thread with the request.
+        accept: begins the goal, and returns nothing or the reason why it is rejected. Its client hears that it is accepted after that.
             The reason is only logged: a rejection has no field for it, unlike the result of an aborted goal.
-        cancel: called on the event loop's thread when a client requests cancellation; may come more than once, and after the end.
+        cancel: called when a client requests cancellation; may come more than once, and after the end.
     """
 
-    accept: Callable[[Any], BeginGoal | str]
+    accept: Callable[[UUID, Any], Awaitable[str]]
     cancel: Callable[[UUID], None]
+
+
+class _PatientServer(ActionServer):  # type: ignore[misc]
+    """An action server of `rclpy` that answers a goal when it is told to."""
+
+    def __init__(self, *args: Any, arrived: Callable[[UUID, Any, Callable[[bool], None]], None], **options: Any) -> None:
+        self._arrived = arrived
+        super().__init__(*args, **options)
+
+    async def _execute_goal_request(self, request_header_and_message: tuple[Any, Any]) -> None:
+        request = request_header_and_message[1]
+        self._arrived(UUID(bytes=bytes(request.goal_id.uuid)), request.goal, partial(self._answer, request_header_and_message))
+
+    def _answer(self, request_header_and_message: tuple[Any, Any], is_accepted: bool) -> None:
+        self.register_goal_callback(lambda _: GoalResponse.ACCEPT if is_accepted else GoalResponse.REJECT)
+        with suppress(StopIteration):  # nothing is awaited in it
+            super()._execute_goal_request(request_header_and_message).send(None)
+
+    def handle(self, goal: UUID) -> Any:
+        """Return the handle of a goal, also of one that is over and whose result can still be asked for; None if there is none."""
+        return self._goal_handles.get(goal.bytes)
+
+    def go_on(self, goal: UUID) -> None:
+        """Have a goal that another process has accepted."""
+        info = GoalInfo(goal_id=identifiers.UUID(uuid=list(goal.bytes)))
+        self._goal_handles[goal.bytes] = ServerGoalHandle(self, info, None)
+        self._result_futures[goal.bytes] = Future()
+        self.add_future(self._result_futures[goal.bytes])
 
 
 class GoalServer:
     """One action server.
 
     The mutable state is, on the ROS thread, the server, the handles of goals that are open and of those whose results are
-    being sent, by goal id, and what begins the goal that was accepted last; on the event loop's, when the last goal ended.
+    being sent, by goal id, and the goals that are being decided about, with the results of those that are over already;
+    on the event loop's, the decisions, and when the last goal ended.
     """
 
     def __init__(self, ros: RosThread, type_name: str, name: str, callbacks: GoalCallbacks) -> None:
@@ -89,7 +118,8 @@ class GoalServer:
         self._server: Any = None
         self._open: dict[UUID, Any] = {}
         self._ending: dict[UUID, Any] = {}
-        self._begin: BeginGoal = lambda _: None
+        self._undecided: dict[UUID, Callable[[], GoalResult] | None] = {}
+        self._decisions: set[asyncio.Task[None]] = set()
         self._ended = -math.inf
 
     def __repr__(self) -> str:
@@ -97,9 +127,9 @@ class GoalServer:
 
     # on the event loop's thread
 
-    async def open(self) -> None:
-        """Bring the server up."""
-        await self._ros.ask(self._bring_up)
+    async def open(self, kept: Iterable[UUID] = ()) -> None:
+        """Bring the server up, with goals that another process of this name has accepted: their clients are still waiting."""
+        await self._ros.ask(partial(self._bring_up, tuple(kept)))
 
     def feed(self, goal: UUID, fields: Mapping[str, object]) -> None:
         """Send feedback about a goal, if it is open."""
@@ -119,52 +149,81 @@ class GoalServer:
         """Take the server down, once the results of ended goals have arrived."""
         with suppress(TimeoutError):
             async with asyncio.timeout(limit):
-                await until_true(self._ros, lambda: not self._open and not self._ending)
+                await until_true(self._ros, lambda: not (self._undecided or self._open or self._ending))
         await arrived(self._ended)
         await self._ros.ask(self._take_down)
+        for decision in self._decisions:
+            decision.cancel()
 
     def vanish(self) -> None:
         """Take the server down at once; open goals get no result, as if the process had died."""
         self._ros.call(self._take_down)
 
+    def _decide(self, goal: UUID, request: Any, answer: Callable[[bool], None]) -> None:
+        decision = self._loop.create_task(self._decided(goal, request, answer))
+        self._decisions.add(decision)
+        decision.add_done_callback(self._decisions.discard)
+
+    async def _decided(self, goal: UUID, request: Any, answer: Callable[[bool], None]) -> None:
+        try:
+            reason = await self._callbacks.accept(goal, request)
+        except Exception as error:
+            _log.exception("a goal for %s cannot begin", self.name)
+            reason = f"{type(error).__name__}: {error}"
+        self._ros.call(partial(self._answer, goal, answer, reason))
+
     # on the ROS thread
 
-    def _bring_up(self) -> None:
+    def _bring_up(self, kept: Iterable[UUID]) -> None:
         many = QoSProfile(depth=DEPTH)
-        self._server = ActionServer(
+        self._server = _PatientServer(
             self._ros.node,
             self.type,
             self.name,
+            arrived=self._arrived,
             execute_callback=self._finish,
-            goal_callback=self._decide,
-            handle_accepted_callback=self._accepted,
+            handle_accepted_callback=lambda _: None,
             cancel_callback=self._cancel_asked,
             goal_service_qos_profile=many,
             result_service_qos_profile=many,
             cancel_service_qos_profile=many,
             result_timeout=RESULT_TIMEOUT,
         )
+        for goal in kept:  # before any request is read: a client that asks for a goal that is not known takes it for lost
+            self._server.go_on(goal)
+            self._execute(goal)
 
-    def _decide(self, request: Any) -> GoalResponse:
-        decision = self._callbacks.accept(request)
-        if isinstance(decision, str):
-            _log.warning("a goal for %s is rejected: %s", self.name, decision)
-            return GoalResponse.REJECT
-        # `rclpy` gives this callback no goal id, but calls `_accepted` for the goal before it decides about the next one.
-        self._begin = decision
-        return GoalResponse.ACCEPT
+    def _arrived(self, goal: UUID, request: Any, answer: Callable[[bool], None]) -> None:
+        if goal in self._undecided or self._server.handle(goal) is not None:
+            _log.warning("a goal for %s is rejected: %s is the id of another one", self.name, goal)
+            answer(False)
+            return
+        self._undecided[goal] = None
+        call_on_loop(self._loop, self._decide, goal, request, answer)
 
-    def _accepted(self, handle: Any) -> None:
-        goal = _id(handle)
-        self._open[goal] = handle
+    def _answer(self, goal: UUID, answer: Callable[[bool], None], reason: str) -> None:
+        result = self._undecided.pop(goal)
+        if self._server is None:
+            return
+        if reason:
+            _log.warning("a goal for %s is rejected: %s", self.name, reason)
+        answer(not reason)
+        if self._server.handle(goal) is not None:  # also if its client went away while it was answered
+            self._execute(goal)
+            if result is not None:
+                self._end(goal, result)
+
+    def _execute(self, goal: UUID) -> None:
+        handle = self._open[goal] = self._server.handle(goal)
         handle._update_state(GoalEvent.EXECUTE)  # what `execute` does, except for calling back
-        self._loop.call_soon_threadsafe(self._begin, goal)
 
     def _cancel_asked(self, handle: Any) -> CancelResponse:
         self._loop.call_soon_threadsafe(self._callbacks.cancel, _id(handle))
         return CancelResponse.ACCEPT
 
     def _end(self, goal: UUID, result: Callable[[], GoalResult]) -> None:
+        if goal in self._undecided:  # its client hears first that it is accepted
+            self._undecided[goal] = result
         if goal not in self._open:
             return
         try:

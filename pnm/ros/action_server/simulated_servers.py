@@ -10,18 +10,17 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import Future
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import count
 from typing import Any, Final
-from uuid import UUID, uuid4
+from uuid import UUID
 
 from pnm.actions.simulated_world import SimulatedWorld
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Report, Request
 from pnm.errors import InputError
-from pnm.ros.action_server.goal_server import BeginGoal, GoalCallbacks, GoalResult, GoalServer, GoalStatus
+from pnm.ros.action_server.goal_server import GoalCallbacks, GoalResult, GoalServer, GoalStatus
 from pnm.ros.node.messages import FieldError, fields, to_data, to_message
 from pnm.ros.node.publisher import Publisher
 from pnm.ros.node.ros_thread import RosThread
@@ -50,16 +49,12 @@ class Offer:
 
 @dataclass(eq=False)
 class _SimulatedGoal:
-    """A goal and the request that it became. The last three fields change, on the event loop's thread."""
+    """A goal, whose id is that of the request that it becomes. The last field changes."""
 
     server: GoalServer
     answer: Callable[[Outcome], Mapping[str, object]]
-    request: UUID = field(default_factory=uuid4)
-    decision: Future[BeginGoal | str] = field(default_factory=Future)
-    """What begins the goal once the request was accepted, or the reason why it was rejected."""
-    id: UUID | None = None
-    """The goal id, once the goal has begun."""
-    outcome: Outcome | None = None
+    decision: asyncio.Future[str] = field(default_factory=lambda: asyncio.get_running_loop().create_future())
+    """The reason why the request was rejected; nothing once it was accepted."""
     is_cancel_asked: bool = False
 
 
@@ -89,34 +84,41 @@ class SimulatedServers:
         for server in self._servers.values():
             await server.open()
 
-    def _begin(self, goal: _SimulatedGoal, id: UUID) -> None:
-        goal.id = id
-        if goal.outcome is not None:  # it ended before ROS had made its handle
-            self._end(goal, goal.outcome)
-            return
-        self._goals[id] = goal
-        if self._progress is not None and _has_progress(goal.server):
+    async def _accept(self, offer: Offer, id: UUID, message: Any) -> str:
+        """Send the request, and wait until the client accepts or rejects it."""
+        try:
+            action = offer.decode(data := to_data(message))
+        except InputError as error:
+            return str(error)
+        goal = self._goals[id] = _SimulatedGoal(self._servers[offer.server], partial(offer.answer, action))
+        self._client.send(Request(id, action, data), partial(self._report, goal))
+        try:
+            async with asyncio.timeout(DECISION):
+                reason = await goal.decision
+        except TimeoutError:
+            self._client.cancel(id)
+            reason = f"no decision within {DECISION:g} s"
+        if reason:
+            self._goals.pop(id, None)
+        elif self._progress is not None and _has_progress(goal.server):
             self._feed_later()
+        return reason
 
     def _cancel(self, id: UUID) -> None:
         if goal := self._goals.get(id):
             goal.is_cancel_asked = True
-            self._client.cancel(goal.request)
+            self._client.cancel(id)
 
     def _report(self, goal: _SimulatedGoal, report: Report) -> None:
         match report:
-            case Accepted():
-                goal.decision.set_result(partial(self._begin, goal))
+            case Accepted() if not goal.decision.done():
+                goal.decision.set_result("")
             case Ended(_, outcome) if not goal.decision.done():
                 goal.decision.set_result(outcome.message or outcome.kind.value)
-            case Ended(_, outcome):
-                goal.outcome = outcome
-                if goal.id is not None:
-                    del self._goals[goal.id]
-                    self._end(goal, outcome)
+            case Ended(id, outcome) if self._goals.pop(id, None):
+                self._end(id, goal, outcome)
 
-    def _end(self, goal: _SimulatedGoal, outcome: Outcome) -> None:
-        assert goal.id is not None
+    def _end(self, id: UUID, goal: _SimulatedGoal, outcome: Outcome) -> None:
         match outcome.kind:
             case OutcomeKind.LOST:
                 goal.server.vanish()
@@ -127,7 +129,7 @@ class SimulatedServers:
                 status = GoalStatus.CANCELED
             case _:
                 status = GoalStatus.ABORTED
-        goal.server.end(goal.id, lambda: GoalResult(status, _result_fields(goal, outcome)))
+        goal.server.end(id, lambda: GoalResult(status, _result_fields(goal, outcome)))
 
     def _feed_later(self) -> None:
         if not self._is_feeding:
@@ -139,29 +141,8 @@ class SimulatedServers:
         fed = [(id, goal) for id, goal in self._goals.items() if _has_progress(goal.server)]
         if self._progress is not None and fed:
             for id, goal in fed:
-                goal.server.feed(id, {"progress": self._progress(goal.request)})
+                goal.server.feed(id, {"progress": self._progress(id)})
             self._feed_later()
-
-    # on the ROS thread
-
-    def _accept(self, offer: Offer, message: Any) -> BeginGoal | str:
-        """Send the request, and wait until the client accepts or rejects it: `rclpy` cannot decide about a goal later."""
-        data = to_data(message)
-
-        async def decoded() -> GroundAction:
-            return offer.decode(data)
-
-        try:  # on the event loop's thread, where the world changes
-            action = asyncio.run_coroutine_threadsafe(decoded(), self._loop).result(DECISION)
-        except (InputError, TimeoutError) as error:
-            return str(error) or f"no decision within {DECISION:g} s"
-        goal = _SimulatedGoal(self._servers[offer.server], partial(offer.answer, action))
-        self._loop.call_soon_threadsafe(self._client.send, Request(goal.request, action, data), partial(self._report, goal))
-        try:
-            return goal.decision.result(DECISION)
-        except TimeoutError:
-            self._loop.call_soon_threadsafe(self._client.cancel, goal.request)
-            return f"no decision within {DECISION:g} s"
 
 
 def _has_progress(server: GoalServer) -> bool:

@@ -57,7 +57,7 @@ class Ros2Person:
         """Return the answer to a question, `MISSING` if the person does not know; raise a `SourceError` if there is none in time."""
         loop = asyncio.get_running_loop()
         await self._connect(loop)
-        words, id = question_text(question), uuid4().hex
+        words, id = question_text(question), (asker.question or uuid4()).hex
         answer: asyncio.Future[object] = loop.create_future()
         self._open[id] = answer
         try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from typing import Any
 
@@ -51,6 +51,8 @@ class GraphSnapshot:
     servers: Mapping[str, tuple[str, ...]]
     topics: Mapping[str, tuple[str, ...]]
     services: Mapping[str, tuple[str, ...]]
+    processes: Mapping[str, int] = field(default_factory=dict)
+    """How many processes offer an action server, those that were killed lately included."""
 
 
 def snapshot(node: Any) -> GraphSnapshot:
@@ -58,7 +60,9 @@ def snapshot(node: Any) -> GraphSnapshot:
     named = [name for name, _ in node.get_topic_names_and_types() if "/_" not in name]  # the others are hidden: parts of actions
     topics = {name: {info.topic_type for info in node.get_publishers_info_by_topic(name)} for name in named}
     services = {name: tuple(kinds) for name, kinds in node.get_service_names_and_types() if "/_" not in name and node.count_services(name)}
-    return GraphSnapshot(servers(node), {name: tuple(sorted(kinds)) for name, kinds in topics.items() if kinds}, services)
+    known = servers(node)
+    counts = {name: len(processes(node, name)) for name in known}
+    return GraphSnapshot(known, {name: tuple(sorted(kinds)) for name, kinds in topics.items() if kinds}, services, counts)
 
 
 def servers(node: Any) -> dict[str, tuple[str, ...]]:

@@ -76,7 +76,7 @@ class Lifecycle:
             await self._transitions.cleanup()
             await self._ros.ask(partial(self._ros.node.end, "success"))  # of the state "error processing": unconfigured
             raise
-        await self._ros.ask(partial(self._ros.node.end, "success"))
+        await asyncio.shield(self._ros.ask(partial(self._ros.node.end, "success")))  # it is done, and a signal may come just now
         if label == "shutdown":
             self.finalized.set()
 

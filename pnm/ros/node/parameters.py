@@ -5,14 +5,21 @@ They are set when the node starts, and read-only from then on.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from sys import float_info
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
 
 from pnm.errors import InputError, suggestion
 
+_log = logging.getLogger(__name__)
+
 ParameterValue: TypeAlias = bool | int | float | str
+
+_OF_ROS: Final = "qos_overrides."
+"""How parameters begin that a node declares when it makes what they are about."""
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,14 +44,16 @@ class NodeParameter:
 def declare(node: Any, parameters: Iterable[NodeParameter], given: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
     """Declare read-only parameters, and return their values; only on the ROS thread.
 
-    ROS arguments override `given`, which overrides the defaults. Raises `InputError` if a value has the wrong type, is too small,
-    or is none of the choices.
+    What is `given` overrides ROS arguments and the files that they name, and these override the defaults. There is a warning about
+    parameters in them that the node does not have: files for several nodes may have some. Raises `InputError` if a value has the wrong
+    type, is too small, or is none of the choices.
     """
     values: dict[str, ParameterValue] = {}
     for parameter in parameters:
         name, default = parameter.name, parameter.default
         try:
-            value = node.declare_parameter(name, given.get(name, default), _descriptor(parameter)).value
+            descriptor, ignore = _descriptor(parameter), name in given
+            value = node.declare_parameter(name, given.get(name, default), descriptor, ignore_override=ignore).value
         except Exception as error:
             hint = "; expected a number such as 10.0" if isinstance(default, float) else ""
             raise InputError(f"the parameter {name} is wrong: {str(error) or type(error).__name__}{hint}") from error
@@ -53,6 +62,10 @@ def declare(node: Any, parameters: Iterable[NodeParameter], given: Mapping[str, 
             expected = f"expected one of {', '.join(parameter.choices)}{f'; {hint}' if hint else ''}"
             raise InputError(f"the parameter {name} is {value!r}; {expected}")
         values[name] = value
+    for name in sorted(getattr(node, "_parameter_overrides", ())):  # `rclpy` has no other way to them
+        if not node.has_parameter(name) and not name.startswith(_OF_ROS):
+            hint = suggestion(name, values) or "`ros2 param list` or `pnm serve --help` show which there are"
+            _log.warning("there is no parameter %s; it is ignored; %s", name, hint)
     return values
 
 

@@ -14,10 +14,12 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from functools import partial
 from time import monotonic
 from typing import Any, Final, TypeVar
 
 from pnm.errors import RosError
+from pnm.tasks import EVENTS
 
 try:
     import rclpy
@@ -46,12 +48,73 @@ def call_on_loop(loop: asyncio.AbstractEventLoop, function: Callable[..., object
         _log.debug("the event loop is closed; %s is not called", function)
 
 
+class Rosout(logging.Handler):
+    """Publishes on ``/rosout``, with the time of the wall, what the packages log and what happens to tasks.
+
+    The logger of the node would print it as well, in the midst of what commands print, and its settings are those of the whole process,
+    in which others may have nodes. The mutable state is the publishers, by thread: the first one publishes.
+    """
+
+    LOGGERS: Final = (logging.getLogger("pnm"), logging.getLogger("planner_bridge"), EVENTS)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._publishers: dict[RosThread, Any] = {}
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Publish a record, from any thread. As if this handler were not there, warnings that have no other one are printed on stderr."""
+        others = {handler for logger in (logging.root, *self.LOGGERS) for handler in logger.handlers if handler is not self}
+        if (last := logging.lastResort) and others <= {*EVENTS.handlers} and record.name != EVENTS.name and record.levelno >= last.level:
+            last.handle(record)
+        for ros in tuple(self._publishers)[:1]:
+            ros.call(partial(self.publish, ros, record))
+
+    # on the ROS thread
+
+    def join(self, ros: RosThread) -> None:
+        """Publish by this node from now on, unless another one does, or ROS arguments say that nothing shall be."""
+        from rcl_interfaces.msg import Log
+        from rclpy.duration import Duration
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+
+        named = ros.node.get_publisher_names_and_types_by_node(ros.node.get_name(), ros.node.get_namespace())
+        if any(topic == "/rosout" for topic, _ in named):
+            qos = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL, lifespan=Duration(seconds=10))  # as ROS has it
+            self._publishers[ros] = ros.node.create_publisher(Log, "/rosout", qos)
+            for logger in self.LOGGERS:
+                logger.addHandler(self)
+            EVENTS.setLevel(logging.INFO)
+
+    def leave(self, ros: RosThread) -> None:
+        """Publish nothing more by this node."""
+        self._publishers.pop(ros, None)
+        if not self._publishers:
+            EVENTS.setLevel(logging.NOTSET)
+            for logger in self.LOGGERS:
+                logger.removeHandler(self)
+
+    def publish(self, ros: RosThread, record: logging.LogRecord) -> None:
+        """Publish a record by this node, unless its logger leaves out what has this level."""
+        node, publisher = ros.node, self._publishers.get(ros)
+        if publisher is not None and node.get_logger().is_enabled_for(min(record.levelno, logging.CRITICAL) // 10 * 10):
+            log, seconds = publisher.msg_type(), int(record.created)
+            log.stamp.sec, log.stamp.nanosec = seconds, int((record.created - seconds) * 1e9)
+            log.level, log.name, log.msg = record.levelno, node.get_logger().name, self.format(record)
+            log.file, log.function, log.line = record.pathname, record.funcName or "", record.lineno
+            publisher.publish(log)
+
+
+ROSOUT: Final = Rosout()
+
+
 class RosThread:
     """A ROS 2 node and the daemon thread that spins it.
 
     The mutable state is the queue of functions, those for the end, and `_closing`, which the lock guards: a function that
     `call` has accepted is run, even if the thread is closed at the same time. The node belongs to the thread: use `node`
     only in functions given to `call`, `wait` or `ask`.
+
+    With ``async with`` it is closed at the end of the block.
 
     Args:
         args: arguments as a launch file gives them, such as ``["--ros-args", "-r", "__ns:=/r1"]``.
@@ -87,6 +150,12 @@ class RosThread:
         """When the node joined the ROS graph, on the monotonic clock."""
         # A daemon thread that is inside the middleware while the interpreter is finalized may crash the process.
         atexit.register(self.close)
+
+    async def __aenter__(self) -> RosThread:
+        return self
+
+    async def __aexit__(self, *exception: object) -> None:
+        await asyncio.to_thread(self.close)  # not on this thread: the ROS thread may be waiting for this loop
 
     def __repr__(self) -> str:
         return f"<RosThread {'closed' if self._closing else 'spinning'}, {len(self._functions)} functions waiting>"
@@ -180,6 +249,7 @@ class RosThread:
             started.set_exception(error)
             rclpy.try_shutdown(context=context)
             return
+        ROSOUT.join(self)
         started.set_result(None)
         while not self._closing and context.ok():
             try:
@@ -203,6 +273,7 @@ class RosThread:
             self._closing = True  # also after an external shutdown: nothing is accepted any more that would not be run
         self._functions.extend(self._at_end)
         self._drain()
+        ROSOUT.leave(self)
         try:
             executor.shutdown(0.0)
             self.node.destroy_node()

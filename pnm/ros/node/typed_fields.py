@@ -83,13 +83,21 @@ class MessageField:
     owner: Any
     """The class of the messages that have it, which may be inside others."""
 
+    @property
+    def constants(self) -> dict[str, object]:
+        """The constants of the class by their names, the smallest first."""
+        # of a field with a default, the class has one as a constant
+        names = [name for name in dir(type(self.owner)) if name.isupper() and name[0] != "_" and not name.endswith("__DEFAULT")]
+        values = {name: plain(getattr(self.owner, name)) for name in names}
+        return dict(sorted(values.items(), key=lambda item: (str(type(item[1])), item[1])))
+
     def constant(self, name: str) -> object:
         """Return the value of the constant; raise an `InputError` if the class has none of this name."""
-        names = [name for name in dir(type(self.owner)) if name.isupper() and name[0] != "_"]
-        if name not in names:
-            hint = suggestion(name, names) or (f"expected a number, or one of {', '.join(names)}" if names else "expected a number")
+        known = self.constants
+        if name not in known:
+            hint = suggestion(name, known) or (f"expected a number, or one of {', '.join(known)}" if known else "expected a number")
             raise InputError(f"{self.where} is a {self.kind}, which cannot be compared with {name!r}; {hint}")
-        return plain(getattr(self.owner, name))
+        return known[name]
 
 
 def find_field(message_type: Any, where: Field) -> MessageField:

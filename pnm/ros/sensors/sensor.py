@@ -25,7 +25,8 @@ class SensorRecorder:
     """Records what one sensor, for one choice of objects, reports.
 
     The mutable state is the instance, whose constants are resolved once its type is known, its watchdog, the statements that
-    the last message did not fit, why the sensor cannot be used, whether all sensors are open, and whether it is closed.
+    the last message did not fit, why the sensor cannot be used, whether all sensors are open, whether it has fallen silent, and whether it
+    is closed.
     """
 
     def __init__(self, instance: Instance, knowledge: KnowledgeBase) -> None:
@@ -33,6 +34,7 @@ class SensorRecorder:
         self.heard = asyncio.Event()
         self.refused: InputError | None = None
         self.is_open = False
+        self.is_stale = False
         self.loop = asyncio.get_running_loop()
         self._knowledge = knowledge
         self._unread: frozenset[int] = frozenset()
@@ -51,6 +53,7 @@ class SensorRecorder:
                 _log.warning("%s: %s; %s is unknown", self.instance.name, reason, fluent)
         self._unread = frozenset(reading.unread)
         self._store(reading)
+        self.is_stale = False
         self._watchdog.reset()
         if isinstance(self.instance.sensor.way, ByService):
             self._watchdog.rest()
@@ -77,6 +80,7 @@ class SensorRecorder:
         self._watchdog.close()
 
     def _forget(self) -> None:
+        self.is_stale = True
         _log.warning("nothing was heard on %s for %g s; what it reports is unknown", self.instance.name, self.instance.sensor.stale)
         self._store(unknown(self.instance, self._knowledge.objects))
 
@@ -98,6 +102,8 @@ class SensorUse:
     is_heard: bool
     refused: InputError | None
     """Why it cannot be used."""
+    is_stale: bool = False
+    """Whether it has fallen silent."""
 
 
 def checked(instance: Instance, name: str) -> tuple[Any, Instance]:

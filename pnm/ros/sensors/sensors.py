@@ -28,17 +28,19 @@ _log = logging.getLogger(__name__)
 class Sensors:
     """The sensors of a file, for every choice of their objects. To be used on the event loop's thread.
 
-    The mutable state is the recorders, and the tasks that ask services. `lag` is that of sensors that do not specify it, in seconds.
+    The mutable state is the recorders, the tasks that ask services, and when the last action has ended.
+    `lag` is that of sensors that do not specify it, in seconds.
     Raises `InputError` if two sensors report the same facts, or one reports derived facts. A sensor whose type is not installed, or
     lacks a field, is refused: its use says why.
     """
 
     def __init__(self, ros: RosThread, sensing: Sensing, knowledge: KnowledgeBase, lag: float) -> None:
         self._ros = ros
-        every_instance = instances(sensing, knowledge.objects)
+        self.instances = instances(sensing, knowledge.objects)
+        """The sensors for every choice of their objects, as the file has them."""
         for name in sorted(sensing.names & knowledge.rules.derived):
             raise InputError(f"facts of {name} follow from rules; they are neither set nor sensed")
-        self._recorders = [SensorRecorder(instance, knowledge) for instance in every_instance]
+        self._recorders = [SensorRecorder(instance, knowledge) for instance in self.instances]
         self._topics: list[TopicSensor] = []
         self._polls: list[ServiceSensor] = []
         for recorder in self._recorders:
@@ -49,6 +51,8 @@ class Sensors:
                     self._topics.append(TopicSensor(ros, recorder))
         self._sensors: tuple[TopicSensor | ServiceSensor, ...] = (*self._topics, *self._polls)
         self._tasks: list[asyncio.Task[None]] = []
+        self._lag = lag
+        self._ended = (0, 0.0)
         self._timer: Any = None
         for name, late in sensing.lags(lag).items():
             knowledge.sense((name,), lag=late)
@@ -71,13 +75,22 @@ class Sensors:
     def uses(self) -> tuple[SensorUse, ...]:
         """Return how the sensors, once they are open, are doing."""
         return tuple(
-            SensorUse(sensor.recorder.instance, sensor.name, sensor.recorder.heard.is_set(), sensor.recorder.refused)
-            for sensor in self._sensors
+            SensorUse(one.recorder.instance, one.name, one.recorder.heard.is_set(), one.recorder.refused, one.recorder.is_stale)
+            for one in self._sensors
         )
 
+    def expect_news(self) -> None:
+        """Note that an action has ended: what topics have said before may not be so any more."""
+        self._ended = self._ros.node.get_clock().now().nanoseconds, asyncio.get_running_loop().time()
+
     async def refresh(self) -> None:
-        """Have all services asked at once, and wait for their answers, each for twice its limit at most."""
-        await asyncio.gather(*(poll.refresh() for poll in self._polls))
+        """Have all services asked at once, and wait for their answers, each for twice its limit at most.
+
+        Topics are waited for that have said nothing since the last action has ended, each until its lag after that is over.
+        """
+        since, ended = self._ended
+        topics = (topic.refresh(since, ended + topic.recorder.instance.sensor.lag_or(self._lag)) for topic in self._topics)
+        await asyncio.gather(*topics, *(poll.refresh() for poll in self._polls))
 
     async def close(self) -> None:
         """Unsubscribe, and stop asking."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
+from contextlib import suppress
 from functools import partial
 from typing import Any, Final
 
@@ -20,8 +22,8 @@ DEPTH: Final = 10
 class TopicSensor:
     """A sensor that subscribes to one topic, once for every QoS of its publishers.
 
-    The mutable state is, on the ROS thread, the type and the subscriptions; and the latest message, until the event loop has
-    taken it: of messages that come faster than that, only the last one counts.
+    The mutable state is, on the ROS thread, the type and the subscriptions; the latest message, until the event loop has
+    taken it: of messages that come faster than that, only the last one counts; and for when the last one speaks.
     """
 
     def __init__(self, ros: RosThread, recorder: SensorRecorder) -> None:
@@ -31,6 +33,8 @@ class TopicSensor:
         self._subscriptions: dict[tuple[bool, bool], Any] = {}
         self._waiting = False
         self._latest: Any = None
+        self._spoken = 0
+        self._news = asyncio.Event()
         self._foreign: set[str] = set()
 
     # on the event loop's thread
@@ -39,9 +43,23 @@ class TopicSensor:
         """Return True if the topic has publishers of the right type."""
         return bool(await self._ros.ask(lambda: self._subscriptions))
 
+    async def refresh(self, since: int, until: float) -> None:
+        """Wait until the topic speaks for a time after this one, in nanoseconds of ROS; until then on the loop's clock at most.
+
+        What has said nothing yet has no publisher, and what is latched only speaks when something changes: neither is waited for.
+        """
+        with suppress(TimeoutError):
+            async with asyncio.timeout_at(until):
+                while self._spoken <= since and self.recorder.heard.is_set() and not all(latched for _, latched in self._subscriptions):
+                    self._news.clear()
+                    await self._news.wait()
+
     def _take(self) -> None:
         self._waiting = False
-        self.recorder.record(partial(value_at, self._latest))
+        message, received = self._latest
+        self.recorder.record(partial(value_at, message))
+        self._spoken = max(self._spoken, spoken(message, received))
+        self._news.set()
 
     # on the ROS thread
 
@@ -99,7 +117,14 @@ class TopicSensor:
                 call_on_loop(self.recorder.loop, self.recorder.refuse, InputError(reason, instance.sensor.position))
 
     def _receive(self, message: Any) -> None:
-        self._latest = message
+        self._latest = message, self._ros.node.get_clock().now().nanoseconds
         if not self._waiting:
             self._waiting = True
             call_on_loop(self.recorder.loop, self._take)
+
+
+def spoken(message: Any, received: int) -> int:
+    """Return the time, in nanoseconds, for which a message speaks: that of its stamp if it has one, and else when it was received."""
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    stamped = 0 if stamp is None else stamp.sec * 10**9 + stamp.nanosec
+    return min(stamped or received, received)

@@ -11,7 +11,7 @@ from pnm.ros.node.publisher import Publisher
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.node.throttle import Throttle
 from pnm.ros.tasks.task_messages import Fields, marking_fields, moment_fields, net_fields, plan_fields, status_fields
-from pnm.tasks import ServedWorld, TaskEnding, TaskListener, Tasks, TaskState, TaskStatus, TraceEvent
+from pnm.tasks import ServedWorld, TaskEnding, TaskListener, Tasks, TaskState, TaskStatus, TraceEvent, TraceKind
 
 PERIOD: Final = 0.1
 """Seconds between two messages about all tasks, and between two markings of one net."""
@@ -84,7 +84,9 @@ class TaskTopics(TaskListener):
         self.moved(task)
 
     def happened(self, moment: TraceEvent) -> None:
-        """Publish a trace event."""
+        """Publish a trace event; make a status message due that has the feedback."""
+        if moment.kind is TraceKind.FEEDBACK and self._status.subscriptions:
+            self._due.note(self._publish_status)
         if self._trace.subscriptions:
             self._trace.publish(lambda: moment_fields(moment, clock_offset(self._ros, self._loop)))
 

@@ -10,13 +10,13 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final
 from uuid import UUID
 
 from pnm.errors import InputError
-from pnm.ros.action_server.goal_server import FEEDBACK, BeginGoal, GoalCallbacks, GoalResult, GoalServer, GoalStatus
+from pnm.ros.action_server.goal_server import FEEDBACK, GoalCallbacks, GoalResult, GoalServer, GoalStatus
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.node.throttle import Throttle
 from pnm.ros.tasks.executor_topics import clock_offset
@@ -31,7 +31,20 @@ from pnm.ros.tasks.task_messages import (
     wanted_plan,
     wanted_run,
 )
-from pnm.tasks import SHORT, Code, TaskEnding, TaskListener, TaskRefused, Tasks, TaskStatus, TaskStep, Wanted
+from pnm.tasks import (
+    SHORT,
+    Code,
+    KeptTasks,
+    TaskEnding,
+    TaskListener,
+    TaskRefused,
+    Tasks,
+    TaskStatus,
+    TaskStep,
+    TraceEvent,
+    TraceKind,
+    Wanted,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,12 +69,13 @@ _log = logging.getLogger(__name__)
 class TaskServers(TaskListener):
     """The action servers for tasks; goals are rejected while `closed` returns a reason.
 
-    `plans` are those that have an action server of their own, with its full name.
+    `plans` are those that have an action server of their own, with its full name; `kept` are tasks that another process has accepted,
+    and how they have ended, if they have.
     The mutable state is, by task, the name of the action whose goal it is; the tasks whose cancellation was requested; and those
     for which feedback is due.
     """
 
-    def __init__(self, ros: RosThread, tasks: Tasks, plans: Mapping[str, str], closed: Callable[[], str]) -> None:
+    def __init__(self, ros: RosThread, tasks: Tasks, plans: Mapping[str, str], closed: Callable[[], str], kept: KeptTasks = ()) -> None:
         self._ros = ros
         self._tasks = tasks
         self._loop = asyncio.get_running_loop()
@@ -74,7 +88,8 @@ class TaskServers(TaskListener):
             for name, action in self._actions.items()
         }
         self._closed = closed
-        self._open: dict[UUID, str] = {}
+        self._kept = [(wanted, ending) for wanted, ending in kept if wanted.server in self._servers]
+        self._open = {wanted.id: wanted.server for wanted, _ in self._kept}
         self._cancel_asked: set[UUID] = set()
         self._feedback_due: set[UUID] = set()
         self._feedback: Throttle[None] = Throttle(self._loop, FEEDBACK, self._feed)
@@ -87,8 +102,11 @@ class TaskServers(TaskListener):
     async def open(self) -> None:
         """Bring the servers up."""
         self._stop = self._tasks.listen(self)
-        for server in self._servers.values():
-            await server.open()
+        for name, server in self._servers.items():
+            await server.open(wanted.id for wanted, _ in self._kept if wanted.server == name)
+        for wanted, ending in self._kept:
+            if ending is not None:
+                self.ended(wanted.id, ending)
 
     async def close(self) -> None:
         """End the goals whose tasks have not ended, and take the servers down once all results are sent."""
@@ -105,42 +123,36 @@ class TaskServers(TaskListener):
         """Note that the cancellation of a task, or of all, was requested by other means than its goal."""
         self._cancel_asked |= self._open.keys() & ({task} if task else self._open.keys())
 
+    def restored(self) -> None:
+        """Cancel the tasks of another process whose clients have asked for that before they went on here."""
+        for goal in self._cancel_asked & self._open.keys():
+            self._cancel(goal)
+
     # goals for tasks
 
-    def _accept(self, name: str, request: Any) -> BeginGoal | str:
-        return self._closed() or partial(self._begin, name, request)
-
-    def _begin(self, name: str, request: Any, id: UUID) -> None:
-        if id in self._open or not id.int:
-            taken = f"the id {id} is that of another task, or of none; expected a new one"
-            self._end(name, id, TaskEnding(Code.INVALID_GOAL, taken), is_cancel_asked=False)
-            return
-        self._open[id] = name
-        read = partial(self._actions[name].read, id, request)
+    async def _accept(self, name: str, goal: UUID, request: Any) -> str:
+        """Begin the task of a goal, unless the node is closed: it is kept then. What is wrong with the goal is said in its result."""
+        if reason := self._closed():
+            return reason
+        if goal in self._open or not goal.int:
+            taken = f"the id {goal} is that of another task, or of none; expected a new one"
+            self._end(name, goal, TaskEnding(Code.INVALID_GOAL, taken), is_cancel_asked=False)
+            return ""
+        self._open[goal] = name
+        read = partial(self._actions[name].read, goal, request)
         texts = (getattr(request, field) for field in ("goal", "plan", "parameters") if hasattr(request, field))
-        if sum(map(len, texts)) <= SHORT:
-            self._start(id, read)
-        else:
-            reading = self._loop.create_task(asyncio.to_thread(read))
-            self._work.add(reading)
-            reading.add_done_callback(lambda _: self._start(id, reading.result))
-            reading.add_done_callback(self._work.discard)
-
-    def _start(self, goal: UUID, read: Callable[[], Wanted]) -> None:
-        """Begin the task of a goal, unless that was cancelled while it was read."""
-        if goal not in self._open:
-            return
         try:
-            wanted = read()
-            if goal in self._cancel_asked:
+            wanted = replace(read() if sum(map(len, texts)) <= SHORT else await asyncio.to_thread(read), server=name)
+            if goal in self._cancel_asked:  # while it was read
                 self.ended(goal, TaskEnding(Code.CANCELLED, "its client has cancelled it"))
-            else:
+            elif goal in self._open:
                 self._tasks.begin(wanted)
         except InputError as error:
             self.ended(goal, TaskEnding(Code.INVALID_GOAL, str(error)))
         except Exception as error:
             _log.exception("a task cannot begin")
             self.ended(goal, TaskEnding(Code.ERROR, f"{type(error).__name__}: {error}"))
+        return ""
 
     def _cancel(self, goal: UUID) -> None:
         if goal in self._open:
@@ -168,6 +180,11 @@ class TaskServers(TaskListener):
     def planned(self, task: UUID) -> None:
         """Make feedback due."""
         self.changed(task)
+
+    def happened(self, moment: TraceEvent) -> None:
+        """Make feedback due that passes on what the server of a call says."""
+        if moment.kind is TraceKind.FEEDBACK:
+            self.changed(moment.task)
 
     def ended(self, task: UUID, ending: TaskEnding) -> None:
         """End the goal of the task."""

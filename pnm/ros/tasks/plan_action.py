@@ -34,8 +34,8 @@ class PlanningServer:
         self._loop = asyncio.get_running_loop()
         self._searches: dict[UUID, asyncio.Task[MadePlan]] = {}
         self._cancel_asked: set[UUID] = set()
-        callbacks = GoalCallbacks(lambda request: closed() or partial(self._begin, request), self._cancel)
-        self._server = GoalServer(ros, "pnm_interfaces/action/MakePlan", NAME, callbacks)
+        self._closed = closed
+        self._server = GoalServer(ros, "pnm_interfaces/action/MakePlan", NAME, GoalCallbacks(self._accept, self._cancel))
 
     def __repr__(self) -> str:
         return f"<PlanningServer {len(self._searches)} searches>"
@@ -52,11 +52,14 @@ class PlanningServer:
             await asyncio.wait(self._searches.values())
         await self._server.close()
 
-    def _begin(self, request: Any, goal: UUID) -> None:
+    async def _accept(self, goal: UUID, request: Any) -> str:
+        if reason := self._closed():
+            return reason
         search = self._loop.create_task(self._search(request))
         feeding = self._loop.create_task(self._feed(goal))
         self._searches[goal] = search
         search.add_done_callback(partial(self._end, goal, feeding))
+        return ""
 
     def _cancel(self, goal: UUID) -> None:
         if goal in self._searches:

@@ -10,6 +10,7 @@ from uuid import UUID
 
 from pnm.core.machine.export import as_data
 from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.machine.plan_graph import Cause
 from pnm.core.net.net import Marking
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import parse_value
@@ -23,13 +24,13 @@ TRACE: Final = 200
 """Trace events in a result: the last ones."""
 MAX_LENGTH: Final = 100_000
 """Characters of a goal, a plan or its parameters: it is part of every message about tasks, long after its end."""
-_POLICIES: Final = (None, OnConflict.PLAN_AROUND, OnConflict.QUEUE, OnConflict.REFUSE)
-"""The conflict policies by their numbers in goals."""
+CAUSES: Final = (None, *Cause)
+"""The causes of failures by their numbers in messages."""
 
 Fields = dict[str, object]
 
 
-def result_fields(success: bool, reason: str, message: str, results: Mapping[str, object]) -> Fields:
+def result_fields(code: Code, reason: str, message: str, results: Mapping[str, object]) -> Fields:
     """Return the fields of the result of a plan; values that JSON cannot express are left out, and named in the message.
 
     The reason is a word for programs, as the interface lists them; the message is for people.
@@ -40,7 +41,8 @@ def result_fields(success: bool, reason: str, message: str, results: Mapping[str
             written.append(f"{write_value(name)}: {write_value(value)}")
         except SourceError as error:
             message += f"; {name} is left out: {error}"
-    return {"success": success, "reason": reason, "message": printable(message), "results": f"{{{', '.join(written)}}}"}
+    is_reached, text = code is Code.GOAL_REACHED, f"{{{', '.join(written)}}}"
+    return {"success": is_reached, "code": int(code), "reason": reason, "message": printable(message), "results": text}
 
 
 def read_parameters(text: str) -> dict[str, object]:
@@ -57,10 +59,10 @@ def read_parameters(text: str) -> dict[str, object]:
 
 def wanted_goal(id: UUID, request: Any) -> Wanted:
     """Read a goal of ``achieve_goal``; raise an `InputError` if a field is invalid in any state of the world."""
-    if request.policy >= len(_POLICIES):
-        known = "0 (default), 1 (plan around), 2 (queue), 3 (refuse)"
+    if request.policy not in [*OnConflict]:
+        known = ", ".join(f"{policy:d} ({policy.word})" for policy in OnConflict)
         raise InputError(f"there is no policy {request.policy}; expected one of {known}")
-    return Wanted(id, _text("goal", request.goal), request.priority, seconds("deadline", request.deadline), _POLICIES[request.policy])
+    return Wanted(id, _text("goal", request.goal), request.priority, seconds("deadline", request.deadline), OnConflict(request.policy))
 
 
 def wanted_plan(id: UUID, request: Any) -> Wanted:
@@ -98,9 +100,9 @@ def status_fields(status: TaskStatus) -> Fields:
         "goal": printable(status.goal),
         "priority": status.priority,
         "state": int(status.state),
+        "code": int(status.code or 0),
         "reason": printable(status.reason),
-        "running": [printable(call) for call in status.running],
-        "ended": status.ended,
+        **_running_fields(status),
         "replans": status.replans,
     }
 
@@ -112,7 +114,12 @@ def task_feedback_fields(status: TaskStatus, steps: Iterable[TaskStep]) -> Field
 
 def run_feedback_fields(status: TaskStatus, _steps: Iterable[TaskStep]) -> Fields:
     """Return the fields of the feedback of the action of a plan."""
-    return {"running": [printable(call) for call in status.running], "ended": status.ended, "restarts": status.restarts}
+    return {**_running_fields(status), "restarts": status.restarts}
+
+
+def _running_fields(status: TaskStatus) -> Fields:
+    calls, feedback = map(printable, status.running), map(printable, status.feedback)
+    return {"running": [*calls], "feedback": [*feedback], "ended": status.ended}
 
 
 def plan_fields(task: UUID, goal: str, number: int, steps: Iterable[TaskStep], offset: float = 0.0) -> Fields:
@@ -129,7 +136,8 @@ def plan_fields(task: UUID, goal: str, number: int, steps: Iterable[TaskStep], o
             "ended": 0.0 if step.ended is None else step.ended + offset,
             "attempts": step.attempts,
             "limit": step.limit,
-            "reason": step.reason,
+            "cause": CAUSES.index(step.cause),
+            "reason": step.cause or "",
         }
         for step in steps
     ]
@@ -156,7 +164,8 @@ def moment_fields(moment: TraceEvent, offset: float) -> Fields:
     return {
         "stamp": moment.time + offset,
         "task": uuid_field(moment.task),
-        "kind": moment.kind,
+        "kind": int(moment.kind),
+        "word": moment.kind.word,
         "subject": printable(moment.subject),
         "text": printable(moment.text),
     }
@@ -175,14 +184,14 @@ def goal_ending_fields(ending: TaskEnding, offset: float) -> Fields:
 
 def plan_ending_fields(ending: TaskEnding, offset: float) -> Fields:
     """Return the fields of the result of ``execute_plan``."""
-    fields = result_fields(ending.code is Code.GOAL_REACHED, ending.code.word, ending.message, ending.results)
+    fields = result_fields(ending.code, ending.code.word, ending.message, ending.results)
     return {**ending_fields(ending, offset), "message": fields["message"], "results": fields["results"]}
 
 
 def run_ending_fields(ending: TaskEnding, _offset: float) -> Fields:
     """Return the fields of the result of the action of a plan."""
     reason = {Code.GOAL_REACHED: "goal", Code.INVALID_GOAL: "parameters"}.get(ending.code, ending.cause or ending.code.word)
-    return result_fields(ending.code is Code.GOAL_REACHED, reason, ending.message, ending.results)
+    return result_fields(ending.code, reason, ending.message, ending.results)
 
 
 def made_fields(made: MadePlan) -> Fields:

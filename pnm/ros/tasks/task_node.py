@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any, Final
 from uuid import UUID
 
@@ -16,7 +16,7 @@ from pnm.ros.tasks.executor_topics import TaskTopics
 from pnm.ros.tasks.goal_actions import NAMES, TaskServers
 from pnm.ros.tasks.plan_action import NAME as PLAN
 from pnm.ros.tasks.plan_action import PlanningServer
-from pnm.tasks import Make, ServedWorld, TaskRefused, Tasks, TaskState
+from pnm.tasks import KeptTasks, Make, ServedWorld, TaskRefused, Tasks, TaskState
 
 ACTIONS: Final = (*NAMES, PLAN)
 
@@ -27,10 +27,19 @@ class TaskNode:
     """Offers tasks over ROS 2. Goals are accepted between `activate` and `deactivate`.
 
     The mutable state is why goals are rejected, whether a client has paused all tasks or which of them, and whether
-    `deactivate` has paused them. `plans` have an action server of their own, with this full name.
+    `deactivate` has paused them. `plans` have an action server of their own, with this full name; `kept` are the tasks of another
+    process, whose clients are still waiting.
     """
 
-    def __init__(self, ros: RosThread, tasks: Tasks, make: Make, world: ServedWorld, plans: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self,
+        ros: RosThread,
+        tasks: Tasks,
+        make: Make,
+        world: ServedWorld,
+        plans: Mapping[str, str] | None = None,
+        kept: KeptTasks = (),
+    ) -> None:
         self._ros = ros
         self._tasks = tasks
         self._world = world
@@ -38,7 +47,7 @@ class TaskNode:
         self._is_paused = False
         self._paused: set[UUID] = set()
         self._is_deactivated = False
-        self._servers = TaskServers(ros, tasks, plans or {}, lambda: self._closed)
+        self._servers = TaskServers(ros, tasks, plans or {}, lambda: self._closed, kept)
         self._planning = PlanningServer(ros, make, lambda: self._closed)
         self._topics = TaskTopics(ros, tasks, world, lambda: self._is_paused)
         self._services = RequestServices(ros)
@@ -73,11 +82,17 @@ class TaskNode:
         self._is_deactivated = False
         self._topics.note()
 
+    def restored(self, is_paused: bool, paused: Collection[UUID]) -> None:
+        """Go on with the tasks of another process, of which all were paused, or some; cancel those whose clients asked for it meanwhile."""
+        self._is_paused, self._paused = is_paused, {*paused}
+        self._topics.note()
+        self._servers.restored()
+
     async def deactivate(self) -> None:
         """Reject goals, and pause all tasks at once: running actions are cancelled; returns when they have confirmed it."""
         self._closed = "the node is inactive"
         self._is_deactivated = True
-        await self._tasks.pause(None, at_once=True, why=self._closed)
+        await self._tasks.pause(None, at_once=True, why=self._closed, is_kept=False)
 
     async def close(self, limit: float) -> None:
         """Cancel all tasks, wait for `limit` seconds at most until they have ended, send all results, and take everything down."""

@@ -34,11 +34,18 @@ def test_the_robot_charges_before_its_battery_is_empty() -> None:
     assert "charge" in {call.call.action.name for call in result.calls if call.attempts}
 
 
+def test_a_robot_that_cannot_charge_opens_the_way_with_what_is_left() -> None:
+    backend = in_world(4, seed=1)
+    backend.world.robots[0].battery_level = 20.0
+    assert pursued(4, backend).goal_reached
+
+
 def test_what_cannot_be_done_has_the_simulators_reason() -> None:
     backend = in_world(3, seed=1)
     backend.world.get_location_by_name("fridge").is_locked = True
     result = pursued(3, backend)
     assert not result.goal_reached
+    assert sum(call.attempts for call in result.calls if call.call.action.name == "open" and "fridge" in call.call.action.arguments) <= 2
     assert "Location: fridge is locked." in {failure.observed for failure in result.failures}
 
 

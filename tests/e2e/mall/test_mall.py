@@ -11,10 +11,9 @@ from typing import Final
 import pytest
 from rich.console import Console
 
-from planner_bridge.cli import demo_mall as mall_demo
+from planner_bridge.cli import demo as mall_demo
 from tests.support.e2e.mall.deployment import Mall
-from tests.support.processes import Program
-from tests.support.ros.domains import ros_domain
+from tests.support.processes import Program, ros_domain
 
 PATIENT: Final = 4.0
 """Seconds for an answer: no machine is so busy that one that was given takes longer, which would be another course of events."""
@@ -57,5 +56,5 @@ def test_the_demo_tells_who_speaks_and_how_the_tasks_are_doing(mall):
 def test_without_ros_the_demo_says_what_to_install(monkeypatch):
     monkeypatch.setattr(mall_demo, "find_spec", lambda _: None)
     console = Console(file=io.StringIO(), width=200)
-    assert mall_demo.show(console) == 1
+    assert mall_demo.show_mall(console) == 1
     assert "pip install 'petri-net-machines[ros2]' && pip install ./ros/pnm_interfaces" in console.file.getvalue()

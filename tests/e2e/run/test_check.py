@@ -172,3 +172,13 @@ def test_the_servers_of_plans_by_hand_are_looked_for(world):
     assert program.ended() == 1
     states = {line.split()[0]: line.split()[2] for line in program.out[1:]}
     assert states == {"say": "absent", "ask_wish": "absent", "point_at": "absent"}
+
+
+def test_a_simulation_beside_the_robot_is_noticed(deploy):
+    deployment = deploy("foreign", texts=(DOMAIN, PROBLEM), bindings="\n  ".join(("actions:", COUNT, MEASURE)), quick=True)
+    for servers in [deployment.start(Program(["-m", "tests.support.e2e.programs.foreign_servers"], deployment.environment)) for _ in "12"]:
+        servers.until(lambda servers=servers: servers.out)
+    files = [*deployment.files, "--bindings", str(deployment.folder / "bindings.yaml")]
+    check = deployment.start(Program(["-m", "planner_bridge", "check", *files], deployment.environment))
+    assert check.ended() == 1
+    assert [line.split()[3:5] for line in check.out[1:]] == [["several", "2"]] * 2, str(check)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.e2e.hosts import lan, why_not
-from tests.support.e2e.survey import Survey
+from tests.support.e2e.hosts.lan import lan, why_not
+from tests.support.e2e.hosts.survey import Survey
 from tests.support.processes import overlaps
 
 PERSISTENT = """

@@ -33,7 +33,7 @@ def served(deployment_of_module: PlanDeployment, robots: SimulationProgram) -> P
     ("goal", "reason", "said"),
     [
         ("(at r1 kichen)", "invalid_goal", "goal:1:8: "),
-        ("(at r1", "invalid_goal", "goal:1:1: "),
+        ("(at r1", "invalid_goal", "goal:1:7: "),
         ("in the jard", "invalid_goal", "there is no goal 'in the jard'; did you mean 'in the yard'?"),
         ("(and (at r1 hall) (at r1 store))", "no_plan", "no plan"),
     ],

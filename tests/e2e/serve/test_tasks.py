@@ -11,6 +11,7 @@ from planner_bridge.node.options import PARAMETERS
 from tests.support.e2e.plan_deployment import ABORTED, CANCELED, SUCCEEDED, PlanDeployment
 from tests.support.e2e.plan_files import FILES
 from tests.support.e2e.task_node import DOMAIN, PAGE, PROBLEM, goals, serve, transitions
+from tests.support.files import written
 
 # --- what is refused -------------------------------------------------------------------------
 
@@ -20,11 +21,12 @@ from tests.support.e2e.task_node import DOMAIN, PAGE, PROBLEM, goals, serve, tra
     [
         ([], 2, "there is nothing to serve; expected a domain and a problem, or a world of plans, or both"),
         ([DOMAIN], 2, "a domain and a problem belong together"),
-        ([DOMAIN, "nowhere.pddl"], 2, "nowhere.pddl:1:1: cannot be read: No such file or directory"),
+        ([DOMAIN, "nowhere.pddl"], 2, "nowhere.pddl: there is no such file"),
         ([DOMAIN, PROBLEM, "--ros-args", "-p", "on_failure:=canzel"], 2, "did you mean 'cancel'?"),
         (["--world", "world.yaml", "--goals", "goals.yaml"], 2, "goals with names need a domain and a problem; expected both, or no goals"),
         ([DOMAIN, PROBLEM, "--ros-args", "--spam"], 1, "--spam"),
         ([DOMAIN, PROBLEM, "--spam", "--ros-args"], 2, "No such option"),
+        (["--params-file", "nowhere.yaml"], 2, "nowhere.yaml: there is no such file"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_said_and_nothing_is_served(deployment, arguments, status, said):
@@ -32,6 +34,26 @@ def test_what_is_wrong_is_said_and_nothing_is_served(deployment, arguments, stat
     assert serving.ended() == status, str(serving)
     assert said in "\n".join(serving.err), str(serving)
     assert serving.out == []
+
+
+@pytest.mark.parametrize("name", ["/**", "pnm"])
+@pytest.mark.parametrize("how", [["--params-file"], ["--ros-args", "--params-file"]])
+def test_a_file_of_parameters_is_read(deployment, name, how):
+    lines = f"domain: {DOMAIN}", f"problem: {PROBLEM}", "planner_timeout: 5", "planer: race", "max_queue: 7"
+    file = written(deployment.folder / "robot.yaml", "\n    ".join((f"{name}:\n  ros__parameters:", *lines)))
+    wrong = serve(deployment, *how, str(file))
+    assert wrong.ended() == 2, str(wrong)
+    assert "the parameter planner_timeout is wrong: " in "\n".join(wrong.err)
+    serving = serve(deployment, "--planner-timeout", "5", *how, str(file)).ready()  # an option comes first
+    assert "there is no parameter planer; it is ignored; did you mean 'planner'?" in serving.err
+    serving.stop()
+
+
+def test_a_file_of_parameters_that_is_no_yaml_says_where(deployment):
+    file = written(deployment.folder / "robot.yaml", "/**:\n  ros__parameters: {domain: a\n")
+    serving = serve(deployment, "--params-file", str(file))
+    assert serving.ended() == 2
+    assert f"{file}:" in "\n".join(serving.err), str(serving)
 
 
 def test_a_second_node_of_the_same_name_offers_nothing(deployment):
@@ -117,7 +139,7 @@ def test_a_configuration_that_fails_can_be_mended(deployment):
     serving = serve(deployment, "--world", str(world), "--no-autostart")
     serving.until(lambda: "unconfigured: waits for its transitions" in serving.out)
     assert transitions(deployment, "configure") == [False]
-    assert any("world.yaml:1:1: cannot be read" in line for line in serving.err), str(serving)
+    assert any("world.yaml: there is no such file" in line for line in serving.err), str(serving)
     deployment.write(FILES)
     assert transitions(deployment, "configure", "activate") == [True, True]
     assert deployment.client("empty").result()["status"] == SUCCEEDED

@@ -78,7 +78,7 @@ def test_a_task_that_is_not_there_is_said(served):
         (["goal", "(at r1 kichen)"], "goal     not reached: goal:1:8: unknown object 'kichen'; did you mean 'kitchen'?"),
         (["facts", "--add", "(at r1 moon)"], "add[0]:1:8: unknown object 'moon'"),
         (["facts", "--add", "(at r1 hall)"], "(at r1 hall)"),  # which is sensed
-        (["facts", "(at r1"], "questions[0]:1:1: "),
+        (["facts", "(at r1"], "questions[0]:1:7: the text ends here"),
     ],
 )
 def test_what_the_node_refuses_is_printed_with_its_reason(served, arguments, said):
@@ -94,6 +94,7 @@ def test_a_goal_is_reached_and_its_events_are_printed(served):
     assert client.ended() == 0, str(client)
     assert client.out[-1] == "goal     holds"
     assert any("sent    move(r2, hall, kitchen)" in line for line in client.out)
+    assert any("feedback move(r2, hall, kitchen): progress 0." in line for line in client.out), str(client)
     assert words(served, "facts", "(at r2 kitchen)") == (0, "(at r2 kitchen)  true")
 
 

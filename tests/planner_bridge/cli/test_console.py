@@ -37,7 +37,7 @@ TWICE = """(define (domain d) (:requirements :durative-actions) (:predicates (a)
 @pytest.mark.parametrize(
     ("fault", "start", "why"),
     [
-        ("hang", "10.00", "timed_out: expected an end in time; observed none; then cancelled on request"),
+        ("hang", "10.00", "timed_out: expected an end within 10 s; observed none; then cancelled on request"),
         ("abort", " 1.50", "aborted"),
         ("no_effect", " 3.01", "effects_missing: expected (a); observed (a) is false"),
     ],
@@ -50,10 +50,38 @@ def test_why_a_call_is_tried_again_stands_beside_the_attempt(tmp_path: Path, fau
     assert f"     {start} s  start  first() (attempt 2, after {why})" in done.stdout.splitlines()
 
 
+def test_why_a_call_is_given_up_stands_beside_the_failure_with_its_limits(tmp_path: Path) -> None:
+    (tmp_path / "d.pddl").write_text(TWICE)
+    (tmp_path / "p.pddl").write_text("(define (problem p) (:domain d) (:init) (:goal (b)))")
+    (tmp_path / "f.yaml").write_text("faults: [{action: first, do: hang, ignores_cancel: true, times: 1}]")
+    done = pnm("run", str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl"), "--faults", str(tmp_path / "f.yaml"))
+    why = "expected an end within 10 s, or a confirmed cancellation within 5 s after that; observed neither"
+    assert f"     15.00 s  failed first(): timed_out: {why}" in done.stdout.splitlines()
+
+
+def test_a_quiet_run_prints_how_it_ended(tmp_path: Path) -> None:
+    (tmp_path / "d.pddl").write_text(TWICE)
+    (tmp_path / "p.pddl").write_text("(define (problem p) (:domain d) (:init) (:goal (b)))")
+    done = pnm("run", "-q", str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl"))
+    assert (done.returncode, done.stdout) == (0, "goal     holds\n         1 plan, 0 replans, 2 requests, 0 failures\n")
+
+
 def test_a_call_that_is_not_needed_is_said(tmp_path: Path) -> None:
     (tmp_path / "plan.yaml").write_text("facts: [(b)]\nactions: {go: {effects: [(b)]}}\nplan: [go:]\n")
     lines = pnm("run", "--plan", str(tmp_path / "plan.yaml")).stdout.splitlines()
     assert "      0.00 s  spared go(): its effects hold already" in lines
+
+
+def test_every_call_has_its_reason_also_if_another_has_failed_for_the_same(tmp_path: Path) -> None:
+    (tmp_path / "d.pddl").write_text(TWICE)
+    (tmp_path / "p.pddl").write_text("(define (problem p) (:domain d) (:init) (:goal (b)))")
+    fault = "{{action: {}, do: abort, times: 1, message: no air}}".format
+    (tmp_path / "f.yaml").write_text(f"faults: [{fault('first')}, {fault('second')}]")
+    lines = pnm("run", str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl"), "--faults", str(tmp_path / "f.yaml")).stdout.splitlines()
+    assert [line.split("ended")[1].strip() for line in lines if " ended " in line] == [
+        "first(): aborted: no air",
+        "second(): aborted: no air",
+    ]
 
 
 def test_the_same_reason_is_printed_once_and_again_at_the_end(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.problem import Problem
 from planner_bridge.node import timed_state
 from planner_bridge.node.plan_request import make_plan
 from planner_bridge.node.problem_folder import ProblemFolder
@@ -37,7 +38,11 @@ def deep(variables: int) -> str:
 def serve(scene: Callable[[ServedProblem, LoadedProblem], Awaitable[None]], tmp_path) -> None:
     async def whole() -> None:
         loaded = LoadedProblem(PROBLEM, initial_knowledge(PROBLEM), {}, Settings())
-        await scene(ServedProblem(loaded, ProblemFolder(tmp_path), lambda _: None), loaded)
+
+        def begin_anew(_: Problem, initial: KnowledgeBase) -> None:
+            loaded.knowledge.begin_anew(initial.facts(), initial.objects_by_type(), initial.rules)
+
+        await scene(ServedProblem(loaded, ProblemFolder(tmp_path), begin_anew), loaded)
 
     run_async(whole(), virtual=False)
 
@@ -84,7 +89,7 @@ class KnowledgeOfOneThread(KnowledgeBase):
 def test_changes_are_read_from_a_snapshot(problem):
     async def scene():
         loaded = LoadedProblem(problem, KnowledgeOfOneThread(objects=problem.objects_by_type), {}, Settings())
-        served = ServedProblem(loaded, ProblemFolder(Path()), lambda _: None)
+        served = ServedProblem(loaded, ProblemFolder(Path()), lambda *_: None)
         with pytest.raises(InputError, match="unknown predicate"):
             await served.update(["(flies r1)"], [], [])
 
@@ -131,7 +136,7 @@ def test_plan_requests_have_their_turns_and_leave_threads_to_others(tmp_path):
 
     async def scene() -> None:
         loaded = LoadedProblem(PROBLEM, initial_knowledge(PROBLEM), {}, Settings(planner="race:kairos,aries", executor=planners))
-        served = ServedProblem(loaded, ProblemFolder(tmp_path), lambda _: None)
+        served = ServedProblem(loaded, ProblemFolder(tmp_path), lambda *_: None)
         requests = [asyncio.create_task(loaded.make("(dark)", "", LIMIT)) for _ in range(40)]
         assert await in_own_thread(lambda: planners.are_both_busy.wait(LIMIT))
         async with asyncio.timeout(LIMIT):

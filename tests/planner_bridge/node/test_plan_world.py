@@ -68,7 +68,7 @@ def with_node_of(text: str, scene: Callable[[ServedProblem], Awaitable[None]]) -
     async def whole() -> None:
         plans = parse_plans(text).values()
         current = LoadedProblem(NOTHING, initial_knowledge(*plans), {}, Settings(), plans)
-        await scene(ServedProblem(current, ProblemFolder(None), lambda _: None))
+        await scene(ServedProblem(current, ProblemFolder(None), lambda *_: None))
 
     run_async(whole(), virtual=True)
 

@@ -111,7 +111,7 @@ def test_what_cannot_be_written_whole_is_not_written_at_all(tmp_path):
         folder.write("p.pddl", "x" * 1000)
     assert (path.read_text(), os.listdir(tmp_path)) == (before, ["p.pddl"])
     (tmp_path / "folder.pddl").mkdir()
-    with pytest.raises(InputError, match="it is not a regular file"):
+    with pytest.raises(InputError, match="this is a folder"):
         folder.write("folder.pddl", "x")
     for name in ("p.pddl/q.pddl", "nowhere/q.pddl"):
         with pytest.raises(InputError, match="cannot be written: "):

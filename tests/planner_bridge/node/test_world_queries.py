@@ -74,7 +74,7 @@ def test_without_a_question_everything_that_is_recorded_is_told():
         ("", "1:1: the text is empty; expected something such as (at r1 kitchen)"),
         ("dark", "1:1: expected something in parentheses, such as (at r1 kitchen), found 'dark'"),
         ("(dark) (dark)", "1:8: expected the end of the text, found (dark)"),
-        ("(dark", "1:1: this '(' is never closed"),
+        ("(dark", "1:6: the text ends here; expected ')'"),
         ("(drak)", "1:2: unknown predicate 'drak'; did you mean 'dark'?"),
         ("(at r1\n kichen)", "2:2: unknown object 'kichen'; did you mean 'kitchen'?"),
         ("(at kitchen r1)", "1:5: 'kitchen' is of type place; expected robot"),
@@ -209,7 +209,7 @@ def test_changes_are_told_as_texts():
 def test_the_object_that_a_function_no_longer_has_is_told_whatever_happened_before_anybody_followed():
     async def scene() -> None:
         knowledge, told = initial_knowledge(PROBLEM), []
-        served = ServedProblem(LoadedProblem(PROBLEM, knowledge, {}, Settings()), Path(), lambda _: None)
+        served = ServedProblem(LoadedProblem(PROBLEM, knowledge, {}, Settings()), Path(), lambda *_: None)
         knowledge.update({("location", "a1"): "kitchen"})  # as sensors do while action servers are looked for
         stop = served.follow(lambda fields: told.append((fields["added"], fields["removed"], fields["unknown"])))
         for value in ("dock", UNKNOWN, UNDEFINED, "hall", UNDEFINED):

@@ -58,8 +58,8 @@ def test_files_that_cannot_be_read_are_refused_at_their_beginning(tmp_path: Path
     (tmp_path / "sixteen").write_bytes(b"\xff\xfe(")
     (tmp_path / "zeros16").write_bytes("(define\0)".encode("utf-16"))
     for name, message in {
-        "missing": "1:1: cannot be read: No such file or directory",
-        "": "1:1: cannot be read: it is not a regular file",
+        "missing": " there is no such file",
+        "": " this is a folder; expected a file",
         "empty": "1:1: the file is empty; expected (define (domain NAME) ...)",
         "zeros": "1:1: not a text file: it contains zero bytes",
         "bytes": "1:28: '\u00ff' cannot name a type; expected letters, digits and _ - . @",

@@ -7,11 +7,13 @@ import asyncio
 import pytest
 
 from planner_bridge.pipeline import achieve_at
-from planner_bridge.simulation import simulated_backend
+from planner_bridge.simulation import robots_of, simulated_backend
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings, TaskObserver
+from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import Faults, HiddenChange
 from pnm.clock import run_async
+from pnm.core.machine.bindings import Bindings
 from pnm.errors import InputError
 from tests.support.pddl.problems import rooms
 from tests.support.tasks.replanning import pursued
@@ -93,3 +95,32 @@ def test_a_task_that_waits_is_cancelled_at_once() -> None:
 def test_what_is_no_patience_is_refused(patience) -> None:
     with pytest.raises(InputError, match="a new plan waits for"):
         Limits(patience=patience)
+
+
+class BusyElsewhere(SimulatedBackend):
+    """Simulated robots whose server is at work on a goal of another program, for a while."""
+
+    def __init__(self, until: float) -> None:
+        opens = HiddenChange({("way", "b", "c"): True}, at=until)
+        super().__init__(robots_of(rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab"), Bindings(), Faults(changes=(opens,))))
+        self.until = until
+        self.looks: list[float] = []
+
+    async def busy_elsewhere(self) -> tuple[str, ...]:
+        self.looks.append(asyncio.get_running_loop().time())
+        return ("/r1/move",) if self.looks[-1] - self.looks[0] < self.until else ()
+
+
+@pytest.mark.parametrize(("until", "is_reached"), [(20.0, True), (100.0, False)])
+def test_nothing_is_called_unsolvable_while_servers_are_at_work_for_others(until: float, is_reached: bool) -> None:
+    listener = Listener()
+    backend = BusyElsewhere(until)
+    problem = rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab")
+    result = run_async(achieve_at(backend, problem, Settings(), listener), virtual=True)
+    assert result.goal_reached is is_reached
+    busy = "no plan, while /r1/move is at work on goals of other programs: no plan found"
+    assert listener.reasons[0].startswith(f"waits 60 s at most for facts to change: {busy}")
+    assert "proved" not in "".join(listener.reasons) + result.reason
+    if not is_reached:
+        assert result.reason.startswith(busy)
+        assert backend.looks[-1] - backend.looks[0] == pytest.approx(60.0, abs=2.0)

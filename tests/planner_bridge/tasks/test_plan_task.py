@@ -42,9 +42,7 @@ def test_a_plan_whose_parameter_has_no_value_is_refused_before_anything_of_it_be
     async def scenario(simulation: TaskSimulation) -> None:
         task = simulation.want("trip", is_plan=True)
         assert await simulation.ended_with(task) == [Code.INVALID_GOAL]
-        assert simulation.endings[task].message.startswith(
-            "trip needs a value for its parameter 'robot'; expected one such as {robot: …} among"
-        )
+        assert simulation.endings[task].message.startswith("trip needs a value for its parameter 'robot'; expected {robot: …} among")
         assert simulation.sent(task) == []
 
     simulate_trip(scenario)
@@ -55,7 +53,7 @@ def test_the_steps_of_a_plan_have_the_values_that_are_known() -> None:
         task = simulation.want("trip", is_plan=True, parameters={"robot": "r0"})
         await simulation.sees(task, "sent")
         assert [str(step) for step in simulation.master.plan(task)[1]] == ["move(r0, a0, a1)", "move(r0, a1, ?to)"]
-        run = simulation.runner.going_on[0].executor.run  # type: ignore[union-attr]
+        run = simulation.runner.going_on[0].executor.run
         run.knowledge.local.store({"far": "a3", "home": "a0"})
         assert [str(step) for step in simulation.master.plan(task)[1]] == ["move(r0, a0, a1)", "move(r0, a3, a0)"]
         run.knowledge.local.store({"far": "a1"})
@@ -68,7 +66,7 @@ def test_people_read_with_which_parameters_a_plan_is_carried_out() -> None:
     shown = StringIO()
 
     async def scenario(simulation: TaskSimulation) -> None:
-        simulation.master.listen(TaskConsole(SafeConsole(file=shown, width=200), simulation.master))
+        simulation.master.listen(TaskConsole(SafeConsole(file=shown, width=200)))
         one = simulation.want("trip", is_plan=True, parameters={"robot": "r0", "far": ["a1", 2]})
         other, goal = simulation.want("trip", is_plan=True), simulation.want("(at r0 a0)")
         await simulation.ended_with(one, other, goal)
@@ -76,6 +74,18 @@ def test_people_read_with_which_parameters_a_plan_is_carried_out() -> None:
     simulate_trip(scenario)
     goals = [line.split("goal", 1)[1].strip() for line in shown.getvalue().splitlines() if "  goal  " in line]
     assert goals == ['trip(robot: r0, far: ["a1", 2])', "trip", "(at r0 a0)"]
+
+
+def test_what_goals_are_and_why_calls_have_failed_is_said_once() -> None:
+    shown = StringIO()
+
+    async def scenario(simulation: TaskSimulation) -> None:
+        simulation.master.listen(TaskConsole(SafeConsole(file=shown, width=200)))
+        await simulation.ended_with(simulation.want("(at r0 nowhere)"), simulation.want("(at r0 a1)"))
+
+    simulate_tasks(scenario, chosen=Settings(), faults=Faults((Fault("move(r0, a0, a1)", FaultKind.ABORT, times=2, message="no way"),)))
+    said = [line.split("  ")[-1].strip() for line in shown.getvalue().splitlines() if "  goal  " in line or "  failed  " in line]
+    assert said == ["(at r0 nowhere)", "(at r0 a1)", "move(r0, a0, a1)#0: aborted: no way"]
 
 
 def test_goals_share_resources_with_the_capacities_that_plans_give_them() -> None:

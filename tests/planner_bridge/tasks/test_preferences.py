@@ -5,9 +5,7 @@ from __future__ import annotations
 import io
 from dataclasses import replace
 
-from rich.console import Console
-
-from planner_bridge.cli.console import ConsoleObserver, print_result
+from planner_bridge.cli.console import ConsoleObserver, SafeConsole, print_result
 from planner_bridge.model.problem import Problem
 from planner_bridge.pipeline import achieve_at
 from planner_bridge.simulation import simulated_backend
@@ -138,9 +136,9 @@ def test_the_result_as_json_tells_constraints_and_preferences() -> None:
 def test_a_person_reads_what_is_violated_as_it_happens_and_at_the_end() -> None:
     problem = replace(wished(Preference("p", A), Preference("q", B)), constraints=(always(Not(Holds(("clean", "?a"))), ROOM),))
     text = io.StringIO()
-    console = Console(file=text)
+    console = SafeConsole(file=text)
     backend = simulated_backend(problem, Bindings(), changes((0.3, "b"), (0.3, "c")))
-    print_result(console, run_async(achieve_at(backend, problem, Settings(), ConsoleObserver(console)), virtual=True))
+    print_result(console, run_async(achieve_at(backend, problem, Settings(), ConsoleObserver(console, 30.0)), virtual=True))
     lines = text.getvalue().splitlines()
     assert "      0.31 s  broken (always (not (clean b))); observed (clean b) is true" in lines
     assert "goal     not reached: (always (not (clean b))) is violated after 0.30 s: (clean b) is true" in lines
@@ -154,5 +152,5 @@ def test_a_person_reads_what_is_violated_as_it_happens_and_at_the_end() -> None:
 
 def result_lines(problem: Problem) -> list[str]:
     text = io.StringIO()
-    print_result(Console(file=text), monitored(problem).result)
+    print_result(SafeConsole(file=text), monitored(problem).result)
     return text.getvalue().splitlines()

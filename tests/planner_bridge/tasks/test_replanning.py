@@ -15,7 +15,7 @@ from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, Cause, GroundAction
 from pnm.tasks import TaskState
-from tests.support.e2e.survey import DOMAIN as SURVEY
+from tests.support.e2e.hosts.survey import DOMAIN as SURVEY
 from tests.support.pddl.problems import ROOMS, matches, rooms
 from tests.support.tasks.replanning import aborts, decisions, pursued
 
@@ -36,7 +36,10 @@ def test_a_ground_action_that_failed_twice_is_planned_around() -> None:
     result, _ = pursued(rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc ba ad dc"), aborts("move(r1, b, c)"))
     assert result.goal_reached
     assert decisions(result) == [ResumePlan, PlanAgain]
-    assert [str(call) for call in result.episodes[1].decision.forbidden] == ["move(r1, b, c)"]  # type: ignore[union-attr]
+    decision = result.episodes[1].decision
+    assert isinstance(decision, PlanAgain)
+    assert [str(call) for call in decision.forbidden] == ["move(r1, b, c)"]
+    assert decision.why == "move(r1, b, c) has failed 2 times"
     assert ("move(r1, d, c)", "succeeded") in [(str(call.call.action), call.outcome) for call in result.calls]
 
 
@@ -125,6 +128,9 @@ def test_an_action_that_may_still_be_going_on_is_not_planned_with() -> None:
     task = achieve_at(backend, rooms(init="(at r1 a)", goal="(at r1 b)"), Settings(bindings=bindings), TaskObserver())
     result = run_async(task, virtual=True)
     assert result.failures[0].unconfirmed
+    assert result.episodes[0].decision.why == (  # type: ignore[union-attr]
+        "move(r1, a, b) may still be under way: its server has not confirmed that it is over"
+    )
     assert sum(call.attempts for call in result.calls) == 1
     assert "; no plan without move(r1, a, b)" in result.reason
 

@@ -110,7 +110,7 @@ def test_calls_and_restarts_of_a_plan_are_counted_and_told(tmp_path: Path) -> No
 
     async def go() -> Told:
         await runner.backend.open(runner.world)
-        master = TaskManager(NOTHING, runner.world, runner.backend, Settings(), _no_goal, runner=runner)
+        master = TaskManager(NOTHING, runner, Settings(), _no_goal)
         told = Told(master)
         master.listen(told)
         master.begin(tour)
@@ -139,7 +139,7 @@ def test_a_pause_does_not_use_up_the_time_of_a_plan(tmp_path: Path) -> None:
 
     async def go() -> None:
         await runner.backend.open(runner.world)
-        master = TaskManager(NOTHING, runner.world, runner.backend, Settings(), _no_goal, runner=runner)
+        master = TaskManager(NOTHING, runner, Settings(), _no_goal)
         master.listen(Told())
         master.begin(Wanted(UUID(int=1), "tour", is_plan=True))
         await asyncio.sleep(1.0)

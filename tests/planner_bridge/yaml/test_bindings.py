@@ -9,7 +9,7 @@ import pytest
 
 from planner_bridge.yaml.convert import exported, imported
 from pnm.actions.bindings_file import read_bindings
-from pnm.core.machine.bindings import DEFAULT, Binding, Bindings, Table
+from pnm.core.machine.bindings import DEFAULT, Binding, Bindings, Foreign, Table, WhenLost
 from pnm.core.message_fields import Comparison, Every, FieldValue, Flag, Negation, Some, parse_field
 from pnm.errors import InputError
 from pnm.language.plan import read_plans
@@ -23,6 +23,7 @@ EVERYTHING = Binding(
     type="nav2_msgs/action/NavigateToPose",
     success=Every((Comparison(STATUS, "eq", 0), Negation(Some((Flag(parse_field("error")), Flag(parse_field("a[-1].b"))))))),
     reason=FieldValue(STATUS, {"1": "no way"}),
+    final=Comparison(STATUS, "ge", 4),
     goal={
         "at": Table("?to", {"hall": {"x": 1.5}, "on": "(distance ?from ?to)"}),
         "pose": "$pose",
@@ -37,6 +38,8 @@ EVERYTHING = Binding(
     ask={"place": "Where to, {robot}?"},
     several_servers=True,
     resources=("{robot}/base", "lift"),
+    foreign=Foreign.WAIT,
+    when_lost=WhenLost.ASK,
 )
 
 
@@ -92,7 +95,7 @@ def test_a_plan_with_an_action_that_is_called_as_an_option_of_steps_is_run_as_it
         f"(define (domain d) (:predicates (p) (q)) (:action {word} :effect (p)) (:action b :precondition (p) :effect (q)))"
     )
     (tmp_path / "p.pddl").write_text("(define (problem p) (:domain d) (:init) (:goal (q)))")
-    assert pnm("export", str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl"), "--plan", "-o", str(tmp_path / "x.yaml")).returncode == 0
+    assert pnm("export", str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl"), "--with-plan", "-o", str(tmp_path / "x.yaml")).returncode == 0
     done = pnm("run", "--plan", str(tmp_path / "x.yaml"))
     assert (done.returncode, done.stderr) == (0, "")
     assert f"done   {word}()" in done.stdout
@@ -104,6 +107,6 @@ def test_a_plan_that_needs_the_option_that_an_action_is_called_as_is_not_exporte
         "(:durative-action release :parameters () :duration (= ?duration 1) :condition (at start (p)) :effect (at end (q))))"
     )
     (tmp_path / "p.pddl").write_text("(define (problem p) (:domain d) (:init (at 5 (p))) (:goal (q)))")
-    done = pnm("export", str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl"), "--plan", "-o", str(tmp_path / "x.yaml"))
+    done = pnm("export", str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl"), "--with-plan", "-o", str(tmp_path / "x.yaml"))
     assert (done.returncode, (tmp_path / "x.yaml").exists()) == (2, False)
     assert done.stderr == "this plan needs 'release' as a word of the language; an action cannot be called so, expected another name\n"

@@ -109,6 +109,7 @@ EVERYTHING = {"action": "move", "arguments": ["r1", "hall", "lab"], "duration": 
         ("?to", "{hall: 1}", "FILE:1:47: the table has no row for lab, which ?to of move may be"),
         ("(home ?robot)", "{lab: 1}", "FILE:1:57: the table has no row for hall, which (home ?robot) of move may be"),
         ("(home ?robot)", "{hall: 1, lab: 2, r1: 3}", "FILE:1:75: (home ?robot) of move cannot be r1; expected one of hall, lab"),
+        ("?to", "{hall: 1, lab: 2, attic: 3}", ""),
         ("(level)", "{1: low}", ""),
         ("$place", "{anything: 1}", ""),
     ],

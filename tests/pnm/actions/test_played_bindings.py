@@ -85,6 +85,15 @@ def test_a_result_of_a_success_is_judged_as_one(tmp_path, success) -> None:
     assert judged.kind is OutcomeKind.SUCCEEDED
 
 
+@pytest.mark.parametrize(("message", "code"), [("it has slipped", 2), ("the action failed", 1), ("", 1)])
+def test_a_number_that_stands_for_a_reason_is_one_of_the_table(message: str, code: int) -> None:
+    binding = Binding(reason=FieldValue(parse_field("code"), {"1": "out of reach", "2": "it has slipped"}))
+    result = result_of(binding, Outcome(OutcomeKind.ABORTED, message=message))
+    assert result == {"code": code}
+    assert result_of(binding, Outcome(OutcomeKind.CANCELED, message=message)) == {}
+    assert binding.judged(Outcome(OutcomeKind.ABORTED, result)).message == ("it has slipped" if code == 2 else "out of reach")
+
+
 def test_a_failure_has_its_reason_where_the_binding_looks_for_it() -> None:
     binding = Binding(reason=FieldValue(parse_field("status.text")))
     assert result_of(binding, Outcome(OutcomeKind.ABORTED, message="no path")) == {"status": {"text": "no path"}}

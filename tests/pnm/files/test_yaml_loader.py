@@ -60,11 +60,11 @@ def test_missing_files_folders_and_huge_files_are_refused(tmp_path: Path) -> Non
     huge = tmp_path / "huge.yaml"
     with huge.open("wb") as file:
         file.truncate(MAX_BYTES + 1)
-    assert error(load_yaml, tmp_path / "nowhere.yaml") == "FILE:1:1: cannot be read: No such file or directory"
-    assert error(load_yaml, tmp_path) == "FILE:1:1: cannot be read: it is not a regular file"
-    assert error(load_yaml, huge) == f"FILE:1:1: the file has more than {MAX_BYTES} bytes; no more are read"
+    assert error(load_yaml, tmp_path / "nowhere.yaml") == "FILE: there is no such file"
+    assert error(load_yaml, tmp_path) == "FILE: this is a folder; expected a file"
+    assert error(load_yaml, huge) == f"FILE: the file has more than {MAX_BYTES} bytes; no more are read"
     assert read_text(written(tmp_path, "four"), 4) == "four"
-    assert error(lambda path: read_text(path, 3), written(tmp_path, "four")) == "FILE:1:1: the file has more than 3 bytes; no more are read"
+    assert error(lambda path: read_text(path, 3), written(tmp_path, "four")) == "FILE: the file has more than 3 bytes; no more are read"
 
 
 PLAIN = [

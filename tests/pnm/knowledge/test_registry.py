@@ -41,7 +41,7 @@ def test_classes_of_the_original_are_the_default(name: str, tmp_path: Path, monk
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     assert check_source(name) == "RPKnowledgeBase"
     sources = open_sources([SourceChoice(name)], Surroundings())
-    assert repr(sources) == f"<Sources <SqliteKnowledge {tmp_path}/pnm/knowledge.sqlite>; <Terminal>>"
+    assert repr(sources) == f"<Sources <DatabaseKnowledge {tmp_path}/pnm/knowledge.sqlite>; <Terminal>>"
     assert not list(tmp_path.iterdir()), "nothing is opened before it is needed"
 
 
@@ -50,7 +50,7 @@ def test_an_unknown_name_is_refused_with_the_nearest_and_the_way_to_register() -
         check_source("my.sqlit", Position("domain.yaml", 3, 5))
     assert str(caught.value).startswith("domain.yaml:3:5: there is no source of knowledge 'my.sqlit'; did you mean 'sqlite'?")
     assert "pnm.knowledge.sources.register_source('my.sqlit', factory)" in str(caught.value)
-    with pytest.raises(InputError, match="expected one of memory, person, ros2, sqlite, terminal, topics"):
+    with pytest.raises(InputError, match="expected one of memory, person, postgres, ros2, sqlite, terminal, topics"):
         check_source("zzz")
 
 

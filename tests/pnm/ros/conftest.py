@@ -13,22 +13,18 @@ import subprocess
 import sys
 from collections.abc import Awaitable, Callable, Coroutine, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, field
 from itertools import count
 from typing import Any
-from uuid import UUID, uuid4
+from uuid import UUID
 
 import pytest
 
-from pnm.core.machine.bindings import Binding, Bindings
-from pnm.core.machine.plan_graph import GroundAction
-from pnm.core.machine.requests import Accepted, Ended, Outcome, Postponed, Report, Request
-from pnm.ros.action_client.client import Ros2ActionClient
+from pnm.core.machine.bindings import Binding
 from pnm.ros.node.ros_thread import RosThread
 from tests.support.files import ROOT
-from tests.support.processes import LIMIT
+from tests.support.processes import LIMIT, ros_domain
 from tests.support.ros.child_process import ORDERLY, ChildProcess
-from tests.support.ros.domains import ros_domain
+from tests.support.ros.recording_client import RecordingClient
 
 # Fast DDS 2.14 may block for ever when one of two participants of a process is destroyed while it delivers directly to the other.
 os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(ROOT / "tests/pnm/ros/one_process.xml"))
@@ -65,50 +61,6 @@ class ServerProcess:
             self.process.communicate(timeout=ORDERLY)
         except subprocess.TimeoutExpired:
             self.kill()
-
-
-@dataclass
-class Sent:
-    """A request that was sent, and the reports about it."""
-
-    request: Request
-    reports: asyncio.Queue[Report] = field(default_factory=asyncio.Queue)
-
-    @property
-    def id(self) -> UUID:
-        return self.request.id
-
-    async def accepted(self, limit: float = LIMIT) -> None:
-        async with asyncio.timeout(limit):
-            while isinstance(report := await self.reports.get(), Postponed):
-                assert report.request == self.id
-        assert report == Accepted(self.id)
-
-    async def ended(self, limit: float = LIMIT) -> Outcome:
-        """Return the outcome; there must not be a second one."""
-        async with asyncio.timeout(limit):
-            while True:
-                report = await self.reports.get()
-                if isinstance(report, Ended):
-                    assert report.request == self.id
-                    assert self.reports.empty()
-                    return report.outcome
-
-
-class RecordingClient:
-    """A client with one binding per action name, and the requests sent through it."""
-
-    def __init__(self, ros: RosThread, ended: Callable[[UUID], Awaitable[object]] | None = None, **bindings: Binding) -> None:
-        options = {} if ended is None else {"ended": ended}
-        self.ros2 = Ros2ActionClient(ros, Bindings(bindings), asyncio.get_running_loop(), **options)
-
-    def send(self, name: str, /, **goal: object) -> Sent:
-        sent = Sent(Request(uuid4(), GroundAction(name), goal))
-        self.ros2.send(sent.request, sent.reports.put_nowait)
-        return sent
-
-    def cancel(self, sent: Sent) -> None:
-        self.ros2.cancel(sent.id)
 
 
 @pytest.fixture(scope="session")

@@ -6,9 +6,12 @@ from pathlib import Path
 
 import pytest
 from pnm_interfaces.action import RunPlan
+from porter_msgs.action import Grip
 
 from planner_bridge.loading import bindings_for, load
 from pnm.actions.bindings_file import read_bindings
+from pnm.core.machine.bindings import Table
+from pnm.core.message_fields import Comparison, parse_field
 from pnm.errors import InputError
 from pnm.knowledge.sensor_file import read_sensing
 from pnm.ros.first_files import first_files, verdict_lines
@@ -65,12 +68,42 @@ def test_fields_of_results_that_look_like_a_verdict_are_taken_for_one(tmp_path: 
     assert bindings.of("execute_action").reason is not None
 
 
+def test_defaults_of_fields_are_no_constants(tmp_path: Path) -> None:
+    read(ROBOTS, tmp_path)
+    (line,) = [line for line in (tmp_path / "bindings.yaml").read_text().splitlines() if "execution_result.status" in line]
+    assert "which of UNKNOWN (-1), SUCCESS (0), " in line
+
+
 def test_a_boolean_of_the_result_is_a_verdict_before_any_number(tmp_path: Path) -> None:
     lines = list(verdict_lines(RunPlan.Result))
     assert lines[0].startswith("    success: {field: success}")
     binding = read_bindings(written(tmp_path / "bindings.yaml", "\n".join(("actions:", "  go:", *lines)))).of("go")
     assert binding.success is not None
     assert str(binding.reason.field if binding.reason else "") == "reason"
+
+
+def test_constants_of_the_result_say_which_number_is_a_success_and_what_the_others_mean(tmp_path: Path) -> None:
+    class OnlyACode(Grip.Result):  # type: ignore[misc]
+        @classmethod
+        def get_fields_and_field_types(cls) -> dict[str, str]:
+            return {"code": "uint8"}
+
+    success, reason = verdict_lines(OnlyACode)
+    assert success.endswith("decide: which of DONE (0), SLIPPED (1), OUT_OF_REACH (2), NOT_HELD (3) is a success")
+    text = "\n".join(("actions:", "  grip:", success, reason))
+    binding = read_bindings(written(tmp_path / "bindings.yaml", text)).of("grip")
+    assert str(binding.success) == str(Comparison(parse_field("code"), "eq", "DONE"))
+    assert binding.reason is not None
+    assert binding.reason.table == {"SLIPPED": "slipped", "OUT_OF_REACH": "out of reach", "NOT_HELD": "not held"}
+
+
+def test_a_pose_is_a_table_of_places_and_a_text_that_is_a_setting_no_object(tmp_path: Path) -> None:
+    drive = GraphSnapshot({"/navigate_to_pose": ("porter_msgs/action/NavigateToPose",)}, {}, {})
+    problem, bindings, _ = read(drive, tmp_path)
+    assert problem.vocabulary.actions == {"navigate_to_pose": {"pose": ("place",)}}
+    goal = bindings.of("navigate_to_pose").goal or {}
+    assert isinstance(goal["pose"], Table)
+    assert goal["behavior_tree"] == ""
 
 
 def test_what_not_every_robot_has_is_an_action_of_its_own(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -146,6 +147,15 @@ def test_a_server_has_one_type(tmp_path: Path) -> None:
     assert (rows["count /measure"].state, rows["count /measure"].type) == (ReadyState.UNFIT, NESTED)
 
 
+def test_two_servers_of_one_name_are_said_unless_there_may_be_several(tmp_path: Path) -> None:
+    graph = replace(GRAPH, processes={"/count": 2, "/measure": 1})
+    rows = actions(tmp_path, COUNT, MEASURE, graph=graph)
+    assert (rows["count /count"].state, rows["measure /measure"].state) == (ReadyState.SEVERAL, ReadyState.READY)
+    assert rows["count /count"].advice.startswith("2 processes offer /count, unless one of them was killed lately")
+    several = "count: {goal: {order: 3}, several_servers: true}"
+    assert actions(tmp_path, several, MEASURE, graph=graph)["count /count"].state is ReadyState.READY
+
+
 def test_two_types_under_one_name_are_to_become_one(tmp_path: Path) -> None:
     graph = GraphSnapshot({"/count": (FIBONACCI, NESTED), "/measure": (NESTED,)}, {}, {})
     row = actions(tmp_path, COUNT, MEASURE, graph=graph)["count /count"]
@@ -165,6 +175,10 @@ def test_sensors_are_heard_silent_or_not_there(tmp_path: Path) -> None:
     assert (row.what, row.type, row.state) == ("(lit)", BASIC, ReadyState.READY)
     (row,) = sensors(tmp_path, lamp)
     assert (row.state, row.advice) == (ReadyState.SILENT, "nothing was heard on /lamp yet; until then what it reports is unknown")
+    sensing = read_sensing(written(tmp_path / "sensing.yaml", f"sensors:\n  - {lamp[:-1]}, stale: 2}}"), PROBLEM.vocabulary)
+    (silent,) = (SensorUse(one, one.name, True, None, is_stale=True) for one in instances(sensing, PROBLEM.objects_by_type))
+    (row,) = sensor_readiness([silent], GRAPH)
+    assert (row.state, row.advice) == (ReadyState.STALE, "nothing was heard on /lamp for 2 s; what it reports is unknown")
     (row,) = sensors(tmp_path, lamp.replace("/lamp", "/lamps"))
     assert (row.state, row.advice) == (ReadyState.ABSENT, "there is no topic /lamps; similar are /lamp")
     (row,) = sensors(tmp_path, "{service: /gaug, facts: [{number: (level), field: float64_value}]}")

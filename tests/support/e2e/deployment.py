@@ -102,6 +102,7 @@ class RosDomain:
             "ROS_DOMAIN_ID": str(ros_domain),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",  # killed processes would leave shared memory behind
+            "XDG_STATE_HOME": str(folder / "state"),  # journals of nodes, with which no other deployment is to go on
         }
         if quick:
             self.environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(written(folder / "dds.xml", QUICK))

@@ -8,7 +8,7 @@ from uuid import UUID
 
 from pnm.core.logic.computed_values import Layer, Question
 from pnm.knowledge.sources import Asker
-from pnm.knowledge.sources.sqlite import SqliteKnowledge
+from pnm.knowledge.sources.database import DatabaseKnowledge
 
 DOMAIN = """
 actions:
@@ -88,7 +88,7 @@ def shared(file: Path, name: str) -> object:
     """Return a variable of the global knowledge in a file."""
 
     async def look() -> object:
-        source = SqliteKnowledge(file)
+        source = DatabaseKnowledge(file)
         found = await source.query(Question(name, Layer.GLOBAL, "null"), Asker(UUID(int=0)))
         await source.close()
         return found

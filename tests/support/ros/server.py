@@ -6,6 +6,7 @@ Of a GroundAction goal the action says what to do and the first argument how lon
     slow (1)         works for a while, and lets itself be cancelled
     stubborn (1)     the same, but refuses to be cancelled
     hang             works until it is cancelled
+    chatter (N)      reports N times without a pause how far it is, then works until it is cancelled
     hesitate (1)     takes that long to accept, one goal after the other, then works until it is cancelled
     mute             works until it is cancelled, but its answer to the goal gets lost
     together (N)     waits until N goals are there, then all end at once
@@ -75,9 +76,17 @@ class Behaviour:
                 threading.Event().wait(first_number(goal))
             case "slow" | "stubborn":
                 return self.work(handle, first_number(goal))
+            case "chatter":
+                count = int(first_number(goal))
+                for number in range(count):
+                    handle.publish_feedback(GroundAction.Feedback(progress=(number + 1) / count))
+                while not handle.is_cancel_requested:
+                    threading.Event().wait(0.05)
+                handle.canceled()
             case "hang" | "hesitate" | "mute":
                 return self.work(handle, NEVER)
-        handle.succeed()
+        if handle.is_active:
+            handle.succeed()
         return GroundAction.Result(message=f"did {' '.join([goal.action, *goal.arguments])}")
 
     def meet(self, count: int) -> None:

@@ -19,9 +19,23 @@ from pnm.core.knowledge_base import KnowledgeBase, parse_fluent
 from pnm.core.logic.expressions import Fluent, Unknown, Value, fluent_text
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.machine.plan_graph import Cause
 from pnm.core.net.net import Marking
 from pnm.errors import InputError
-from pnm.tasks import Code, MadePlan, StepState, TaskEnding, TaskListener, TaskRefused, TaskState, TaskStatus, TaskStep, TraceEvent, Wanted
+from pnm.tasks import (
+    Code,
+    MadePlan,
+    StepState,
+    TaskEnding,
+    TaskListener,
+    TaskRefused,
+    TaskState,
+    TaskStatus,
+    TaskStep,
+    TraceEvent,
+    TraceKind,
+    Wanted,
+)
 from tests.support.runs.plan_graphs import plan
 
 _STAYS = {state.name.lower(): state for state in (TaskState.QUEUED, TaskState.PLANNING, TaskState.RUNNING, TaskState.REPLANNING)}
@@ -30,7 +44,7 @@ _STUBBORN = 1000.0
 _MACHINE = generate(plan(2, "0e<1s"))
 _STEPS = (
     TaskStep("done", (), 0.0, 1.0, StepState.DONE, started=0.0, ended=1.0, attempts=1),
-    TaskStep("move", ("r1", "hall"), 1.0, 2.0, StepState.RUNNING, (0,), attempts=2, limit=10.0, reason="aborted"),
+    TaskStep("move", ("r1", "hall"), 1.0, 2.0, StepState.RUNNING, (0,), attempts=2, limit=10.0, cause=Cause.ABORTED),
     TaskStep("pick", ("r1", "cup"), 3.0, 2.0, StepState.WAITING, (1,)),
 )
 
@@ -51,6 +65,7 @@ class FakeTasks:
 
     def begin(self, wanted: Wanted, /) -> None:
         self.wanted.append(wanted)
+        self._happened(wanted.id, TraceKind.GOAL, text=wanted.text)
         word = "running" if wanted.text.startswith("(") else wanted.text.split()[0] if wanted.text else ""
         if word == "empty":
             self._end(wanted.id, Code.GOAL_REACHED, "there is nothing to do")
@@ -65,7 +80,7 @@ class FakeTasks:
             self._enter(wanted.id, TaskState.PAUSED if self.paused else _STAYS.get(word, TaskState.RUNNING))
             self._before[wanted.id] = _STAYS.get(word, TaskState.RUNNING)
 
-    async def pause(self, task: UUID | None, /, *, at_once: bool, why: str = "") -> None:
+    async def pause(self, task: UUID | None, /, *, at_once: bool, why: str = "", is_kept: bool = True) -> None:
         self.paused |= task is None
         for one in self._meant(task):
             if self.open[one].state is not TaskState.PAUSED:
@@ -107,7 +122,12 @@ class FakeTasks:
     def tell(self, task: UUID, times: int) -> None:
         """Have so many things happen to a task."""
         for number in range(times):
-            self._happened(task, "sent", f"call {number}")
+            self._happened(task, TraceKind.SENT, f"call {number}")
+
+    def feed(self, task: UUID, text: str) -> None:
+        """Have the server of the call of a task report feedback."""
+        self.open[task] = replace(self.open[task], feedback=(text,))
+        self._happened(task, TraceKind.FEEDBACK, "move(r1, hall)", text)
 
     # inside
 
@@ -129,15 +149,15 @@ class FakeTasks:
 
     def _enter(self, task: UUID, state: TaskState) -> None:
         running = ("move(r1, hall)",) if state is TaskState.RUNNING else ()
-        self.open[task] = replace(self.open[task], state=state, running=running, ended=1)
-        self._happened(task, "state", text=state.name.lower())
+        self.open[task] = replace(self.open[task], state=state, running=running, ended=1, feedback=("",) * len(running))
+        self._happened(task, TraceKind.STATE, text=state.name.lower())
         for one in self.listeners:
             one.changed(task)
             if state is TaskState.RUNNING:
                 one.planned(task)
                 one.moved(task)
 
-    def _happened(self, task: UUID, kind: str, subject: str = "", text: str = "") -> None:
+    def _happened(self, task: UUID, kind: TraceKind, subject: str = "", text: str = "") -> None:
         moment = TraceEvent(task, asyncio.get_running_loop().time(), kind, subject, text)
         self._traces.setdefault(task, []).append(moment)
         for one in self.listeners:
@@ -198,4 +218,4 @@ async def make_fake_tasks(context: NodeContext) -> NodeApi:
     if context.problem is None:
         return await make_task_manager(context)
     tasks = FakeTasks(context.options.max_queue)
-    return NodeApi(tasks, fake_search, FakeWorld(context.knowledge), lambda _: None, partial(asyncio.sleep, 0))
+    return NodeApi(tasks, fake_search, FakeWorld(context.knowledge), lambda _: None, lambda _: None, partial(asyncio.sleep, 0))

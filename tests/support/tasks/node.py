@@ -11,7 +11,7 @@ from uuid import UUID
 
 from planner_bridge.model.problem import Problem
 from planner_bridge.tasks.replanning import Limits
-from planner_bridge.tasks.scheduling.task_manager import TaskLimits
+from planner_bridge.tasks.scheduling.task_limits import TaskLimits
 from planner_bridge.tasks.settings import OnChange, Settings
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.core.machine.bindings import Binding, Bindings
@@ -40,6 +40,7 @@ def simulated(
     chosen: Settings = USUAL,
     limits: TaskLimits | None = None,
     source: Source | None = None,
+    helper: Source | None = None,
 ) -> Callable[[Callable[Concatenate[TaskSimulation, P], Awaitable[None]]], Callable[P, None]]:
     """Run a test with the tasks of such a node, in simulation."""
 
@@ -52,6 +53,7 @@ def simulated(
                 chosen=chosen,
                 limits=limits,
                 source=source,
+                helper=helper,
             )
 
         _, *others = signature(scenario).parameters.values()

@@ -6,13 +6,16 @@ import asyncio
 import gc
 import logging
 from collections.abc import Awaitable, Callable, Mapping
+from pathlib import Path
 from uuid import UUID, uuid4
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_problem
 from planner_bridge.simulation import simulated_backend
-from planner_bridge.tasks.scheduling.task_manager import TaskLimits, TaskManager
+from planner_bridge.tasks.result import TASKS
+from planner_bridge.tasks.scheduling.task_limits import TaskLimits
+from planner_bridge.tasks.scheduling.task_manager import TaskManager
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import NO_FAULTS, Faults
@@ -21,9 +24,12 @@ from pnm.core.logic.conditions import Condition
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.machine.bindings import Bindings
 from pnm.errors import InputError
+from pnm.journal.journal import NO_JOURNAL, Journal
+from pnm.journal.store import Durability, JournalFile
+from pnm.journal.written_journal import WrittenJournal
 from pnm.knowledge.sources.source import Source
 from pnm.language.runner import PlanRunner, Program
-from pnm.tasks import Code, TaskEnding, TaskListener, TaskState, TraceEvent, Wanted
+from pnm.tasks import Code, TaskEnding, TaskListener, TaskState, TraceEvent, TraceKind, Wanted
 from tests.support.pddl.problems import fleet
 from tests.support.tasks.laws import contradictory_requests
 
@@ -43,14 +49,14 @@ class TaskSimulation(TaskListener):
         programs: Mapping[str, Program] | None = None,
         source: Source | None = None,
         make_backend: Callable[[Problem, Bindings, Faults], SimulatedBackend] = simulated_backend,
+        helper: Source | None = None,
+        journal: Journal = NO_JOURNAL,
     ) -> None:
         self.problem = problem
         self.backend = make_backend(problem, chosen.bindings, faults)
         self.knowledge = initial_knowledge(problem)
-        self.runner = None if programs is None else PlanRunner(programs, self.backend, self.knowledge, source)
-        self.master = TaskManager(
-            problem, self.knowledge, self.backend, chosen, self.read, source=source, limits=limits, runner=self.runner
-        )
+        self.runner = PlanRunner(programs or {}, self.backend, self.knowledge, source, journal)
+        self.master = TaskManager(problem, self.runner, chosen, self.read, helper=helper, limits=limits)
         self.master.listen(self)
         self.goals: dict[UUID, str] = {}
         self.moments: list[TraceEvent] = []
@@ -78,10 +84,10 @@ class TaskSimulation(TaskListener):
 
     def happened(self, moment: TraceEvent) -> None:
         self._is_not_over(moment.task, str(moment))
-        if moment.kind != "fired":
+        if not moment.kind.is_frequent:
             self.moments.append(moment)
-        if moment.kind == "sent":
-            tasks = self.master._tasks
+        if moment.kind is TraceKind.SENT:
+            tasks = self.master._tasks.active
             self.wrong += contradictory_requests(tasks[moment.task], moment.subject, tasks.values(), self.knowledge)
         self._stir()
 
@@ -105,8 +111,8 @@ class TaskSimulation(TaskListener):
 
     def orphans(self) -> list[str]:
         """Return what robots do for no task."""
-        runs = [one.control.run for one in self.master._tasks.values() if one.control.run]
-        runs += [one.executor.run for one in self.runner.going_on] if self.runner else []
+        runs = [one.control.run for one in self.master._tasks.active.values() if one.control.run]
+        runs += [one.executor.run for one in self.runner.going_on]
         wanted = {request for run in runs for request in run.open_requests}
         jobs = self.backend.robots._jobs
         return [str(job.request.action) for id, job in jobs.items() if id not in wanted and not (job.fault and job.fault.ignores_cancel)]
@@ -147,7 +153,7 @@ class TaskSimulation(TaskListener):
         await self.until(lambda: len(self.seen(task, kind, subject)) >= times)
 
     def seen(self, task: UUID, kind: str, subject: str = "") -> list[TraceEvent]:
-        return [one for one in self.moments if one.task == task and one.kind == kind and subject in one.subject + one.text]
+        return [one for one in self.moments if one.task == task and one.kind.word == kind and subject in one.subject + one.text]
 
     def state(self, task: UUID) -> TaskState:
         return next(one.state for one in self.master.status() if one.id == task)
@@ -189,22 +195,31 @@ def simulate_tasks(
     limits: TaskLimits | None = None,
     programs: Mapping[str, Program] | None = None,
     source: Source | None = None,
+    helper: Source | None = None,
     make_backend: Callable[[Problem, Bindings, Faults], SimulatedBackend] = simulated_backend,
+    journal: Path | None = None,
 ) -> None:
-    """Run a scenario, close the task manager, and check that nothing was against the rules."""
+    """Run a scenario, close the task manager, and check that nothing was against the rules; keep a journal in a file, if there is one."""
     errors = _Errors()
 
     async def whole() -> None:
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(lambda _, context: errors.found.append(str(context)))
-        simulation = TaskSimulation(problem or fleet(), faults, chosen, limits or TaskLimits(), programs, source, make_backend)
+        written = WrittenJournal(JournalFile(journal, Durability.PROCESS_CRASH, 0.0), TASKS) if journal else None
+        kept = written or NO_JOURNAL
+        simulation = TaskSimulation(
+            problem or fleet(), faults, chosen, limits or TaskLimits(), programs, source, make_backend, helper, kept
+        )
         await simulation.backend.open(simulation.knowledge)
+        (written or NO_JOURNAL).begin(simulation.knowledge, simulation.master._resources)
         try:
             await scenario(simulation)
         finally:
             await asyncio.wait_for(simulation.master.close(), LIMIT)
             left = simulation.orphans()
             await simulation.backend.close()
+            if written:
+                written.close()
         assert simulation.goals.keys() == simulation.endings.keys(), "every task has an end"
         await asyncio.sleep(0)
         gc.collect()

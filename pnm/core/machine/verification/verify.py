@@ -48,6 +48,7 @@ from pnm.core.machine.verification.explore import Exploration, NeverFires, explo
 from pnm.core.machine.verification.part import Inside, Part, Unsound, step_of
 from pnm.core.machine.verification.place_roles import check_roles
 from pnm.core.machine.verification.plan_in_net import check_events, check_flows
+from pnm.errors import check_kinds
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -89,6 +90,7 @@ def verify(machine: PetriNetMachine) -> Proof:
     Raises:
         Unsound: it is not, or not of the form that `pnm.core.machine` makes.
     """
+    check_kinds("verify", {"machine": (machine, PetriNetMachine)})
     check_flows(machine)
     anatomy = Anatomy(machine)
     proved: set[_Proved] = set()

@@ -22,7 +22,7 @@ define
 ;! 1:9: expected (domain NAME), found (domain)
 
 (define (problem p))
-;! 1:9: expected (domain NAME), found (problem ...); this file is not a domain
+;! 1:9: expected (domain NAME), found (problem ...); this file is not a domain: the domain comes first, then the problem
 
 (define (domain 3))
 ;! 1:17: expected the name of a domain, found '3'
@@ -53,4 +53,4 @@ define
 (define (domain d)
  (:predicates (p)
  (:action a))
-;! 2:2: this '(' is not closed before the next section; expected ')' before ':action' in line 3
+;! 2:2: this '(' is not closed; expected ')' before line 3

@@ -48,7 +48,7 @@ def test_inside_of_an_event_loop_achieve_says_what_to_use_and_outside_pursue_doe
 
 def test_wrong_arguments_are_refused_before_anything_begins() -> None:
     async def cell() -> None:
-        with pytest.raises(InputError, match="expected TaskObserver, found <built-in function print>"):
+        with pytest.raises(InputError, match="expected TaskObserver for observer, found <built-in function print>"):
             achieve_async(None, rooms(), observer=print)  # type: ignore[arg-type]
 
     asyncio.run(cell())

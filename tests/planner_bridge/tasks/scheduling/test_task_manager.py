@@ -21,6 +21,7 @@ from pnm.tasks import Code, OnConflict, TaskState
 from tests.support.files import ROOT
 from tests.support.pddl.problems import fleet
 from tests.support.tasks.node import CALLS, EAGER, USUAL, carry, robots_of, simulated
+from tests.support.tasks.scenarios.random_scenarios import run_scenario
 from tests.support.tasks.simulation import TaskSimulation
 
 ONCE = replace(USUAL, limits=Limits(forbid_after=1))
@@ -103,8 +104,9 @@ async def test_a_goal_that_waits_for_what_others_have_begun_says_so_or_is_refuse
     await asyncio.sleep(1.0)
     two, three = simulation.want("(at r1 yard)"), simulation.want("(at r1 yard)", on_conflict=OnConflict.REFUSE)
     await simulation.sees(two, "state", "waits for (at r1 kitchen)")
-    assert "it has begun move(r1, store, hall)" in simulation.seen(two, "state", "waits for")[0].text
+    assert "it is expected to be done with (at r1 kitchen) in 7 s" in simulation.seen(two, "state", "waits for")[0].text
     assert await simulation.ended_with(three) == [Code.CONFLICT]
+    assert "it has begun move(r1, store, hall)" in simulation.endings[three].message
     await simulation.reaches(one, two)
 
 
@@ -233,3 +235,20 @@ def test_many_goals_over_few_robots_with_failures_all_end_and_say_the_truth(seed
                 assert code in (Code.ACTION_FAILED, Code.NO_PLAN, Code.CONDITION_LOST, Code.SERVER_UNAVAILABLE, Code.TIMED_OUT), code
 
     scenario()
+
+
+BROKEN = {
+    75: "paused right after it was cancelled",
+    76: "over while it was told to make way",
+    175: "what is under way does not fit into the plan that was found",
+    243: "what made way for another was let go before that one was over",
+    272: "what a pause lets come to its end was not seen by others",
+    630: "something was being cancelled when the next machine was ready",
+    10875: "paused right after it was resumed",
+}
+"""Scripts that went wrong once."""
+
+
+@pytest.mark.parametrize("number", [*BROKEN, *range(60)])
+def test_a_random_script_is_played_to_its_end(number: int):
+    run_scenario(number)

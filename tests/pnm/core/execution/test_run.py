@@ -101,6 +101,15 @@ def test_a_goal_that_is_neither_answered_nor_confirmed_as_withdrawn_is_not_tried
     assert log.orphans == [Accepted(ids_sent(commands)[0])]
 
 
+def test_what_is_aborted_for_good_is_not_tried_again() -> None:
+    run, commands = begun(plan(1), Bindings({"a0": Binding(retries=5)}))
+    (request,) = ids_sent(commands)
+    run.handle(Accepted(request), 0.0)
+    assert ids_sent(run.handle(Ended(request, Outcome(OutcomeKind.ABORTED_FOR_GOOD, message="it is locked")), 1.0)) == []
+    (failure,) = run.result().failures
+    assert (failure.cause, failure.observed, run.result().calls[0].attempts) == ("aborted", "it is locked", 1)
+
+
 def test_results_are_stored_by_name_and_fill_later_goals() -> None:
     bindings = Bindings({"a0": Binding(store={"time": "wait"}), "a1": Binding(goal={"time": "$wait", "word": "$spam"})})
     run, commands = begun(plan(2, "0e<1s"), bindings)

@@ -39,6 +39,28 @@ def test_a_result_that_does_not_tell_is_no_success() -> None:
     assert outcome.message == "its result does not tell whether it succeeded: there is no execution_result.status"
 
 
+@pytest.mark.parametrize("kind", [OutcomeKind.SUCCEEDED, OutcomeKind.ABORTED])
+def test_a_failure_without_words_is_explained_by_what_denies_the_success(kind: OutcomeKind) -> None:
+    outcome = Binding(success=Comparison(STATUS, "eq", 0)).judged(ended(kind, 3))
+    assert (outcome.kind, outcome.message) == (OutcomeKind.ABORTED, "its result has execution_result.status = 3")
+
+
+@pytest.mark.parametrize(
+    ("kind", "status", "judged"),
+    [
+        (OutcomeKind.SUCCEEDED, 0, OutcomeKind.SUCCEEDED),
+        (OutcomeKind.SUCCEEDED, 1, OutcomeKind.ABORTED_FOR_GOOD),
+        (OutcomeKind.SUCCEEDED, 2, OutcomeKind.ABORTED),
+        (OutcomeKind.ABORTED, 1, OutcomeKind.ABORTED_FOR_GOOD),
+        (OutcomeKind.ABORTED, None, OutcomeKind.ABORTED),
+        (OutcomeKind.CANCELED, 1, OutcomeKind.CANCELED),
+    ],
+)
+def test_a_failure_may_be_final(kind: OutcomeKind, status: object, judged: OutcomeKind) -> None:
+    binding = Binding(success=Comparison(STATUS, "eq", 0), final=Comparison(STATUS, "eq", 1))
+    assert binding.judged(ended(kind, status)).kind is judged
+
+
 def test_what_the_server_says_itself_stands_where_the_result_has_no_reason() -> None:
     assert BINDING.judged(ended(OutcomeKind.ABORTED, 7, "the door is shut")).message == "the door is shut"
 

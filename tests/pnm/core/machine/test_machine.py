@@ -70,7 +70,7 @@ def test_an_n_shape_of_four_calls_is_sound() -> None:
 
 
 @pytest.mark.timeout(900)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(plans(most=3), st.integers(0, 1), st.sampled_from(OnFailure))
 def test_any_partial_order_of_events_is_sound(graph: PlanGraph, retries: int, on_failure: OnFailure) -> None:
     machine = generate(graph, bindings(retries if len(graph.calls) < 3 else 0), on_failure=on_failure)

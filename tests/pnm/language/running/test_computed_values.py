@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from planner_bridge.cli.console import SafeConsole
-from planner_bridge.cli.options import Files
+from planner_bridge.cli.options import Files, Output
 from planner_bridge.cli.run import run_written
 from planner_bridge.pipeline import carry_out
 from planner_bridge.simulation import simulated_backend
@@ -173,13 +173,17 @@ def test_a_result_is_json_whatever_is_in_it(tmp_path: Path) -> None:
 def test_parameters_of_the_command_line_are_finite() -> None:
     given = ("x=[1, .nan]",)
     with pytest.raises(InputError, match=r"--set x:1:5: expected a finite number, found \.nan"):
-        run_written(Path("no.yaml"), None, given, Files(), actions="simulated", settings=Settings(), on_failure=None, as_json=True)
+        run_written(
+            Path("no.yaml"), None, given, (), Files(), actions="simulated", settings=Settings(), on_failure=None, output=Output.JSON
+        )
 
 
 def test_a_planner_that_is_not_there_is_refused_before_the_plan_begins(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     none, settings = Files(None, None, None, None), Settings(planner="race:kairoos")
     with pytest.raises(InputError, match=r"'kairoos' cannot take part in a race; .*; did you mean 'kairos'\?"):
-        run_written(written(tmp_path, "plan: []"), None, (), none, actions="simulated", settings=settings, on_failure=None, as_json=True)
+        run_written(
+            written(tmp_path, "plan: []"), None, (), (), none, actions="simulated", settings=settings, on_failure=None, output=Output.JSON
+        )
     assert capsys.readouterr().out == ""
 
 

@@ -45,7 +45,7 @@ def test_a_plan_that_is_called_and_fails_says_why(tmp_path: Path) -> None:
 
 
 def test_a_parameter_that_nobody_gives_is_refused_by_name_before_anything_begins(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"^outer needs a value for its parameter 'shop'; expected one such as {shop: …} among the param"):
+    with pytest.raises(InputError, match=r"^outer needs a value for its parameter 'shop'; expected {shop: …} among the param"):
         carry_out(written(tmp_path, GUIDE))
 
 
@@ -141,7 +141,7 @@ def test_cancelling_a_plan_cancels_the_plan_it_calls(tmp_path: Path) -> None:
         running = asyncio.ensure_future(runner.execute(outer))
         await asyncio.sleep(7)
         assert [one.program.plan.name for one in runner.going_on] == ["outer", "inner"]
-        assert outer.running == ("inner(pharmacy): go(pharmacy)",)
+        assert outer.running == (("inner(pharmacy): go(pharmacy)", ""),)
         outer.executor.stop()
         result = await running
         assert not result.goal

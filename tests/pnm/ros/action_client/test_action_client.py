@@ -9,7 +9,7 @@ import pytest
 
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import GroundAction
-from pnm.core.machine.requests import Ended, OutcomeKind, Request
+from pnm.core.machine.requests import Ended, OutcomeKind, Postponed, Request
 from pnm.errors import InputError
 from pnm.ros.action_client.client import Ros2ActionClient
 from tests.support.processes import LIMIT
@@ -202,6 +202,18 @@ def test_type_found_from_the_graph_and_hyphens_written_as_underscores(with_clien
     with_client(scenario)
 
 
+def test_a_goal_that_another_process_filled_before_its_type_was_known_is_sent(with_client, start, names):
+    name = names()
+    start("--fibonacci", name)
+
+    async def scenario(client):
+        assert await client.ros2.prepare([GroundAction(name)], LIMIT) == ()
+        outcome = await client.reattach(name, action=name, arguments=[], duration=0.0, order=2).ended()
+        assert outcome.kind is OutcomeKind.SUCCEEDED
+
+    with_client(scenario)
+
+
 @pytest.mark.parametrize(("goal", "kind"), [({}, OutcomeKind.UNAVAILABLE), ({"order": 2}, OutcomeKind.SUCCEEDED)])
 def test_a_goal_that_was_filled_before_its_type_was_known_is_sent_if_it_has_all_fields(with_client, start, names, goal, kind):
     name = names()
@@ -254,3 +266,25 @@ def test_an_end_without_success_is_reported_when_the_world_has_been_asked(with_c
         assert (await aborted.ended()).kind is OutcomeKind.ABORTED
 
     with_client(scenario, ended=ended, act=Binding(server=shared))
+
+
+def test_nothing_is_sent_while_the_process_may_not_act_and_all_of_it_when_it_may(with_client, shared, ros):
+    async def scenario(client):
+        others, ends = Ros2ActionClient(ros, Bindings({"act": Binding(server=shared)}), asyncio.get_running_loop()), asyncio.Queue()
+        running = client.send("act", action="hang")
+        await running.accepted()
+        client.may_act = False
+        client.cancel(running)
+        waiting = client.send("act", action="succeed")
+        for _ in range(3):  # by another process, so to speak
+            others.send(Request(uuid4(), GroundAction("act"), {"action": "succeed"}), ends.put_nowait)
+            while not isinstance(await ends.get(), Ended):
+                pass
+        reports = [sent.reports.get_nowait() for sent in (running, waiting) if not sent.reports.empty()]
+        assert all(isinstance(report, Postponed) for report in reports)
+        client.may_act = True
+        assert (await running.ended()).kind is OutcomeKind.CANCELED
+        assert (await waiting.ended()).kind is OutcomeKind.SUCCEEDED
+        others.close()
+
+    with_client(scenario, act=Binding(server=shared))

@@ -28,6 +28,14 @@ def test_a_server_that_is_gone_is_lost_after_the_grace():
     assert looks(Liveness(frozenset({OLD})), set()) == (Verdict.LOST, GRACE)
 
 
+def test_what_keeps_its_goals_over_its_death_has_longer_to_be_back():
+    watch = Liveness(frozenset({OLD}), grace=GRACE + 10.0)
+    assert looks(watch, set(), end=GRACE + 9.0)[0] is Verdict.FINE
+    watch.processes |= {NEW}  # its status says that it is at work on the goal
+    assert watch.check(frozenset({NEW}), False, GRACE + 9.5) is Verdict.ASK
+    assert looks(watch, set(), start=100.0, end=200.0) == (Verdict.LOST, 110.0 + GRACE)
+
+
 def test_a_server_that_comes_back_is_asked_for_the_result():
     watch = Liveness(frozenset({OLD}))
     assert watch.check(frozenset(), False, 0.0) is Verdict.FINE
@@ -45,6 +53,17 @@ def test_a_new_process_is_asked_at_once_and_again_but_not_for_ever(present):
         now, asks = found[1], asks + 1
     assert asks <= ASKS
     assert found[0] is (Verdict.FINE if OLD in present else Verdict.LOST)
+
+
+def test_each_process_that_comes_back_is_asked():
+    watch = Liveness(frozenset({OLD}), grace=1000.0)
+    now = 0.0
+    for process in (b"second", b"third"):  # the second dies before it answers
+        end, asks = now + 100.0, 0
+        while now < end:
+            verdict, now = looks(watch, {process}, start=now + 0.25, end=end)
+            asks += verdict is Verdict.ASK
+        assert asks == ASKS
 
 
 def test_the_remains_of_an_older_process_may_leave_the_graph():

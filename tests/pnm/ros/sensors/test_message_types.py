@@ -91,6 +91,8 @@ async def test_publishers_of_another_type_are_ignored(ros, names, sensing, senso
     sensors({"topic": name, "type": "test_msgs/msg/Strings", "fields": {"string_value": "hall"}})
     sensors({"topic": name, "type": BASIC, "fields": {"bool_value": True}})
     file = sensing(f"sensors: [{{topic: {name}, type: {BASIC}, facts: [{{fact: (dark), field: bool_value}}]}}]")
+    # both are there before it is looked: a topic that nobody but the wrong publisher has is refused
+    await until_true(ros, lambda: ros.node.count_publishers(f"/{name}") == 2)
 
     async with listening(ros, file) as world:
         await becomes(world, ("dark",), True)

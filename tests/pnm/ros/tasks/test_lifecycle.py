@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
@@ -185,6 +186,24 @@ async def test_the_node_is_finalized_when_it_is_closed():
         assert await one.state() == "finalized"
 
 
+@bounded
+async def test_a_transition_that_is_cancelled_when_it_is_done_comes_to_its_end():
+    async with managed_node() as one:
+        await one.lifecycle.change("configure")
+        go, busy = one.work.slow.setdefault("activate", asyncio.Event()), threading.Event()
+        one.work.begun.clear()
+        activating = asyncio.create_task(one.lifecycle.change("activate"))
+        await one.work.begun.wait()
+        one.ros.call(lambda: busy.wait(LIMIT))
+        go.set()
+        for _ in range(5):
+            await asyncio.sleep(0)
+        activating.cancel()  # as a signal does in the moment in which the node says that it is ready
+        await asyncio.wait((activating,))
+        busy.set()
+        await one.lifecycle.change("deactivate")
+
+
 # --- parameters ------------------------------------------------------------------------------
 
 PARAMETERS = (
@@ -218,9 +237,9 @@ def declared(given: dict[str, Any], *overrides: str) -> tuple[dict[str, Any], di
     return run_bounded(main())
 
 
-def test_what_ros_says_comes_before_options_and_these_before_defaults():
+def test_options_come_before_what_ros_says_and_this_before_defaults():
     values, described, changed = declared({"planner": "aries", "tasks": 2}, "planner:=race", "limit:=0.5")
-    assert values == {"planner": "race", "limit": 0.5, "tasks": 2, "on_failure": "drain", "autostart": True}
+    assert values == {"planner": "aries", "limit": 0.5, "tasks": 2, "on_failure": "drain", "autostart": True}
     limit, on_failure = described["descriptors"]
     assert (limit["description"], limit["read_only"], limit["floating_point_range"][0]["from_value"]) == ("seconds", True, 0.5)
     assert on_failure["additional_constraints"] == "one of drain, cancel"
@@ -242,6 +261,13 @@ def test_a_parameter_that_is_wrong_is_named(override, said):
     with pytest.raises(InputError) as error:
         declared({}, override)
     assert said in str(error.value)
+
+
+def test_a_parameter_that_is_not_there_is_warned_about_with_the_nearest_name(caplog):
+    declared({}, "planer:=race", "use_sim_time:=false", "qos_overrides./clock.subscription.depth:=1", "far.away:=1")
+    said = [record.message for record in caplog.records if "there is no parameter" in record.message]
+    assert said[0].startswith("there is no parameter far.away; it is ignored; ")
+    assert said[1:] == ["there is no parameter planer; it is ignored; did you mean 'planner'?"]
 
 
 def test_arguments_that_ros_does_not_understand():

@@ -100,6 +100,19 @@ async def test_what_somebody_has_paused_does_not_go_on_because_the_node_does(two
 
 
 @bounded
+async def test_what_somebody_has_paused_in_the_process_before_does_not_go_on_because_the_node_does(two):
+    async with serving_node(two) as one:
+        await one.tasks.pause(None, at_once=True)
+        one.node.restored(True, ())
+        goal = await one.goal("running")
+        await one.node.deactivate()
+        await one.node.activate()
+        assert one.tasks.open[goal.id].state is TaskState.PAUSED
+        assert (await one.client.call("executor/resume", task=ALL))["success"]
+        assert one.tasks.open[goal.id].state is TaskState.RUNNING
+
+
+@bounded
 async def test_what_is_paused_by_itself_does_not_go_on_with_the_others(two):
     async with serving_node(two) as one:
         paused, resumed, other = await one.goal("running"), await one.goal("running"), await one.goal("running")

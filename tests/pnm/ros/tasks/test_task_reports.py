@@ -14,7 +14,7 @@ from pnm.ros.tasks import executor_topics as task_topics
 from pnm.ros.tasks.executor_topics import TaskTopics
 from pnm.ros.tasks.task_messages import TRACE, run_ending_fields
 from pnm.ros.tasks.task_node import action_names
-from pnm.tasks import Code, OnConflict, TaskEnding, TaskState, Wanted
+from pnm.tasks import Code, OnConflict, TaskEnding, TaskState, TraceKind, Wanted
 from tests.support.ros.child_process import bounded, run_bounded
 from tests.support.ros.serving_node import serving_node
 from tests.support.ros.task_client import ABORTED, CANCELED, LIMIT, SUCCEEDED, uuid_data
@@ -37,8 +37,10 @@ async def message_where(queue: asyncio.Queue[dict[str, Any]], found: Any) -> dic
 async def test_a_plan_with_an_action_of_its_own_is_a_task_like_others(two):
     async with serving_node(two) as one:
         goal = await one.client.send("running_tour", parameters="{shop: bakery}")
-        assert await goal.hears(lambda told: told["running"]) == {"running": ["move(r1, hall)"], "ended": 1, "restarts": 0}
-        assert one.tasks.wanted == [Wanted(goal.id, "running", parameters={"shop": "bakery"}, is_plan=True)]
+        assert await goal.hears(lambda told: told["running"]) == {
+            "running": ["move(r1, hall)"], "feedback": [""], "ended": 1, "restarts": 0,
+        }  # fmt: skip
+        assert one.tasks.wanted == [Wanted(goal.id, "running", parameters={"shop": "bakery"}, is_plan=True, server="running_tour")]
         assert (await one.client.call("executor/pause", task=uuid_data(goal.id)))["success"]
         assert one.tasks.open[goal.id].state is TaskState.PAUSED
         assert (await one.client.call("executor/cancel", task=uuid_data(goal.id)))["success"]
@@ -60,7 +62,9 @@ async def test_a_plan_with_an_action_of_its_own_is_a_task_like_others(two):
 )
 def test_the_result_of_a_plan_says_why_in_one_word(code, cause, reason):
     fields = run_ending_fields(TaskEnding(code, "why", cause=cause, results={"n": 1}), 0.0)
-    assert fields == {"success": code is Code.GOAL_REACHED, "reason": reason, "message": "why", "results": '{"n": 1}'}
+    assert fields == {
+        "success": code is Code.GOAL_REACHED, "code": code, "reason": reason, "message": "why", "results": '{"n": 1}',
+    }  # fmt: skip
 
 
 def test_plans_have_names_that_can_be_told_apart(two):
@@ -80,8 +84,8 @@ async def test_what_is_wanted_arrives_as_it_was_said(two):
     async with serving_node(two) as one:
         await one.goal(" running ", priority=-3, deadline=2.5, policy=2)
         await one.client.send("execute_plan", plan="running fast", parameters="{shop: bakery}", priority=7)
-        goal = Wanted(one.tasks.wanted[0].id, "running", -3, 2.5, OnConflict.QUEUE)
-        plan = Wanted(one.tasks.wanted[1].id, "running fast", 7, parameters={"shop": "bakery"}, is_plan=True)
+        goal = Wanted(one.tasks.wanted[0].id, "running", -3, 2.5, OnConflict.QUEUE, server="achieve_goal")
+        plan = Wanted(one.tasks.wanted[1].id, "running fast", 7, parameters={"shop": "bakery"}, is_plan=True, server="execute_plan")
         assert one.tasks.wanted == [goal, plan]
 
 
@@ -92,9 +96,24 @@ async def test_feedback_tells_how_the_task_is_doing(two):
         told = await goal.is_in(TaskState.RUNNING)
         assert told["plan"] == ["move(r1, hall)", "pick(r1, cup)"]
         assert told["status"] == {
-            "id": uuid_data(goal.id), "goal": "running", "priority": 2, "state": 2, "reason": "", "running": ["move(r1, hall)"],
-            "ended": 1, "replans": 0,
+            "id": uuid_data(goal.id), "goal": "running", "priority": 2, "state": 2, "code": 0, "reason": "", "running": ["move(r1, hall)"],
+            "feedback": [""], "ended": 1, "replans": 0,
         }  # fmt: skip
+
+
+@bounded
+async def test_what_the_server_of_a_call_says_is_passed_on(two):
+    async with serving_node(two) as one:
+        goal, tour = await one.goal("running"), await one.client.send("running_tour")
+        status = await one.client.subscribe("executor/status")
+        await message_where(status, lambda told: len(told["tasks"]) == 2)
+        one.tasks.feed(goal.id, "distance_remaining 1.2")
+        one.tasks.feed(tour.id, "distance_remaining 1.3")
+        await goal.hears(lambda told: told["status"]["feedback"] == ["distance_remaining 1.2"])
+        await tour.hears(lambda told: told["feedback"] == ["distance_remaining 1.3"])
+        await message_where(
+            status, lambda told: [task["feedback"] for task in told["tasks"]] == [[f"distance_remaining 1.{n}"] for n in (2, 3)]
+        )
 
 
 @bounded
@@ -118,7 +137,8 @@ async def test_a_plan_is_looked_for(two):
         assert (result["plan"]["goal"], result["plan"]["task"]) == ("(at r1 hall)", ALL)
         assert result["plan"]["steps"][1] == {
             "action": "move", "arguments": ["r1", "hall"], "start": 1.0, "duration": 2.0, "state": 1, "after": [0],
-            "started": {"sec": 0, "nanosec": 0}, "ended": {"sec": 0, "nanosec": 0}, "attempts": 2, "limit": 10.0, "reason": "aborted",
+            "started": {"sec": 0, "nanosec": 0}, "ended": {"sec": 0, "nanosec": 0}, "attempts": 2, "limit": 10.0,
+            "cause": 6, "reason": "aborted",
         }  # fmt: skip
         status, result = await (await one.client.send("plan", goal="no_plan")).result()
         assert (status, result["reason"], result["plan"]["steps"]) == (ABORTED, "no_plan", [])
@@ -190,7 +210,8 @@ async def test_markings_and_events_are_told_to_those_who_listen(two):
         while trace.empty() and asyncio.get_running_loop().time() < until:
             one.tasks.tell(first.id, 1)  # until it is known that somebody listens
             await asyncio.sleep(0.05)
-        assert (await trace.get())["kind"] == "sent"
+        told = await trace.get()
+        assert (told["kind"], told["word"]) == (TraceKind.SENT, "sent")
 
 
 @bounded

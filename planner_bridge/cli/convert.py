@@ -1,0 +1,112 @@
+"""`pnm export`, `pnm import` and `pnm schema`: PDDL as YAML and back, and what editors check YAML by."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import nullcontext
+from pathlib import Path
+
+import click
+
+from planner_bridge.cli.console import SafeConsole
+from planner_bridge.cli.options import (
+    FILE,
+    bindings_option,
+    command,
+    force_option,
+    output_options,
+    planning,
+    print_warnings,
+    searching,
+    write,
+    write_files,
+)
+from planner_bridge.loading import bindings_for
+from planner_bridge.yaml.convert import exported, imported
+from planner_bridge.yaml.write_bindings import unwritten
+from pnm.errors import InputError
+from pnm.language.files import SCHEMA
+
+
+@click.command(epilog="Example: pnm export domain.pddl problem.pddl -o robots.yaml --with-plan")
+@click.argument("domain", type=FILE)
+@click.argument("problem", type=FILE, required=False)
+@output_options
+@click.option("--with-plan", is_flag=True, help="find a plan for the problem, and write it as well")
+@click.option(
+    "--seed-compatible",
+    "original",
+    is_flag=True,
+    help="write the plan as the first implementation of Petri Net Machines loads it, which knows no durations",
+)
+@bindings_option
+@planning
+@command
+def export(
+    *,
+    domain: Path,
+    problem: Path | None,
+    output: Path | None,
+    force: bool,
+    with_plan: bool,
+    original: bool,
+    bindings: Path | None,
+    planner: str,
+    planner_timeout: float,
+    improve: float,
+) -> int:
+    """Write a domain, a problem and a plan as YAML."""
+    bound = bindings_for(domain, bindings, None)
+    with searching(planner, planner_timeout) if with_plan or original else nullcontext():
+        result = exported(
+            domain,
+            problem,
+            with_plan=with_plan,
+            original=original,
+            bindings=bound,
+            planner=planner,
+            timeout=planner_timeout,
+            improve=improve,
+        )
+    print_warnings(result.warnings)
+    if result.reason:
+        SafeConsole(stderr=True).print_reason("no plan:", result.reason)
+        return 1
+    if left_out := [f"{key!r}" for key in unwritten(bound, original=original)]:
+        print(f"{' and '.join(left_out)} of the bindings are not in the text: give --bindings when it is run", file=sys.stderr)
+    write(output, result.text, force=force)
+    return 0
+
+
+@click.command("import", epilog="Example: pnm import robots.yaml -o robots")
+@click.argument("file", type=FILE)
+@click.option(
+    "-o", "--output", type=FILE, required=True, help="a folder, for domain.pddl, problem.pddl and bindings.yaml; made if it is not there"
+)
+@force_option
+@command
+def from_yaml(file: Path, output: Path, force: bool) -> int:
+    """Write a domain in YAML as PDDL.
+
+    With its problem if there is one, and how actions are bound as bindings.yaml.
+    """
+    result = imported(file)
+    print_warnings(result.warnings)
+    try:
+        output.mkdir(exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{output}: not a folder, and none can be made there: {error.strerror}") from error
+    write_files({output / name: text for name, text in result.texts.items()}, force=force)
+    return 0
+
+
+@click.command(epilog="Example: pnm schema -o pnm.json")
+@output_options
+@command
+def schema(output: Path | None, force: bool) -> int:
+    """Write the JSON Schema of YAML files, for editors.
+
+    They complete and check plans, domains and worlds by it.
+    """
+    write(output, SCHEMA.read_text(encoding="utf-8"), force=force)
+    return 0

@@ -1,0 +1,183 @@
+"""`pnm replay` and `pnm history`: what a journal says, without any robot; and `pnm resume` of a run that has died."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.text import Text
+
+from planner_bridge.cli.console import SafeConsole
+from planner_bridge.cli.options import command
+from planner_bridge.node.journal_place import latest_journal
+from planner_bridge.tasks.result import TASKS
+from pnm.core.knowledge_base import statement_text
+from pnm.errors import InputError
+from pnm.files.database.place import Place, place_of
+from pnm.journal.codec import Undecodable
+from pnm.journal.kept import JournalError
+from pnm.journal.records import Happened, RunMade, TaskAccepted, TaskSummary
+from pnm.journal.replay import Replay, Step
+from pnm.journal.resume import command_of, replay_steps, summaries
+from pnm.journal.text import words
+from pnm.tasks import Code
+
+journal_argument = click.argument("journal", required=False)
+
+
+@click.command(epilog="Example: pnm replay tasks.journal --to 120")
+@journal_argument
+@click.option("--to", "last", type=click.IntRange(1), help="the record after which to stop, and to print what was so then")
+@click.option("--json", "as_json", is_flag=True, help="print a JSON object per record, and nothing else")
+@command
+def replay(journal: str | None, last: int | None, as_json: bool) -> int:
+    """Execute the runs of a journal again.
+
+    Step by step, without any robot; with --to also what was so after that record.
+    Without JOURNAL it is that of the node on this computer that has written last.
+    """
+    console = SafeConsole()
+    state = Replay()
+    with _errors_of_journals():
+        for step in replay_steps(_chosen(journal), TASKS, state):
+            if as_json:
+                print(json.dumps(_as_json(step, state), default=str), flush=True)
+            else:
+                _print(step, state, console)
+            if step.number == last:
+                break
+    if last and not as_json:
+        _print_state(state, console)
+    return 0
+
+
+@click.command(epilog="Example: pnm history tasks.journal")
+@journal_argument
+@click.option("--json", "as_json", is_flag=True, help="print a JSON object per task, and nothing else")
+@command
+def history(journal: str | None, as_json: bool) -> int:
+    """List the tasks of a journal.
+
+    When each was accepted, what it is about, and how it has ended.
+    Without JOURNAL it is that of the node on this computer that has written last.
+    """
+    with _errors_of_journals():
+        tasks = summaries(_chosen(journal), TASKS)
+    console = SafeConsole()
+    for task in tasks:
+        if as_json:
+            print(json.dumps(_task_as_json(task)), flush=True)
+        else:
+            _print_task(task, console)
+    if not (tasks or as_json):
+        console.print("no tasks", highlight=False)
+    return 0
+
+
+def resume_run(journal: Place) -> int:
+    """Go on with the run that a journal has kept, with what its command was given, and end with its exit status."""
+    from planner_bridge.cli.commands import run  # here, because it looks up this module
+
+    with _errors_of_journals():
+        tasks, (folder, *given) = summaries(journal, TASKS), command_of(journal, TASKS) or ("",)
+    if not folder:
+        again = "start `pnm serve` again, with the files and options that it had, and it goes on"
+        raise InputError(f"{journal} is the journal of a node: {again}; `pnm history {journal}` lists its tasks")
+    if not tasks or tasks[-1].ending:
+        _print_task(tasks[-1], SafeConsole()) if tasks else print("no tasks")
+        return 0 if tasks and tasks[-1].ending and tasks[-1].ending.code is Code.GOAL_REACHED else 1
+    place = str(journal.resolve()) if isinstance(journal, Path) else journal.text
+    try:
+        os.chdir(folder)
+    except OSError as error:
+        raise InputError(f"{journal}: its command was given in {folder}: {error.strerror}") from error
+    print(f"in {folder}: pnm run {shlex.join(given)}", file=sys.stderr)
+    return int(run.main([*given, "--journal", place], "pnm run", standalone_mode=False) or 0)
+
+
+def _chosen(journal: str | None) -> Place:
+    """Return the journal that is meant; one that was not named is named on stderr."""
+    if journal is not None:
+        return place_of(journal)
+    latest = latest_journal()
+    print(f"journal: {latest}", file=sys.stderr)
+    return latest
+
+
+@contextmanager
+def _errors_of_journals() -> Iterator[None]:
+    """Raise an `InputError` for a file that is no journal of this version."""
+    try:
+        yield
+    except (JournalError, Undecodable) as error:
+        raise InputError(str(error)) from error
+
+
+def _print(step: Step, state: Replay, console: Console) -> None:
+    first, *more = words(step, state)
+    task = state.runs[step.record.run].made.task.hex[:8] if isinstance(step.record, Happened | RunMade) else ""
+    console.print(Text(f"{step.number:6} {step.time - state.began:9.2f} s  {task:8}  {first}"), soft_wrap=True)
+    for line in more:
+        console.print(Text(f"{'':30}{line}", style="dim"), soft_wrap=True)
+
+
+def _print_state(state: Replay, console: Console) -> None:
+    """Print what was so after the last record: tasks, marked places, facts."""
+    for id, task in state.tasks.items():
+        doing = "over" if task.ending else "not over"
+        console.print(Text(f"task {id.hex[:8]}  {_name(task.accepted)}: {doing}"), soft_wrap=True)
+    for replayed in state.runs.values():
+        if not replayed.is_over:
+            console.print(Text(f"run {replayed.run.id.hex[:8]}  of {replayed.made.name}"), soft_wrap=True)
+            for place in replayed.run.marking:
+                console.print(Text(f"  marked {place}"), soft_wrap=True)
+    for fluent, value in sorted(state.world.facts().items(), key=lambda fact: fact[0]):
+        console.print(Text(f"fact {statement_text(fluent, value)}"), soft_wrap=True)
+
+
+def _as_json(step: Step, state: Replay) -> dict[str, Any]:
+    """Return a record, and what has come of it."""
+    record = TASKS.plain(step.record)
+    entry: dict[str, Any] = {"number": step.number, "time": step.time, "record": record, "words": list(words(step, state))}
+    if isinstance(step.record, Happened):
+        run = state.runs[step.record.run].run
+        entry["fired"], entry["marking"] = list(step.fired), dict(run.marking)
+        entry["results"] = {str(result.call): result.outcome for result in run.interim_result().calls}
+    return entry
+
+
+def _name(task: TaskAccepted) -> str:
+    return task.wanted.text or "the goal of the problem"
+
+
+def _task_as_json(task: TaskSummary) -> dict[str, Any]:
+    ending = task.ending
+    return {
+        "task": str(task.accepted.wanted.id),
+        "goal": task.accepted.wanted.text,
+        "accepted": task.accepted.wall,
+        "ended": task.ended,
+        "runs": task.runs,
+        "code": ending.code.word if ending else None,
+        "reason": ending.message if ending else None,
+    }
+
+
+def _print_task(task: TaskSummary, console: Console) -> None:
+    at = datetime.fromtimestamp(task.accepted.wall).astimezone().strftime("%Y-%m-%d %H:%M:%S")
+    ending = task.ending
+    if ending is None or task.ended is None:
+        text = "not over"
+    else:
+        text = f"{ending.code.word} after {task.ended - task.accepted.wall:.1f} s: {ending.message}"
+    console.print(Text(f"{at}  {task.accepted.wanted.id.hex[:8]}  {_name(task.accepted)}"), soft_wrap=True)
+    console.print(Text(f"{'':21}{text}", style="" if ending else "yellow"), soft_wrap=True)

@@ -1,0 +1,46 @@
+"""How the parts of a node are, for ``/diagnostics``: the node itself, its tasks, and what `pnm check` looks at."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Iterable
+from contextlib import AsyncExitStack
+from typing import TYPE_CHECKING, Any
+
+from planner_bridge.node.options import Options
+from pnm.core.readiness import Readiness
+from pnm.errors import InputError
+from pnm.tasks import EVENTS, Tasks
+
+if TYPE_CHECKING:
+    from pnm.ros.tasks.diagnostics import Diagnosis
+
+
+async def open_diagnoses(
+    stack: AsyncExitStack,
+    ros: Any,
+    look: Callable[[], Awaitable[Iterable[Readiness]]],
+    tasks: Tasks,
+    state: Callable[[], str],
+    options: Options,
+) -> None:
+    """Publish diagnoses until the stack is closed; there is a warning when their type is not installed.
+
+    Args:
+        look: returns how ready action servers and sensors are.
+        state: returns that of the life cycle.
+    """
+    from pnm.ros.tasks.diagnostics import Diagnosis, Diagnostics, Level, diagnosis_of, diagnosis_of_tasks  # here, because rclpy is an extra
+
+    served = {name: getattr(options, name) or "" for name in ("domain", "problem", "world", "planner")}
+
+    async def diagnose() -> tuple[Diagnosis, ...]:
+        level, message = (Level.OK, "active") if state() == "active" else (Level.WARN, f"{state()}: goals are rejected")
+        return Diagnosis("node", level, message, served), diagnosis_of_tasks(tasks.status()), *map(diagnosis_of, await look())
+
+    try:
+        diagnostics = Diagnostics(ros, diagnose)
+    except InputError as error:  # a ROS installation has the type, as have the wheels of the extra
+        EVENTS.warning("there are no diagnostics: %s", error)
+        return
+    await diagnostics.open()
+    stack.push_async_callback(diagnostics.close)

@@ -1,0 +1,93 @@
+"""The life cycle of a node: its moments, and their log."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from pnm.core.machine.verification.verify import Proof
+from pnm.errors import Tolerated
+from pnm.tasks import EVENTS, Tasks
+
+
+def journal_words(place: str, going_on: int) -> str:
+    """Return where tasks are kept in words."""
+    if not place:
+        return "journal: none, tasks end with this process"
+    tasks = f"; {going_on} task{'' if going_on == 1 else 's'} of another process go{'es' if going_on == 1 else ''} on" if going_on else ""
+    return f"journal: {place}{tasks}"
+
+
+def standing_words(place: str, holder: str) -> str:
+    """Return in words that a node waits for a journal."""
+    return f"stands by: {holder} holds the journal {place}"
+
+
+class NodeObserver:
+    """Follows the life cycle of a node: one empty method per event."""
+
+    def unconfigured(self) -> None:
+        """Note that the node waits for a lifecycle manager."""
+
+    def tolerated(self, warnings: Iterable[Tolerated]) -> None:
+        """Note what is doubtful in the files that were read."""
+
+    def proved(self, plan: str, proof: Proof) -> None:
+        """Note that the machine of a plan is verified."""
+
+    def standing_by(self, place: str, holder: str) -> None:
+        """Note that another process holds the journal, and that it is waited for."""
+
+    def journalled(self, place: str, going_on: int) -> None:
+        """Note where tasks are kept, empty if nowhere, and how many of another process go on."""
+
+    def configured(self, tasks: Tasks) -> None:
+        """Note that there will be tasks, which can be listened to."""
+
+    def activated(self, actions: tuple[str, ...]) -> None:
+        """Note that goals are accepted, by the action servers of these names."""
+
+    def deactivated(self) -> None:
+        """Note that goals are rejected and tasks are paused."""
+
+    def missing(self, server: str) -> None:
+        """Note that an action server that a plan needs is missing."""
+
+    def failed(self, error: BaseException) -> None:
+        """Note that the action servers that plans need cannot be used, or that the node cannot be configured."""
+
+
+class NodeLog(NodeObserver):
+    """Logs the life cycle to `pnm.tasks.EVENTS`; what happens to tasks is logged by their manager."""
+
+    def unconfigured(self) -> None:
+        """Log that a lifecycle manager is waited for."""
+        EVENTS.info("unconfigured: waits for its transitions")
+
+    def tolerated(self, warnings: Iterable[Tolerated]) -> None:
+        """Log warnings."""
+        for warning in warnings:
+            EVENTS.warning("%s", warning)
+
+    def proved(self, plan: str, proof: Proof) -> None:
+        """Log the proof of a plan."""
+        EVENTS.info("plan %s: proved %s", plan, proof)
+
+    def standing_by(self, place: str, holder: str) -> None:
+        """Log who holds the journal."""
+        EVENTS.info("%s", standing_words(place, holder))
+
+    def activated(self, actions: tuple[str, ...]) -> None:
+        """Log the action servers of the node."""
+        EVENTS.info("active: goals are accepted by %s", ", ".join(actions))
+
+    def deactivated(self) -> None:
+        """Log that goals are rejected."""
+        EVENTS.warning("inactive: goals are rejected, and tasks are paused")
+
+    def missing(self, server: str) -> None:
+        """Log that a server is missing."""
+        EVENTS.warning("there is no action server %s yet", server)
+
+    def failed(self, error: BaseException) -> None:
+        """Log why servers cannot be used."""
+        EVENTS.error("%s", error)

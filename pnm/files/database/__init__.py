@@ -1,0 +1,1 @@
+"""Databases: an SQLite file, or tables in PostgreSQL, by the same statements."""

@@ -1,0 +1,151 @@
+"""PostgreSQL as a database of ours.
+
+Nothing waits without limit: neither for the server, which may be cut off, nor for another process that writes. A process that stops in
+the middle of a transaction loses it within `LIMIT` seconds, so that others need not wait for it.
+"""
+
+from __future__ import annotations
+
+import select
+import socket
+import ssl
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from functools import cache
+from typing import TYPE_CHECKING, Any, Final
+
+from pnm.errors import InputError
+from pnm.files.database.driver import DatabaseError, Layout, Rows, check_version
+from pnm.files.database.place import ServerUrl
+
+if TYPE_CHECKING:
+    from sqlalchemy.engine import Dialect
+
+LIMIT: Final = 1.0
+"""Seconds to wait for a server: to reach it, and for each of its answers."""
+MAKING: Final = 0x504E4D
+"""The lock of those that make tables."""
+_SSL: Final = {"prefer": None, "disable": False, "require": True, "verify-full": ssl.create_default_context}
+"""What the driver takes for a ``sslmode``."""
+
+
+class Postgres:
+    """Tables in a schema of a PostgreSQL database."""
+
+    survives = False
+
+    def __init__(self, url: ServerUrl, *, read_only: bool, is_durable: bool) -> None:
+        try:
+            from pg8000.native import Connection
+        except ImportError as error:
+            raise InputError("PostgreSQL needs pg8000; install petri-net-machines[postgres]") from error
+        self.dialect = _dialect()
+        ended = f"{LIMIT * 1000:.0f}"
+        settings = {
+            "search_path": url.name,
+            "synchronous_commit": "on" if is_durable else "off",
+            "default_transaction_read_only": "on" if read_only else "off",
+            **dict.fromkeys(("statement_timeout", "lock_timeout", "idle_in_transaction_session_timeout"), ended),
+        }
+        self._socket = socket.create_connection((url.host, url.port), LIMIT)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        if hasattr(socket, "TCP_USER_TIMEOUT"):  # of Linux
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(LIMIT * 1000))
+        mode = _SSL[url.options.get("sslmode", "prefer")]
+        try:
+            self._connection = Connection(
+                url.user,
+                host=url.host,
+                database=url.database,
+                password=url.password,
+                sock=self._socket,
+                ssl_context=mode() if callable(mode) else mode,
+                application_name="pnm",
+                startup_params=settings,
+            )
+        except BaseException:
+            self._socket.close()
+            raise
+        self._socket = self._connection._usock  # wrapped, if it is encrypted
+        self._name = url.name
+        self._statements: dict[str, Any] = {}
+        self._listens = False
+
+    def run(self, sql: str, values: Mapping[str, object], /) -> Rows:
+        """Execute a statement with ``:name`` parameters."""
+        if not values:
+            return self._connection.run(sql) or []
+        return self._statement(sql).run(**values) or []
+
+    def run_many(self, sql: str, rows: Sequence[Mapping[str, object]], /) -> None:
+        """Execute a statement for each row."""
+        statement = self._statement(sql)
+        for row in rows:
+            statement.run(**row)
+
+    def _statement(self, sql: str) -> Any:
+        if sql not in self._statements:
+            self._statements[sql] = self._connection.prepare(sql)
+        return self._statements[sql]
+
+    def begin(self) -> None:
+        """Begin a transaction that writes."""
+        self._connection.run("BEGIN")
+
+    def prepare(self, layout: Layout, ddl: Sequence[str], *, read_only: bool) -> None:
+        """Make the tables unless they are there; refuse those of something else or of another version."""
+        if version := self._version(layout):
+            return check_version(layout, version)
+        if read_only:
+            raise DatabaseError(f"there is no {layout.kind}")
+        # One process makes the tables. The others wait before their transactions begin: within one, they need not see what it has made.
+        self._connection.run("SELECT pg_advisory_lock(:key)", key=MAKING)
+        self.begin()
+        if not self._version(layout):
+            self._connection.run(f"CREATE SCHEMA IF NOT EXISTS {self._name}")
+            self._connection.run("CREATE TABLE IF NOT EXISTS formats (kind TEXT PRIMARY KEY, version INTEGER NOT NULL)")
+            for table in ddl:
+                self._connection.run(table)
+            self._connection.run("INSERT INTO formats VALUES (:kind, :version)", kind=layout.kind, version=layout.version)
+        self._connection.run("COMMIT")
+        self._connection.run("SELECT pg_advisory_unlock(:key)", key=MAKING)
+        check_version(layout, self._version(layout))
+
+    def _version(self, layout: Layout) -> int:
+        """Return the version of these tables; 0 when there are none."""
+        if not self._connection.run("SELECT to_regclass(:table) IS NOT NULL", table=f"{self._name}.formats")[0][0]:
+            return 0
+        rows = self._connection.run("SELECT version FROM formats WHERE kind = :kind", kind=layout.kind)
+        return int(rows[0][0]) if rows else 0
+
+    def wait(self, seconds: float) -> None:
+        """Wait until something was announced in the database, or for so long."""
+        if not self._listens:
+            self._connection.run(f"LISTEN {self._name}")
+            self._listens = True
+        if not self._connection.notifications:
+            select.select([self._socket], [], [], seconds)
+            self._connection.run("SELECT 1")  # which reads what has come
+        self._connection.notifications.clear()
+
+    def announce(self) -> None:
+        """Have those that wait go on."""
+        self._connection.run(f"NOTIFY {self._name}")
+
+    def shrink(self) -> None:
+        """Do nothing: the server sees to that."""
+
+    def close(self) -> None:
+        """Close the connection."""
+        with suppress(OSError, ValueError):
+            self._socket.shutdown(socket.SHUT_RDWR)  # at once: a server that is cut off would not answer a farewell
+        with suppress(Exception):
+            self._connection.close()
+        self._socket.close()
+
+
+@cache  # statements are compiled once for each
+def _dialect() -> Dialect:
+    from sqlalchemy.dialects.postgresql.pg8000 import dialect  # here, because it takes 0.15 s
+
+    return dialect(paramstyle="named")  # type: ignore[no-untyped-call]

@@ -1,0 +1,186 @@
+"""A codec of frozen values: what a journal holds, as JSON text and back.
+
+Classes are named by their tag, so that a journal says what it holds; only classes that the codec was made with are read back. A
+field that has its default is left out, which is why a new field with a default needs no new version of the format. JSON has no
+tuples, sets or mappings by anything but text: arrays are tuples, which nearly all sequences here are; the others have tags.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import MISSING as NO_DEFAULT
+from dataclasses import Field, fields, is_dataclass
+from enum import Enum
+from functools import lru_cache
+from types import ModuleType
+from typing import Any, Final
+from uuid import UUID
+
+from pnm.core.logic.computed_values import MISSING
+from pnm.errors import PnmError
+
+_TAG: Final = "@"
+_NESTED: Final = (dict, list)
+"""What JSON has in which there may be values."""
+_PLAIN: Final = frozenset({str, int, float, bool, type(None)})
+
+
+class Undecodable(PnmError):
+    """A value cannot be written, or a text is no value that the codec knows."""
+
+
+def value_classes(*modules: ModuleType) -> tuple[type, ...]:
+    """Return the dataclasses, enums and named tuples that the modules define."""
+    return tuple(
+        entry
+        for module in modules
+        for entry in vars(module).values()
+        if isinstance(entry, type) and entry.__module__ == module.__name__ and _is_value(entry)
+    )
+
+
+def _is_value(kind: type) -> bool:
+    return is_dataclass(kind) or issubclass(kind, Enum) or (issubclass(kind, tuple) and hasattr(kind, "_fields"))
+
+
+class Codec:
+    """Writes and reads values of some classes, and of what JSON has besides.
+
+    Args:
+        classes: dataclasses, enums and named tuples.
+    """
+
+    def __init__(self, classes: Iterable[type]) -> None:
+        self._classes = {kind.__name__: kind for kind in classes}
+        self._writers: dict[type, Callable[[Any], object]] = {}
+        self._readers: dict[str | None, Callable[[dict[str, Any]], Any]] = {}
+
+    def including(self, classes: Iterable[type]) -> Codec:
+        """Return a codec that knows these classes as well."""
+        return Codec((*self._classes.values(), *classes))
+
+    def text(self, value: object) -> str:
+        """Return the value as JSON text; raise `Undecodable` for one of another class."""
+        return json.dumps(self.plain(value), separators=(",", ":"), ensure_ascii=False)
+
+    def value(self, text: str) -> Any:
+        """Return the value of a text; raise `Undecodable` if it is none that the codec knows."""
+        try:
+            return self._read(json.loads(text))
+        except (ValueError, TypeError, KeyError) as error:
+            raise Undecodable(f"not a value of this version: {text[:80]}: {error}") from error
+
+    # --- writing ------------------------------------------------------------------------------
+
+    def plain(self, value: object) -> object:
+        """Return the value in terms of JSON."""
+        kind = type(value)
+        if kind in _PLAIN:
+            return value
+        writer = self._writers.get(kind)
+        if writer is None:
+            writer = self._writers[kind] = self._writer(kind)
+        return writer(value)
+
+    def _writer(self, kind: type) -> Callable[[Any], object]:
+        plain = self.plain
+        if kind is tuple:
+            return lambda value: [plain(item) for item in value]
+        if kind is UUID:
+            return lambda value: {_TAG: "id", "hex": value.hex}
+        if self._classes.get(kind.__name__) is kind:
+            return self._class_writer(kind)
+        if issubclass(kind, list):
+            return lambda value: {_TAG: "list", "items": [plain(item) for item in value]}
+        if issubclass(kind, frozenset | set):
+            return lambda value: {_TAG: "set", "items": sorted((plain(item) for item in value), key=json.dumps)}
+        if issubclass(kind, Mapping):
+            return self._mapping
+        if issubclass(kind, bytes | bytearray):
+            return lambda value: {_TAG: "bytes", "hex": value.hex()}
+        if kind is type(MISSING):
+            return lambda value: {_TAG: "missing"}
+        for base in (bool, int, float, str):  # of a foreign library, such as numpy
+            if issubclass(kind, base):
+                return base
+        raise Undecodable(f"a journal has no {kind.__module__}.{kind.__qualname__}")
+
+    def _class_writer(self, kind: Any) -> Callable[[Any], object]:
+        plain, tag = self.plain, kind.__name__
+        if issubclass(kind, Enum):
+            return lambda value: {_TAG: tag, "name": value.name}
+        if issubclass(kind, tuple):
+            return lambda value: {_TAG: tag, "items": [plain(item) for item in value]}
+        written = [(field.name, *_default(field)) for field in fields(kind) if field.init]
+
+        def write(value: Any) -> object:
+            entry: dict[str, object] = {_TAG: tag}
+            for name, default, empty in written:
+                held = getattr(value, name)
+                if held is not default and (held or type(held) is not empty):
+                    entry[name] = plain(held)
+            return entry
+
+        return write
+
+    def _mapping(self, value: Mapping[object, object]) -> object:
+        plain = self.plain
+        if all(type(key) is str for key in value) and _TAG not in value:
+            return {key: plain(item) for key, item in value.items()}
+        return {_TAG: "map", "items": [[plain(key), plain(item)] for key, item in value.items()]}
+
+    # --- reading ------------------------------------------------------------------------------
+
+    def _read(self, entry: Any) -> Any:
+        if type(entry) is list:
+            return tuple([self._read(item) if type(item) in _NESTED else item for item in entry])
+        if type(entry) is not dict:
+            return entry
+        tag = entry.pop(_TAG, None)
+        reader = self._readers.get(tag)
+        if reader is None:
+            reader = self._readers[tag] = self._reader(tag)
+        return reader(entry)
+
+    def _reader(self, tag: str | None) -> Callable[[dict[str, Any]], Any]:
+        read = self._read
+        match tag:
+            case None:
+                return lambda entry: {name: read(item) if type(item) in _NESTED else item for name, item in entry.items()}
+            case "id":
+                return lambda entry: _uuid(entry["hex"])
+            case "list":
+                return lambda entry: list(map(read, entry["items"]))
+            case "set":
+                return lambda entry: frozenset(map(read, entry["items"]))
+            case "map":
+                return lambda entry: {read(key): read(item) for key, item in entry["items"]}
+            case "bytes":
+                return lambda entry: bytes.fromhex(entry["hex"])
+            case "missing":
+                return lambda _: MISSING
+        kind: Any = self._classes.get(tag)
+        if kind is None:
+            raise Undecodable(f"there is no {tag} in this version")
+        if issubclass(kind, Enum):
+            return lambda entry: kind[entry["name"]]
+        if issubclass(kind, tuple):
+            return lambda entry: kind(*map(read, entry["items"]))
+        return lambda entry: kind(**{name: read(item) if type(item) in _NESTED else item for name, item in entry.items()})
+
+
+@lru_cache(maxsize=10_000)
+def _uuid(text: str) -> UUID:
+    """Return an identity; that of a request is in several records, and making one takes longer than reading the rest of its field."""
+    return UUID(hex=text)
+
+
+def _default(field: Field[Any]) -> tuple[object, type | None]:
+    """Return the default of a field, if it has one that is always the same; and the type of what is empty by default."""
+    if field.default_factory is not NO_DEFAULT:
+        return _NONE_SUCH, type(field.default_factory())
+    return field.default if field.default is not NO_DEFAULT else _NONE_SUCH, None
+
+
+_NONE_SUCH: Final = object()

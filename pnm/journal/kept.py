@@ -1,0 +1,129 @@
+"""What is kept of a journal, how safely, who may write it, and what can go wrong with that."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final, NamedTuple, Protocol
+
+from pnm.errors import PnmError
+from pnm.files.database.place import Place
+
+DAY: Final = 86400.0
+KEPT: Final = 7 * DAY
+"""Seconds for which records are kept that nothing under way needs, unless something else is chosen."""
+LEASE: Final = 5.0
+"""Seconds of a lease, unless something else is chosen."""
+
+
+class JournalError(PnmError):
+    """A journal cannot be read, or not be written now."""
+
+
+class Fenced(JournalError):
+    """Another process has taken the journal over."""
+
+
+class Held(JournalError):
+    """Another process holds the journal."""
+
+    def __init__(self, message: str, holder: str, left: float = 0.0) -> None:
+        super().__init__(message)
+        self.holder = holder
+        """Which process that is."""
+        self.left = left
+        """Seconds until its lease is over, unless it renews it; 0 if it has no lease but a lock."""
+
+
+class Durability(Enum):
+    """What committed records survive."""
+
+    PROCESS_CRASH = "NORMAL"
+    """The death of the process, as by SIGKILL."""
+    POWER_LOSS = "FULL"
+    """The death of the computer that has the file or the database: every commit is on its disk before anything is done."""
+
+    @property
+    def word(self) -> str:
+        """Its name in options."""
+        return self.name.lower().replace("_", "-")
+
+    @classmethod
+    def of(cls, word: str) -> Durability:
+        """Return the level of a word."""
+        return cls[word.upper().replace("-", "_")]
+
+
+class TaskRow(NamedTuple):
+    """A task as it is listed: its id, the time of day when it was accepted or has ended, and its text."""
+
+    task: str
+    wall: float
+    is_over: bool
+    text: str
+
+
+class Row(NamedTuple):
+    """A record as it is kept.
+
+    Args:
+        time: when it was made, on the clock of the event loop.
+        text: the record.
+        begins: the time of day, if a segment begins with it.
+        task: the row of its task, if that changes with it.
+    """
+
+    time: float
+    text: str
+    begins: float | None = None
+    task: TaskRow | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class JournalChoice:
+    """A journal that is to be written.
+
+    Args:
+        place: of it; made if there is none.
+        durability: what commits survive.
+        kept: seconds for which records are kept that nothing under way needs.
+        command: what the command line is given, in which folder first, so that `pnm resume` goes on; empty for a node.
+        lease: seconds for which no other process may take it, where it is in PostgreSQL.
+    """
+
+    place: Place
+    durability: Durability = Durability.PROCESS_CRASH
+    kept: float = KEPT
+    command: tuple[str, ...] = ()
+    lease: float = LEASE
+
+
+class Hold(Protocol):
+    """The right to write a journal."""
+
+    def is_mine(self) -> bool:
+        """Return whether nobody else can have it now; to be asked, by any thread, right before anything is sent."""
+
+    def keep(self, renewed: Callable[[], None], fenced: Callable[[Fenced], None]) -> None:
+        """Keep it from now on; call the one whenever it was renewed, the other when it is lost for good."""
+
+    def release(self) -> None:
+        """Let it go."""
+
+
+class Unshared:
+    """The right to write a journal that nobody else knows of."""
+
+    def is_mine(self) -> bool:
+        """Return True."""
+        return True
+
+    def keep(self, renewed: Callable[[], None], fenced: Callable[[Fenced], None]) -> None:
+        """Do nothing."""
+
+    def release(self) -> None:
+        """Do nothing."""
+
+
+UNSHARED: Final = Unshared()

@@ -1,0 +1,155 @@
+"""One process writes a journal at a time: the one that has the lock of its file, or its lease in PostgreSQL.
+
+A lock is free as soon as the process that has it is dead, and not before: one that is stopped keeps it. A lease ends by itself. Its
+holder may have been stopped or cut off from the database, so it trusts its own clock: the lease is over for it some time before it is
+over for others, counted from before it was asked for. That is asked right before everything that leaves the process. So of two that
+think they are the one, only one can send.
+
+A thread renews the lease, on real time, if the event loop shows that it is alive: a process whose loop hangs does not keep others away.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import fcntl
+import logging
+import os
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from pnm.files.database.place import Place
+from pnm.journal.kept import Durability, Fenced, Held, Hold, JournalError, Unshared
+from pnm.journal.store import JournalFile, this_process
+
+_SAFE: Final = 0.9
+"""The part of its lease that its holder uses: what it sends at the end of that has arrived when another one may take over."""
+_OFTEN: Final = 3
+"""How often a lease is renewed in its time."""
+_CLOCK: Final = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
+"""The clock that goes on while the computer sleeps, where there is one."""
+
+_log = logging.getLogger(__name__)
+
+
+def elapsed() -> float:
+    """Return seconds on a clock that is never set, and that goes on while the process is stopped or the computer sleeps."""
+    return time.clock_gettime(_CLOCK)
+
+
+class FileLock(Unshared):
+    """The lock of a journal file, in a file of its own beside it, which says who has it.
+
+    Raises:
+        Held: another process has it.
+        JournalError: there can be no such file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        if path.exists() and not path.is_file():
+            raise JournalError(f"{path} is no file: it cannot be a journal")
+        try:
+            self._file = os.open(path.with_name(f"{path.name}-lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            raise JournalError(f"the journal {path} cannot be locked: {error}") from error
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            os.ftruncate(self._file, 0)
+            os.pwrite(self._file, this_process().encode(), 0)
+        except OSError as error:
+            holder = os.pread(self._file, 200, 0).decode(errors="replace") or "another process"
+            os.close(self._file)
+            if not isinstance(error, BlockingIOError):
+                raise JournalError(f"the journal {path} cannot be locked: {error}") from error
+            raise Held(f"{holder} holds the journal {path}", holder) from error
+
+    def release(self) -> None:
+        """Unlock it. The file stays: another process may wait for it."""
+        os.close(self._file)
+
+
+class Lease:
+    """The lease of a journal in PostgreSQL.
+
+    Args:
+        file: the journal, whose lease has begun.
+        seconds: of the lease.
+        asked: when it was asked for, on the clock.
+        clock: see `elapsed`.
+
+    The mutable state is when the lease is over, which the thread that renews it moves on.
+    """
+
+    def __init__(self, file: JournalFile, seconds: float, asked: float, clock: Callable[[], float] = elapsed) -> None:
+        self._file = file
+        self._seconds = seconds
+        self._clock = clock
+        self._until = asked + seconds * _SAFE
+        self._closing = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def is_mine(self) -> bool:
+        """Return whether the lease lasts."""
+        return self._clock() < self._until
+
+    def keep(self, renewed: Callable[[], None], fenced: Callable[[Fenced], None]) -> None:
+        """Renew the lease from now on, as long as the event loop is alive; these are called on the event loop."""
+        loop = asyncio.get_running_loop()
+        self._thread = threading.Thread(target=self._keep, args=(loop, renewed, fenced), name="lease", daemon=True)
+        self._thread.start()
+
+    def renew(self) -> None:
+        """Renew the lease; raises as `JournalFile.renew` does."""
+        asked = self._clock()
+        self._file.renew()
+        self._until = asked + self._seconds * _SAFE
+
+    def release(self) -> None:
+        """Renew the lease no more; it ends when its file is closed."""
+        self._closing.set()
+        if self._thread is not None:
+            self._thread.join(self._seconds)
+        self._until = 0.0
+
+    def _keep(self, loop: asyncio.AbstractEventLoop, renewed: Callable[[], None], fenced: Callable[[Fenced], None]) -> None:
+        is_well = True
+        with suppress(RuntimeError):  # the loop was closed
+            while not self._closing.wait(self._seconds / _OFTEN if is_well else min(1.0, self._seconds / _OFTEN)):
+                alive = threading.Event()
+                loop.call_soon_threadsafe(alive.set)
+                if not alive.wait(self._seconds) or self._closing.is_set():
+                    continue
+                try:
+                    self.renew()
+                except Fenced as error:
+                    loop.call_soon_threadsafe(fenced, error)
+                    return
+                except JournalError as error:
+                    if is_well:
+                        _log.warning("%s; without its lease nothing is sent", error)
+                    is_well = False
+                else:
+                    is_well = True
+                    loop.call_soon_threadsafe(renewed)
+
+
+def take(place: Place, durability: Durability, seconds: float) -> tuple[JournalFile, Hold]:
+    """Open a journal for writing if nobody else writes it.
+
+    Raises:
+        Held: another process does.
+        JournalError: it cannot be used.
+    """
+    if isinstance(place, Path):
+        lock = FileLock(place)
+        try:
+            return JournalFile(place, durability, time.time()), lock
+        except BaseException:
+            lock.release()
+            raise
+    asked = elapsed()
+    file = JournalFile(place, durability, time.time(), seconds)
+    return file, Lease(file, seconds, asked)

@@ -1,0 +1,268 @@
+"""Records of a journal: everything that reaches runs from outside, in the order in which it did.
+
+A run decides by the events that it handles, the knowledge at that moment, and the resources that it shares; all three follow from
+these records. What a run itself writes, fires and wants sent follows as well: it stands beside the event for those who read a
+journal without executing it, and a replay compares it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Final, TypeAlias
+from uuid import UUID
+
+from pnm.clock import TimeUsed
+from pnm.core.execution.events import Command, Event, Send, Store
+from pnm.core.execution.handover import UnderWay
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.effects import Changes
+from pnm.core.logic.expressions import Fluent, Unknown, Value
+from pnm.core.logic.rules import NO_RULES, Rules
+from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.machine import OnFailure
+from pnm.core.machine.plan_graph import PlanGraph
+from pnm.tasks import TaskEnding, Wanted
+
+WORLD: Final = 0
+"""The number of the knowledge base that all runs share."""
+
+
+@dataclass(frozen=True, slots=True)
+class SharedBegan:
+    """The beginning of a segment, with what runs share: nothing from before it is needed to go on.
+
+    Args:
+        capacities: how many requests may have a resource at the same time; one for those not listed.
+        prefix: the first bytes of the identities of all requests: servers find the process by them that goes on with the runs.
+        origin: what the world was made from, as text: another process goes on only if it is the same there.
+        began: when the world began, which may have been in an earlier segment, on the clock of the event loop.
+        command: what the command line is given, in which folder first, so that another process goes on; empty if it is a node.
+        loaded: domain and problem, as PDDL, that were loaded in place of those of the files.
+    """
+
+    capacities: Mapping[str, int]
+    prefix: bytes = b""
+    origin: str = ""
+    began: float = 0.0
+    command: tuple[str, ...] = ()
+    loaded: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class KnowledgeBegan:
+    """A knowledge base, as it is when the journal begins to follow it, or when it begins anew."""
+
+    base: int
+    facts: Mapping[Fluent, Value | Unknown]
+    variables: Mapping[str, object] = field(default_factory=dict)
+    objects: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    sensed: Mapping[str, float] = field(default_factory=dict)
+    rules: Rules = NO_RULES
+
+
+@dataclass(frozen=True, slots=True)
+class KnowledgeDelta:
+    """Changes of a knowledge base."""
+
+    base: int
+    facts: Changes = field(default_factory=dict)
+    variables: Mapping[str, object] = field(default_factory=dict)
+    """Variables and their new values; None for those that were forgotten."""
+    sensed: Mapping[str, float] = field(default_factory=dict)
+    """What is sensed from now on, and how many seconds late."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunMade:
+    """A run, with everything that it was made from besides what runs share.
+
+    Args:
+        run: its identity.
+        task: on whose behalf it claims resources.
+        name: of the task, for people.
+        machine: the key of its `MachineSource`.
+        local: its own knowledge base.
+        caller: the request of the plan that has called it; None if none has.
+        priority: of its claims.
+        origin: the time from which releases count; its beginning when None.
+        asks: whether questions can be asked outside.
+        adopted: the requests that it takes over, by call.
+    """
+
+    run: UUID
+    task: UUID
+    name: str
+    machine: str
+    local: int
+    caller: UUID | None = None
+    priority: int = 0
+    origin: float | None = None
+    asks: bool = False
+    adopted: Mapping[int, UnderWay] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class MachineSource:
+    """What a machine is generated from."""
+
+    plan: PlanGraph
+    bindings: Bindings
+    on_failure: OnFailure
+    capacities: Mapping[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Happened:
+    """An event that a run has handled, and what followed from it at once.
+
+    Args:
+        run: which run.
+        event: what happened.
+        fields: for actions by their text, the goal fields that their servers were found to have, if that is news.
+        fired: the transitions that fired, by number, in their order.
+        deltas: what the run changed in knowledge.
+        intents: the requests that are sent, and the updates that are made, once this record is kept.
+    """
+
+    run: UUID
+    event: Event
+    fields: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
+    fired: tuple[int, ...] = ()
+    deltas: tuple[KnowledgeDelta, ...] = ()
+    intents: tuple[UUID, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class RunSucceeded:
+    """A run has taken the place of another, whose requests it has taken over."""
+
+    run: UUID
+    successor: UUID
+
+
+@dataclass(frozen=True, slots=True)
+class RunRetired:
+    """A run is not carried on: it has given back its resources."""
+
+    run: UUID
+
+
+@dataclass(frozen=True, slots=True)
+class EndConfirmed:
+    """The server of a request that was given up has confirmed its end."""
+
+    request: UUID
+
+
+@dataclass(frozen=True, slots=True)
+class TimeCounted:
+    """How much of its limit a task has used, or a run of a plan."""
+
+    of: UUID
+    used: TimeUsed
+
+
+@dataclass(frozen=True, slots=True)
+class TaskAccepted:
+    """A task that was accepted: it has an end, whatever dies in between.
+
+    Args:
+        wanted: what it is about.
+        order: tasks are numbered as they come in.
+        wall: the time of day, in seconds, from which its deadline counts.
+    """
+
+    wanted: Wanted
+    order: int
+    wall: float
+
+
+@dataclass(frozen=True, slots=True)
+class TaskHeld:
+    """An operator has paused a task, or those that are still to come, or has let them go on."""
+
+    task: UUID | None
+    is_held: bool
+
+
+@dataclass(frozen=True, slots=True)
+class TaskNoted:
+    """Something that a task needs to know when it goes on in another process; a value of the codec's classes."""
+
+    task: UUID
+    note: object
+
+
+@dataclass(frozen=True, slots=True)
+class TaskOver:
+    """A task has ended."""
+
+    task: UUID
+    ending: TaskEnding
+
+
+@dataclass(frozen=True, slots=True)
+class TaskSummary:
+    """A task as it is listed beside the records, also when these have been dropped.
+
+    Args:
+        accepted: what it is about, and when it was accepted.
+        runs: how many machines it has had.
+        ending: how it has ended, if it has.
+        ended: the time of day when it did.
+    """
+
+    accepted: TaskAccepted
+    runs: int = 0
+    ending: TaskEnding | None = None
+    ended: float | None = None
+
+
+def knowledge_now(number: int, base: KnowledgeBase) -> KnowledgeBegan:
+    """Return what a knowledge base is now."""
+    return KnowledgeBegan(number, base.facts(), base.variables(), base.objects_by_type(), base.sensed_names(), base.rules)
+
+
+def follow(number: int, base: KnowledgeBase, changed: Callable[[KnowledgeDelta], None]) -> KnowledgeBegan:
+    """Return what a knowledge base is now, and have a function called with every change from now on."""
+    before, sensed_before = base.variables(), base.sensed_names()
+
+    def note(facts: Mapping[Fluent, Value | Unknown]) -> None:
+        nonlocal before, sensed_before
+        if facts:
+            changed(KnowledgeDelta(number, dict(facts)))
+            return
+        after, sensed = base.variables(), base.sensed_names()
+        variables = dict.fromkeys(before.keys() - after.keys())
+        variables |= {name: value for name, value in after.items() if name not in before or before[name] != value}
+        news = {name: lag for name, lag in sensed.items() if sensed_before.get(name) != lag}
+        before, sensed_before = after, sensed
+        changed(KnowledgeDelta(number, variables=variables, sensed=news))
+
+    base.listen(note)
+    return knowledge_now(number, base)
+
+
+Record: TypeAlias = (
+    SharedBegan
+    | KnowledgeBegan
+    | KnowledgeDelta
+    | RunMade
+    | Happened
+    | RunSucceeded
+    | RunRetired
+    | EndConfirmed
+    | TaskAccepted
+    | TaskHeld
+    | TaskNoted
+    | TaskOver
+    | TimeCounted
+)
+
+
+def intents_of(commands: Iterable[Command]) -> tuple[UUID, ...]:
+    """Return the requests that are sent, and the updates that are made."""
+    return tuple(
+        command.request.id if isinstance(command, Send) else command.id for command in commands if isinstance(command, Send | Store)
+    )

@@ -1,0 +1,298 @@
+"""Replay of a journal: its runs are executed again, without any robot, from what had reached them.
+
+Runs decide by events, knowledge and resources alone, so they do again what they did. What the journal says they did is compared: a
+replay that would do something else is an error, for then its state is not the one that was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import assert_never
+from uuid import UUID
+
+from pnm.clock import TimeUsed
+from pnm.core.broadcast import broadcast
+from pnm.core.execution.call_requests import GoalFields
+from pnm.core.execution.call_results import RunResult
+from pnm.core.execution.events import Command, Observer, Send
+from pnm.core.execution.resources import Resources
+from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import PetriNetMachine, Rule
+from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.machine.requests import Request
+from pnm.errors import PnmError
+from pnm.journal.records import (
+    WORLD,
+    EndConfirmed,
+    Happened,
+    KnowledgeBegan,
+    KnowledgeDelta,
+    MachineSource,
+    Record,
+    RunMade,
+    RunRetired,
+    RunSucceeded,
+    SharedBegan,
+    TaskAccepted,
+    TaskHeld,
+    TaskNoted,
+    TaskOver,
+    TimeCounted,
+    follow,
+    intents_of,
+)
+from pnm.tasks import TaskEnding
+
+
+class ReplayDiffers(PnmError):
+    """A replay does something else than the journal says."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A record that was replayed.
+
+    Args:
+        number: of the record.
+        time: on the clock of the event loop.
+        record: what reached the runs.
+        fired: the transitions that fired, by name.
+        commands: what the run wanted to be done.
+    """
+
+    number: int
+    time: float
+    record: Record
+    fired: tuple[str, ...] = ()
+    commands: tuple[Command, ...] = ()
+
+
+class _Fired(Observer):
+    """Notes the transitions that fire."""
+
+    def __init__(self) -> None:
+        self.names: list[str] = []
+
+    def fired(self, transition: str, rule: Rule, now: float) -> None:
+        self.names.append(transition)
+
+
+@dataclass
+class ReplayedRun:
+    """A run that was replayed. What it is connected to is exchanged when it goes on; everything else is as it was.
+
+    Args:
+        made: what it was made from.
+        run: the run.
+        listeners: who listens to it.
+        goal_fields: what it knows of goals.
+        result: its result so far when another run succeeded it, or when it was retired; None before.
+        is_over: whether it is carried on no more.
+    """
+
+    made: RunMade
+    run: Run
+    listeners: list[Observer]
+    goal_fields: GoalFields
+    fired: _Fired
+    replay: Replay = field(repr=False)
+    result: RunResult | None = None
+    is_over: bool = False
+    used: TimeUsed | None = None
+    """How much of its limit is used, if it has one."""
+
+    @property
+    def left_at(self) -> float:
+        """When its process has left it."""
+        return self.replay.now
+
+
+@dataclass
+class ReplayedTask:
+    """A task as its records tell it, in their order."""
+
+    accepted: TaskAccepted
+    replay: Replay = field(repr=False)
+    is_held: bool = False
+    runs: list[ReplayedRun] = field(default_factory=list)
+    notes: list[object] = field(default_factory=list)
+    ending: TaskEnding | None = None
+    used: TimeUsed | None = None
+    """How much of its limit is used."""
+
+
+@dataclass
+class Replay:
+    """Replays records, one after the other. Everything is mutable state."""
+
+    source: Callable[[str], MachineSource] | None = None
+    """Returns the source of the machine of a key."""
+    shared: SharedBegan | None = None
+    resources: Resources = field(default_factory=Resources)
+    bases: dict[int, KnowledgeBase] = field(default_factory=dict)
+    """Knowledge bases by their numbers."""
+    runs: dict[UUID, ReplayedRun] = field(default_factory=dict)
+    tasks: dict[UUID, ReplayedTask] = field(default_factory=dict)
+    requests: dict[UUID, Request] = field(default_factory=dict)
+    """All that were sent."""
+    is_held: bool = False
+    """Whether an operator has paused all tasks."""
+    began: float = 0.0
+    """When the world began, on the clock of the event loop."""
+    segment_began: float = 0.0
+    """When the segment began."""
+    length: int = 0
+    """The records of the segment."""
+    now: float = 0.0
+    """The time of the last record."""
+    fields: dict[str, tuple[str, ...] | None] = field(default_factory=dict)
+    """For actions by their text, the goal fields that their servers have."""
+    _machines: dict[str, tuple[MachineSource, PetriNetMachine]] = field(default_factory=dict)
+    """Machines and what they are made from, by key."""
+    _deltas: list[KnowledgeDelta] | None = None
+    """What the run that handles an event changes."""
+
+    @property
+    def world(self) -> KnowledgeBase:
+        """The knowledge that all runs share."""
+        return self.bases[WORLD]
+
+    @property
+    def withheld(self) -> tuple[Request, ...]:
+        """The requests that were given up, and whose servers have not confirmed their end."""
+        return tuple(self.requests[request] for request in self.resources.given_up)
+
+    @property
+    def open_requests(self) -> frozenset[UUID]:
+        """The requests that may be under way."""
+        going_on = (replayed.run.open_requests for replayed in self.runs.values() if not replayed.is_over)
+        return frozenset(self.resources.given_up).union(*going_on)
+
+    @property
+    def unfinished(self) -> tuple[ReplayedTask, ...]:
+        """The tasks that have not ended."""
+        return tuple(task for task in self.tasks.values() if task.ending is None)
+
+    def forget(self) -> None:
+        """Forget what was in segments before the one that has just begun."""
+        self.runs, self.tasks, self.requests, self._machines = {}, {}, {}, {}
+
+    def apply(self, number: int, time: float, record: Record) -> Step:
+        """Replay a record.
+
+        Raises:
+            ReplayDiffers: its run does something else than it did then.
+        """
+        self.now, self.length = max(self.now, time), self.length + 1
+        match record:
+            case Happened():
+                return self._happened(number, time, record)
+            case TaskAccepted() | TaskHeld() | TaskNoted() | TaskOver():
+                self._note_task(record)
+            case SharedBegan(capacities, began=began):
+                self.shared, self.resources, self.bases = record, Resources(capacities), {}
+                self.began, self.segment_began, self.length = began, time, 1
+                self.fields = {}
+            case KnowledgeBegan(base, facts, variables, objects, sensed, rules):
+                self.bases[base] = KnowledgeBase(facts, variables=variables, objects=objects, sensed=sensed, rules=rules)
+                follow(base, self.bases[base], self._note)
+            case KnowledgeDelta(base, facts, variables, sensed):
+                if facts:
+                    self.bases[base].update(facts)
+                else:
+                    self.bases[base].store(variables)
+                for name, lag in sensed.items():
+                    self.bases[base].sense((name,), lag=lag)
+            case RunMade():
+                self._make(record)
+            case RunSucceeded(run, successor):
+                self._end(self.runs[run])
+                self.runs[successor].run.take_the_place_of(self.runs[run].run, time)
+            case RunRetired(run):
+                self._end(self.runs[run])
+                self.runs[run].run.retire()
+            case TimeCounted(of, used):
+                if (counted := self.runs.get(of) or self.tasks.get(of)) is not None:
+                    counted.used = used
+            case EndConfirmed(request):
+                self.resources.confirm(request)
+            case _:
+                assert_never(record)
+        return Step(number, time, record)
+
+    def _happened(self, number: int, time: float, record: Happened) -> Step:
+        replayed, self._deltas = self.runs[record.run], []
+        run, fired = replayed.run, replayed.fired
+        self.fields.update(record.fields)
+        commands = run.handle(record.event, time)
+        self.requests.update((command.request.id, command.request) for command in commands if isinstance(command, Send))
+        names, fired.names, deltas, self._deltas = tuple(fired.names), [], tuple(self._deltas), None
+        transitions = run.machine.compiled.transitions
+        _compare(number, "fires", names, tuple(transitions[index] for index in record.fired))
+        _compare(number, "changes", deltas, record.deltas)
+        _compare(number, "intends", intents_of(commands), record.intents)
+        return Step(number, time, record, names, tuple(commands))
+
+    def _make(self, made: RunMade) -> None:
+        assert self.source is not None, "a replay reads machines where it reads records"
+        if made.machine not in self._machines:
+            source = self.source(made.machine)
+            machine = generate(source.plan, source.bindings, on_failure=source.on_failure, capacities=source.capacities)
+            self._machines[made.machine] = source, machine
+        source, machine = self._machines[made.machine]
+        fired = _Fired()
+        listeners: list[Observer] = [fired]
+        run = Run(
+            machine,
+            Layered(self.world, self.bases[made.local]),
+            id=made.run,
+            bindings=source.bindings,
+            goal_fields=lambda action: self.runs[made.run].goal_fields(action),
+            asks=made.asks,
+            observer=broadcast(Observer, listeners),
+            origin=made.origin,
+            resources=self.resources,
+            task=made.task,
+            priority=made.priority,
+            adopted=made.adopted,
+        )
+        replayed = self.runs[made.run] = ReplayedRun(made, run, listeners, self._known_fields, fired, self)
+        if made.task in self.tasks:
+            self.tasks[made.task].runs.append(replayed)
+
+    def _end(self, replayed: ReplayedRun) -> None:
+        replayed.is_over = True
+        replayed.result = replayed.run.result() if replayed.run.over else replayed.run.interim_result()
+
+    def _known_fields(self, action: GroundAction) -> tuple[str, ...] | None:
+        return self.fields.get(str(action))
+
+    def _note_task(self, record: TaskAccepted | TaskHeld | TaskNoted | TaskOver) -> None:
+        match record:
+            case TaskAccepted(wanted):
+                made = [replayed for replayed in self.runs.values() if replayed.made.task == wanted.id]  # of a plan, before it is accepted
+                self.tasks[wanted.id] = ReplayedTask(record, self, self.is_held, made)
+            case TaskHeld(chosen, is_held):
+                if chosen is None:
+                    self.is_held = is_held
+                elif chosen in self.tasks:
+                    self.tasks[chosen].is_held = is_held
+            case TaskNoted(id, note):
+                self.tasks[id].notes.append(note)
+            case TaskOver(id, ending):
+                self.tasks[id].ending = ending
+            case _:
+                assert_never(record)
+
+    def _note(self, delta: KnowledgeDelta) -> None:
+        if self._deltas is not None:
+            self._deltas.append(delta)
+
+
+def _compare(number: int, verb: str, here: tuple[object, ...], then: tuple[object, ...]) -> None:
+    if here != then:
+        different = next((pair for pair in zip(here, then, strict=False) if pair[0] != pair[1]), (here[len(then) :], then[len(here) :]))
+        raise ReplayDiffers(f"record {number}: the replay {verb} {different[0]!r}, the journal says {different[1]!r}")

@@ -1,0 +1,268 @@
+"""A journal in a database: records in their order, each transaction whole or not there at all.
+
+The database is an SQLite file, or PostgreSQL for several nodes. SQLite's write-ahead log keeps what was committed when a process is
+killed; with `Durability.POWER_LOSS` also when the power fails, and so does PostgreSQL.
+
+Records are in segments, each of which can be replayed without those before it: a process goes on with the last one, and old ones
+are dropped. What people want to know of tasks stands beside them, in a row per task, which is kept longer and can be read by
+versions that could not replay the records.
+
+One process writes a journal at a time: the holder of its latest epoch. Every commit asks in its own transaction whether that is still
+so. In PostgreSQL the holder has a lease, which another process may take when it is over; see `pnm.journal.lease`.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from threading import Lock
+from typing import Final, NamedTuple
+
+from sqlalchemy import Executable
+
+from pnm.files.database.database import Database
+from pnm.files.database.driver import DatabaseError, Rows
+from pnm.files.database.place import Place
+from pnm.journal import tables
+from pnm.journal.kept import Durability, Fenced, Held, JournalError, Row
+
+_AT_ONCE: Final = 5000
+"""Records that are dropped in a transaction."""
+
+
+def this_process() -> str:
+    """Return how others call this process: by its host and its number."""
+    return f"{socket.gethostname()} pid {os.getpid()}"
+
+
+class JournalFile:
+    """A journal that is written, in a file or in PostgreSQL.
+
+    Opening it begins a new epoch: whatever wrote it before is fenced off, and cannot commit any more.
+
+    Args:
+        place: of it; made if there is none.
+        durability: what commits survive.
+        wall: the time of day in seconds, for the epoch.
+        lease: the seconds for which nobody else may take it; None where something else sees to that. With it the journal is taken
+            only if nobody else has a lease.
+
+    The mutable state is the connection, which threads share by a lock; the number of the last record; and whether that is sure: when a
+    server goes away in the middle of a commit, nobody knows whether it has been made.
+
+    Raises:
+        Held: another process has a lease.
+        JournalError: it is something else, of another version, or cannot be written.
+    """
+
+    def __init__(self, place: Place, durability: Durability, wall: float, lease: float | None = None) -> None:
+        self.place = place
+        self._lock = Lock()
+        self._lease = lease or 0.0
+        self._database = _opened(place, read_only=False, durability=durability)
+        try:
+            with self._guarded("written"):
+                self.epoch: Final = self._begin_epoch(wall, only_free=lease is not None)
+                self._last, self._segment = self._run_one(tables.LAST), self._run_one(tables.LAST_SEGMENT)
+                self._is_sure = True
+        except BaseException:
+            self._database.close()
+            raise
+
+    def _begin_epoch(self, wall: float, *, only_free: bool) -> int:
+        database, me = self._database, this_process()
+        with database.transaction():
+            database.run(tables.MAKE, id=1, epoch=0, holder="", until=0.0, rewritten=0)
+            is_writing, epoch, holder, left = self._lease_to_take()
+            if is_writing or (only_free and left > 0.0):
+                raise Held(f"{holder} holds the journal {self.place}", holder, left)
+            database.run(tables.TAKE, mine=epoch + 1, me=me, seconds=self._lease)
+            database.run(tables.BEGIN_EPOCH, epoch=epoch + 1, wall=wall, holder=me)
+        return int(epoch) + 1
+
+    def _lease_to_take(self) -> tuple[bool, int, str, float]:
+        """Return whether its holder writes at this moment, the epoch, the holder, and the seconds for which it has it."""
+        free = self._database.run(tables.LEASE_TO_TAKE)
+        epoch, holder, left, _ = (free or self._database.run(tables.LEASE))[0]
+        return not free, epoch, holder, left
+
+    def append(self, rows: Sequence[Row], parts: Mapping[str, str]) -> None:
+        """Commit the rows, and the parts that they name, in one transaction.
+
+        Raises:
+            Fenced: a later epoch has begun; nothing was written.
+            JournalError: it cannot be written now; nothing was, or it is taken away again before anything else is written.
+        """
+        with self._transaction() as database:
+            numbered = list(enumerate(rows, self._last + 1))
+            values = [{"sequence": number, "epoch": self.epoch, "time": row.time, "text": row.text} for number, row in numbered]
+            database.run_many(tables.KEEP, values)
+            begins = [{"first": number, "wall": row.begins} for number, row in numbered if row.begins is not None]
+            database.run_many(tables.BEGIN_SEGMENT, begins)
+            changed = [{"accepted": number, **row.task._asdict(), "is_over": int(row.task.is_over)} for number, row in numbered if row.task]
+            database.run_many(tables.KEEP_TASK, changed)
+            segment = max((number for number, row in numbered if row.begins is not None), default=self._segment)
+            named = [{"key": key, "segment": segment, "text": text} for key, text in parts.items()]
+            database.run_many(tables.KEEP_PART, named)
+        self._last, self._segment = self._last + len(rows), segment
+
+    def drop(self, records: float, tasks: float) -> None:
+        """Drop segments that were over before a time of day, and the rows of tasks that had ended before another one.
+
+        Raises:
+            JournalError: it cannot be written now; nothing was.
+        """
+        with self._guarded("written"):
+            oldest, first = self._run_one(tables.OLDEST), self._run_one(tables.NEEDED, before=records)
+        for number in (*range(oldest + _AT_ONCE, first, _AT_ONCE), first):  # so that no transaction takes long
+            with self._transaction() as database:
+                for statement in tables.DROP_BEFORE:
+                    database.run(statement, number=number)
+                database.run(tables.DROP_TASKS, before=tasks)
+        with self._guarded("written"):
+            self._database.shrink()
+
+    def renew(self) -> None:
+        """Begin the lease anew, over a new connection if there is none.
+
+        Raises:
+            Fenced: another process has taken the journal.
+            JournalError: it cannot be reached now.
+        """
+        with self._guarded("reached"):
+            if not self._database.run(tables.RENEW, mine=self.epoch, seconds=self._lease):
+                raise Fenced(f"another process has taken over the journal {self.place}")
+
+    def close(self) -> None:
+        """End the lease, and close the file, or the connection."""
+        with self._lock:
+            if self._lease and self._database.is_connected:
+                with suppress(DatabaseError):
+                    self._database.run(tables.RELEASE, mine=self.epoch)
+                    self._database.announce()
+            self._database.close()
+
+    @contextmanager
+    def _transaction(self) -> Iterator[Database]:
+        """Enter a transaction of this epoch, which is whole or not there."""
+        database = self._database
+        if not database.is_connected:  # asked without the lock: `renew` is mending that, in its time and not in that of the event loop
+            raise JournalError(f"the journal {self.place} cannot be written: there is no connection to its database")
+        with self._guarded("written"):
+            with database.transaction(is_new=False):
+                if self._run_one(tables.WHOSE) != self.epoch:
+                    raise Fenced(f"another process has taken over the journal {self.place}")
+                if not self._is_sure:
+                    self._make_sure()
+                self._is_sure = isinstance(self.place, Path)  # or else when it has been heard that the commit was made
+                yield database
+            self._is_sure = True
+
+    def _make_sure(self) -> None:
+        """Take away what was committed without our knowing: it is written again, or was refused."""
+        last = self._run_one(tables.LAST)
+        if last > self._last:
+            for statement in tables.DROP_AFTER:
+                self._database.run(statement, number=self._last)
+            self._database.run(
+                tables.REWRITTEN,
+            )
+            self._last = last  # numbers are not used twice
+
+    def _run_one(self, statement: Executable, **values: object) -> int:
+        return int(self._database.run(statement, **values)[0][0])
+
+    @contextmanager
+    def _guarded(self, verb: str) -> Iterator[None]:
+        with self._lock:
+            try:
+                yield
+            except DatabaseError as error:
+                raise JournalError(f"the journal {self.place} cannot be {verb}: {error}") from error
+
+
+class Holding(NamedTuple):
+    """Who holds a journal.
+
+    Args:
+        epoch: the latest.
+        holder: the process that began it.
+        left: seconds until its lease is over; below 0 when it is.
+        rewritten: how often records were taken away.
+    """
+
+    epoch: int
+    holder: str
+    left: float
+    rewritten: int
+
+
+class KeptJournal:
+    """A journal that is read, also while another process writes it.
+
+    Raises:
+        JournalError: it is not there, something else, or of another version.
+    """
+
+    def __init__(self, place: Place) -> None:
+        self.place = place
+        self._database = _opened(place, read_only=True)
+
+    def rows(self, after: int = 0) -> Iterator[tuple[int, Row]]:
+        """Yield the records after this one, with their numbers."""
+        while rows := self._read(tables.ROWS, number=after):
+            for sequence, time, text in rows:
+                yield sequence, Row(time, text)
+            after = sequence
+
+    def last_segment(self) -> int:
+        """Return the number of the record with which the last segment begins; 0 if there is none."""
+        return int(self._read(tables.LAST_SEGMENT)[0][0])
+
+    def tasks(self) -> Iterator[str]:
+        """Yield the texts of all tasks, in the order in which they were accepted."""
+        for (text,) in self._read(tables.TASKS):
+            yield text
+
+    def part(self, key: str) -> str:
+        """Return the part of this key.
+
+        Raises:
+            JournalError: there is none.
+        """
+        rows = self._read(tables.PART, wanted=key)
+        if not rows:
+            raise JournalError(f"the journal {self.place} names the part {key}, which is not there")
+        return str(rows[0][0])
+
+    def holding(self) -> Holding:
+        """Return who holds it."""
+        rows = self._read(tables.LEASE)
+        return Holding(*rows[0]) if rows else Holding(0, "", 0.0, 0)
+
+    def wait(self, seconds: float) -> None:
+        """Wait until its holder lets it go, or for so long."""
+        try:
+            self._database.wait(seconds)
+        except DatabaseError as error:
+            raise JournalError(f"the journal {self.place} cannot be read: {error}") from error
+
+    def close(self) -> None:
+        """Close the file, or the connection."""
+        self._database.close()
+
+    def _read(self, statement: Executable, **values: object) -> Rows:
+        try:
+            return self._database.run(statement, **values)
+        except DatabaseError as error:
+            raise JournalError(f"the journal {self.place} cannot be read: {error}") from error
+
+
+def _opened(place: Place, *, read_only: bool, durability: Durability = Durability.PROCESS_CRASH) -> Database:
+    try:
+        return Database(place, tables.LAYOUT, read_only=read_only, is_durable=durability is Durability.POWER_LOSS)
+    except DatabaseError as error:
+        raise JournalError(f"the journal {place} cannot be opened: {error}") from error

@@ -1,0 +1,131 @@
+"""The tables of a journal, and all statements about them."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from sqlalchemy import BigInteger, Column, Double, Integer, MetaData, Table, Text, bindparam, delete, func, select, update
+from sqlalchemy.dialects.postgresql import insert  # whose ON CONFLICT SQLite has as well
+from sqlalchemy.ext.compiler import compiles
+from sqlalchemy.sql.functions import FunctionElement
+
+from pnm.files.database.driver import Layout
+
+_TABLES: Final = MetaData()
+records: Final = Table(
+    "records",
+    _TABLES,
+    Column("sequence", BigInteger, primary_key=True, autoincrement=False),
+    Column("epoch", Integer, nullable=False),
+    Column("time", Double, nullable=False),
+    Column("text", Text, nullable=False),
+)
+segments: Final = Table(
+    "segments",
+    _TABLES,
+    Column("first", BigInteger, primary_key=True, autoincrement=False),
+    Column("wall", Double, nullable=False),
+)
+tasks: Final = Table(
+    "tasks",
+    _TABLES,
+    Column("task", Text, primary_key=True),
+    Column("accepted", BigInteger, nullable=False),
+    Column("wall", Double, nullable=False),
+    Column("is_over", Integer, nullable=False),
+    Column("text", Text, nullable=False),
+)
+"""`accepted` is the number of the record with which a task was."""
+parts: Final = Table(
+    "parts",
+    _TABLES,
+    Column("key", Text, primary_key=True),
+    Column("segment", BigInteger, nullable=False),
+    Column("text", Text, nullable=False),
+)
+epochs: Final = Table(
+    "epochs",
+    _TABLES,
+    Column("epoch", Integer, primary_key=True, autoincrement=False),
+    Column("wall", Double, nullable=False),
+    Column("holder", Text, nullable=False),
+)
+lease: Final = Table(
+    "lease",
+    _TABLES,
+    Column("id", Integer, primary_key=True, autoincrement=False),
+    Column("epoch", Integer, nullable=False),
+    Column("holder", Text, nullable=False),
+    Column("until", Double, nullable=False),
+    Column("rewritten", Integer, nullable=False),
+)
+"""Who may write the journal, in its only row: the holder of its latest epoch, until its lease is over and another one begins the next.
+
+`rewritten` counts how often records were taken away, so that who has read them knows.
+"""
+LAYOUT: Final = Layout("journal", 0x504E4D4A, 2, _TABLES)  # PNMJ
+
+
+class _now(FunctionElement[float]):  # noqa: N801, it is a function of SQL
+    """The time of day on the clock of the database, in seconds."""
+
+    type = Double()
+    inherit_cache = True
+
+
+@compiles(_now, "sqlite")
+def _sqlite_now(element: _now, compiler: Any, **options: Any) -> str:
+    return "((julianday('now') - 2440587.5) * 86400.0)"
+
+
+@compiles(_now, "postgresql")
+def _postgres_now(element: _now, compiler: Any, **options: Any) -> str:
+    return "extract(epoch FROM clock_timestamp())::float8"
+
+
+_EPOCH: Final = bindparam("mine", type_=Integer)
+_NUMBER: Final = bindparam("number", type_=BigInteger)
+_WALL: Final = bindparam("before", type_=Double)
+_SECONDS: Final = bindparam("seconds", type_=Double)
+
+# --- who may write ---
+MAKE: Final = insert(lease).on_conflict_do_nothing()
+LEASE: Final = select(lease.c.epoch, lease.c.holder, (lease.c.until - _now()).label("left"), lease.c.rewritten)
+LEASE_TO_TAKE: Final = LEASE.with_for_update(skip_locked=True)
+TAKE: Final = update(lease).values(epoch=_EPOCH, holder=bindparam("me", type_=Text), until=_now() + _SECONDS)
+BEGIN_EPOCH: Final = insert(epochs)
+RENEW: Final = update(lease).where(lease.c.epoch == _EPOCH).values(until=_now() + _SECONDS).returning(lease.c.epoch)
+RELEASE: Final = update(lease).where(lease.c.epoch == _EPOCH).values(until=0.0)
+WHOSE: Final = select(lease.c.epoch).with_for_update(read=True)
+"""The latest epoch, which nobody can end before the transaction does."""
+
+# --- what is kept ---
+KEEP: Final = insert(records)
+BEGIN_SEGMENT: Final = insert(segments)
+_PART: Final = insert(parts)
+KEEP_PART: Final = _PART.on_conflict_do_update(index_elements=["key"], set_={"segment": _PART.excluded.segment})
+_TASK: Final = insert(tasks)
+KEEP_TASK: Final = _TASK.on_conflict_do_update(
+    index_elements=["task"],
+    set_={"wall": _TASK.excluded.wall, "is_over": _TASK.excluded.is_over, "text": _TASK.excluded.text},
+)
+ROWS: Final = (
+    select(records.c.sequence, records.c.time, records.c.text).where(records.c.sequence > _NUMBER).order_by(records.c.sequence).limit(1000)
+)
+PART: Final = select(parts.c.text).where(parts.c.key == bindparam("wanted", type_=Text))
+TASKS: Final = select(tasks.c.text).order_by(tasks.c.accepted)
+LAST: Final = select(func.coalesce(func.max(records.c.sequence), 0))
+LAST_SEGMENT: Final = select(func.coalesce(func.max(segments.c.first), 0))
+
+# --- what is not kept any more ---
+OLDEST: Final = select(func.coalesce(func.min(records.c.sequence), 0))
+NEEDED: Final = LAST_SEGMENT.where(segments.c.wall < _WALL)
+"""The first record of the segment that goes on at a time of day: those before it are older."""
+DROP_BEFORE: Final = tuple(
+    delete(column.table).where(column < _NUMBER) for column in (records.c.sequence, segments.c.first, parts.c.segment)
+)
+DROP_TASKS: Final = delete(tasks).where(tasks.c.is_over == 1, tasks.c.wall < _WALL)
+DROP_AFTER: Final = tuple(
+    delete(column.table).where(column > _NUMBER) for column in (records.c.sequence, segments.c.first, tasks.c.accepted)
+)
+REWRITTEN: Final = update(lease).values(rewritten=lease.c.rewritten + 1)

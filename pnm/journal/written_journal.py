@@ -1,0 +1,399 @@
+"""The write-ahead journal of runs: an event, and what follows from it, is kept before anything is done about it.
+
+When it cannot be written, as on a full disk, nothing new is sent: requests wait until the records before them are kept, which is tried
+again and again. What ends work, cancelling and timers, does not wait.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import logging
+from collections import Counter, deque
+from collections.abc import Callable
+from math import isfinite
+from time import time
+from typing import TYPE_CHECKING, Final, Unpack
+from uuid import UUID
+
+from pnm.clock import TimeUsed
+from pnm.core.broadcast import broadcast
+from pnm.core.execution.call_requests import GoalFields
+from pnm.core.execution.events import Cancel, Command, Event, Observer, Send, Wake
+from pnm.core.execution.resources import Resources
+from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.machine.machine import PetriNetMachine, Rule
+from pnm.core.machine.plan_graph import GroundAction
+from pnm.journal.codec import Codec
+from pnm.journal.journal import Journal, Perform, RunOptions, WorldOptions
+from pnm.journal.kept import DAY, KEPT, UNSHARED, Fenced, Hold, JournalError, Row, TaskRow
+from pnm.journal.records import (
+    WORLD,
+    EndConfirmed,
+    Happened,
+    KnowledgeDelta,
+    MachineSource,
+    Record,
+    RunMade,
+    RunRetired,
+    RunSucceeded,
+    SharedBegan,
+    TaskAccepted,
+    TaskHeld,
+    TaskNoted,
+    TaskOver,
+    TaskSummary,
+    TimeCounted,
+    follow,
+    intents_of,
+    knowledge_now,
+)
+from pnm.journal.replay import Replay, ReplayedRun
+from pnm.tasks import REMEMBERED, TaskEnding, Wanted
+
+if TYPE_CHECKING:  # it takes 0.2 s to import: runs without a journal need not wait for it
+    from pnm.journal.store import JournalFile
+
+_RETRY: Final = 1.0
+"""Seconds until it is tried again to write."""
+_LISTED: Final = 50
+"""How many times longer tasks are listed than their records are kept."""
+_LONG: Final = 1000
+"""Records of a segment after which another one begins as soon as nothing is under way."""
+
+_log = logging.getLogger(__name__)
+
+
+def log_end(why: Fenced) -> None:
+    """Log that another process has taken a journal over."""
+    _log.error("%s; nothing is done here any more", why)
+
+
+class _Watched(Observer):
+    """Notes the transitions that fire while an event is handled."""
+
+    def __init__(self, machine: PetriNetMachine) -> None:
+        self._numbers = machine.compiled.transition_id
+        self.fired_now: list[int] = []
+
+    def fired(self, transition: str, rule: Rule, now: float) -> None:
+        self.fired_now.append(self._numbers[transition])
+
+
+class WrittenJournal(Journal):
+    """The journal of runs that is kept in a file, or in PostgreSQL.
+
+    Args:
+        file: where records are kept.
+        codec: writes them.
+        replay: of what is in the file already, if what it has brought about goes on.
+        hold: the right to write it; without it, only timers are set.
+        fenced: called when another process has taken the journal over. Nothing is done any more then.
+        kept: seconds for which records are kept that nothing under way needs.
+        wall: returns the time of day in seconds; the clock of the computer if None.
+
+    The mutable state is what the constructor sets under "state".
+    """
+
+    def __init__(
+        self,
+        file: JournalFile,
+        codec: Codec,
+        replay: Replay | None = None,
+        kept: float = KEPT,
+        hold: Hold = UNSHARED,
+        fenced: Callable[[Fenced], None] = log_end,
+        wall: Callable[[], float] | None = None,
+    ) -> None:
+        self._file = file
+        self._codec = codec
+        self._kept = kept
+        self._hold = hold
+        self._fenced = fenced
+        self._wall = wall or (lambda: time())
+        self._loop = asyncio.get_running_loop()
+        # state
+        self._rows: list[Row] = []
+        """Records that are not kept yet."""
+        self._parts: dict[str, str] = {}
+        self._known_parts: set[str] = set()
+        self._waiting: deque[tuple[Perform, tuple[Command, ...]]] = deque()
+        """What waits for these records to be kept."""
+        self._bases = dict(replay.bases) if replay else {}
+        """The knowledge bases that are followed, by number."""
+        self._numbers = max(replay.bases, default=WORLD) if replay else WORLD
+        """The last number of a knowledge base; none is used twice."""
+        self._watched: dict[UUID, _Watched] = {}
+        self._fields: dict[str, tuple[str, ...] | None] = replay.fields if replay else {}
+        self._news: dict[str, tuple[str, ...] | None] = {}
+        """Goal fields that the event being handled has found out."""
+        self._handling = False
+        self._deltas: list[KnowledgeDelta] = []
+        self._is_replaced = False
+        """Whether another world takes the place of the one that is followed."""
+        self._due: asyncio.Handle | None = None
+        """What writes in a moment, or tries it again."""
+        self.blocked = ""
+        self._is_lost = False
+        """Whether another process has the journal."""
+        self._resources = replay.resources if replay else Resources()
+        self._shared = replay.shared if replay else None
+        self._segment_began, self._length = (replay.segment_began, replay.length) if replay else (0.0, 0)
+        """When the segment has begun, and its records."""
+        self._is_held = bool(replay and replay.is_held)
+        self._unfinished = {task.accepted.wanted.id: task.accepted for task in replay.unfinished} if replay else {}
+        self._runs = Counter({id: len(task.runs) for id, task in replay.tasks.items()} if replay else {})
+        """The machines that each task has had."""
+        over = ((task.accepted, TaskOver(id, task.ending)) for id, task in (replay.tasks if replay else {}).items() if task.ending)
+        self._recent = deque(over, REMEMBERED)
+        self._number_of = {id(base): number for number, base in self._bases.items()}
+        for number, base in self._bases.items():
+            follow(number, base, self._changed)
+        hold.keep(self._write, self._lose)
+
+    def may_act(self) -> bool:
+        """Return whether something may leave this process; asked by any thread, right before that."""
+        return not self._is_lost and self._hold.is_mine()
+
+    def begin(
+        self, knowledge: KnowledgeBase, resources: Resources, anew: Callable[[], None] = lambda: None, **world: Unpack[WorldOptions]
+    ) -> None:
+        """Record what runs share: the knowledge as `anew` leaves it, what changes in it from then on, and the capacities of resources."""
+        self._is_replaced = True
+        anew()
+        self._is_replaced = False
+        self._resources = resources
+        self._shared = SharedBegan(resources.capacities, began=self._loop.time(), **world)
+        self._begin_segment(knowledge, self._shared)
+
+    def make_run(
+        self,
+        machine: PetriNetMachine,
+        knowledge: Layered,
+        *,
+        name: str = "",
+        caller: UUID | None = None,
+        **options: Unpack[RunOptions],
+    ) -> Run:
+        """Return a run, and record what it was made from."""
+        watched = self._watched[options["id"]] = _Watched(machine)
+        observer, asks, adopted = options.get("observer"), options.get("asks", False), options.get("adopted", {})
+        options["observer"] = watched if observer is None else broadcast(Observer, (watched, observer))
+        options["goal_fields"] = self._remembering(options["goal_fields"])
+        run = super().make_run(machine, knowledge, **options)
+        source = MachineSource(machine.plan, options["bindings"], machine.on_failure, machine.capacities)
+        local = self._number(knowledge.local)
+        self._runs[run.task] += 1
+        priority, origin = options.get("priority", 0), options.get("origin")
+        self._record(RunMade(run.id, run.task, name, self._part(source), local, caller, priority, origin, asks, adopted))
+        return run
+
+    def handle(self, run: Run, event: Event, now: float, perform: Perform) -> None:
+        """Have the run handle an event, and keep both; perform the commands then."""
+        self._handling = True
+        try:
+            commands = run.handle(event, now)
+        finally:
+            self._handling = False
+        watched, deltas, news = self._watched[run.id], self._deltas, self._news
+        fired, watched.fired_now, self._deltas, self._news = tuple(watched.fired_now), [], [], {}
+        self._record(Happened(run.id, event, news, fired, tuple(deltas), intents_of(commands)), now)
+        self._waiting.append((perform, tuple(commands)))
+        self._write()
+
+    def go_on(self, replayed: ReplayedRun, observer: Observer | None, goal_fields: GoalFields) -> Run:
+        """Return a run that was replayed, connected to what it is to go on with."""
+        run = super().go_on(replayed, observer, self._remembering(goal_fields))
+        watched = self._watched[run.id] = _Watched(run.machine)
+        replayed.listeners.insert(0, watched)
+        return run
+
+    def succeeded(self, run: Run, successor: Run) -> None:
+        """Record that a run has taken the place of another."""
+        self._record(RunSucceeded(run.id, successor.id))
+        self._watched.pop(run.id, None)
+
+    def retired(self, run: Run) -> None:
+        """Record that a run is not carried on."""
+        self._record(RunRetired(run.id))
+        self._watched.pop(run.id, None)
+
+    def confirmed(self, request: UUID, resources: Resources) -> None:
+        """Record that the server of a request that was given up has confirmed its end, and free what it has kept."""
+        self._record(EndConfirmed(request))
+        super().confirmed(request, resources)
+
+    def accepted(self, wanted: Wanted, order: int) -> None:
+        """Keep a task that is about to be accepted.
+
+        Raises:
+            JournalError: it cannot be kept.
+        """
+        task = TaskAccepted(wanted, order, self._wall())
+        self._record(task, task=self._task_row(TaskSummary(task)))
+        self._write()
+        if self.blocked:
+            del self._rows[-1]  # it is refused, and must not come up when the journal can be written again
+            raise JournalError(self.blocked)
+        self._unfinished[wanted.id] = task
+
+    def held(self, task: UUID | None, *, is_held: bool) -> None:
+        """Record that an operator has paused a task, or those that are still to come, or has let them go on."""
+        self._is_held = is_held if task is None else self._is_held
+        self._record(TaskHeld(task, is_held))
+
+    def noted(self, task: UUID, note: object) -> None:
+        """Record what a task needs to know when it goes on in another process."""
+        if task in self._unfinished:
+            self._record(TaskNoted(task, note))
+
+    def counted(self, of: UUID, used: TimeUsed) -> None:
+        """Record how much of its limit a task has used, or a run of a plan."""
+        if isfinite(used.limit):
+            self._record(TimeCounted(of, used))
+
+    def over(self, task: UUID, ending: TaskEnding, then: Callable[[], None] = lambda: None) -> None:
+        """Keep how a task has ended, and do something then. A segment begins, if nothing else is under way and this one is long."""
+        accepted, over = self._unfinished.pop(task), TaskOver(task, ending)
+        self._record(over, task=self._task_row(TaskSummary(accepted, self._runs.pop(task, 0), ending, self._wall())))
+        self._recent.append((accepted, over))
+        if self._is_lost:  # another process keeps it
+            then()
+            return
+        self._waiting.append((lambda _: then(), ()))
+        self._write()
+        is_long = self._length >= _LONG or self._loop.time() - self._segment_began >= DAY
+        if is_long and self._shared and not (self._unfinished or self._resources.held or self.blocked):
+            self._begin_segment(self._bases[WORLD], self._shared)
+
+    def close(self) -> None:
+        """Write what is not kept yet, and close the file."""
+        self._write()
+        if self._due is not None:
+            self._due.cancel()
+        self._hold.release()
+        self._file.close()
+
+    def _begin_segment(self, world: KnowledgeBase, shared: SharedBegan) -> None:
+        """Begin a segment, with all that is to be known without those before it; and drop what is old."""
+        if self._bases.get(WORLD) is not world:
+            follow(WORLD, world, self._changed)
+        self._bases, self._number_of = {WORLD: world}, {id(world): WORLD}
+        self._fields.clear()
+        self._known_parts.clear()
+        self._runs.clear()
+        self._segment_began, self._length = self._loop.time(), 0
+        self._record(shared, begins=self._wall())
+        self._record(knowledge_now(WORLD, world))
+        if self._is_held:
+            self._record(TaskHeld(None, is_held=True))
+        for accepted, over in self._recent:
+            self._record(accepted)
+            self._record(over)
+        self._write()
+        try:
+            self._file.drop(self._wall() - self._kept, self._wall() - _LISTED * self._kept)
+        except JournalError as error:
+            _log.warning("old records are not dropped: %s", error)
+
+    def _task_row(self, summary: TaskSummary) -> TaskRow:
+        """Return the row of a task, as it is listed."""
+        accepted, ended = summary.accepted, summary.ended
+        wall = accepted.wall if ended is None else ended
+        return TaskRow(accepted.wanted.id.hex, wall, ended is not None, self._codec.text(summary))
+
+    # --- knowledge ------------------------------------------------------------------------------
+
+    def _number(self, base: KnowledgeBase) -> int:
+        """Return the number of a knowledge base; one that is new is recorded and listened to."""
+        if id(base) not in self._number_of:
+            self._numbers += 1
+            self._number_of[id(base)], self._bases[self._numbers] = self._numbers, base  # which keeps it: its identity is not used again
+            self._record(follow(self._numbers, base, self._changed))
+        return self._number_of[id(base)]
+
+    def _changed(self, delta: KnowledgeDelta) -> None:
+        if delta.base not in self._bases or self._is_replaced:
+            return  # of a run that has ended in an earlier segment, or no change of the world that is followed
+        if self._handling:
+            self._deltas.append(delta)
+        else:
+            self._record(delta)
+
+    def _remembering(self, goal_fields: GoalFields) -> GoalFields:
+        """Return goal fields that are noted when they are news: a replay cannot ask servers."""
+
+        def remember(action: GroundAction) -> tuple[str, ...] | None:
+            known, fields = str(action), goal_fields(action)
+            if known not in self._fields or self._fields[known] != fields:
+                self._fields[known] = self._news[known] = fields
+            return fields
+
+        return remember
+
+    # --- writing ----------------------------------------------------------------------------------
+
+    def _part(self, source: object) -> str:
+        """Return the key of a part that several records may name."""
+        text = self._codec.text(source)
+        key = hashlib.sha256(text.encode()).hexdigest()
+        if key not in self._known_parts:
+            self._known_parts.add(key)
+            self._parts[key] = text
+        return key
+
+    def _record(self, record: Record, now: float | None = None, begins: float | None = None, task: TaskRow | None = None) -> None:
+        """Note a record; it is written with the next event, or a moment later."""
+        self._rows.append(Row(self._loop.time() if now is None else now, self._codec.text(record), begins, task))
+        self._length += 1
+        if self._due is None:
+            self._due = self._loop.call_soon(self._write)
+
+    def _write(self) -> None:
+        """Keep what was recorded, and do what has waited for that."""
+        if self._due is not None:
+            self._due.cancel()
+            self._due = None
+        if self._is_lost:
+            return
+        if self._rows:
+            try:
+                self._file.append(self._rows, self._parts)
+            except Fenced as error:
+                self._lose(error)
+                return
+            except JournalError as error:
+                self._block(str(error))
+                return
+            self._rows, self._parts = [], {}
+            if self.blocked:
+                _log.warning("the journal can be written again")
+                self.blocked = ""
+        while self._waiting and self._hold.is_mine():  # otherwise when it has been renewed
+            perform, commands = self._waiting.popleft()
+            perform(commands)
+
+    def _lose(self, why: Fenced) -> None:
+        """Do nothing any more: another process goes on with everything, and watches what runs."""
+        if not self._is_lost:
+            self._is_lost, self.blocked = True, str(why)
+            self._waiting.clear()
+            self._fenced(why)
+
+    def _block(self, why: str) -> None:
+        """Let requests wait; what only ends work, or tells the time, is done at once."""
+        if not self.blocked:
+            _log.error("%s; nothing new is sent until it can", why)
+        self.blocked = why
+        held = {command.request.id for _, commands in self._waiting for command in commands if isinstance(command, Send)}
+        for position, (perform, commands) in enumerate(self._waiting):
+            at_once = tuple(command for command in commands if self._needs_no_record(command, held))
+            self._waiting[position] = perform, tuple(command for command in commands if command not in at_once)
+            if at_once:
+                perform(at_once)
+        if self._due is None:
+            self._due = self._loop.call_later(_RETRY, self._write)
+
+    def _needs_no_record(self, command: Command, held: set[UUID]) -> bool:
+        return isinstance(command, Wake) or (isinstance(command, Cancel) and command.request not in held and self._hold.is_mine())

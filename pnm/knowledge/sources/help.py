@@ -1,0 +1,64 @@
+"""Help from people: whether a task that cannot go on is to try again, and what has become of an action that nobody knows of any more."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from typing import Final
+from uuid import uuid5
+
+from pnm.core.logic.computed_values import MISSING, Layer, Question
+from pnm.knowledge.sources.source import Asker, Source, SourceError
+
+TRY_AGAIN: Final = "try again"
+GIVE_UP: Final = "give up"
+YES: Final = "yes"
+NO: Final = "no"
+_TIMES: Final = 3
+"""How often a question is asked whose answers mean nothing."""
+_SHOWN: Final = 40
+"""Characters of a wrong answer that are repeated."""
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """What a person advises; without an answer the task gives up."""
+
+    try_again: bool
+    why: str
+    """Who or what it comes from, in words."""
+
+
+async def ask_for_help(person: Source, asker: Asker, trouble: str) -> Advice:
+    """Ask a person what to do about trouble; cancelled when that is no longer needed."""
+    question = f"{trouble}. Answer {TRY_AGAIN!r} when that is mended, or {GIVE_UP!r}."
+    try:
+        said = await _chosen(person, asker, "help", question, (TRY_AGAIN, GIVE_UP))
+    except SourceError as error:
+        return Advice(try_again=False, why=f"help was asked for in vain: {error}")
+    if said == TRY_AGAIN:
+        return Advice(try_again=True, why="a person says that it is to be tried again")
+    return Advice(try_again=False, why=f"a person was asked for help, and {'says to give up' if said else 'does not know any'}")
+
+
+async def was_carried_out(person: Source, asker: Asker, action: str) -> bool:
+    """Ask a person whether an action was carried out of which nobody else knows; without an answer it was not.
+
+    Raises:
+        SourceError: there is no person to be asked, or no answer means anything.
+    """
+    question = f"Nobody knows how {action} has ended: its action server has forgotten it. Was it carried out? Answer {YES!r} or {NO!r}."
+    return await _chosen(person, asker, "carried_out", question, (YES, NO)) == YES
+
+
+async def _chosen(person: Source, asker: Asker, name: str, question: str, choices: tuple[str, str]) -> str:
+    """Return which of two answers a person gives, once more when it is neither; empty without an answer."""
+    words, expected = question, " or ".join(map(repr, choices))
+    for number in range(_TIMES):
+        known_by = asker.question if number == 0 or asker.question is None else uuid5(asker.question, str(number))
+        answer = await person.query(Question(name, Layer.PERSON, json.dumps(words)), replace(asker, question=known_by))
+        said = "" if answer is MISSING else " ".join(str(answer).casefold().strip(" .!'\"").split())
+        if said in ("", *choices):
+            return said
+        words = f"Expected {expected}, found {str(answer)[:_SHOWN]!r}. {question}"
+    raise SourceError(f"no answer was {expected}")

@@ -1,0 +1,167 @@
+"""Goals on the action servers that this process has not sent: those of other programs, and those that this node has forgotten.
+
+Action servers publish the goals that they are at work on, and whoever subscribes later hears the last state at once. The ids of all
+goals of a node begin alike, in each of its processes. So a goal that begins in that way, but is unknown, is *forgotten*: a process that
+has died has sent it, and there is no journal that knows it. Its result means nothing any more, and it is cancelled until it is over.
+
+Everything here runs on the ROS thread.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass, field
+from functools import partial
+from time import monotonic
+from typing import Any, Final
+from uuid import UUID
+
+from action_msgs.msg import GoalInfo, GoalStatusArray
+from action_msgs.srv import CancelGoal
+from rclpy.qos import qos_profile_action_status_default
+
+from pnm.ros.action_client.handshake import ros_uuid
+from pnm.ros.action_client.liveness import AGAIN
+from pnm.ros.node.graph import processes
+from pnm.ros.node.ros_thread import RosThread
+
+HEARD: Final = 0.5
+"""Seconds in which the last state of a status topic arrives."""
+_AT_WORK: Final = (1, 2, 3)
+"""Accepted, executing, canceling: action_msgs/msg/GoalStatus."""
+_REMEMBERED: Final = 10_000
+"""Goals of this process that are known as its own: many more than servers are at work on at a time."""
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass
+class _StatusTopic:
+    """The status topic of a server: everything changes but the name."""
+
+    server: str
+    processes: frozenset[bytes] = frozenset()
+    """Those that served the action when the subscription was made: what is heard after that comes from processes that are alive."""
+    subscription: Any = None
+    began: float = 0.0
+    """When the subscription was made."""
+    goals: frozenset[UUID] = frozenset()
+    """What the server was at work on when it was heard last."""
+    cancelled: set[UUID] = field(default_factory=set)
+    """Of these, those that are to be cancelled."""
+    client: Any = None
+    """Of the service that cancels goals, once it is needed."""
+
+
+class OtherGoals:
+    """What action servers are at work on, and which of it this process has not sent.
+
+    The mutable state is the ids of its own goals, the topics, and the timer that cancels goals until they are over.
+
+    Args:
+        ros: the thread of the node.
+        prefix: the first bytes of the ids of all goals of this node; empty if other processes of it cannot be recognized by them.
+        kept: goals that another process of this node has sent, and that this one goes on with.
+        may_act: whether something may be cancelled; asked right before that. A node that was cut off and whose journal another process
+            has taken over hears goals of that one, and does not know them.
+    """
+
+    def __init__(self, ros: RosThread, prefix: bytes = b"", kept: Iterable[UUID] = (), may_act: Callable[[], bool] = lambda: True) -> None:
+        self._ros = ros
+        self._may_act = may_act
+        self._prefix = prefix
+        self._own = dict.fromkeys(kept)
+        self._topics: dict[str, _StatusTopic] = {}
+        self._timer: Any = None
+
+    def sent(self, goal: UUID) -> None:
+        """Note a goal of this process."""
+        self._own[goal] = None
+        if len(self._own) > _REMEMBERED:
+            del self._own[next(iter(self._own))]
+
+    def watch(self, server: str) -> frozenset[UUID]:
+        """Return the goals that a server is at work on, as far as it was heard; it is listened to from now on.
+
+        A process that died says nothing more, so the topic is subscribed to anew whenever other processes serve the action.
+        """
+        topic = self._topics.setdefault(server, _StatusTopic(server))
+        present = processes(self._ros.node, server)
+        if topic.subscription is None or present != topic.processes:
+            self._unsubscribe(topic)
+            topic.processes, topic.goals, topic.began = present, frozenset(), monotonic()
+            name, hear = f"{server}/_action/status", partial(self._hear, topic)
+            topic.subscription = self._ros.node.create_subscription(GoalStatusArray, name, hear, qos_profile_action_status_default)
+        return topic.goals
+
+    def others(self, server: str) -> frozenset[UUID]:
+        """Return the goals of other programs and the forgotten ones that a server is at work on."""
+        return self.watch(server) - self._own.keys()
+
+    def is_heard(self, server: str) -> bool:
+        """Return whether there was time to hear what a server is at work on; one that never had a goal says nothing."""
+        return monotonic() - self._topics[server].began >= HEARD
+
+    def are_forgotten(self, others: Iterable[UUID]) -> bool:
+        """Return whether some of these goals are of this node itself."""
+        return any(map(self._is_forgotten, others))
+
+    def busy_servers(self) -> tuple[str, ...]:
+        """Return the servers that are at work on such goals, of all that are listened to."""
+        return tuple(server for server in (*self._topics,) if self.others(server))
+
+    def cancel(self, server: str, goals: Collection[UUID]) -> None:
+        """Cancel goals that a server is at work on, again and again until they are over."""
+        topic = self._topics[server]
+        new = set(goals) - topic.cancelled
+        topic.cancelled |= new
+        if new:
+            self._send_cancel(topic, new)
+        if self._timer is None:
+            self._timer = self._ros.timer(AGAIN, self._cancel_again)
+        elif self._timer.is_canceled():
+            self._timer.reset()
+
+    def close(self) -> None:
+        """Listen no longer."""
+        if self._timer is not None:
+            self._timer.destroy()
+        for topic in self._topics.values():
+            self._unsubscribe(topic)
+            if topic.client is not None:
+                self._ros.node.destroy_client(topic.client)
+        self._topics.clear()
+
+    def _is_forgotten(self, other: UUID) -> bool:
+        return bool(self._prefix) and other.bytes.startswith(self._prefix)
+
+    def _hear(self, topic: _StatusTopic, message: GoalStatusArray) -> None:
+        working = (status for status in message.status_list if status.status in _AT_WORK)
+        topic.goals = frozenset(UUID(bytes=bytes(status.goal_info.goal_id.uuid)) for status in working)
+        others = topic.goals - self._own.keys()
+        forgotten = {goal for goal in others if self._is_forgotten(goal)}
+        for goal in forgotten - topic.cancelled if self._may_act() else ():
+            _log.warning("%s is at work on a goal (%s) of this node that it knows nothing of; it is cancelled", topic.server, goal.hex[:8])
+        if forgotten:
+            self.cancel(topic.server, forgotten)
+
+    def _cancel_again(self) -> None:
+        for topic in self._topics.values():
+            topic.cancelled &= topic.goals
+            self._send_cancel(topic, topic.cancelled)
+        if not any(topic.cancelled for topic in self._topics.values()):
+            self._timer.cancel()
+
+    def _send_cancel(self, topic: _StatusTopic, goals: Iterable[UUID]) -> None:
+        if not self._may_act():
+            return
+        if topic.client is None:
+            topic.client = self._ros.node.create_client(CancelGoal, f"{topic.server}/_action/cancel_goal")
+        for goal in goals if topic.client.service_is_ready() else ():  # until it is known, requests would be lost
+            topic.client.call_async(CancelGoal.Request(goal_info=GoalInfo(goal_id=ros_uuid(goal))))
+
+    def _unsubscribe(self, topic: _StatusTopic) -> None:
+        if topic.subscription is not None:
+            self._ros.node.destroy_subscription(topic.subscription)
+            topic.subscription = None

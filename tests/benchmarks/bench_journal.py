@@ -1,0 +1,285 @@
+"""What the journal costs, as ratios to the same without one, in one process. Not a test.
+
+usage: python tests/benchmarks/bench_journal.py [engine] [failures] [replays] [recoveries]
+
+The engine: a run whose requests are answered at once, with every event committed to a file, and without; in turn, several times. A
+failure: from knowing of it to the begin of the next plan, as in `bench_replanning`. A replay: of runs with 100000 firings. A recovery:
+100 tasks, each with a machine and a request that is out, from opening the file until every one of them goes on.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import shutil
+import sqlite3
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import closing
+from functools import partial
+from pathlib import Path
+from statistics import median
+from typing import TypeAlias
+from uuid import UUID
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT))
+
+from planner_bridge.loading import load
+from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.problem import Problem
+from planner_bridge.pddl import parse_problem
+from planner_bridge.simulation import robots_of
+from planner_bridge.tasks.replanning import Limits
+from planner_bridge.tasks.result import TASKS, Stopwatch
+from planner_bridge.tasks.scheduling.task_limits import TaskLimits
+from planner_bridge.tasks.scheduling.task_manager import TaskManager
+from planner_bridge.tasks.settings import OnChange, Settings
+from pnm.actions.backend import ClientBackend, SimulatedBackend
+from pnm.actions.faults import Fault, FaultKind, Faults
+from pnm.clock import run_async, short_pauses
+from pnm.core.execution.events import Begin, Command, Event, Observer, Send
+from pnm.core.execution.resources import Resources
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.conditions import Condition
+from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import OnFailure, PetriNetMachine, Rule
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
+from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
+from pnm.journal.journal import NO_JOURNAL, Journal, RunOptions
+from pnm.journal.kept import Durability, JournalChoice
+from pnm.journal.resume import replayed, take_up
+from pnm.journal.store import JournalFile
+from pnm.journal.written_journal import WrittenJournal
+from pnm.language.runner import PlanRunner
+from pnm.tasks import Wanted
+from tests.support.pddl.problems import fleet
+from tests.support.runs.simulated import move
+from tests.support.runs.timing import FailureClock, seconds
+
+FIRINGS = 100_000
+CALLS = 500
+UNDER_WAY = 100
+
+
+def rounds(calls: int, robots: int = 4) -> PlanGraph:
+    """Robots that go to and fro; each of their calls waits for the one before."""
+    places = ("hall", "kitchen")
+    acts = tuple(
+        ActionCall(index, move(f"r{index % robots}", places[index // robots % 2], places[1 - index // robots % 2]))
+        for index in range(calls)
+    )
+    pairs = (Ordering(PlanEvent(index, Moment.END), PlanEvent(index + robots, Moment.START)) for index in range(calls - robots))
+    return PlanGraph(acts, tuple(pairs))
+
+
+AT_HOME = {("at", f"r{robot}", place): place == "hall" for robot in range(4) for place in ("hall", "kitchen")}
+
+
+class Count(Observer):
+    """The number of firings."""
+
+    count = 0
+
+    def fired(self, transition: str, rule: Rule, now: float) -> None:
+        self.count += 1
+
+
+def answered(machine: PetriNetMachine, journal: Journal, world: KnowledgeBase, run_id: UUID = UUID(int=1)) -> int:
+    """Execute a machine, and answer every request at once; return how many transitions have fired."""
+    world.update(AT_HOME)
+    resources, count, waiting = Resources(), Count(), list[Command]()
+    options = RunOptions(id=run_id, bindings=Bindings(), goal_fields=lambda _: None, observer=count, resources=resources)
+    run = journal.make_run(machine, Layered(world), **options)
+
+    def handle(event: Event) -> None:
+        journal.handle(run, event, 0.0, waiting.extend)
+
+    handle(Begin())
+    while waiting:
+        command = waiting.pop()
+        if isinstance(command, Send):
+            handle(Accepted(command.request.id))
+            handle(Ended(command.request.id, Outcome(OutcomeKind.SUCCEEDED)))
+    assert run.result().goal, run.result()
+    journal.retired(run)
+    run.retire()
+    return count.count
+
+
+Work: TypeAlias = Callable[[Journal, KnowledgeBase], int]
+
+
+def without_journal(work: Work) -> int:
+    """Do some work in a world of its own."""
+    return work(NO_JOURNAL, KnowledgeBase())
+
+
+def with_journal(work: Work, file: Path, durability: Durability = Durability.PROCESS_CRASH) -> int:
+    """Do the same with a journal in this file."""
+
+    async def do() -> int:
+        journal, world = WrittenJournal(JournalFile(file, durability, 0.0), TASKS), KnowledgeBase()
+        journal.begin(world, Resources())
+        try:
+            return work(journal, world)
+        finally:
+            journal.close()
+
+    return asyncio.run(do())
+
+
+def engine(folder: Path) -> None:
+    machine = generate(rounds(CALLS))
+    machine.compiled  # noqa: B018
+    work = partial(answered, machine)
+    without_journal(work)
+    for durability in Durability:
+        without, kept, size = [], [], 0
+        for turn in range(7):
+            file = folder / f"{durability.value}{turn}"
+            without.append(seconds(lambda: without_journal(work), 1))
+            kept.append(seconds(lambda: with_journal(work, file, durability), 1))
+            size = file.stat().st_size
+        ratio = min(kept) / min(without)
+        name = durability.name.lower().replace("_", " ")
+        bound = "at most 3" if durability is Durability.PROCESS_CRASH else "no bound"
+        times = f"{1e6 * min(kept) / CALLS:.0f} / {1e6 * min(without) / CALLS:.0f} us"
+        print(f"engine per call, {name}: with / without a journal = {ratio:.2f} ({bound}); {times}, {size / CALLS:.0f} bytes in the file")
+
+
+async def pursued(problem: Problem, settings: Settings, robots: SimulatedBackend, clock: FailureClock, file: Path | None) -> None:
+    """Pursue the goal of the problem once, as a task of a manager."""
+    journal = WrittenJournal(JournalFile(file, Durability.PROCESS_CRASH, 0.0), TASKS) if file else NO_JOURNAL
+    knowledge = initial_knowledge(problem)
+    await robots.open(knowledge)
+    runner = PlanRunner({}, robots, knowledge, None, journal)
+    manager = TaskManager(problem, runner, settings, lambda _: problem.goal)
+    journal.begin(knowledge, runner.resources)
+    await manager.run(Wanted(UUID(int=1), ""), clock, Stopwatch())
+    await manager.close()
+    await robots.close()
+    if isinstance(journal, WrittenJournal):
+        journal.close()
+
+
+def failures(folder: Path) -> None:
+    """From a failure to the next request; both kinds in turn with the same seeds, so that the machine's load is the same."""
+    found: dict[bool, list[float]] = {True: [], False: []}
+    limits = Limits(replans=30, seconds=60.0, forbid_after=1, backoff=0.0)
+    for number, file in enumerate(sorted((ROOT / "problems").glob("delivery/p*.pddl"))):
+        problem = load(ROOT / "domains" / file.parent.name / "domain.pddl", file)
+        settings = Settings(improve=0.0, limits=limits, on_failure=OnFailure.CONTINUE_OTHERS, on_change=OnChange.EAGER)
+        for seed in range(16):
+            for kept in (True, False) if seed % 2 else (False, True):
+                faults = Faults(tuple(Fault(name, FaultKind.ABORT, chance=0.2) for name in problem.domain.actions), seed=seed)
+                clock, backend = FailureClock(), SimulatedBackend(robots_of(problem, Bindings(), faults, speed=50.0))
+                path = folder / f"{number}.{seed}" if kept else None
+                run_async(pursued(problem, settings, backend, clock, path), virtual=False)
+                found[kept] += (whole - planner for whole, planner in clock.found)
+    times = {kept: 1000 * median(every) for kept, every in found.items()}
+    extra = times[True] - times[False]
+    counts = " and ".join(str(len(every)) for every in found.values())
+    print(
+        f"failure to next request, without the planner: {extra:+.2f} ms with a journal (at most 5); "
+        f"medians of {counts} failures: {times[True]:.1f} and {times[False]:.1f} ms"
+    )
+
+
+def replays(folder: Path) -> None:
+    """Replay what a node keeps: many tasks of a few calls each, some of them with the same plan."""
+    machines = [generate(rounds(calls)) for calls in range(16, 24)]
+
+    def execute(journal: Journal, world: KnowledgeBase) -> int:
+        fired = number = 0
+        while fired < FIRINGS:
+            number += 1
+            fired += answered(machines[number % len(machines)], journal, world, UUID(int=number))
+        return fired
+
+    fired = with_journal(execute, folder / "long")
+    with short_pauses():  # as in every process of ours
+        took, without = seconds(lambda: replayed(folder / "long", TASKS), 2), seconds(lambda: without_journal(execute), 2)
+    print(f"replay: {took * FIRINGS / fired:.2f} s for {FIRINGS} firings (at most 2); {took / without:.2f} times the runs themselves")
+
+
+class Silent:
+    """Robots that begin with everything, and say nothing more."""
+
+    def __init__(self) -> None:
+        self.asked: set[UUID] = set()
+        self.all_are = asyncio.Event()
+
+    def goal_fields(self, action: GroundAction, /) -> tuple[str, ...] | None:
+        return None
+
+    def send(self, request: Request, report: Reporter, /) -> None:
+        report(Accepted(request.id))
+        self._note(request.id)
+
+    def reattach(self, request: Request, report: Reporter, /, *, accepted: bool) -> None:
+        self.send(request, report)
+
+    def cancel(self, request: UUID, /) -> None:
+        """Ignore it."""
+
+    def _note(self, request: UUID) -> None:
+        self.asked.add(request)
+        if len(self.asked) == UNDER_WAY:
+            self.all_are.set()
+
+
+async def until_under_way(problem: Problem, file: Path, copy: Path | None = None) -> float:
+    """Begin with all tasks, or go on with them, until the requests of all are out; return the seconds that this took."""
+    began = time.perf_counter()
+    taken = take_up(JournalChoice(file), TASKS, "")
+    journal, replay = taken.write(), taken.replay
+    client, knowledge = Silent(), replay.world if replay else initial_knowledge(problem)
+    runner = PlanRunner({}, ClientBackend(client), knowledge, None, journal, replay.resources if replay else None)
+    settings, limits = Settings(improve=0.0), TaskLimits(active=UNDER_WAY, queue=UNDER_WAY)
+    read = partial(goal_of, problem)
+    manager = TaskManager(problem, runner, settings, read, limits=limits)
+    if replay:
+        manager.restore(replay)
+    else:
+        journal.begin(knowledge, runner.resources)
+        for number in range(UNDER_WAY):
+            manager.begin(Wanted(UUID(int=number + 1), f"(at r{number} a5)"))
+    await client.all_are.wait()
+    took = time.perf_counter() - began
+    if copy:
+        with closing(sqlite3.connect(file)) as source, closing(sqlite3.connect(copy)) as target:
+            source.backup(target)
+    return took
+
+
+def goal_of(problem: Problem, text: str) -> Condition:
+    objects = " ".join(f"{name} - {kinds[0]}" for name, kinds in problem.own_objects.items())
+    return parse_problem(f"(define (problem q) (:domain fleet) (:objects {objects}) (:init) (:goal {text}))", problem.domain).goal
+
+
+def recoveries(folder: Path) -> None:
+    problem, file, crashed = fleet(robots=UNDER_WAY, parcels=1, places=10), folder / "node", folder / "crashed"
+    logging.disable(logging.CRITICAL)
+    begin = asyncio.run(until_under_way(problem, file, crashed))
+    found = []
+    for turn in range(3):
+        shutil.copy(crashed, folder / f"recovered{turn}")
+        found.append(asyncio.run(until_under_way(problem, folder / f"recovered{turn}")))
+    print(f"recovery of {UNDER_WAY} tasks: {min(found):.2f} s (at most 2); to begin with them took {begin:.2f} s")
+
+
+def main() -> None:
+    print(f"load of the machine: {os.getloadavg()[0]:.1f}")
+    measures = {measure.__name__: measure for measure in (engine, failures, replays, recoveries)}
+    with tempfile.TemporaryDirectory() as folder:
+        for name in sys.argv[1:] or measures:
+            measures[name](Path(folder))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Several nodes with one journal in PostgreSQL, one of which serves."""

@@ -1,0 +1,97 @@
+"""`pnm run --journal FILE`: a run that was killed goes on with `pnm resume FILE`; one that was interrupted has an ending."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+from tests.support.e2e.deployment import ProblemDeployment
+from tests.support.files import written
+from tests.support.processes import LIMIT, Program, pnm, result
+
+
+def history(journal: Path) -> list[dict[str, object]]:
+    return [json.loads(line) for line in pnm("history", str(journal), "--json").stdout.splitlines()]
+
+
+def test_a_run_that_is_killed_goes_on_with_resume(deploy: Callable[..., ProblemDeployment]) -> None:
+    deployment = deploy("delivery/p01", speed="4")
+    robots = deployment.simulate().ready()
+    journal = deployment.folder / "run.journal"
+    run = deployment.run("--journal", str(journal), "--improve", "0")
+    for _ in range(2):
+        robots.happens("start", "move", 1 + len([one for one in robots.objects() if one["event"] == "start" and "move" in one["action"]]))
+        run.process.kill()
+        run.process.wait(LIMIT)
+        run = deployment.start(type(run)(["-m", "planner_bridge", "resume", str(journal)], deployment.environment))
+    finished = deployment.finish(run, robots)
+    assert finished.status == 0
+    starts = Counter(event["action"] for event in finished.events if event["event"] == "start")
+    assert set(starts.values()) == {1}, starts
+    assert [task["code"] for task in history(journal)] == ["goal_reached"]
+    again = pnm("resume", str(journal))
+    assert again.returncode == 0
+    assert "goal_reached" in again.stdout
+
+
+def test_a_run_that_is_interrupted_has_an_ending_in_its_journal(deploy: Callable[..., ProblemDeployment]) -> None:
+    deployment = deploy("delivery/p01", speed="1")
+    robots = deployment.simulate().ready()
+    journal = deployment.folder / "run.journal"
+    run = deployment.run("--journal", str(journal))
+    robots.happens("start", "move")
+    run.process.send_signal(signal.SIGINT)
+    status, told = run.result()
+    assert (status, told["code"]) == (1, "cancelled")
+    assert [task["code"] for task in history(journal)] == ["cancelled"]
+    assert pnm("resume", str(journal)).returncode == 1
+
+
+def test_simulated_robots_die_with_a_run_and_begin_anew_where_they_were_known_to_be(root: Path, tmp_path: Path) -> None:
+    files = [str(root / "domains/delivery/domain.pddl"), str(root / "problems/delivery/p01.pddl")]
+    journal = tmp_path / "j"
+    program = ["-m", "tests.support.e2e.programs.dying_run", "12", *files, "--journal", str(journal), "--improve", "0", "--json"]
+    dying = Program(program, {})
+    assert dying.process.wait(LIMIT) == -signal.SIGKILL
+    dying.close()
+    done = pnm("resume", str(journal))
+    assert result(done)["goal_reached"] is True
+    outcomes = Counter(call["outcome"] for call in result(done)["calls"])  # type: ignore[attr-defined]
+    assert outcomes.keys() == {"succeeded", "already true"}  # a robot that had arrived is not sent there again
+    assert outcomes.total() == 8
+    replays = [json.loads(line) for line in pnm("replay", str(journal), "--json").stdout.splitlines()]
+    assert any("go on in another process" in replay["words"] for replay in replays)
+
+
+def test_a_journal_of_other_files_or_of_a_node_is_refused_with_what_to_do(root: Path, tmp_path: Path) -> None:
+    domain, first, second = (
+        str(root / name) for name in ("domains/delivery/domain.pddl", *(f"problems/delivery/p0{n}.pddl" for n in "12"))
+    )
+    journal = tmp_path / "j"
+    dying = Program(["-m", "tests.support.e2e.programs.dying_run", "8", domain, first, "--journal", str(journal), "--improve", "0"], {})
+    dying.process.wait(LIMIT)
+    dying.close()
+    other = pnm("run", domain, second, "--journal", str(journal))
+    assert other.returncode == 2
+    assert "tasks of another domain, problem or world are not finished: the goal of the problem" in other.stderr
+    assert [task["code"] for task in history(journal)] == [None]
+    for text, words in (("goals: {}\n", "cannot be opened"), ("", "cannot be opened")):
+        wrong = pnm("resume", str(written(tmp_path / "wrong.txt", text)))
+        assert wrong.returncode == 2
+        assert words in wrong.stderr
+    assert pnm("resume", str(tmp_path / "missing.journal")).returncode == 2
+
+
+def test_a_plan_by_hand_is_kept_as_well_and_its_values_belong_to_it(root: Path, tmp_path: Path) -> None:
+    plan = str(root / "domains/delivery/plans/errands.yaml")
+    given = ["--plan", plan, "--name", "round_trip", "--set", "robot=r1", "--journal", str(tmp_path / "j"), "--json"]
+    program = ["-m", "tests.support.e2e.programs.dying_run", "6", *given]
+    dying = Program(program, {})
+    assert dying.process.wait(LIMIT) == -signal.SIGKILL
+    dying.close()
+    done = pnm("resume", str(tmp_path / "j"))
+    assert result(done)["goal_reached"] is True
+    assert [task["code"] for task in history(tmp_path / "j")] == ["goal_reached"]

@@ -1,0 +1,1 @@
+"""Who may write a journal, and who waits for it."""

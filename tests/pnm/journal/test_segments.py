@@ -1,0 +1,134 @@
+"""Segments of a journal: a process goes on with the last one, the ones before it can be dropped, and the file does not grow."""
+
+from __future__ import annotations
+
+import asyncio
+from itertools import count
+from pathlib import Path
+from uuid import UUID
+
+import pytest
+
+from planner_bridge.tasks.result import TASKS
+from planner_bridge.tasks.settings import Settings
+from pnm.clock import run_async
+from pnm.core.execution.events import Begin
+from pnm.core.execution.resources import Resources
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.conditions import Holds, Not
+from pnm.core.logic.rules import NO_RULES, DerivationRule, Rules
+from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.generate import generate
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
+from pnm.journal import written_journal
+from pnm.journal.kept import DAY
+from pnm.journal.records import KnowledgeDelta, SharedBegan
+from pnm.journal.replay import Replay
+from pnm.journal.resume import Follower, replay_steps, replayed, summaries
+from pnm.journal.store import Durability, JournalFile
+from pnm.journal.written_journal import WrittenJournal
+from pnm.tasks import Code, Wanted
+from tests.support.pddl.problems import fleet
+from tests.support.tasks.scenarios.crash import survive
+from tests.support.tasks.scenarios.random_deaths import run_deaths
+
+GOALS = tuple(Wanted(UUID(int=number + 1), text) for number, text in enumerate(("(in p0 a2)", "(at r1 a3)", "(in p0 a1)")))
+QUICK = Settings(improve=0.0)
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have a segment begin whenever nothing is under way."""
+    monkeypatch.setattr(written_journal, "_LONG", 1)
+
+
+@pytest.mark.usefixtures("short")
+def test_what_is_known_in_the_last_segment_is_what_all_segments_lead_to(tmp_path: Path) -> None:
+    survive(fleet(), GOALS, QUICK, tmp_path / "j", [], in_turn=True)
+    whole = Replay()
+    steps = [*replay_steps(tmp_path / "j", TASKS, whole)]
+    assert sum(isinstance(step.record, SharedBegan) for step in steps) == 1 + len(GOALS)
+    last = replayed(tmp_path / "j", TASKS)
+    assert last.length < len(steps)
+    assert last.world.facts() == whole.world.facts()
+    assert (last.began, last.now) == (whole.began, whole.now)
+    assert {id: task.ending for id, task in last.tasks.items()} == {id: task.ending for id, task in whole.tasks.items()}
+
+
+def test_a_process_that_stands_by_knows_no_more_than_one_that_reads_the_last_segment(tmp_path: Path) -> None:
+    """What it knew besides would be missing in the segment that it goes on with, for the process after it."""
+
+    async def main() -> None:
+        journal, world = WrittenJournal(JournalFile(tmp_path / "j", Durability.PROCESS_CRASH, 0.0), TASKS), KnowledgeBase()
+        journal.begin(world, Resources())
+        follower = Follower(tmp_path / "j", TASKS)
+        acts = PlanGraph((ActionCall(0, GroundAction("act")),))
+        run = journal.make_run(generate(acts), Layered(world), id=UUID(int=1), bindings=Bindings(), goal_fields=lambda _: ("action",))
+        journal.handle(run, Begin(), 0.0, lambda _: None)
+        await asyncio.sleep(0.1)
+        follower.catch_up()
+        assert follower.replay.fields == {"act()": ("action",)}
+        journal.retired(run)
+        run.retire()
+        journal.begin(world, Resources())
+        await asyncio.sleep(0.1)
+        follower.catch_up()
+        fresh = replayed(tmp_path / "j", TASKS)
+        for known in (follower.replay, fresh):
+            assert (known.fields, known.runs, known.requests, known.tasks) == ({}, {}, {}, {})
+        follower.close()
+        journal.close()
+
+    run_async(main(), virtual=True)
+
+
+def test_another_world_is_no_change_of_the_one_before(tmp_path: Path) -> None:
+    near, far = ("near",), ("far",)
+
+    async def main() -> None:
+        journal, world = WrittenJournal(JournalFile(tmp_path / "j", Durability.PROCESS_CRASH, 0.0), TASKS), KnowledgeBase()
+        world.begin_anew({near: True}, {}, Rules((DerivationRule("far", (), Not(Holds(near))),)))
+        journal.begin(world, Resources())
+        journal.begin(world, Resources(), lambda: world.begin_anew({far: True}, {}, NO_RULES))  # which was derived before
+        world.update({near: True})
+        journal.close()
+
+    run_async(main(), virtual=True)
+    whole = Replay()
+    deltas = [step.record for step in replay_steps(tmp_path / "j", TASKS, whole) if isinstance(step.record, KnowledgeDelta)]
+    assert deltas == [KnowledgeDelta(0, {near: True})]
+    assert whole.world.facts() == {far: True, near: True}
+
+
+@pytest.mark.usefixtures("short")
+@pytest.mark.parametrize("before", [False, True])
+def test_tasks_in_turn_survive_a_death_at_every_commit(tmp_path: Path, before: bool) -> None:
+    commit = 0
+    while True:
+        commit += 1
+        survival = survive(fleet(), GOALS, QUICK, tmp_path / f"{commit}.journal", [commit], before=before, in_turn=True)
+        assert {ending.code for ending in survival.endings.values()} == {Code.GOAL_REACHED}, (commit, survival.endings)
+        assert survival.endings.keys() == {wanted.id for wanted in GOALS}
+        assert [survival.repeated, survival.wrong] == [[], []], commit
+        if not survival.deaths:
+            break
+    assert commit > 20
+
+
+@pytest.mark.usefixtures("short")
+@pytest.mark.parametrize("number", range(100, 115))
+def test_random_tasks_survive_random_deaths_with_many_segments(number: int, tmp_path: Path) -> None:
+    run_deaths(number, tmp_path)
+
+
+@pytest.mark.usefixtures("short")
+def test_records_of_the_past_are_dropped_and_its_tasks_are_listed(tmp_path: Path) -> None:
+    days = count()
+    there_and_back = [Wanted(UUID(int=number + 1), f"(at r1 a{2 + number % 2})") for number in range(30)]
+    survive(fleet(), there_and_back, QUICK, tmp_path / "j", [], in_turn=True, wall=lambda: next(days) * DAY)
+    steps = [*replay_steps(tmp_path / "j", TASKS, Replay())]
+    segments = [step.record for step in steps if isinstance(step.record, SharedBegan)]
+    assert 1 < len(segments) < 5
+    assert len(steps) < 200 < steps[0].number
+    assert [summary.ending and summary.ending.code for summary in summaries(tmp_path / "j", TASKS)] == [Code.GOAL_REACHED] * 30
+    assert len(replayed(tmp_path / "j", TASKS).tasks) == 20  # which clients may still ask for

@@ -1,0 +1,174 @@
+"""Goals on an action server that this client has not sent: waited for, cancelled or left alone; and those of its node's other processes."""
+
+from __future__ import annotations
+
+import asyncio
+from uuid import UUID, uuid4
+
+from pnm.core.machine.bindings import Binding, Foreign, WhenLost
+from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Request
+from pnm.ros.action_client.other_goals import OtherGoals
+from tests.support.processes import LIMIT
+from tests.support.ros.child_process import bounded
+from tests.support.ros.recording_client import RecordingClient, Sent
+
+PREFIX = b"node"
+
+
+async def until_logged(caplog, text: str) -> None:
+    async with asyncio.timeout(LIMIT):
+        while text not in caplog.text:  # noqa: ASYNC110 - a log has no event
+            await asyncio.sleep(0.02)
+
+
+async def until_busy(ros, others: OtherGoals, server: str, *, busy: bool = True) -> None:
+    async with asyncio.timeout(LIMIT):
+        while bool(await ros.ask(lambda: others.others(server))) is not busy:  # noqa: ASYNC110 - nor has what is heard
+            await asyncio.sleep(0.02)
+
+
+def sent_by_another_process(client: RecordingClient, action: str) -> Sent:
+    """Send a goal with an id such as those of the node's processes."""
+    sent = Sent(Request(UUID(bytes=PREFIX + uuid4().bytes[4:]), GroundAction("act"), {"action": action}))
+    client.ros2.send(sent.request, sent.reports.put_nowait)
+    return sent
+
+
+@bounded
+async def test_what_another_program_has_sent_is_waited_for(ros, start, names, caplog):
+    name = names()
+    start(name)
+    other = RecordingClient(ros, act=Binding(server=name))
+    client = RecordingClient(ros, act=Binding(server=name, resources=("arm",)), look=Binding(server=name))
+    drive = other.send("act", action="hang")
+    await drive.accepted()
+    assert (await client.send("look", action="succeed").ended()).kind is OutcomeKind.SUCCEEDED
+    mine = client.send("act", action="succeed")
+    await until_logged(caplog, f"act() waits: /{name} is at work on goals of other programs")
+    assert Accepted(mine.id) not in [*mine.reports._queue]
+    other.cancel(drive)
+    assert (await drive.ended()).kind is OutcomeKind.CANCELED
+    assert (await mine.ended()).kind is OutcomeKind.SUCCEEDED
+    other.ros2.close()
+    client.ros2.close()
+
+
+@bounded
+async def test_the_wait_for_others_has_a_limit(ros, start, names):
+    name = names()
+    start(name)
+    other = RecordingClient(ros, act=Binding(server=name))
+    client = RecordingClient(ros, act=Binding(server=name, foreign=Foreign.WAIT, timeout=0.5))
+    await other.send("act", action="hang").accepted()
+    outcome = await client.send("act", action="succeed").ended()
+    assert (outcome.kind, outcome.message) == (OutcomeKind.UNAVAILABLE, f"/{name} was at work on goals of other programs for 0.5 s")
+    other.ros2.close()
+    client.ros2.close()
+
+
+@bounded
+async def test_what_another_program_has_sent_is_cancelled_if_the_binding_says_so(ros, start, names):
+    name = names()
+    start(name)
+    other = RecordingClient(ros, act=Binding(server=name))
+    client = RecordingClient(ros, act=Binding(server=name, foreign=Foreign.CANCEL))
+    drive = other.send("act", action="hang")
+    await drive.accepted()
+    mine = client.send("act", action="succeed")
+    assert (await drive.ended()).kind is OutcomeKind.CANCELED
+    assert (await mine.ended()).kind is OutcomeKind.SUCCEEDED
+    other.ros2.close()
+    client.ros2.close()
+
+
+@bounded
+async def test_what_this_node_has_forgotten_is_cancelled_and_what_it_goes_on_with_is_not(ros, start, names, caplog):
+    name = names()
+    start(name)
+    before = RecordingClient(ros, act=Binding(server=name))
+    kept, forgotten, foreign = (
+        sent_by_another_process(before, "hang"), sent_by_another_process(before, "hang"), before.send("act", action="hang"),
+    )  # fmt: skip
+    for sent in (kept, forgotten, foreign):
+        await sent.accepted()
+    others = OtherGoals(ros, PREFIX, [kept.id])
+    await ros.ask(lambda: others.watch(f"/{name}"))
+    assert (await forgotten.ended()).kind is OutcomeKind.CANCELED
+    assert "of this node that it knows nothing of; it is cancelled" in caplog.text
+    assert await ros.ask(lambda: others.others(f"/{name}")) == {foreign.id}
+    assert await ros.ask(others.busy_servers) == (f"/{name}",)
+    before.cancel(foreign)
+    await until_busy(ros, others, f"/{name}", busy=False)
+    assert not any(isinstance(report, Ended) for report in [*kept.reports._queue])
+    await ros.ask(others.close)
+    before.ros2.close()
+
+
+@bounded
+async def test_a_node_without_its_lease_cancels_nothing_of_the_one_that_has_taken_over(ros, start, names, caplog):
+    name, lease = names(), []
+    start(name)
+    successor = RecordingClient(ros, act=Binding(server=name))
+    sent = sent_by_another_process(successor, "hang")
+    await sent.accepted()
+    others = OtherGoals(ros, PREFIX, may_act=lambda: bool(lease))
+    await until_busy(ros, others, f"/{name}")
+    foreign, free = successor.send("act", action="hang"), OtherGoals(ros)
+    await foreign.accepted()
+    await until_busy(ros, free, f"/{name}")
+    await ros.ask(lambda: free.cancel(f"/{name}", [foreign.id]))  # later than the other one had reason to cancel
+    assert (await foreign.ended()).kind is OutcomeKind.CANCELED
+    assert "it is cancelled" not in caplog.text
+    assert not any(isinstance(report, Ended) for report in [*sent.reports._queue])
+    lease.append("got back: nobody had taken over")
+    assert (await sent.ended()).kind is OutcomeKind.CANCELED
+    await ros.ask(free.close)
+    await ros.ask(others.close)
+    successor.ros2.close()
+
+
+@bounded
+async def test_a_server_that_died_is_at_work_on_nothing(ros, start, names):
+    name = names()
+    server = start(name)
+    before = RecordingClient(ros, act=Binding(server=name))
+    await before.send("act", action="hang").accepted()
+    others = OtherGoals(ros)
+    await until_busy(ros, others, f"/{name}")
+    server.kill()
+    await asyncio.to_thread(start, name)
+    await until_busy(ros, others, f"/{name}", busy=False)
+    await ros.ask(others.close)
+    before.ros2.close()
+
+
+@bounded
+async def test_a_kept_goal_that_is_cancelled_at_once_ends_when_its_server_says_so(ros, start, names):
+    name = names()
+    start(name)
+    before, after = RecordingClient(ros, act=Binding(server=name)), RecordingClient(ros, act=Binding(server=name))
+    stubborn = before.send("act", action="stubborn", arguments=["0.5"])
+    await stubborn.accepted()
+    again, unknown = Sent(stubborn.request), Sent(Request(uuid4(), GroundAction("act"), {"action": "succeed"}))
+    after.ros2.reattach(again.request, again.reports.put_nowait, accepted=True)
+    after.ros2.reattach(unknown.request, unknown.reports.put_nowait, accepted=False)
+    after.cancel(again)
+    after.cancel(unknown)
+    assert (await again.ended()).kind is OutcomeKind.SUCCEEDED
+    assert await unknown.ended() == Outcome(OutcomeKind.CANCELED, message="cancelled before it was sent")
+    before.ros2.close()
+    after.ros2.close()
+
+
+@bounded
+async def test_a_goal_that_may_be_sent_twice_is_sent_to_the_server_that_has_come_back(ros, start, names):
+    name = names()
+    server = start(name)
+    client = RecordingClient(ros, act=Binding(server=name, when_lost=WhenLost.RESEND))
+    sent = client.send("act", action="slow", arguments=["1"])
+    await sent.accepted()
+    server.kill()
+    await asyncio.to_thread(start, name)
+    assert (await sent.ended()).kind is OutcomeKind.SUCCEEDED
+    client.ros2.close()

@@ -1,0 +1,115 @@
+"""When the client of a goal hears that it is accepted, rejected or over."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from typing import Any
+from uuid import UUID
+
+from pnm.core.machine.bindings import Binding
+from pnm.core.machine.requests import OutcomeKind
+from pnm.ros.action_server.goal_server import GoalCallbacks, GoalResult, GoalServer, GoalStatus
+from pnm.ros.node.ros_thread import RosThread
+from tests.support.ros.child_process import bounded
+from tests.support.ros.recording_client import RecordingClient
+
+TYPE = "pnm_interfaces/action/AchieveGoal"
+DONE = GoalResult(GoalStatus.SUCCEEDED, {"message": "done"})
+
+Accept = Callable[[GoalServer, UUID, str], Awaitable[str]]
+
+
+class ServedClient(RecordingClient):
+    """A client, and the server that it sends goals to."""
+
+    def __init__(self, ros: RosThread, server: GoalServer, **bindings: Binding) -> None:
+        super().__init__(ros, **bindings)
+        self.server = server
+
+
+@asynccontextmanager
+async def serving(ros: RosThread, name: str, accept: Accept) -> AsyncIterator[ServedClient]:
+    """A server that decides about the texts of goals, and a client that sends them."""
+
+    async def decide(goal: UUID, request: Any) -> str:
+        return await accept(server, goal, request.goal)
+
+    own = RosThread(f"{name}_node")
+    server = GoalServer(own, TYPE, name, GoalCallbacks(decide, lambda goal: server.end(goal, lambda: DONE)))
+    await server.open()
+    client = ServedClient(ros, server, reach=Binding(server=name, type=TYPE))
+    yield client
+    client.ros2.close()
+    await server.close()
+    await asyncio.to_thread(own.close)
+
+
+@bounded
+async def test_a_goal_is_accepted_when_its_server_has_decided_and_others_meanwhile(ros, names):
+    kept, arrived = asyncio.Event(), asyncio.Event()
+
+    async def accept(server: GoalServer, goal: UUID, text: str) -> str:
+        if text == "slow":
+            arrived.set()
+            await kept.wait()
+        return ""
+
+    async with serving(ros, names(), accept) as client:
+        slow = client.send("reach", goal="slow")
+        await arrived.wait()
+        await client.send("reach", goal="quick").accepted()
+        assert slow.reports.empty()
+        kept.set()
+        await slow.accepted()
+
+
+@bounded
+async def test_what_is_over_while_it_is_decided_about_is_accepted_first(ros, names):
+    async def accept(server: GoalServer, goal: UUID, text: str) -> str:
+        server.end(goal, lambda: DONE)
+        await asyncio.sleep(0.1)
+        return ""
+
+    async with serving(ros, names(), accept) as client:
+        sent = client.send("reach", goal="over")
+        await sent.accepted()
+        outcome = await sent.ended()
+        assert (outcome.kind, outcome.result["message"]) == (OutcomeKind.SUCCEEDED, "done")
+
+
+@bounded
+async def test_a_goal_whose_server_died_before_it_answered_goes_on_in_the_next_process_that_has_it(ros, names):
+    async def accept(server: GoalServer, goal: UUID, text: str) -> str:
+        arrived.set()
+        return await asyncio.get_running_loop().create_future()
+
+    arrived = asyncio.Event()
+    async with serving(ros, name := names(), accept) as client:
+        sent = client.send("reach", goal="kept")
+        await arrived.wait()
+        client.server.vanish()
+        next_node = RosThread(f"{name}_next")
+        successor = GoalServer(next_node, TYPE, name, GoalCallbacks(lambda *_: accept(successor, *_), lambda _: None))
+        await successor.open([sent.id])
+        await sent.accepted()
+        successor.end(sent.id, lambda: DONE)
+        assert (await sent.ended()).kind is OutcomeKind.SUCCEEDED
+        await successor.close()
+        await asyncio.to_thread(next_node.close)
+
+
+@bounded
+async def test_a_goal_is_rejected_for_a_reason_or_an_error_and_the_next_one_is_not(ros, names, caplog):
+    async def accept(server: GoalServer, goal: UUID, text: str) -> str:
+        if text == "error":
+            raise ValueError("no such thing")
+        return "" if text == "good" else "it is bad"
+
+    async with serving(ros, name := names(), accept) as client:
+        for text in ("bad", "error"):
+            assert (await client.send("reach", goal=text).ended()).kind is OutcomeKind.REJECTED
+        await client.send("reach", goal="good").accepted()
+    assert f"a goal for {name} is rejected: it is bad" in caplog.text
+    assert f"a goal for {name} is rejected: ValueError: no such thing" in caplog.text
