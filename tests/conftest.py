@@ -14,6 +14,8 @@ from tests.support.e2e.hosts.postgres import PostgresServer, postgres_server
 from tests.support.files import ROOT
 
 END_TO_END = ROOT / "tests" / "e2e"
+OVER_ROS = (END_TO_END, ROOT / "tests" / "pnm" / "ros")
+"""Tests over a middleware whose discovery promises no time."""
 
 settings.register_profile("any machine", settings(deadline=None))  # a busy one takes its time
 settings.load_profile("any machine")
@@ -29,7 +31,13 @@ def pytest_xdist_setupnodes(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Spread the files whose tests mostly wait for other processes among the others, so that the processors always have work."""
+    """Spread the files whose tests mostly wait for other processes among the others, so that the processors always have work.
+
+    Those over ROS have a second try, as in the continuous integration of ROS 2 itself; the summary lists who needed it.
+    """
+    for item in items:
+        if any(folder in item.path.parents for folder in OVER_ROS):
+            item.add_marker(pytest.mark.flaky(reruns=1))
     files: dict[Path, list[pytest.Item]] = {}
     for item in items:
         files.setdefault(item.path, []).append(item)

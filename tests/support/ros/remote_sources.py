@@ -3,8 +3,8 @@
 knowledge NAME      keeps variables; the one called "slow" is never answered, "broken" is no JSON, "no" is refused;
                     with "deaf", the first request of each service is never answered either
 person NAME WAY     answers questions: "reversed" two at a time, the second first; "never"; "late" only once withdrawn;
-                    "wrong" with what is no JSON, with answers to nothing, and then as it should; "helpless" with a question, and
-                    when it is asked once more with "give up"
+                    "deaf" what is asked twice; "wrong" with what is no JSON, with answers to nothing, and then as it should;
+                    "helpless" with a question, and when it is asked once more with "give up"
 """
 
 from __future__ import annotations
@@ -78,16 +78,22 @@ class RemotePerson:
         self.waiting.append(question)
 
     def reversed(self, question: Any) -> None:
-        if question.kind == Question.ASK:
-            self.waiting.append(question)
-            if len(self.waiting) == 2:
-                for one in reversed(self.waiting):
-                    self.answer(one.id, f'"{one.name} it is"')
+        if question.kind != Question.ASK:
+            return
+        self.waiting = [one for one in self.waiting if one.id != question.id] + [question]
+        if len(self.waiting) == 2:
+            for one in reversed(self.waiting):
+                self.answer(one.id, f'"{one.name} it is"')
 
     def late(self, question: Any) -> None:
         self.waiting.append(question)
         if question.kind == Question.WITHDRAW:
             self.answer(question.id, "1")
+
+    def deaf(self, question: Any) -> None:
+        if any(one.id == question.id for one in self.waiting):
+            self.answer(question.id, "1")
+        self.waiting.append(question)
 
     def wrong(self, question: Any) -> None:
         if question.kind == Question.ASK:
