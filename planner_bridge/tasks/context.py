@@ -18,12 +18,12 @@ from planner_bridge.tasks.settings import Settings, TaskObserver
 from planner_bridge.tasks.task import Task
 from pnm.actions.backend import Backend
 from pnm.core.execution.questions import EvaluationContext
-from pnm.core.execution.resources import Resources
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.bindings import goal_data
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
+from pnm.core.resources import Resources
 from pnm.journal.journal import Journal
 from pnm.knowledge.sources.source import Source
 from pnm.tasks import OnConflict

@@ -30,11 +30,11 @@ from planner_bridge.tasks.result import (
 )
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.handover import UnderWay
-from pnm.core.execution.resources import who_keeps
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import PlanGraph, PlanGraphError
 from pnm.core.machine.verification.part import Unsound
+from pnm.core.resources import who_keeps
 from pnm.journal.replay import ReplayedRun
 from pnm.knowledge.sources.help import Advice, ask_for_help
 from pnm.knowledge.sources.source import Asker, Source

@@ -100,6 +100,10 @@ class KnowledgeBase:
         for fluent in changes:
             if not isinstance(fluent, tuple) or not fluent or not all(isinstance(name, str) for name in fluent):
                 raise InputError(f"not a fluent: {fluent!r}; expected a tuple of names such as ('at', 'r1', 'kitchen')")
+        return self.record(changes)
+
+    def record(self, changes: Mapping[Fluent, Value | Unknown]) -> Changes:
+        """Record changes of fluents that are known to be well-formed, such as effects; otherwise as `update`."""
         if self._derived:
             self._refuse_derived(changes)
         real = {fluent: value for fluent, value in changes.items() if not same_value(self._facts.get(fluent), value)}

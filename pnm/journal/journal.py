@@ -10,11 +10,11 @@ from pnm.clock import TimeUsed
 from pnm.core.execution.call_requests import GoalFields
 from pnm.core.execution.events import Command, Event, Observer
 from pnm.core.execution.handover import UnderWay
-from pnm.core.execution.resources import Resources
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.resources import Resources
 from pnm.journal.replay import ReplayedRun
 from pnm.tasks import TaskEnding, Wanted
 

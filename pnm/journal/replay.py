@@ -16,13 +16,13 @@ from pnm.core.broadcast import broadcast
 from pnm.core.execution.call_requests import GoalFields
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.events import Command, Observer, Send
-from pnm.core.execution.resources import Resources
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine, Rule
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Request
+from pnm.core.resources import Resources
 from pnm.errors import PnmError
 from pnm.journal.records import (
     WORLD,

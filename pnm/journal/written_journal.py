@@ -20,11 +20,11 @@ from pnm.clock import TimeUsed
 from pnm.core.broadcast import broadcast
 from pnm.core.execution.call_requests import GoalFields
 from pnm.core.execution.events import Cancel, Command, Event, Observer, Send, Wake
-from pnm.core.execution.resources import Resources
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.machine import PetriNetMachine, Rule
 from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.resources import Resources
 from pnm.journal.codec import Codec
 from pnm.journal.journal import Journal, Perform, RunOptions, WorldOptions
 from pnm.journal.kept import DAY, KEPT, UNSHARED, Fenced, Hold, JournalError, Row, TaskRow

@@ -19,7 +19,6 @@ from pnm.actions.backend import Backend
 from pnm.clock import TimeLimit
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.events import Observer
-from pnm.core.execution.resources import Resources
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import MISSING, Layer, Literal, Query, Question, parts
 from pnm.core.machine.bindings import ABOUT_THE_CALL
@@ -38,6 +37,7 @@ from pnm.core.machine.requests import (
     Request,
 )
 from pnm.core.machine.verification.verify import Proof, verify
+from pnm.core.resources import Resources
 from pnm.errors import InputError, suggestion
 from pnm.executor import Executor
 from pnm.journal.journal import NO_JOURNAL, Journal

@@ -42,7 +42,6 @@ from pnm.actions.backend import ClientBackend, SimulatedBackend
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.clock import run_async, short_pauses
 from pnm.core.execution.events import Begin, Command, Event, Observer, Send
-from pnm.core.execution.resources import Resources
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import Condition
 from pnm.core.machine.bindings import Bindings
@@ -50,6 +49,7 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure, PetriNetMachine, Rule
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
+from pnm.core.resources import Resources
 from pnm.journal.journal import NO_JOURNAL, Journal, RunOptions
 from pnm.journal.kept import Durability, JournalChoice
 from pnm.journal.resume import replayed, take_up

@@ -17,7 +17,7 @@ from planner_bridge.ordering.interference import ReadWriteSets, interference
 from planner_bridge.tasks.context import Conflict, RunningCalls
 from planner_bridge.tasks.scheduling.planning_queue import PlanningQueue
 from planner_bridge.tasks.task import Task
-from pnm.core.execution.resources import Resources
+from pnm.core.resources import Resources
 from pnm.tasks import TaskListener, TaskState, TraceKind
 
 _SHORTEST: Final = 1.0

@@ -25,11 +25,11 @@ from planner_bridge.tasks.settings import Settings, TaskObserver
 from planner_bridge.tasks.task import StartTask, Task
 from pnm.clock import stop_then_cancel
 from pnm.core.broadcast import broadcast
-from pnm.core.execution.resources import who_keeps
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.conditions import Condition
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.net.net import Marking
+from pnm.core.resources import who_keeps
 from pnm.errors import InputError
 from pnm.journal.kept import JournalError
 from pnm.journal.replay import Replay, ReplayedTask

@@ -13,9 +13,10 @@ from typing import Final, NamedTuple, assert_never
 from uuid import UUID
 
 from pnm.core.execution.call_results import CallResult
-from pnm.core.execution.effect_checks import Intention, denied_at_end, finished, intention, lag_of_effects, unseen
+from pnm.core.execution.effect_checks import Intention, denied_at_end, finished, intention, is_assumed, lag_of_effects, unseen
 from pnm.core.execution.events import Cancel, Command, Reattach, Send, Store
 from pnm.core.execution.handover import UnderWay
+from pnm.core.execution.machine_index import index_of
 from pnm.core.execution.questions import EvaluationContext, unknown_values
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import (
@@ -35,8 +36,8 @@ from pnm.core.logic.evaluation import observed, unmet
 from pnm.core.logic.expressions import Fluent, Unknown, Value, bind
 from pnm.core.logic.operators import CHANGING, Uncomputable
 from pnm.core.machine.bindings import Binding, Bindings, goal_data, open_parameters, placeholders
-from pnm.core.machine.machine import TransitionAction
-from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
+from pnm.core.machine.machine import PetriNetMachine, TransitionAction
+from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.machine.requests import Ended, Feedback, Outcome, OutcomeKind, Report, Request
 from pnm.core.message_fields import Unreadable, parse_field, value_in
 
@@ -51,6 +52,7 @@ class Performed:
 
 
 _NOTHING: Final = Performed()
+_CHANGED: Final = Performed(changes_knowledge=True)
 
 
 class CallAttempt(NamedTuple):
@@ -87,13 +89,18 @@ class Calls:
     The mutable state is what the constructor sets under "state".
     """
 
-    def __init__(self, run: UUID, plan: PlanGraph, knowledge: Layered, bindings: Bindings, goal_fields: GoalFields, *, asks: bool) -> None:
+    def __init__(
+        self, run: UUID, machine: PetriNetMachine, knowledge: Layered, bindings: Bindings, goal_fields: GoalFields, *, asks: bool
+    ) -> None:
         self._run = run
-        self._plan = plan
+        self._plan = machine.plan
+        self._closed = index_of(machine).closed
         self._knowledge = knowledge
+        self.world = knowledge.world
         self._bindings = bindings
         self._goal_fields = goal_fields
-        self._asks = asks
+        self.asks = asks
+        """Whether questions can be asked outside."""
         # state
         self.open: dict[UUID, int] = {}
         """The requests that are not over, as far as is known, and their calls."""
@@ -145,7 +152,7 @@ class Calls:
 
     def context_of(self, call: int | None, answers: Mapping[Question, object] | None) -> EvaluationContext:
         """Return the evaluation context of the call; no questions are asked when there are no answers."""
-        asks = self._asks and answers is not None
+        asks = self.asks and answers is not None
         if answers:
             return replace(self.context_of(call, {}), answers=answers)
         if (found := self._contexts.get((call, asks))) is None:
@@ -175,10 +182,14 @@ class Calls:
 
     def goal(self, call: int, context: EvaluationContext) -> tuple[dict[str, object], tuple[str, ...]]:
         """Return the fields of the goal, and the names of those for which there is no value."""
+        closed, binding = self._closed(call), context.binding
+        if closed is not None and binding.goal is None:
+            names = self._goal_fields(self._plan.calls[call].action)
+            if names is None or closed.own.keys() >= {*names}:  # the call has all of them
+                return {name: closed.own[name] for name in (closed.own if names is None else names)}, ()
         action = self.ready(call, context)
         if action.operation is not None:
             return {}, unknown_values(action.operation, context)
-        binding = context.binding
         fields, missing = goal_data(action, binding, self._goal_fields(action), context)
         if not (unbound := open_parameters(action)):
             return fields, missing
@@ -199,8 +210,17 @@ class Calls:
 
     def unseen(self, call: int, context: EvaluationContext) -> tuple[Condition, ...]:
         """Return what of the call's effects is not seen."""
-        attempt = self._attempts[call]
+        attempt, closed = self._attempts[call], self._closed(call)
+        if closed is not None and not (closed.is_checked or attempt.denied or attempt.intended.expected):
+            return ()
         return tuple(dict.fromkeys((*attempt.denied, *unseen(attempt.intended.expected, attempt.action, context))))
+
+    def is_assumed(self, call: int) -> bool:
+        """Return whether nothing reports some of what the call changes."""
+        closed = self._closed(call)
+        if closed is None:
+            return is_assumed(self.action(call), self.world)
+        return not all(self.world.is_sensed((name,)) for name in closed.names)
 
     def explain_unseen(self, call: int, context: EvaluationContext) -> tuple[str, str]:
         """Return what of the call's effects is not seen, and what is seen instead, as texts."""
@@ -220,8 +240,6 @@ class Calls:
         Raises:
             Unanswered: a question has to be asked before the transition fires.
         """
-        if not self._asks:
-            return
         match action:
             case TransitionAction.SEND:
                 ready = self.ready(call, context)
@@ -251,7 +269,9 @@ class Calls:
                 return self._write(attempt.intended.start)
             case TransitionAction.FINISH:
                 attempt = self._attempts[call]
-                end = finished(attempt.action, attempt.intended, context)
+                closed = self._closed(call)
+                is_constant = closed is not None and closed.effects is not None
+                end = attempt.intended.end if is_constant else finished(attempt.action, attempt.intended, context)
                 self._attempts[call] = attempt._replace(ended=end, begun=values_before(end, context) | (attempt.begun or {}))
                 return self._write(end)
             case TransitionAction.UNDO:
@@ -296,21 +316,30 @@ class Calls:
         """No longer wait for the request of the call."""
         self.open.pop(self._attempts[call].request, None)
 
-    def succeeded(self, call: int, outcome: Outcome, now: float) -> None:
-        """Store the fields of the result, under their own names or those of the binding, and note what the end relies on and was not so."""
-        store = {**self.binding(call).store, **dict(self._plan.calls[call].store)}
-        values = {name: value for name, value in outcome.result.items() if name not in store}
-        for name, variable in store.items():
-            with suppress(Unreadable):  # simulated servers may have no result
-                values[variable] = value_in(outcome.result, parse_field(name))
-        self._knowledge.local.store(values)
-        attempt = self._attempts[call]
+    def succeeded(self, call: int, outcome: Outcome, now: float) -> bool:
+        """Store the fields of the result, under their own names or those of the binding, and note what the end relies on and was not so.
+
+        Return whether anything was stored.
+        """
+        values: dict[str, object] = {}
+        if outcome.result:  # simulated servers may have none
+            store = {**self.binding(call).store, **dict(self._plan.calls[call].store)}
+            values = {name: value for name, value in outcome.result.items() if name not in store}
+            for name, variable in store.items():
+                with suppress(Unreadable):
+                    values[variable] = value_in(outcome.result, parse_field(name))
+        if values:
+            self._knowledge.local.store(values)
+        closed, attempt = self._closed(call), self._attempts[call]
+        if closed is not None and not closed.is_checked:
+            return bool(values)
         # Over all means until just before the end: what breaks at the very moment of the end does no harm.
         if attempt.interrupted == now:
             self._attempts[call] = attempt._replace(denied={})
         # now, before anything is written of its effects: they may change what it relies on
         elif denied := denied_at_end(attempt.action, self.context_of(call, None)):
             self._attempts[call] = attempt._replace(denied={**attempt.denied, **denied})
+        return bool(values)
 
     def interrupt(self, call: int, now: float) -> None:
         """Note what of the condition over all is not so: the call has not succeeded, whatever its server reports."""
@@ -319,15 +348,19 @@ class Calls:
         self._attempts[call] = self._attempts[call]._replace(denied=broken, interrupted=now)
 
     def _send(self, call: int, count: int, context: EvaluationContext) -> Performed:
-        action, (number, identity) = self.ready(call, context), self._next(call)
+        (number, identity), closed = self._next(call), self._closed(call)
         # Computed now: once the robot moves, sensors report some of the effects, and conditions would read the new state.
-        attempt = CallAttempt(number, identity, action, intention(self._with(call, action), context))
+        if closed is not None and closed.effects is not None:
+            action, intended = self._plan.calls[call].action, closed.effects.intended(self.world)
+        else:
+            action = self.ready(call, context)
+            intended = intention(self._with(call, action), context)
         self.open[identity] = call
         if action.operation is not None:
-            self._attempts[call] = attempt
+            self._attempts[call] = CallAttempt(number, identity, action, intended)
             return self._operate(identity, action.operation, context)
         request = Request(identity, action, self.goal(call, context)[0], count)
-        self._attempts[call] = attempt._replace(unanswered=request)
+        self._attempts[call] = CallAttempt(number, identity, action, intended, unanswered=request)
         return Performed((Send(request),))
 
     def _next(self, call: int) -> tuple[int, UUID]:
@@ -343,10 +376,9 @@ class Calls:
         """Write the assumed effects; sensors report all others."""
         if not changes:
             return _NOTHING
-        world = self._knowledge.world
         # What sensors report is not overwritten with what the model expects: the check of the effects would see its own expectation.
-        assumed = {fluent: value for fluent, value in changes.items() if not world.is_sensed(fluent)}
-        return Performed(changes_knowledge=bool(world.update(assumed)))
+        assumed = {fluent: value for fluent, value in changes.items() if not self.world.is_sensed(fluent)}
+        return _CHANGED if self.world.record(assumed) else _NOTHING
 
     # --- operations on knowledge --------------------------------------------------------------
 
@@ -376,7 +408,7 @@ class Calls:
             self._knowledge.local.store({question.name: value})
         if question.layer is Layer.LOCAL:
             return _ended(identity, changes_knowledge=True)
-        if self._asks:
+        if self.asks:
             outside = replace(question, layer=Layer.GLOBAL if question.layer is Layer.ALL else question.layer)
             self._stores[identity] = Store(identity, outside, value)
             return Performed((self._stores[identity],), changes_knowledge=True)

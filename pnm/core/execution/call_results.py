@@ -171,7 +171,9 @@ class CallResults:
                     self._causes.pop(call, None)
             case CallOutcome.RUNNING:
                 started = now if result.started is None else result.started
-                self.current[call] = replace(result, kind=rule.outcome, attempts=result.attempts + 1, started=started)
+                self.current[call] = CallResult(
+                    result.call, rule.outcome, result.attempts + 1, started, result.ended, result.assumed, result.cause
+                )
             case CallOutcome.SUSPENDED:
                 self.current[call] = replace(result, kind=rule.outcome)
             case CallOutcome.SKIPPED if result.kind is CallOutcome.SUSPENDED:
@@ -182,7 +184,7 @@ class CallResults:
                 if result.ended is None:
                     self.current[call] = replace(result, kind=rule.outcome, cause=self._causes[call].cause, ended=now)
             case _:
-                self.current[call] = replace(result, kind=rule.outcome, cause=None, ended=now, assumed=assumed)
+                self.current[call] = CallResult(result.call, rule.outcome, result.attempts, result.started, now, assumed)
         if check is not None:
             self._causes[call] = check
             return check

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from pnm.core.execution.questions import EvaluationContext
+from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.computed_values import may_ask
 from pnm.core.logic.conditions import TRUE, Compare, Condition, Holds, Not, conjuncts, data_in, fluents, names
 from pnm.core.logic.effects import Changes, Effects, changes, decided, facts, is_fixed, names_written, written
@@ -124,6 +125,6 @@ def lag_of_effects(wanted: Mapping[Fluent, Value], action: GroundAction, knowled
     return knowledge.world.lag({*(fluent[0] for fluent in wanted), *names(action.end_condition), *names(action.expected)})
 
 
-def is_assumed(action: GroundAction, knowledge: EvaluationContext) -> bool:
+def is_assumed(action: GroundAction, world: KnowledgeBase) -> bool:
     """Return whether nothing reports some of what the action changes."""
-    return not all(knowledge.world.is_sensed((name,)) for name in names_written((*action.start_effects, *action.end_effects)))
+    return not all(world.is_sensed((name,)) for name in names_written((*action.start_effects, *action.end_effects)))

@@ -6,19 +6,19 @@ were asked before.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Final, assert_never
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Final
 from uuid import UUID
 
 from pnm.core.execution.call_requests import Calls
 from pnm.core.execution.call_results import Explanation
 from pnm.core.execution.effect_checks import already_true, may_be_late
+from pnm.core.execution.machine_index import Firing
 from pnm.core.execution.questions import EvaluationContext, Questions
-from pnm.core.execution.resources import Claim, RunClaims, who_keeps
 from pnm.core.execution.run_state import RunState
 from pnm.core.logic.conditions import All, Condition, conjuncts, ground, names
 from pnm.core.logic.evaluation import evaluate, explanation, observed
-from pnm.core.logic.expressions import UNKNOWN
+from pnm.core.logic.expressions import UNKNOWN, Truth
 from pnm.core.machine.machine import (
     Accepts,
     Adopted,
@@ -42,6 +42,7 @@ from pnm.core.machine.machine import (
     Withheld,
 )
 from pnm.core.machine.plan_graph import Cause
+from pnm.core.resources import Claim, RunClaims, who_keeps
 
 NEVER: Final = float("inf")
 
@@ -62,64 +63,92 @@ class Guards:
         self._withheld_since: dict[int, float] = {}
         self._held: dict[int, list[Condition]] = {}
 
-    def opens(self, transition: int, place: int) -> float:
+    def opens(self, firing: Firing, place: int) -> float:
         """Return when the guard opens as far as is known: now or earlier, at a later time, or never by itself.
 
         Raises:
             Unanswered: a question has to be asked first.
         """
-        state = self._state
-        rule = state.index.rules[transition]
-        match rule.guard:
-            case Always():
-                return -NEVER
-            case After(seconds):
-                return state.marked_at[place] + seconds
-            case Ending():
-                return _now_if(state.ending)
-            case Failing():
-                return _now_if(state.failing)
-            case CancelAsked():
-                return _now_if(state.cancels)
-            case PauseAsked():
-                return _now_if(state.suspends)
-            case ConditionTrue(condition):
-                return _now_if(self._holds(condition, self.context(rule.call, place)))
-            case ConditionFalse(condition):
-                # Not false until the report delay has passed: sensors may be about to report what has just happened.
-                context = self.context(rule.call, place)
-                return self._after(self._false_since, transition, not self._holds(condition, context), context.world.lag(names(condition)))
-            case InvariantFalse(condition):
-                return self._breaks(condition, rule.call, transition, place)
-            case ConditionUnknown(condition):
-                context = self.context(rule.call, place)
-                truth = evaluate(_grounded(condition, context), context)
-                opens = self._after(self._false_since, transition, truth is not True, context.world.lag(names(condition)))
-                return opens if truth is UNKNOWN else NEVER
-            case AlreadyTrue(call):
-                context = self.context(call, place)
-                return _now_if(already_true(self._calls.ready(call, context), context))
-            case DataMissing(call):
-                return _now_if(bool(self._calls.goal(call, self.context(call, place))[1]))
-            case Withheld():
-                # While it is not withheld, the claim is waited for without limit: some call gives back what it needs.
-                is_withheld = bool(self.withheld(rule.guard, place)) and not state.pause  # a pause stops this clock
-                return self._after(self._withheld_since, transition, is_withheld, rule.guard.seconds)
-            case EffectsSeen(call):
-                return _now_if(not self.unseen(call, place))
-            case EffectsMissing(call):
-                # As above: an effect counts as missing only when reports about it can no longer be on their way.
-                lag = self._calls.lag_of_effects(call, self.context(call, place))
-                return self._after(self._false_since, transition, bool(self.unseen(call, place)), lag)
-            case Adopted(call):
-                return _now_if(call in state.adopted)
-            case Accepts() | Ends():
-                return NEVER  # opened by a report alone, see `Run._take`
-            case Due(seconds, since):
-                ids = state.engine.compiled.place_id
-                return max([(state.origin or 0.0) + seconds, *(state.marked_at[ids[earlier]] + delay for earlier, delay in since)])
-            case _:
-                assert_never(rule.guard)
+        return _OPENS[type(firing.rule.guard)](self, firing.rule.guard, firing, place)
+
+    # each with its guard, the transition and its place
+
+    def _always(self, _: Always, firing: Firing, place: int) -> float:
+        return -NEVER
+
+    def _wait(self, guard: After, firing: Firing, place: int) -> float:
+        return self._state.marked_at[place] + guard.seconds
+
+    def _ending(self, _: Ending, firing: Firing, place: int) -> float:
+        return _now_if(self._state.ending)
+
+    def _failing(self, _: Failing, firing: Firing, place: int) -> float:
+        return _now_if(self._state.failing)
+
+    def _cancel_asked(self, _: CancelAsked, firing: Firing, place: int) -> float:
+        return _now_if(self._state.cancels)
+
+    def _pause_asked(self, _: PauseAsked, firing: Firing, place: int) -> float:
+        return _now_if(self._state.suspends)
+
+    def _true(self, guard: ConditionTrue, firing: Firing, place: int) -> float:
+        return _now_if(self._truth(guard.condition, firing, place) is True)
+
+    def _false(self, guard: ConditionFalse, firing: Firing, place: int) -> float:
+        # Not false until the report delay has passed: sensors may be about to report what has just happened.
+        is_false = self._truth(guard.condition, firing, place) is not True
+        return self._after(self._false_since, firing.number, is_false, self._lag(guard.condition) if is_false else 0.0)
+
+    def _unknown(self, guard: ConditionUnknown, firing: Firing, place: int) -> float:
+        truth = self._truth(guard.condition, firing, place)
+        opens = self._after(self._false_since, firing.number, truth is not True, self._lag(guard.condition))
+        return opens if truth is UNKNOWN else NEVER
+
+    def _invariant_false(self, guard: InvariantFalse, firing: Firing, place: int) -> float:
+        return self._breaks(guard.condition, firing.rule.call, firing.number, place)
+
+    def _already_true(self, guard: AlreadyTrue, firing: Firing, place: int) -> float:
+        closed = self._state.index.closed(guard.call)
+        if closed is not None and closed.effects is not None:
+            return _now_if(closed.effects.are_done(self._calls.world))
+        context = self.context(guard.call, place)
+        return _now_if(already_true(self._calls.ready(guard.call, context), context))
+
+    def _data_missing(self, guard: DataMissing, firing: Firing, place: int) -> float:
+        return _now_if(bool(self._calls.goal(guard.call, self.context(guard.call, place))[1]))
+
+    def _withheld(self, guard: Withheld, firing: Firing, place: int) -> float:
+        # While it is not withheld, the claim is waited for without limit: some call gives back what it needs.
+        is_withheld = bool(self.withheld(guard, place)) and not self._state.pause  # a pause stops this clock
+        return self._after(self._withheld_since, firing.number, is_withheld, guard.seconds)
+
+    def _effects_seen(self, guard: EffectsSeen, firing: Firing, place: int) -> float:
+        return _now_if(not self.unseen(guard.call, place))
+
+    def _effects_missing(self, guard: EffectsMissing, firing: Firing, place: int) -> float:
+        # As above: an effect counts as missing only when reports about it can no longer be on their way.
+        lag = self._calls.lag_of_effects(guard.call, self.context(guard.call, place))
+        return self._after(self._false_since, firing.number, bool(self.unseen(guard.call, place)), lag)
+
+    def _adopted(self, guard: Adopted, firing: Firing, place: int) -> float:
+        return _now_if(guard.call in self._state.adopted)
+
+    def _reported(self, _: Accepts | Ends, firing: Firing, place: int) -> float:
+        return NEVER  # opened by a report alone, see `Run._take`
+
+    def _due(self, guard: Due, firing: Firing, place: int) -> float:
+        state, ids = self._state, self._state.engine.compiled.place_id
+        return max([(state.origin or 0.0) + guard.seconds, *(state.marked_at[ids[earlier]] + delay for earlier, delay in guard.since)])
+
+    def _truth(self, condition: Condition, firing: Firing, place: int) -> Truth:
+        known = firing.condition
+        if known is not None and not known.reads_variables:
+            return known.truth(self._calls.world)
+        context = self.context(firing.rule.call, place)
+        return evaluate(_grounded(condition, context), context) if known is None else known.truth(context)
+
+    def _lag(self, condition: Condition) -> float:
+        return self._calls.world.lag(names(condition))
 
     def _after(self, since: dict[int, float], transition: int, is_pending: bool, seconds: float) -> float:
         """Return when the transition has been pending for so long; `NEVER`, and from the beginning next time, if it is not."""
@@ -146,18 +175,23 @@ class Guards:
     def postpone(self, call: int | None) -> None:
         """Have the limit for the acceptance of a call's request begin anew."""
         state = self._state
-        for transition in () if call is None else state.index.reported[call]:
-            if isinstance(state.index.rules[transition].guard, Accepts) and state.engine.is_enabled(transition):
-                state.marked_at.update({place: state.now for place, _ in state.engine.compiled.inputs[transition]})
+        for firing in () if call is None else state.index.opened(call, None):
+            if state.engine.is_enabled(firing.number):
+                state.marked_at.update(dict.fromkeys(firing.inputs, state.now))
+
+    @property
+    def remembers(self) -> bool:
+        """Whether there may be something to forget at some place."""
+        return bool(self._false_since or self._withheld_since or self._held or self._questions.remember)
 
     def forget(self, place: int) -> Iterator[UUID]:
         """Forget since when guards at the place have been waiting; yield its questions, whose answers are no longer needed."""
         # The next token at this place is a new decision, with delays that begin anew.
         if self._false_since or self._withheld_since or self._held:
-            for consumer in self._state.index.choices[place]:
-                self._false_since.pop(consumer, None)
-                self._withheld_since.pop(consumer, None)
-                self._held.pop(consumer, None)
+            for consumer in self._state.index.decisions(place):
+                self._false_since.pop(consumer.number, None)
+                self._withheld_since.pop(consumer.number, None)
+                self._held.pop(consumer.number, None)
         return self._questions.left(place)
 
     def context(self, call: int | None, place: int | None) -> EvaluationContext:
@@ -168,9 +202,6 @@ class Guards:
         """Return the effects of the call that are not seen."""
         return self._calls.unseen(call, self.context(call, place))
 
-    def _holds(self, condition: Condition, context: EvaluationContext) -> bool:
-        return evaluate(_grounded(condition, context), context) is True
-
     # --- resources ------------------------------------------------------------------------------
 
     def lacks_resources(self, transition: int) -> bool:
@@ -178,18 +209,18 @@ class Guards:
         # Enabled transitions lack nothing and are included, which does no harm: they are asked in any case.
         return self._state.engine.lacking(transition) <= self._state.index.resources
 
-    def has_resources(self, transition: int, place: int) -> bool:
+    def has_resources(self, firing: Firing, place: int) -> bool:
         """Return whether the resources that the transition takes are free; if not, its call stands in line for them."""
-        return self._claims.are_free(place, self.claim(transition, place))
+        return self._claims.are_free(place, self.claim(firing, place))
 
     def withheld(self, guard: Withheld, place: int | None) -> Mapping[str, str]:
         """Return which resources of the call belong to requests that were given up, and the names of these requests."""
         _, action = self._calls.claiming(guard.call, guard.action, self.context(guard.call, place))
         return self._claims.withheld_from(self._calls.resources(action))
 
-    def claim(self, transition: int, place: int | None) -> Claim:
+    def claim(self, firing: Firing, place: int | None) -> Claim:
         """Return the claim that the transition makes for its call."""
-        rule = self._state.index.rules[transition]
+        rule = firing.rule
         assert rule.call is not None, "only calls have resources"
         # The claim is made for the request that is going to be sent, so that it holds the resources from its first moment.
         request, action = self._calls.claiming(rule.call, rule.action, self.context(rule.call, place))
@@ -237,3 +268,27 @@ def _grounded(condition: Condition, context: EvaluationContext) -> Condition:
 
 def _now_if(is_open: bool) -> float:
     return -NEVER if is_open else NEVER
+
+
+_OPENS: Final[Mapping[type, Callable[[Guards, Any, Firing, int], float]]] = {
+    Always: Guards._always,
+    After: Guards._wait,
+    Ending: Guards._ending,
+    Failing: Guards._failing,
+    CancelAsked: Guards._cancel_asked,
+    PauseAsked: Guards._pause_asked,
+    ConditionTrue: Guards._true,
+    ConditionFalse: Guards._false,
+    ConditionUnknown: Guards._unknown,
+    InvariantFalse: Guards._invariant_false,
+    AlreadyTrue: Guards._already_true,
+    DataMissing: Guards._data_missing,
+    Withheld: Guards._withheld,
+    EffectsSeen: Guards._effects_seen,
+    EffectsMissing: Guards._effects_missing,
+    Adopted: Guards._adopted,
+    Accepts: Guards._reported,
+    Ends: Guards._reported,
+    Due: Guards._due,
+}
+"""For every kind of guard, when it opens."""

@@ -189,9 +189,14 @@ class Questions:
         return self._answers.get(place, {})
 
     @property
+    def remember(self) -> bool:
+        """Whether there is anything that concerns a place."""
+        return bool(self._asked or self._answers or self._silence)
+
+    @property
     def wait_for_people(self) -> bool:
         """Whether a person has been asked and has not answered yet."""
-        return any(question.layer is Layer.PERSON for _, question, _ in self._asked.values())
+        return bool(self._asked) and any(question.layer is Layer.PERSON for _, question, _ in self._asked.values())
 
     def need(self, place: int, subject: str, question: Question, now: float, identity: Callable[[str], UUID]) -> Need:
         """Return what is to be done about a question that the decision at a place depends on, for the sake of the subject.

@@ -15,7 +15,6 @@ from uuid import UUID
 
 from pnm.core.execution.call_requests import Calls, GoalFields
 from pnm.core.execution.call_results import CallResults, Explanation
-from pnm.core.execution.effect_checks import is_assumed
 from pnm.core.execution.events import (
     Answered,
     Begin,
@@ -35,17 +34,18 @@ from pnm.core.execution.events import (
 )
 from pnm.core.execution.guards import NEVER, Guards
 from pnm.core.execution.handover import UnderWay, check_adoption
+from pnm.core.execution.machine_index import Firing, index_of
 from pnm.core.execution.questions import Questions, subject_of
-from pnm.core.execution.resources import Resources, RunClaims
-from pnm.core.execution.run_state import RunState, Timers, admits, index_of
+from pnm.core.execution.run_state import RunState, Timers
 from pnm.core.execution.run_view import RunView
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import Question, Unanswered
 from pnm.core.machine.bindings import Bindings
-from pnm.core.machine.machine import After, CallOutcome, Due, EffectsMissing, PetriNetMachine, Rule, TransitionAction, Withheld
+from pnm.core.machine.machine import CallOutcome, EffectsMissing, PetriNetMachine, Rule, TransitionAction, Withheld
 from pnm.core.machine.plan_graph import Cause
 from pnm.core.machine.requests import BEFORE_ACCEPTANCE, Accepted, Ended, Feedback, OutcomeKind, Postponed, Report
 from pnm.core.net.firing_engine import Engine
+from pnm.core.resources import Resources, RunClaims
 from pnm.errors import RunError
 
 _NONE: Final[Mapping[int, UnderWay]] = {}
@@ -112,7 +112,7 @@ class Run(RunView):
         self._has_changed_knowledge = False
         self._questions = Questions()
         self._waits = False
-        self._calls = Calls(id, machine.plan, knowledge, bindings or Bindings(), goal_fields, asks=asks)
+        self._calls = Calls(id, machine, knowledge, bindings or Bindings(), goal_fields, asks=asks)
         self._results = CallResults(machine.plan)
         self._state = RunState(self._engine, self._index, self._results, origin, adopted=dict(adopted))
         self._claims = RunClaims(self.resources, self.task, priority)
@@ -219,8 +219,7 @@ class Run(RunView):
                 self._take(call, Accepted(report.request))  # a client may leave out what goes without saying
             del self._calls.open[report.request]  # before the firing, so that observers and guards see the request as over
             if report.outcome.kind is OutcomeKind.SUCCEEDED:  # stored before the firing: effects and checks after it may read results
-                self._calls.succeeded(call, report.outcome, self._state.now)
-                self._has_changed_knowledge = True
+                self._has_changed_knowledge |= self._calls.succeeded(call, report.outcome, self._state.now)
             self._results.answered(call, report.outcome)  # before the firing as well: the explanation of a failure quotes the message
             self._observer.ended(self._calls.as_sent(call), report.outcome, self._state.now)
         if not self._take(call, report):
@@ -228,11 +227,11 @@ class Run(RunView):
 
     def _take(self, call: int, report: Report) -> bool:
         """Fire the transition of the call that the report opens, if there is one."""
-        missing, rules = self._engine.missing, self._index.rules
-        opened = (one for one in self._index.reported[call] if not missing[one] and admits(rules[one], report))
-        if (transition := next(opened, None)) is not None:  # there is one at most: the request is waited for at one place at a time
-            self._fire(transition, None)
-        return transition is not None
+        kind = report.outcome.kind if isinstance(report, Ended) else None
+        opened = (one for one in self._index.opened(call, kind) if self._engine.is_enabled(one.number))
+        if (firing := next(opened, None)) is not None:  # there is one at most: the request is waited for at one place at a time
+            self._fire(firing, None)
+        return firing is not None
 
     # --- δ̂ ------------------------------------------------------------------------------------
 
@@ -250,41 +249,44 @@ class Run(RunView):
             self._commands.append(Wake(self._wake))
 
     def _ask_again_about_knowledge(self) -> None:
-        self._agenda.extend(place for place in self._undecided if place in self._index.listening)
+        self._agenda.extend(place for place in self._undecided if self._index.listens(place))
 
     def _decide(self, place: int) -> None:
         """Fire the first open transition that takes from the place; if there is none, note when to ask again."""
         if not self._engine.tokens[place]:
             return  # the token has gone since the place was put on the agenda
-        index, missing, now = self._index, self._engine.missing, self._state.now
-        again, waiting, asking, takes = NEVER, place in index.awaiting, False, index.takes
-        for transition in index.choices[place]:
+        index, missing, state, guards = self._index, self._engine.missing, self._state, self._guards
+        now, goes_on = state.now, not (state.pause or state.ending)
+        again, waiting, asking = NEVER, index.awaits(place), False
+        for firing in index.decisions(place):
             # a transition that lacks nothing but resources is asked all the same: its call has to stand in line for them
-            if missing[transition] and not (transition in takes and self._guards.lacks_resources(transition)):
+            if firing.counts and missing[firing.number] and not (firing.takes and guards.lacks_resources(firing.number)):
                 continue
-            rule = index.rules[transition]
-            if asking and not isinstance(rule.guard, After | Due):
+            if firing.leaves and goes_on:
+                waiting = True
+                continue
+            if asking and not firing.is_moment:
                 continue
             try:
-                if (transition in takes or self._state.pause) and self._is_put_off(transition, place):
+                if (firing.takes or state.pause) and self._is_put_off(firing, place):
                     waiting = True
                     break  # the rules after this one are asked when it may be asked itself
-                opens = self._guards.opens(transition, place)
+                opens = guards.opens(firing, place)
                 # what effects depend on is asked before the firing, which cannot wait for answers
-                if opens <= now and rule.call is not None:
-                    self._calls.compute_intention(rule.action, rule.call, self._guards.context(rule.call, place))
+                if opens <= now and self._calls.asks and firing.rule.call is not None:
+                    self._calls.compute_intention(firing.rule.action, firing.rule.call, guards.context(firing.rule.call, place))
             except Unanswered as needed:
                 # an earlier rule goes first as soon as its question is answered, so no later one may fire meanwhile but timers, which
                 # no question stops; and nothing is claimed during that time, for answers of people may take long
-                self._ask(place, rule.call, needed.question)
+                self._ask(place, firing.rule.call, needed.question)
                 self._leave_line(place)
                 waiting = asking = True
                 continue
             if opens <= now:
-                self._fire(transition, place)
+                self._fire(firing, place)
                 return
             again, waiting = min(again, opens), True
-            if transition in takes:  # it is not open, so it must not keep others from the resources while it waits for something else
+            if firing.takes:  # it is not open, so it must not keep others from the resources while it waits for something else
                 self._leave_line(place)
         if waiting:  # a place where nothing was even enabled is asked again when a token arrives, which puts it on the agenda anyway
             self._undecided[place] = None
@@ -301,11 +303,10 @@ class Run(RunView):
 
     # --- resources ----------------------------------------------------------------------------
 
-    def _is_put_off(self, transition: int, place: int) -> bool:
+    def _is_put_off(self, firing: Firing, place: int) -> bool:
         """Return whether the transition must wait: for the end of a pause, or for the resources of its call."""
-        takes = transition in self._index.takes
-        if not self._state.pause or not (takes or self._index.rules[transition].action is TransitionAction.SEND):  # what is sent goes on
-            return takes and not self._guards.has_resources(transition, place)
+        if not self._state.pause or not (firing.takes or firing.rule.action is TransitionAction.SEND):  # what is sent goes on
+            return firing.takes and not self._guards.has_resources(firing, place)
         self._leave_line(place)
         return True
 
@@ -316,53 +317,53 @@ class Run(RunView):
 
     # --- firing -------------------------------------------------------------------------------
 
-    def _fire(self, transition: int, place: int | None) -> None:
+    def _fire(self, firing: Firing, place: int | None) -> None:
         """Fire a transition that was decided on at the place, or opened by a report.
 
         The order within matters. Before the tokens move: what explains the firing is looked at in the state that led to it, and
         resources are claimed and requests made for where the call then is. After: resources are given back, and failures noted,
         which change whether the run is ending; then the places marked are put on the agenda, and the undecided ones if it is.
         """
-        compiled, rule, index, state = self._engine.compiled, self._index.rules[transition], self._index, self._state
-        fails = index.fails[transition]
+        rule, call, state = firing.rule, firing.call, self._state
         check = None if rule.cause is None else self._guards.explain_check(rule, place)
-        if transition in index.takes and rule.call is not None:
-            self._claims.take(rule.call, self._guards.claim(transition, place))
-        if rule.call is not None and rule.call < len(self.machine.plan.calls):
-            self._note(rule, rule.call, place, None if fails else check)
+        if firing.takes and rule.call is not None:
+            self._claims.take(rule.call, self._guards.claim(firing, place))
+        if call is not None:
+            if firing.notes:
+                self._note(rule, call, place, None if firing.fails else check)
             if check and check.cause is Cause.INVARIANT_FALSE:
-                self._calls.interrupt(rule.call, state.now)
+                self._calls.interrupt(call, state.now)
             if rule.action is not None:
-                self._perform(rule.action, rule.call, place)
+                self._perform(rule.action, call, place)
         self._results.last_check = check
-        was_ending, marked_at = state.ending, state.now
-        if rule.action is TransitionAction.ADOPT and rule.call is not None:
-            marked_at = state.adopted.pop(rule.call).accepted  # its limits count from there
-        self._engine.fire(transition)
+        was_ending, marked_at = firing.ends and state.ending, state.now
+        if rule.action is TransitionAction.ADOPT and call is not None:
+            marked_at = state.adopted.pop(call).accepted  # its limits count from there
+        self._engine.fire(firing.number)
         # After the firing: only now are the tokens of the resources back on their places, for other calls to take.
-        if transition in index.gives and rule.call is not None:
+        if firing.gives and rule.call is not None:
             self._give(rule, rule.call)
-        for failure_place in fails:
+        for failure_place in firing.fails:
             lacking = tuple(self._guards.withheld(rule.guard, place)) if isinstance(rule.guard, Withheld) else ()
-            failure = self._results.failed(index.failures[failure_place], state.now, check, rule, lacking)
+            failure = self._results.failed(self._index.failures[failure_place], state.now, check, rule, lacking)
             self._observer.failed(failure, state.now)
-        for left, _ in compiled.inputs[transition]:
+        remembers, waits = self._guards.remembers, self._claims.is_waiting
+        for left in firing.inputs:
             self._undecided.pop(left, None)
-            self._leave_line(left)
-            self._commands.extend(map(Withdraw, self._guards.forget(left)))
-        for marked, _ in compiled.outputs[transition]:
+            if waits:
+                self._leave_line(left)
+            if remembers:
+                self._commands.extend(map(Withdraw, self._guards.forget(left)))
+        for marked in firing.outputs:
             state.marked_at[marked] = marked_at
-            if marked not in index.records:
-                self._agenda.append(marked)
-        if state.ending and not was_ending:  # everything that waits has an exit for the end of the run, which has just opened
+        self._agenda.extend(firing.decided)
+        if firing.ends and state.ending and not was_ending:  # everything that waits has an exit for that, which has just opened
             self._agenda.extend(self._undecided)
-        self._observer.fired(compiled.transitions[transition], rule, state.now)
+        self._observer.fired(firing.name, rule, state.now)
 
     def _note(self, rule: Rule, call: int, place: int | None, check: Explanation | None) -> None:
-        if rule.outcome is None and rule.cause is None and check is None and not rule.gives_up:
-            return
         unseen = self._calls.explain_unseen(call, self._guards.context(call, place)) if isinstance(rule.guard, EffectsMissing) else None
-        assumed = rule.outcome is CallOutcome.SUCCEEDED and is_assumed(self._calls.action(call), self._guards.context(call, place))
+        assumed = rule.outcome is CallOutcome.SUCCEEDED and self._calls.is_assumed(call)
         cause = self._results.fired(rule, call, self._state.now, check, unseen=unseen, assumed=assumed)
         if cause is not None:
             self._observer.hindered(self._calls.as_sent(call), cause, self._state.now)

@@ -1,4 +1,4 @@
-"""State of a run besides its marking: the time, stop and pause, timers; and the machine indexed by integers."""
+"""State of a run besides its marking: the time, stop and pause, timers."""
 
 from __future__ import annotations
 
@@ -6,114 +6,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from math import inf
-from typing import Final
-from weakref import WeakKeyDictionary
 
 from pnm.core.execution.call_results import CallResults
 from pnm.core.execution.events import Pause, Stop
 from pnm.core.execution.handover import UnderWay
-from pnm.core.machine.machine import (
-    Accepts,
-    AlreadyTrue,
-    ConditionFalse,
-    ConditionTrue,
-    ConditionUnknown,
-    DataMissing,
-    EffectsMissing,
-    EffectsSeen,
-    Ends,
-    InvariantFalse,
-    OnFailure,
-    PetriNetMachine,
-    Rule,
-    TransitionAction,
-)
-from pnm.core.machine.requests import Ended, Report
-from pnm.core.net.firing_engine import CompiledNet, Engine
-
-_KNOWING: Final = (ConditionTrue, ConditionFalse, ConditionUnknown, InvariantFalse, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
-"""Guards whose answer may change when facts change."""
-
-
-@dataclass(frozen=True, slots=True)
-class MachineIndex:
-    """The index of a machine's places and transitions."""
-
-    rules: list[Rule]
-    """For every transition, its rule."""
-    choices: list[tuple[int, ...]]
-    """For every place, the transitions that are decided on there, in their order."""
-    reported: dict[int, list[int]]
-    """For every call, the transitions that reports about its request open."""
-    awaiting: frozenset[int]
-    """Places at which a report is waited for."""
-    listening: frozenset[int]
-    """Places at which what is decided may change when facts change."""
-    records: frozenset[int]
-    """Places at which nothing is decided."""
-    resources: frozenset[int]
-    takes: frozenset[int]
-    """Transitions that take resources; what is taken over has its own."""
-    gives: frozenset[int]
-    """Transitions that give resources back."""
-    alive: tuple[int, ...]
-    settling: dict[int, int]
-    restarts: frozenset[int]
-    failures: dict[int, int]
-    fails: list[tuple[int, ...]]
-    """For every transition, the failure places that it marks."""
-    goal: int
-    failed: int
-    on_failure: OnFailure
-
-
-_INDICES: Final[WeakKeyDictionary[CompiledNet, MachineIndex]] = WeakKeyDictionary()
-
-
-def index_of(machine: PetriNetMachine) -> MachineIndex:
-    """Return the index of a machine, which is made once."""
-    found = _INDICES.get(machine.compiled)
-    if found is None:
-        found = _INDICES[machine.compiled] = _indexed(machine)
-    return found
-
-
-def _indexed(machine: PetriNetMachine) -> MachineIndex:
-    compiled = machine.compiled
-    ids = compiled.place_id
-    rules = [machine.rules[name] for name in compiled.transitions]
-    reported: dict[int, list[int]] = {}
-    for transition, rule in enumerate(rules):
-        if isinstance(rule.guard, Accepts | Ends):
-            reported.setdefault(rule.guard.call, []).append(transition)
-    by_report = {transition for transitions in reported.values() for transition in transitions}
-    knowing = {transition for transition, rule in enumerate(rules) if isinstance(rule.guard, _KNOWING)}
-    resources = frozenset(ids[place] for place in machine.resource_places)
-    failures = {ids[place]: call for place, call in machine.failure_places.items()}
-
-    def touching(arcs: list[list[tuple[int, int]]]) -> Iterator[int]:
-        if resources:  # most machines have none
-            yield from (transition for transition, touched in enumerate(arcs) if any(place in resources for place, _ in touched))
-
-    return MachineIndex(
-        rules,
-        [tuple(transition for transition, _ in arcs if transition not in by_report) for arcs in compiled.consumers],
-        reported,
-        frozenset(place for transition in by_report for place, _ in compiled.inputs[transition]),
-        frozenset(place for transition in knowing for place, _ in compiled.inputs[transition]),
-        frozenset(ids[place] for place in machine.record_places),
-        resources,
-        frozenset(transition for transition in touching(compiled.inputs) if rules[transition].action is not TransitionAction.ADOPT),
-        frozenset(touching(compiled.outputs)),
-        tuple(ids[place] for place in machine.alive_places),
-        {ids[place]: call for place, call in machine.settling_places.items()},
-        frozenset(ids[place] for place in machine.restart_places),
-        failures,
-        [tuple(place for place, _ in arcs if place in failures) for arcs in compiled.outputs],
-        ids[machine.goal_place],
-        ids[machine.failed_place],
-        machine.on_failure,
-    )
+from pnm.core.execution.machine_index import MachineIndex
+from pnm.core.machine.machine import OnFailure
+from pnm.core.net.firing_engine import Engine
 
 
 class Timers:
@@ -197,10 +96,3 @@ class RunState:
     def idle(self) -> bool:
         """Whether no call is under way."""
         return not any(self.engine.tokens[place] for place in self.index.alive)
-
-
-def admits(rule: Rule, report: Report) -> bool:
-    """Return whether the report opens the guard of the rule, which belongs to its call."""
-    if isinstance(report, Ended):
-        return isinstance(rule.guard, Ends) and report.outcome.kind in rule.guard.kinds
-    return isinstance(rule.guard, Accepts)

@@ -9,14 +9,15 @@ from pnm.core.execution.call_results import CallResults, RunResult
 from pnm.core.execution.events import Pause
 from pnm.core.execution.guards import Guards
 from pnm.core.execution.handover import Handover, UnderWay
+from pnm.core.execution.machine_index import MachineIndex
 from pnm.core.execution.questions import Questions
-from pnm.core.execution.resources import RunClaims
-from pnm.core.execution.run_state import MachineIndex, RunState
+from pnm.core.execution.run_state import RunState
 from pnm.core.machine.bindings import WhenLost
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.net.firing_engine import Engine
 from pnm.core.net.net import Marking
+from pnm.core.resources import RunClaims
 from pnm.errors import RunError
 
 

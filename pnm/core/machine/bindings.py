@@ -226,14 +226,7 @@ def goal_data(
     With a `goal` mapping only its fields are needed; others are filled if a value of their name exists.
     As long as the fields of the goal are not known, parameters without a value are needed.
     """
-    arguments = dict(zip(action.parameters, action.arguments, strict=True))
-    own: dict[str, object] = {
-        "action": action.name,
-        "arguments": list(action.arguments),
-        "duration": action.duration or 0.0,
-        **{name: value for name, value in arguments.items() if not value.startswith("?")},
-        **knowledge.given(),
-    }
+    own = {**own_values(action), **knowledge.given()}
     needed = binding.goal if binding.goal is not None else dict.fromkeys(fields if fields is not None else open_parameters(action))
     wanted = dict.fromkeys((*needed, *(fields if fields is not None else own)))
     if binding.goal is None and wanted.keys() <= own.keys():  # the call has all of them
@@ -248,6 +241,12 @@ def goal_data(
         elif name in needed:
             missing.append(name)
     return filled, tuple(missing)
+
+
+def own_values(action: GroundAction) -> dict[str, object]:
+    """Return the values that an action has for goal fields by itself, by name."""
+    arguments = {name: value for name, value in zip(action.parameters, action.arguments, strict=True) if not value.startswith("?")}
+    return {"action": action.name, "arguments": list(action.arguments), "duration": action.duration or 0.0, **arguments}
 
 
 def open_parameters(action: GroundAction) -> tuple[str, ...]:

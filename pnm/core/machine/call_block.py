@@ -17,7 +17,7 @@ A run that is paused at once has its calls cancelled: they begin anew later, and
 The call has its resources as long as a request may be alive and until its effects have been looked for, unless that
 must wait for other events: whatever leads from outside into those places takes all of them at once, and whatever
 leads out of them gives all back. That is so in the net; outside of it a request that was given up keeps them until its
-server reports the end (`pnm.core.execution.resources`). So wherever they are waited for there is a way out, `withheld`, after as
+server reports the end (`pnm.core.resources`). So wherever they are waited for there is a way out, `withheld`, after as
 long as a server may take to answer.
 """
 

@@ -13,8 +13,9 @@ from pnm.core.machine.bindings import Bindings, is_open
 from pnm.core.machine.builder import Builder, Context
 from pnm.core.machine.call_block import CallBlock
 from pnm.core.machine.machine import Always, ConditionFalse, ConditionTrue, Due, Ending, Failing, OnFailure, PetriNetMachine, Rule
-from pnm.core.machine.plan_graph import ActionCall, Cause, Choice, Junction, Loop, PlanGraph, Step, check_capacity
+from pnm.core.machine.plan_graph import ActionCall, Cause, Choice, Junction, Loop, PlanGraph, Step
 from pnm.core.machine.step_block import ChoiceBlock, JunctionBlock, LoopBlock
+from pnm.core.resources import check_capacity
 from pnm.errors import check_kinds
 
 

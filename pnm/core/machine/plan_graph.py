@@ -21,6 +21,7 @@ from pnm.core.logic.conditions import TRUE, Condition, names
 from pnm.core.logic.effects import Effects, names_written
 from pnm.core.logic.expressions import Fluent, fluent_text
 from pnm.core.logic.rules import NO_RULES, Rules
+from pnm.core.resources import check_capacity
 from pnm.errors import PnmError
 
 
@@ -282,8 +283,8 @@ class PlanGraph:
 
     Raises:
         PlanGraphError: the numbers are not so, an ordering names a step that does not stand beside its own, the
-            orderings form a cycle, what others wait for cannot be said of such a step, a wait is not finite, or a resource is
-            for no call at all.
+            orderings form a cycle, what others wait for cannot be said of such a step, or a wait is not finite.
+        CapacityError: a resource is for no call at all.
     """
 
     steps: tuple[Step, ...]
@@ -358,12 +359,6 @@ class PlanGraph:
 
     def __repr__(self) -> str:
         return f"<PlanGraph {len(self.calls)} calls, {len(self.orderings)} orderings>"
-
-
-def check_capacity(name: str, capacity: int) -> None:
-    """Refuse a resource that no call could ever have; raise `PlanGraphError`."""
-    if capacity < 1:
-        raise PlanGraphError(f"{capacity} calls may have {name} at the same time; expected 1 at least")
 
 
 def _check_orderings(flow: Flow) -> None:

@@ -1,7 +1,7 @@
 """The firing rule over integers, in time proportional to the arcs of the transition that fires.
 
-Every transition keeps the number of input places that do not yet hold enough tokens; it is
-enabled when that number is zero. Firing touches only the neighbours of the places it changes,
+A transition that takes one token from one place is enabled when that place is marked; every other keeps the number of
+input places that do not yet hold enough tokens. Firing touches only the neighbours of the places it changes,
 so the cost of a firing does not grow with the net. `pnm.core.net.firing_rule` is the readable version.
 """
 
@@ -29,22 +29,31 @@ class CompiledNet:
         for transition, inputs in enumerate(self.inputs):
             for place, weight in inputs:
                 self.consumers[place].append((transition, weight))
+        self.only_input = [inputs[0][0] if len(inputs) == 1 and inputs[0][1] == 1 else None for inputs in self.inputs]
+        """For every transition that takes one token, its place."""
+        self.joins = [[(one, weight) for one, weight in consumers if self.only_input[one] is None] for consumers in self.consumers]
+        """For every place, the consumers that take more than one token from there."""
 
 
 class Engine:
-    """A net and its current marking. The mutable state is `tokens` (per place) and `missing` (per transition)."""
+    """A net and its current marking.
+
+    The mutable state is `tokens`, per place, and `missing`, per transition the number of places that hold too little; it stays at 0 for
+    those that take one token.
+    """
 
     def __init__(self, compiled: CompiledNet, marking: Mapping[str, int]) -> None:
         self.compiled = compiled
         self.tokens = [0] * len(compiled.place_id)
         # Every input place counts as lacking at first; the initial marking is added like any other tokens.
-        self.missing = [len(inputs) for inputs in compiled.inputs]
+        self.missing = [0 if only is not None else len(inputs) for only, inputs in zip(compiled.only_input, compiled.inputs, strict=True)]
         for place, count in marking.items():
             self._add(compiled.place_id[place], count)
 
     def is_enabled(self, transition: int) -> bool:
         """Return whether the marking covers the transition's preset."""
-        return self.missing[transition] == 0
+        only = self.compiled.only_input[transition]
+        return self.missing[transition] == 0 if only is None else self.tokens[only] > 0
 
     def lacking(self, transition: int) -> set[int]:
         """Return the places of the transition's preset that do not hold enough tokens."""
@@ -52,23 +61,29 @@ class Engine:
 
     def fire(self, transition: int, times: int = 1) -> None:
         """Fire the transition `times` at once; raise `NotEnabled`, and change nothing, if the marking does not cover the preset."""
-        inputs, tokens = self.compiled.inputs[transition], self.tokens
+        inputs, tokens, joins = self.compiled.inputs[transition], self.tokens, self.compiled.joins
         # Checked before any token moves, so that a refused firing leaves the marking as it was.
         # `missing` counts places for a single firing only; several at once need the weights to be looked at.
-        if self.missing[transition] or (times > 1 and any(tokens[place] < weight * times for place, weight in inputs)):
+        if not self.is_enabled(transition) or (times > 1 and any(tokens[place] < weight * times for place, weight in inputs)):
             places = self.compiled.net.places
             short = {places[place]: weight * times - tokens[place] for place, weight in inputs if tokens[place] < weight * times}
             raise NotEnabled(self.compiled.transitions[transition], short)
         # A place that is both input and output is first emptied and then filled: each change is small and keeps `missing` exact.
         for place, weight in inputs:
-            self._add(place, -weight * times)
+            if joins[place]:
+                self._add(place, -weight * times)
+            else:
+                tokens[place] -= weight * times
         for place, weight in self.compiled.outputs[transition]:
-            self._add(place, weight * times)
+            if joins[place]:
+                self._add(place, weight * times)
+            else:
+                tokens[place] += weight * times
 
     def _add(self, place: int, count: int) -> None:
         missing, before = self.missing, self.tokens[place]
         after = self.tokens[place] = before + count
-        for transition, weight in self.compiled.consumers[place]:
+        for transition, weight in self.compiled.joins[place]:
             # Only a change across the weight matters: the place begins, or ceases, to be covered for this consumer.
             if before < weight <= after:
                 missing[transition] -= 1

@@ -11,13 +11,13 @@ import pytest
 
 from pnm.clock import run_async
 from pnm.core.execution.events import Begin, Cancel, Command, Send, Stop, Tick
-from pnm.core.execution.resources import Resources
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind
+from pnm.core.resources import Resources
 from pnm.journal.format import RECORDS
 from pnm.journal.resume import replayed
 from pnm.journal.store import Durability, JournalError, JournalFile, Row

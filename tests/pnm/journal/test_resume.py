@@ -12,10 +12,10 @@ import pytest
 
 from planner_bridge.tasks.result import TASKS
 from pnm.core.execution.events import Restarted, Tick
-from pnm.core.execution.resources import Resources
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.requests import Accepted
+from pnm.core.resources import Resources
 from pnm.journal.codec import Codec
 from pnm.journal.kept import Durability, Fenced, JournalChoice, Row
 from pnm.journal.records import KnowledgeDelta

@@ -13,13 +13,13 @@ from planner_bridge.tasks.result import TASKS
 from planner_bridge.tasks.settings import Settings
 from pnm.clock import run_async
 from pnm.core.execution.events import Begin
-from pnm.core.execution.resources import Resources
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import Holds, Not
 from pnm.core.logic.rules import NO_RULES, DerivationRule, Rules
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
+from pnm.core.resources import Resources
 from pnm.journal import written_journal
 from pnm.journal.kept import DAY
 from pnm.journal.records import KnowledgeDelta, SharedBegan

@@ -5,13 +5,13 @@ from __future__ import annotations
 from uuid import UUID
 
 from pnm.core.execution.events import Begin, Cancel, Command, Send
-from pnm.core.execution.resources import Claim
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import PlanGraph
 from pnm.core.machine.requests import Accepted
+from pnm.core.resources import Claim
 from tests.support.runs.plan_graphs import plan
 
 RUN = UUID(int=1)

@@ -10,7 +10,6 @@ import pytest
 
 from pnm.clock import run_async
 from pnm.core.execution.events import Begin, Pause, Stop
-from pnm.core.execution.resources import Resources
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import Holds
@@ -19,6 +18,7 @@ from pnm.core.logic.expressions import Constant
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.machine.requests import Ended
+from pnm.core.resources import Resources
 from pnm.errors import RunError
 from pnm.executor import Executor
 from tests.support.runs.handover import SUCCEEDED, ManualClient, carried, going, successor

@@ -10,7 +10,6 @@ import pytest
 
 from pnm.core.execution.events import Begin, Pause, Stop, Tick, Wake
 from pnm.core.execution.handover import UnderWay
-from pnm.core.execution.resources import Resources
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Holds
@@ -19,6 +18,7 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph, PlanGraphError
 from pnm.core.machine.requests import Accepted, Ended
 from pnm.core.machine.verification.verify import explore
+from pnm.core.resources import Resources
 from pnm.errors import RunError
 from tests.support.runs.commands import cancelled, sent
 from tests.support.runs.handover import ABORTED, CANCELED, SUCCEEDED, going, successor

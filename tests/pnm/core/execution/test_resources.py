@@ -18,7 +18,6 @@ from pnm.actions.simulated_robots import SimulatedRobots
 from pnm.actions.simulated_world import SimulatedWorld
 from pnm.clock import run_async
 from pnm.core.execution.events import Answered, Ask, Begin, Command, KnowledgeChanged, ResourcesChanged, Send, Stop, Tick
-from pnm.core.execution.resources import Resources
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import Layer, Literal, Operation, Query
@@ -27,6 +26,7 @@ from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, Cause, Flow, GroundAction, PlanGraph, Recovery, Then
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Request
+from pnm.core.resources import Resources
 from pnm.errors import InputError, RunError
 from pnm.executor import Executor
 from pnm.language.plan import merge_bindings, read_plans

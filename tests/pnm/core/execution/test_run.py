@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from pnm.core.execution.events import Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tick, Wake
 from pnm.core.execution.guards import Guards
+from pnm.core.execution.machine_index import Firing
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import Holds, Not
@@ -270,11 +271,10 @@ def test_what_guards_answer_does_not_depend_on_the_order_in_which_they_are_asked
     for request in ids_sent(run.handle(Begin(), 0.0)):
         outcome = data.draw(st.sampled_from([None, OutcomeKind.SUCCEEDED, OutcomeKind.ABORTED]))
         run.handle(Accepted(request) if outcome is None else Ended(request, Outcome(outcome)), 1.0)
-    compiled = run.machine.compiled
     places = [place for place, tokens in enumerate(run._engine.tokens) if tokens]
-    pairs = [(transition, place) for place in places for transition, _ in compiled.consumers[place] if run._engine.is_enabled(transition)]
+    pairs = [(one, place) for place in places for one in run._index.decisions(place) if run._engine.is_enabled(one.number)]
 
-    def answers(order: list[tuple[int, int]]) -> dict[tuple[int, int], float]:
+    def answers(order: list[tuple[Firing, int]]) -> dict[tuple[Firing, int], float]:
         guards = Guards(run._state, run._calls, run._claims, run._questions)
         return {pair: guards.opens(*pair) for pair in order}
 

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pnm.core.logic.compiled_condition import compiled
 from pnm.core.logic.conditions import (
     TRUE,
     All,
@@ -185,3 +186,12 @@ def test_failing_parts_are_why_a_condition_does_not_hold(condition: Condition, s
     grounded = ground(condition, env)
     assert (unmet(grounded, state) == ()) is (evaluate(grounded, state) is True)
     assert set(unmet(grounded, state)) <= set(conjuncts(grounded))
+
+
+# --- compiled ---
+
+
+@given(CONDITIONS, ENVIRONMENTS, PICTURES)
+def test_a_compiled_condition_has_the_same_truth(condition: Condition, env: Environment, state: GivenState) -> None:
+    grounded = ground(condition, env)
+    assert compiled(grounded)(state) is evaluate(grounded, state)

@@ -42,8 +42,9 @@ def tokens(net: PetriNet, marking: Marking) -> list[int]:
 
 
 def missing_inputs(net: PetriNet, marking: Marking) -> list[int]:
-    """For every transition, the number of places that hold too little: what the engine keeps up to date."""
-    return [sum(marking[place] < weight for place, weight in net.inputs[one].items()) for one in net.transitions]
+    """For every transition that takes more than one token, the number of places that hold too little: what the engine keeps up to date."""
+    several = [one for one in net.transitions if list(net.inputs[one].values()) != [1]]
+    return [sum(marking[place] < weight for place, weight in net.inputs[one].items()) * (one in several) for one in net.transitions]
 
 
 # --- firing: the engine, the definition and the matrix equation -------------------------------

@@ -12,9 +12,9 @@ from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.scheduling.task_limits import TaskLimits
 from planner_bridge.tasks.settings import Settings
 from pnm.clock import run_async
-from pnm.core.execution.resources import Resources
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.resources import Resources
 from pnm.errors import InputError
 from pnm.journal.format import RECORDS
 from pnm.journal.resume import replayed

@@ -11,12 +11,12 @@ import pytest
 
 from pnm.clock import run_async
 from pnm.core.execution.events import Begin, Cancel, Command, Event, Send, Stop
-from pnm.core.execution.resources import Resources
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
+from pnm.core.resources import Resources
 from pnm.journal.format import RECORDS
 from pnm.journal.kept import Durability, Fenced, JournalError
 from pnm.journal.resume import replayed

@@ -11,8 +11,8 @@ import pytest
 
 from planner_bridge.tasks.result import TASKS
 from pnm.clock import run_async
-from pnm.core.execution.resources import Resources
 from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.resources import Resources
 from pnm.errors import InputError
 from pnm.files.database.place import Place, place_of
 from pnm.journal.kept import Durability, JournalChoice, JournalError, Row

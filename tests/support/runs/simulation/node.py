@@ -9,11 +9,11 @@ from functools import lru_cache
 from uuid import UUID
 
 from pnm.core.execution.call_results import RunResult
-from pnm.core.execution.resources import Resources
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.expressions import Unknown, Value
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.resources import Resources
 from pnm.errors import InputError
 from pnm.executor import Executor
 from pnm.files.database.place import Place

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import pytest
 
-from pnm.core.execution.resources import Resources
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Holds
 from pnm.core.machine.bindings import Binding, Bindings
@@ -37,6 +36,7 @@ from pnm.core.machine.plan_graph import (
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, verify
 from pnm.core.net.net import Marking, PetriNet
+from pnm.core.resources import CapacityError, Resources
 from pnm.errors import InputError
 from tests.support.runs.mutation.changes import (
     with_input,
@@ -242,11 +242,11 @@ def test_an_extra_step_without_inputs_is_not_waited_for() -> None:
 @pytest.mark.parametrize("capacity", [0, -1])
 def test_nothing_has_a_capacity_below_one(capacity: int) -> None:
     graph = PlanGraph((ActionCall(0, GroundAction("act", resources=("arm",))),))
-    with pytest.raises(PlanGraphError, match="arm"):
+    with pytest.raises(CapacityError, match="arm"):
         generate(graph, capacities={"arm": capacity})
-    with pytest.raises(PlanGraphError, match="arm"):
+    with pytest.raises(CapacityError, match="arm"):
         PlanGraph(graph.steps, capacities={"arm": capacity})
-    with pytest.raises(PlanGraphError, match="arm"):
+    with pytest.raises(CapacityError, match="arm"):
         Resources({"arm": capacity})
 
 

@@ -18,10 +18,19 @@ from dataclasses import dataclass
 from typing import Final
 from uuid import UUID
 
-from pnm.core.machine.plan_graph import check_capacity
-from pnm.errors import RunError
+from pnm.errors import PnmError, RunError
 
 _ONE_EACH: Final[Mapping[str, int]] = {}
+
+
+class CapacityError(PnmError):
+    """A resource is for no request at all."""
+
+
+def check_capacity(name: str, capacity: int) -> None:
+    """Refuse a resource that no call could ever have; raise `CapacityError`."""
+    if capacity < 1:
+        raise CapacityError(f"{capacity} calls may have {name} at the same time; expected 1 at least")
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +53,7 @@ class Resources:
     The mutable state is what the constructor sets under "state".
 
     Raises:
-        PlanGraphError: a resource is for no request at all.
+        CapacityError: a resource is for no request at all.
     """
 
     def __init__(self, capacities: Mapping[str, int] = _ONE_EACH) -> None:

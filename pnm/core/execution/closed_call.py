@@ -1,0 +1,83 @@
+"""Closed calls: what of a call is the same whatever knowledge has, computed once per machine and shared by its runs.
+
+A call is closed when the plan gives all its parameters. What it changes is constant when its effects assign constants; of any other
+call that is computed anew, by `pnm.core.execution.effect_checks`, which is the definition of what stands here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+from pnm.core.execution.effect_checks import Intention
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import TRUE
+from pnm.core.logic.effects import Effects, Set, changes, names_written
+from pnm.core.logic.expressions import Constant, Fluent, Unknown, Value, is_number, same_value
+from pnm.core.machine.bindings import open_parameters, own_values
+from pnm.core.machine.plan_graph import ActionCall
+
+_NO_STATE: Final = KnowledgeBase()
+
+
+@dataclass(frozen=True, slots=True)
+class ConstantEffects:
+    """Effects of a call that are the same in every state."""
+
+    intention: Intention
+    """What the call is going to change where nothing of it is sensed."""
+    visible: Mapping[Fluent, Value]
+    """What should be seen of it where it is sensed."""
+    done: tuple[tuple[Fluent, Value], ...]
+    """What is so already where there is nothing to do; empty if that can never be said."""
+
+    def intended(self, world: KnowledgeBase) -> Intention:
+        """Return the intention of the call, as `effect_checks.intention` would."""
+        seen = {fluent: value for fluent, value in self.visible.items() if world.is_sensed(fluent)}
+        return replace(self.intention, expected=seen) if seen else self.intention
+
+    def are_done(self, world: KnowledgeBase) -> bool:
+        """Return whether there is nothing to do, as `effect_checks.already_true` would."""
+        return bool(self.done) and all(same_value(world.value(fluent), value) for fluent, value in self.done)
+
+
+@dataclass(frozen=True, slots=True)
+class ClosedCall:
+    """What of a closed call does not depend on knowledge."""
+
+    own: Mapping[str, object]
+    """The values that it has for goal fields by itself."""
+    names: frozenset[str]
+    """The names of all that its effects may change."""
+    is_checked: bool
+    """Whether it has conditions over all or for its end, or something is expected of it."""
+    effects: ConstantEffects | None
+    """None if what it changes depends on the state."""
+
+
+def closed_call(call: ActionCall) -> ClosedCall | None:
+    """Return what of the call does not depend on knowledge; None for one that leaves parameters open, or is about knowledge itself."""
+    action = call.action
+    if action.operation is not None or action.given or open_parameters(action):
+        return None
+    names = names_written((*action.start_effects, *action.end_effects))
+    is_checked = not (action.invariant == action.end_condition == action.expected == TRUE)
+    return ClosedCall(own_values(action), names, is_checked, _constant_effects(call))
+
+
+def _constant_effects(call: ActionCall) -> ConstantEffects | None:
+    action = call.action
+    if action.expected != TRUE or not (_are_constant(action.start_effects) and _are_constant(action.end_effects)):
+        return None
+    start, end = changes(action.start_effects, _NO_STATE), changes(action.end_effects, _NO_STATE)
+    assigned: dict[Fluent, Value] = {fluent: value for fluent, value in (start | end).items() if not isinstance(value, Unknown)}
+    visible = {
+        fluent: value for fluent, value in assigned.items() if isinstance(value, bool | str) and (fluent in end or fluent in call.lasting)
+    }
+    has_numbers = any(map(is_number, assigned.values()))  # which cannot be seen to be done already
+    return ConstantEffects(Intention(start, end, action.end_effects), visible, () if has_numbers else tuple(assigned.items()))
+
+
+def _are_constant(effects: Effects) -> bool:
+    return all(isinstance(effect, Set) and effect.operation == "assign" and isinstance(effect.value, Constant) for effect in effects)

@@ -1,0 +1,208 @@
+"""A machine as it is executed: over integers, made once and shared by its runs.
+
+Whatever a run asks about a place, a transition or a call is worked out when it is first asked for, and kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+from weakref import WeakKeyDictionary
+
+from pnm.core.execution.closed_call import ClosedCall, closed_call
+from pnm.core.logic.compiled_condition import TruthIn, compiled
+from pnm.core.logic.conditions import data_in
+from pnm.core.machine.machine import (
+    Accepts,
+    After,
+    AlreadyTrue,
+    CancelAsked,
+    ConditionFalse,
+    ConditionTrue,
+    ConditionUnknown,
+    DataMissing,
+    Due,
+    EffectsMissing,
+    EffectsSeen,
+    Ending,
+    Ends,
+    Failing,
+    InvariantFalse,
+    OnFailure,
+    PauseAsked,
+    PetriNetMachine,
+    Rule,
+    TransitionAction,
+)
+from pnm.core.machine.requests import OutcomeKind
+from pnm.core.net.firing_engine import CompiledNet
+
+_KNOWING: Final = (ConditionTrue, ConditionFalse, ConditionUnknown, InvariantFalse, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
+"""Guards whose answer may change when facts change."""
+_LEAVING: Final = (Ending, Failing, CancelAsked, PauseAsked)
+"""Guards that open only when a run is ending, stopped or paused."""
+_MOMENTS: Final = (After, Due)
+
+
+@dataclass(frozen=True, slots=True)
+class CompiledCondition:
+    """A condition that is the same for every run, as a function."""
+
+    truth: TruthIn
+    reads_variables: bool
+    """Whether it reads anything but facts and numbers."""
+
+
+@dataclass(frozen=True, slots=True)
+class Firing:
+    """A transition, with all that its firing brings about."""
+
+    number: int
+    name: str
+    rule: Rule
+    call: int | None
+    """The number of its call; None for one of the frame, or of a step that is no call."""
+    inputs: tuple[int, ...]
+    outputs: tuple[int, ...]
+    decided: tuple[int, ...]
+    """The places that it marks and at which something is decided."""
+    fails: tuple[int, ...]
+    """The failure places that it marks."""
+    takes: bool
+    """Whether it takes resources; what is taken over has its own."""
+    gives: bool
+    """Whether it gives resources back."""
+    counts: bool
+    """Whether it takes more than one token, and is therefore enabled only if the engine misses none."""
+    leaves: bool
+    """Whether it opens only when the run is ending, stopped or paused."""
+    is_moment: bool
+    """Whether time alone opens it."""
+    ends: bool
+    """Whether the run may be ending after it."""
+    notes: bool
+    """Whether it says something about the result of its call."""
+    condition: CompiledCondition | None
+    """The condition of its guard, where that is the same for every run."""
+
+
+class MachineIndex:
+    """Places, transitions and calls of a machine.
+
+    The mutable state is what was worked out so far.
+    """
+
+    def __init__(self, machine: PetriNetMachine) -> None:
+        net = machine.compiled
+        ids = net.place_id
+        self._inputs, self._outputs, self._consumers, self._names = net.inputs, net.outputs, net.consumers, net.transitions
+        self._plan = machine.plan
+        self.rules = [machine.rules[name] for name in net.transitions]
+        self.records = frozenset(ids[place] for place in machine.record_places)
+        """Places at which nothing is decided."""
+        self.resources = frozenset(ids[place] for place in machine.resource_places)
+        self.alive = tuple(ids[place] for place in machine.alive_places)
+        self.settling = {ids[place]: call for place, call in machine.settling_places.items()}
+        self.restarts = frozenset(ids[place] for place in machine.restart_places)
+        self.failures = {ids[place]: call for place, call in machine.failure_places.items()}
+        self.goal = ids[machine.goal_place]
+        self.failed = ids[machine.failed_place]
+        self.on_failure: OnFailure = machine.on_failure
+        self._reported: dict[int, list[int]] = {}
+        for transition, rule in enumerate(self.rules):
+            if isinstance(rule.guard, Accepts | Ends):
+                self._reported.setdefault(rule.guard.call, []).append(transition)
+        # worked out so far
+        self._firings: dict[int, Firing] = {}
+        self._decisions: dict[int, tuple[Firing, ...]] = {}
+        self._opened: dict[tuple[int, OutcomeKind | None], tuple[Firing, ...]] = {}
+        self._listening: dict[int, bool] = {}
+        self._calls: dict[int, ClosedCall | None] = {}
+
+    def firing(self, transition: int) -> Firing:
+        """Return a transition."""
+        found = self._firings.get(transition)
+        if found is None:
+            found = self._firings[transition] = self._firing(transition)
+        return found
+
+    def decisions(self, place: int) -> tuple[Firing, ...]:
+        """Return the transitions that are decided on at a place, in their order."""
+        found = self._decisions.get(place)
+        if found is None:
+            by_guard = (one for one, _ in self._consumers[place] if not isinstance(self.rules[one].guard, Accepts | Ends))
+            found = self._decisions[place] = tuple(map(self.firing, by_guard))
+        return found
+
+    def opened(self, call: int, kind: OutcomeKind | None) -> tuple[Firing, ...]:
+        """Return the transitions of a call that are opened by the end of its request in this way, or by its acceptance."""
+        found = self._opened.get((call, kind))
+        if found is None:
+            found = tuple(self.firing(one) for one in self._reported[call] if _admits(self.rules[one], kind))
+            self._opened[call, kind] = found
+        return found
+
+    def awaits(self, place: int) -> bool:
+        """Return whether a report is waited for at the place."""
+        return len(self.decisions(place)) < len(self._consumers[place])
+
+    def listens(self, place: int) -> bool:
+        """Return whether what is decided at the place may change when facts change."""
+        found = self._listening.get(place)
+        if found is None:
+            found = self._listening[place] = any(isinstance(firing.rule.guard, _KNOWING) for firing in self.decisions(place))
+        return found
+
+    def closed(self, call: int) -> ClosedCall | None:
+        """Return what of a call does not depend on knowledge."""
+        if call not in self._calls:
+            self._calls[call] = closed_call(self._plan.calls[call])
+        return self._calls[call]
+
+    def _firing(self, transition: int) -> Firing:
+        rule, taken = self.rules[transition], self._inputs[transition]
+        inputs, outputs = (tuple(place for place, _ in arcs[transition]) for arcs in (self._inputs, self._outputs))
+        fails = tuple(place for place in outputs if place in self.failures)
+        is_call = rule.call is not None and rule.call < len(self._plan.calls)
+        return Firing(
+            transition,
+            self._names[transition],
+            rule,
+            rule.call if is_call else None,
+            inputs,
+            outputs,
+            tuple(place for place in outputs if place not in self.records),
+            fails,
+            takes=not self.resources.isdisjoint(inputs) and rule.action is not TransitionAction.ADOPT,
+            gives=not self.resources.isdisjoint(outputs),
+            counts=len(taken) != 1 or taken[0][1] != 1,
+            leaves=isinstance(rule.guard, _LEAVING),
+            is_moment=isinstance(rule.guard, _MOMENTS),
+            ends=bool(fails) or not self.restarts.isdisjoint(outputs),
+            notes=rule.outcome is not None or rule.cause is not None or rule.gives_up,
+            condition=self._condition(rule, is_call=is_call),
+        )
+
+    def _condition(self, rule: Rule, *, is_call: bool) -> CompiledCondition | None:
+        if not isinstance(rule.guard, ConditionTrue | ConditionFalse) or (is_call and self.closed(rule.call or 0) is None):
+            return None
+        return CompiledCondition(compiled(rule.guard.condition), any(True for _ in data_in(rule.guard.condition)))
+
+
+# An index must not hold the net that it belongs to, or none would ever be forgotten.
+_INDICES: Final[WeakKeyDictionary[CompiledNet, MachineIndex]] = WeakKeyDictionary()
+
+
+def index_of(machine: PetriNetMachine) -> MachineIndex:
+    """Return the index of a machine, which is made once."""
+    found = _INDICES.get(machine.compiled)
+    if found is None:
+        found = _INDICES[machine.compiled] = MachineIndex(machine)
+    return found
+
+
+def _admits(rule: Rule, kind: OutcomeKind | None) -> bool:
+    """Return whether the end of a request in this way, or its acceptance, opens the guard of a rule of its call."""
+    if kind is None:
+        return isinstance(rule.guard, Accepts)
+    return isinstance(rule.guard, Ends) and kind in rule.guard.kinds

@@ -1,0 +1,58 @@
+"""Closed calls: what is computed once per machine is what would be computed anew each time."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pnm.core.execution.closed_call import closed_call
+from pnm.core.execution.effect_checks import already_true, finished, intention, is_assumed, unseen
+from pnm.core.execution.questions import EvaluationContext
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.computed_values import Literal
+from pnm.core.logic.conditions import Holds
+from pnm.core.logic.effects import Effects, Set
+from pnm.core.logic.expressions import UNKNOWN, Constant
+from pnm.core.machine.bindings import DEFAULT, goal_data
+from pnm.core.machine.plan_graph import ActionCall, GroundAction
+
+FLUENTS = [("at", "r1", "hall"), ("at", "r1", "kitchen"), ("free",), ("location", "r1"), ("battery",)]
+VALUES = {"at": st.booleans(), "free": st.booleans(), "location": st.sampled_from(["hall", "undefined"]), "battery": st.just(5.0)}
+CONSTANT = st.sampled_from(FLUENTS).flatmap(lambda fluent: VALUES[fluent[0]].map(lambda value: Set(fluent, Constant(value))))
+OTHERS = st.just(Set(("battery",), Constant(1.0), "decrease"))
+EFFECTS = st.lists(st.one_of(CONSTANT, CONSTANT, CONSTANT, OTHERS), max_size=3).map(tuple)
+KNOWN = st.fixed_dictionaries({}, optional={fluent: st.one_of(VALUES[fluent[0]], st.just(UNKNOWN)) for fluent in FLUENTS})
+
+
+@given(EFFECTS, EFFECTS, KNOWN, st.sets(st.sampled_from(sorted(VALUES))), st.sampled_from([None, 2.0]))
+def test_what_is_constant_of_a_call(start: Effects, end: Effects, known: dict, sensed: set[str], duration: float | None) -> None:
+    action = GroundAction("go", ("r1",), ("robot",), start_effects=start, end_effects=end, duration=duration)
+    call = ActionCall(0, action, lasting=frozenset(FLUENTS[:2]))
+    context = EvaluationContext(Layered(KnowledgeBase(known, sensed=dict.fromkeys(sensed, 1.0))), action)
+    closed = closed_call(call)
+    assert closed is not None
+    assert (dict(closed.own), ()) == goal_data(action, DEFAULT, None, context)
+    assert is_assumed(action, context.world) is not all(context.world.is_sensed((name,)) for name in closed.names)
+    if closed.effects is None:
+        assert any(effect.operation != "assign" for effect in (*start, *end))
+        return
+    intended = closed.effects.intended(context.world)
+    assert intended == intention(call, context)
+    assert intended.end == finished(action, intended, context)
+    assert closed.effects.are_done(context.world) == already_true(action, context)
+    assert closed.is_checked or intended.expected or not unseen(intended.expected, action, context)
+
+
+def test_a_call_that_leaves_something_open_is_not_closed() -> None:
+    for action in (
+        GroundAction("go", ("?to",), ("to",)),
+        GroundAction("go", given=(("to", Literal('"hall"')),)),
+    ):
+        assert closed_call(ActionCall(0, action)) is None
+
+
+def test_what_is_expected_of_a_call_depends_on_the_state() -> None:
+    closed = closed_call(ActionCall(0, GroundAction("go", expected=Holds(("free",)))))
+    assert closed is not None
+    assert closed.is_checked
+    assert closed.effects is None
