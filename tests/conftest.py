@@ -20,8 +20,9 @@ OVER_ROS = (END_TO_END, ROOT / "tests" / "pnm" / "ros")
 settings.register_profile("any machine", settings(deadline=None))  # a busy one takes its time
 settings.load_profile("any machine")
 
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # we are in the background of a shell: our children are not to ignore it as well
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+for ignored in (signal.SIGINT, signal.SIGHUP):  # we may be in the background of a shell: our children are not to ignore them as well
+    if signal.getsignal(ignored) is signal.SIG_IGN:
+        signal.signal(ignored, signal.default_int_handler if ignored is signal.SIGINT else signal.SIG_DFL)
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -83,6 +83,8 @@ class Visitor:
     """Answers to open questions that are late."""
     given: dict[str, Answer] = field(default_factory=dict)
     """Answers to open questions."""
+    heard: set[str] = field(default_factory=set)
+    """Questions that were heard: those of a node that has just found us come twice."""
     states: dict[str, tuple[str, str]] = field(default_factory=dict)
     timers: list[tuple[float, int, Callable[[], None]]] = field(default_factory=list)
     numbers: Any = field(default_factory=count)
@@ -207,8 +209,9 @@ class Visitor:
             self.say("withdrawn", "", question=message.id)
             return
         request = next((one for one in self.requests if one.about in message.text), None)
-        if message.kind != Question.ASK or request is None:
+        if message.kind != Question.ASK or request is None or message.id in self.heard:
             return
+        self.heard.add(message.id)
         reply = request.reply()
         self.say("question", request.about, question=message.id, text=message.text, reply=reply)
         word = "no" if reply == "no" else "yes" if "shop" in request.wish else f"I like {request.about}"

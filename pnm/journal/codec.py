@@ -21,8 +21,6 @@ from pnm.core.logic.computed_values import MISSING
 from pnm.errors import PnmError
 
 _TAG: Final = "@"
-_NESTED: Final = (dict, list)
-"""What JSON has in which there may be values."""
 _PLAIN: Final = frozenset({str, int, float, bool, type(None)})
 
 
@@ -55,6 +53,7 @@ class Codec:
         self._classes = {kind.__name__: kind for kind in classes}
         self._writers: dict[type, Callable[[Any], object]] = {}
         self._readers: dict[str | None, Callable[[dict[str, Any]], Any]] = {}
+        self._decoder = json.JSONDecoder(object_hook=self._read)
 
     def including(self, classes: Iterable[type]) -> Codec:
         """Return a codec that knows these classes as well."""
@@ -67,7 +66,10 @@ class Codec:
     def value(self, text: str) -> Any:
         """Return the value of a text; raise `Undecodable` if it is none that the codec knows."""
         try:
-            return self._read(json.loads(text))
+            value, end = self._decoder.raw_decode(text)
+            if end < len(text):
+                raise ValueError("something follows it")
+            return _whole(value)
         except (ValueError, TypeError, KeyError) as error:
             raise Undecodable(f"not a value of this version: {text[:80]}: {error}") from error
 
@@ -132,30 +134,29 @@ class Codec:
 
     # --- reading ------------------------------------------------------------------------------
 
-    def _read(self, entry: Any) -> Any:
-        if type(entry) is list:
-            return tuple([self._read(item) if type(item) in _NESTED else item for item in entry])
-        if type(entry) is not dict:
-            return entry
+    def _read(self, entry: dict[str, Any]) -> Any:
+        """Return the value of an object whose own values have been read; lists in it are tuples from now on."""
         tag = entry.pop(_TAG, None)
         reader = self._readers.get(tag)
         if reader is None:
             reader = self._readers[tag] = self._reader(tag)
+        for name, item in entry.items():
+            if (array := _ARRAYS.get(type(item))) is not None:
+                entry[name] = array(item)
         return reader(entry)
 
     def _reader(self, tag: str | None) -> Callable[[dict[str, Any]], Any]:
-        read = self._read
         match tag:
             case None:
-                return lambda entry: {name: read(item) if type(item) in _NESTED else item for name, item in entry.items()}
+                return lambda entry: entry
             case "id":
                 return lambda entry: _uuid(entry["hex"])
             case "list":
-                return lambda entry: list(map(read, entry["items"]))
+                return lambda entry: _List(entry["items"])
             case "set":
-                return lambda entry: frozenset(map(read, entry["items"]))
+                return lambda entry: frozenset(entry["items"])
             case "map":
-                return lambda entry: {read(key): read(item) for key, item in entry["items"]}
+                return lambda entry: dict(entry["items"])
             case "bytes":
                 return lambda entry: bytes.fromhex(entry["hex"])
             case "missing":
@@ -166,8 +167,27 @@ class Codec:
         if issubclass(kind, Enum):
             return lambda entry: kind[entry["name"]]
         if issubclass(kind, tuple):
-            return lambda entry: kind(*map(read, entry["items"]))
-        return lambda entry: kind(**{name: read(item) if type(item) in _NESTED else item for name, item in entry.items()})
+            return lambda entry: kind(*entry["items"])
+        return lambda entry: kind(**entry)
+
+
+class _List:
+    """A list that was read, which is no array of what it stands in: arrays are tuples."""
+
+    def __init__(self, items: Iterable[Any]) -> None:
+        self.items = items
+
+
+def _whole(value: Any) -> Any:
+    """Return a value that was read with its arrays as tuples, and its lists as lists."""
+    array = _ARRAYS.get(type(value))
+    return value if array is None else array(value)
+
+
+_ARRAYS: Final[Mapping[type, Callable[[Any], Any]]] = {
+    list: lambda items: tuple([item if type(item) in _PLAIN else _whole(item) for item in items]),
+    _List: lambda value: list(value.items),
+}
 
 
 @lru_cache(maxsize=10_000)

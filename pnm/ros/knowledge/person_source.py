@@ -28,8 +28,8 @@ LISTENER: Final = 5.0
 """Seconds to wait for a subscriber of a message."""
 DEPTH: Final = 100
 """Messages that late subscribers get, withdrawals of older questions included."""
-AGAIN: Final = (1.0, 4.0)
-"""Seconds after which open questions are repeated once a publisher of answers has been discovered."""
+AGAIN: Final = 1.0
+"""Seconds after the discovery of a publisher of answers at which open questions are repeated."""
 _FAREWELL: Final = 1.0
 """Seconds to deliver the last withdrawals."""
 
@@ -130,8 +130,7 @@ class Ros2Person:
 
     def _discovered(self) -> None:
         """Repeat, a little later, what is open then, as somebody new may have answered it in vain."""
-        for seconds_later in AGAIN:
-            asyncio.get_running_loop().call_later(seconds_later, self._repeat)
+        asyncio.get_running_loop().call_later(AGAIN, self._repeat)
 
     def _repeat(self) -> None:
         for asked in self._open.values():
