@@ -53,6 +53,7 @@ class Codec:
         self._classes = {kind.__name__: kind for kind in classes}
         self._writers: dict[type, Callable[[Any], object]] = {}
         self._readers: dict[str | None, Callable[[dict[str, Any]], Any]] = {}
+        self._encoder = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False)
         self._decoder = json.JSONDecoder(object_hook=self._read)
 
     def including(self, classes: Iterable[type]) -> Codec:
@@ -61,7 +62,7 @@ class Codec:
 
     def text(self, value: object) -> str:
         """Return the value as JSON text; raise `Undecodable` for one of another class."""
-        return json.dumps(self.plain(value), separators=(",", ":"), ensure_ascii=False)
+        return self._encoder.encode(self.plain(value))
 
     def value(self, text: str) -> Any:
         """Return the value of a text; raise `Undecodable` if it is none that the codec knows."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
@@ -16,6 +17,8 @@ KEPT: Final = 7 * DAY
 LEASE: Final = 5.0
 """Seconds of a lease, unless something else is chosen."""
 
+_log = logging.getLogger(__name__)
+
 
 class JournalError(PnmError):
     """A journal cannot be read, or not be written now."""
@@ -23,6 +26,11 @@ class JournalError(PnmError):
 
 class Fenced(JournalError):
     """Another process has taken the journal over."""
+
+
+def log_end(why: Fenced) -> None:
+    """Log that another process has taken a journal over."""
+    _log.error("%s; nothing is done here any more", why)
 
 
 class Held(JournalError):

@@ -13,7 +13,7 @@ from typing import Final, TypeAlias
 from uuid import UUID
 
 from pnm.clock import TimeUsed
-from pnm.core.execution.events import Command, Event, Send, Store
+from pnm.core.execution.events import Command, Event, KnowledgeChanged, ResourcesChanged, Send, Store, Tick
 from pnm.core.execution.handover import UnderWay
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.effects import Changes
@@ -22,6 +22,7 @@ from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import PlanGraph
+from pnm.core.machine.requests import Accepted, Ended, Feedback, Postponed
 from pnm.tasks import TaskEnding, Wanted
 
 WORLD: Final = 0
@@ -261,8 +262,12 @@ Record: TypeAlias = (
 )
 
 
+HEARD: Final = (Accepted, Ended, Feedback, Postponed, KnowledgeChanged, ResourcesChanged, Tick)
+"""Events that servers, sensors and clocks bring about, and bring about again when they are asked again."""
+
+
 def intents_of(commands: Iterable[Command]) -> tuple[UUID, ...]:
     """Return the requests that are sent, and the updates that are made."""
     return tuple(
-        command.request.id if isinstance(command, Send) else command.id for command in commands if isinstance(command, Send | Store)
+        [command.request.id if isinstance(command, Send) else command.id for command in commands if isinstance(command, (Send, Store))]
     )

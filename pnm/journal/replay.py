@@ -226,12 +226,15 @@ class Replay:
     def _happened(self, number: int, time: float, record: Happened) -> Step:
         replayed, self._deltas = self.runs[record.run], []
         run, fired = replayed.run, replayed.fired
-        self.fields.update(record.fields)
+        if record.fields:
+            self.fields.update(record.fields)
         commands = run.handle(record.event, time)
-        self.requests.update((command.request.id, command.request) for command in commands if isinstance(command, Send))
+        for command in commands:
+            if isinstance(command, Send):
+                self.requests[command.request.id] = command.request
         names, fired.names, deltas, self._deltas = tuple(fired.names), [], tuple(self._deltas), None
         transitions = run.machine.compiled.transitions
-        _compare(number, "fires", names, tuple(transitions[index] for index in record.fired))
+        _compare(number, "fires", names, tuple([transitions[index] for index in record.fired]))
         _compare(number, "changes", deltas, record.deltas)
         _compare(number, "intends", intents_of(commands), record.intents)
         return Step(number, time, record, names, tuple(commands))

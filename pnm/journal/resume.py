@@ -17,12 +17,12 @@ from typing import Final, TypeAlias
 from pnm.errors import InputError, PnmError
 from pnm.files.database.place import Place
 from pnm.journal.codec import Codec, Undecodable
-from pnm.journal.kept import Durability, Fenced, Held, Hold, JournalChoice, JournalError
+from pnm.journal.kept import Durability, Fenced, Held, Hold, JournalChoice, JournalError, log_end
 from pnm.journal.lease import take
 from pnm.journal.records import SharedBegan, TaskSummary
 from pnm.journal.replay import Replay, ReplayDiffers, Step
 from pnm.journal.store import JournalFile, KeptJournal
-from pnm.journal.written_journal import WrittenJournal, log_end
+from pnm.journal.written_journal import WrittenJournal
 
 _LOOK: Final = 1.0
 """Seconds at most until a node that stands by looks again."""

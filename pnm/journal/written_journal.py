@@ -27,8 +27,9 @@ from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.resources import Resources
 from pnm.journal.codec import Codec
 from pnm.journal.journal import Journal, Perform, RunOptions, WorldOptions
-from pnm.journal.kept import DAY, KEPT, UNSHARED, Fenced, Hold, JournalError, Row, TaskRow
+from pnm.journal.kept import DAY, KEPT, UNSHARED, Fenced, Hold, JournalError, Row, TaskRow, log_end
 from pnm.journal.records import (
+    HEARD,
     WORLD,
     EndConfirmed,
     Happened,
@@ -63,11 +64,6 @@ _LONG: Final = 1000
 """Records of a segment after which another one begins as soon as nothing is under way."""
 
 _log = logging.getLogger(__name__)
-
-
-def log_end(why: Fenced) -> None:
-    """Log that another process has taken a journal over."""
-    _log.error("%s; nothing is done here any more", why)
 
 
 class _Watched(Observer):
@@ -200,7 +196,11 @@ class WrittenJournal(Journal):
         fired, watched.fired_now, self._deltas, self._news = tuple(watched.fired_now), [], [], {}
         self._record(Happened(run.id, event, news, fired, tuple(deltas), intents_of(commands)), now)
         self._waiting.append((perform, tuple(commands)))
-        self._write()
+        # What is only heard, and leads to nothing outside, is committed with what comes next, or a moment later: if it were lost
+        # before that, it would be heard again, as if it had come after the death of this process.
+        leads_outside = any(type(command) is not Wake for command in commands)
+        if leads_outside or run.over or self.blocked or not isinstance(event, HEARD):
+            self._write()
 
     def go_on(self, replayed: ReplayedRun, observer: Observer | None, goal_fields: GoalFields) -> Run:
         """Return a run that was replayed, connected to what it is to go on with."""

@@ -136,15 +136,19 @@ def with_journal(work: Work, file: Path, durability: Durability = Durability.PRO
 def engine(folder: Path) -> None:
     machine = generate(rounds(CALLS))
     machine.compiled  # noqa: B018
-    work = partial(answered, machine)
-    without_journal(work)
+    took: list[float] = []
+
+    def work(journal: Journal, world: KnowledgeBase) -> int:
+        took.append(seconds(lambda: answered(machine, journal, world), 1))
+        return CALLS
+
     for durability in Durability:
-        without, kept, size = [], [], 0
+        took.clear()
         for turn in range(7):
             file = folder / f"{durability.value}{turn}"
-            without.append(seconds(lambda: without_journal(work), 1))
-            kept.append(seconds(lambda: with_journal(work, file, durability), 1))
-            size = file.stat().st_size
+            without_journal(work)
+            with_journal(work, file, durability)
+        without, kept, size = took[::2], took[1::2], file.stat().st_size
         ratio = min(kept) / min(without)
         name = durability.name.lower().replace("_", " ")
         bound = "at most 3" if durability is Durability.PROCESS_CRASH else "no bound"

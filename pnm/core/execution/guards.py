@@ -188,7 +188,7 @@ class Guards:
         """Forget since when guards at the place have been waiting; yield its questions, whose answers are no longer needed."""
         # The next token at this place is a new decision, with delays that begin anew.
         if self._false_since or self._withheld_since or self._held:
-            for consumer in self._state.index.decisions(place):
+            for consumer in self._state.index.place(place).firings:
                 self._false_since.pop(consumer.number, None)
                 self._withheld_since.pop(consumer.number, None)
                 self._held.pop(consumer.number, None)

@@ -82,8 +82,22 @@ class Firing:
     """Whether the run may be ending after it."""
     notes: bool
     """Whether it says something about the result of its call."""
+    moves_only: bool
+    """Whether it does nothing but move tokens."""
     condition: CompiledCondition | None
     """The condition of its guard, where that is the same for every run."""
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What is decided at a place."""
+
+    firings: tuple[Firing, ...]
+    """The transitions that are decided on there, in their order."""
+    awaits: bool
+    """Whether a report is waited for there."""
+    listens: bool
+    """Whether the decision may change when facts change."""
 
 
 class MachineIndex:
@@ -114,9 +128,8 @@ class MachineIndex:
                 self._reported.setdefault(rule.guard.call, []).append(transition)
         # worked out so far
         self._firings: dict[int, Firing] = {}
-        self._decisions: dict[int, tuple[Firing, ...]] = {}
+        self._decisions: dict[int, Decision] = {}
         self._opened: dict[tuple[int, OutcomeKind | None], tuple[Firing, ...]] = {}
-        self._listening: dict[int, bool] = {}
         self._calls: dict[int, ClosedCall | None] = {}
 
     def firing(self, transition: int) -> Firing:
@@ -126,12 +139,14 @@ class MachineIndex:
             found = self._firings[transition] = self._firing(transition)
         return found
 
-    def decisions(self, place: int) -> tuple[Firing, ...]:
-        """Return the transitions that are decided on at a place, in their order."""
+    def place(self, place: int) -> Decision:
+        """Return what is decided at a place."""
         found = self._decisions.get(place)
         if found is None:
-            by_guard = (one for one, _ in self._consumers[place] if not isinstance(self.rules[one].guard, Accepts | Ends))
-            found = self._decisions[place] = tuple(map(self.firing, by_guard))
+            by_guard = [one for one, _ in self._consumers[place] if not isinstance(self.rules[one].guard, Accepts | Ends)]
+            knows = any(isinstance(self.rules[one].guard, _KNOWING) for one in by_guard)
+            awaits = len(by_guard) < len(self._consumers[place])
+            found = self._decisions[place] = Decision(tuple(map(self.firing, by_guard)), awaits, knows)
         return found
 
     def opened(self, call: int, kind: OutcomeKind | None) -> tuple[Firing, ...]:
@@ -140,17 +155,6 @@ class MachineIndex:
         if found is None:
             found = tuple(self.firing(one) for one in self._reported[call] if _admits(self.rules[one], kind))
             self._opened[call, kind] = found
-        return found
-
-    def awaits(self, place: int) -> bool:
-        """Return whether a report is waited for at the place."""
-        return len(self.decisions(place)) < len(self._consumers[place])
-
-    def listens(self, place: int) -> bool:
-        """Return whether what is decided at the place may change when facts change."""
-        found = self._listening.get(place)
-        if found is None:
-            found = self._listening[place] = any(isinstance(firing.rule.guard, _KNOWING) for firing in self.decisions(place))
         return found
 
     def closed(self, call: int) -> ClosedCall | None:
@@ -164,6 +168,9 @@ class MachineIndex:
         inputs, outputs = (tuple(place for place, _ in arcs[transition]) for arcs in (self._inputs, self._outputs))
         fails = tuple(place for place in outputs if place in self.failures)
         is_call = rule.call is not None and rule.call < len(self._plan.calls)
+        takes = not self.resources.isdisjoint(inputs) and rule.action is not TransitionAction.ADOPT
+        gives, ends = not self.resources.isdisjoint(outputs), bool(fails) or not self.restarts.isdisjoint(outputs)
+        notes = rule.outcome is not None or rule.cause is not None or rule.gives_up
         return Firing(
             transition,
             self._names[transition],
@@ -173,13 +180,14 @@ class MachineIndex:
             outputs,
             tuple(place for place in outputs if place not in self.records),
             fails,
-            takes=not self.resources.isdisjoint(inputs) and rule.action is not TransitionAction.ADOPT,
-            gives=not self.resources.isdisjoint(outputs),
+            takes=takes,
+            gives=gives,
             counts=len(taken) != 1 or taken[0][1] != 1,
             leaves=isinstance(rule.guard, _LEAVING),
             is_moment=isinstance(rule.guard, _MOMENTS),
-            ends=bool(fails) or not self.restarts.isdisjoint(outputs),
-            notes=rule.outcome is not None or rule.cause is not None or rule.gives_up,
+            ends=ends,
+            notes=notes,
+            moves_only=not (takes or gives or ends or notes or rule.action),
             condition=self._condition(rule, is_call=is_call),
         )
 

@@ -249,16 +249,16 @@ class Run(RunView):
             self._commands.append(Wake(self._wake))
 
     def _ask_again_about_knowledge(self) -> None:
-        self._agenda.extend(place for place in self._undecided if self._index.listens(place))
+        self._agenda.extend(place for place in self._undecided if self._index.place(place).listens)
 
     def _decide(self, place: int) -> None:
         """Fire the first open transition that takes from the place; if there is none, note when to ask again."""
         if not self._engine.tokens[place]:
             return  # the token has gone since the place was put on the agenda
-        index, missing, state, guards = self._index, self._engine.missing, self._state, self._guards
+        decision, missing, state, guards = self._index.place(place), self._engine.missing, self._state, self._guards
         now, goes_on = state.now, not (state.pause or state.ending)
-        again, waiting, asking = NEVER, index.awaits(place), False
-        for firing in index.decisions(place):
+        again, waiting, asking = NEVER, decision.awaits, False
+        for firing in decision.firings:
             # a transition that lacks nothing but resources is asked all the same: its call has to stand in line for them
             if firing.counts and missing[firing.number] and not (firing.takes and guards.lacks_resources(firing.number)):
                 continue
@@ -324,6 +324,16 @@ class Run(RunView):
         resources are claimed and requests made for where the call then is. After: resources are given back, and failures noted,
         which change whether the run is ending; then the places marked are put on the agenda, and the undecided ones if it is.
         """
+        rule, state = firing.rule, self._state
+        if firing.moves_only:
+            self._results.last_check = None
+            self._engine.fire(firing.number)
+            self._leave_and_mark(firing, state.now)
+        else:
+            self._act(firing, place)
+        self._observer.fired(firing.name, rule, state.now)
+
+    def _act(self, firing: Firing, place: int | None) -> None:
         rule, call, state = firing.rule, firing.call, self._state
         check = None if rule.cause is None else self._guards.explain_check(rule, place)
         if firing.takes and rule.call is not None:
@@ -347,6 +357,12 @@ class Run(RunView):
             lacking = tuple(self._guards.withheld(rule.guard, place)) if isinstance(rule.guard, Withheld) else ()
             failure = self._results.failed(self._index.failures[failure_place], state.now, check, rule, lacking)
             self._observer.failed(failure, state.now)
+        self._leave_and_mark(firing, marked_at)
+        if firing.ends and state.ending and not was_ending:  # everything that waits has an exit for that, which has just opened
+            self._agenda.extend(self._undecided)
+
+    def _leave_and_mark(self, firing: Firing, marked_at: float) -> None:
+        """Wait for nothing more at the places that tokens have left; put those that they have reached on the agenda."""
         remembers, waits = self._guards.remembers, self._claims.is_waiting
         for left in firing.inputs:
             self._undecided.pop(left, None)
@@ -355,11 +371,8 @@ class Run(RunView):
             if remembers:
                 self._commands.extend(map(Withdraw, self._guards.forget(left)))
         for marked in firing.outputs:
-            state.marked_at[marked] = marked_at
+            self._state.marked_at[marked] = marked_at
         self._agenda.extend(firing.decided)
-        if firing.ends and state.ending and not was_ending:  # everything that waits has an exit for that, which has just opened
-            self._agenda.extend(self._undecided)
-        self._observer.fired(firing.name, rule, state.now)
 
     def _note(self, rule: Rule, call: int, place: int | None, check: Explanation | None) -> None:
         unseen = self._calls.explain_unseen(call, self._guards.context(call, place)) if isinstance(rule.guard, EffectsMissing) else None

@@ -32,6 +32,8 @@ class OutcomeKind(Enum):
     LOST = "lost"
     """The server went away after it had accepted."""
 
+    __hash__ = object.__hash__  # each is there once; what an end opens is looked up by its kind
+
 
 BEFORE_ACCEPTANCE: Final = frozenset({OutcomeKind.REJECTED, OutcomeKind.UNAVAILABLE, OutcomeKind.LOST})
 """Ends that do not tell whether the goal was accepted before; any other implies that it was."""

@@ -32,7 +32,10 @@ class CompiledNet:
         self.only_input = [inputs[0][0] if len(inputs) == 1 and inputs[0][1] == 1 else None for inputs in self.inputs]
         """For every transition that takes one token, its place."""
         self.joins = [[(one, weight) for one, weight in consumers if self.only_input[one] is None] for consumers in self.consumers]
-        """For every place, the consumers that take more than one token from there."""
+        """For every place, the consumers that take more than one token."""
+        # Every input place counts as lacking at first; an initial marking is added like any other tokens.
+        self.unmarked = [0 if only is not None else len(inputs) for only, inputs in zip(self.only_input, self.inputs, strict=True)]
+        """For every transition that takes more than one token, how many places hold too little when none is marked."""
 
 
 class Engine:
@@ -45,8 +48,7 @@ class Engine:
     def __init__(self, compiled: CompiledNet, marking: Mapping[str, int]) -> None:
         self.compiled = compiled
         self.tokens = [0] * len(compiled.place_id)
-        # Every input place counts as lacking at first; the initial marking is added like any other tokens.
-        self.missing = [0 if only is not None else len(inputs) for only, inputs in zip(compiled.only_input, compiled.inputs, strict=True)]
+        self.missing = compiled.unmarked.copy()
         for place, count in marking.items():
             self._add(compiled.place_id[place], count)
 

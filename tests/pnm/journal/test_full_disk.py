@@ -132,6 +132,7 @@ def test_a_full_disk_is_tried_once_a_second_however_much_is_to_be_kept(tmp_path:
         deployment.file.is_full = True
         for _ in range(100):
             deployment.handle(Tick())
+        await asyncio.sleep(0.1)
         at_once = deployment.file.refused
         await asyncio.sleep(10.5)
         assert deployment.file.refused - at_once == 10

@@ -61,8 +61,8 @@ MISTAKES: Final = (
         (
             Change(
                 _JOURNAL,
-                "        self._waiting.append((perform, tuple(commands)))\n        self._write()\n",
-                "        perform(commands)\n        self._write()\n",
+                "        self._waiting.append((perform, tuple(commands)))\n        # What is only heard",
+                "        perform(commands)\n        # What is only heard",
             ),
         ),
         "nothing_is_sent_before_its_intent_is_kept",
