@@ -1,8 +1,9 @@
 """A codec of frozen values: what a journal holds, as JSON text and back.
 
 Classes are named by their tag, so that a journal says what it holds; only classes that the codec was made with are read back. A
-field that has its default is left out, which is why a new field with a default needs no new version of the format. JSON has no
-tuples, sets or mappings by anything but text: arrays are tuples, which nearly all sequences here are; the others have tags.
+field that has its default is left out, which is why a new field with a default needs no new version of the format. Where the type of
+a field says that it has an identity, or the member of an enum, no tag does. JSON has no tuples, sets or mappings by anything but
+text: arrays are tuples, which nearly all sequences here are; the others have tags.
 """
 
 from __future__ import annotations
@@ -13,8 +14,9 @@ from dataclasses import MISSING as NO_DEFAULT
 from dataclasses import Field, fields, is_dataclass
 from enum import Enum
 from functools import lru_cache
+from operator import attrgetter
 from types import ModuleType
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 from uuid import UUID
 
 from pnm.core.logic.computed_values import MISSING
@@ -115,17 +117,29 @@ class Codec:
             return lambda value: {_TAG: tag, "name": value.name}
         if issubclass(kind, tuple):
             return lambda value: {_TAG: tag, "items": [plain(item) for item in value]}
-        written = [(field.name, *_default(field)) for field in fields(kind) if field.init]
+        written = [(field.name, *_default(field), self._short(field)) for field in fields(kind) if field.init]
 
         def write(value: Any) -> object:
             entry: dict[str, object] = {_TAG: tag}
-            for name, default, empty in written:
+            for name, default, empty, short in written:
                 held = getattr(value, name)
                 if held is not default and (held or type(held) is not empty):
-                    entry[name] = plain(held)
+                    entry[name] = plain(held) if short is None else short.write(held)
             return entry
 
         return write
+
+    def _short(self, field: Field[Any]) -> _Short | None:
+        """Return how a field is written whose type says what it has, so that no tag need say it."""
+        match field.type:
+            case "UUID":
+                return _Short(attrgetter("hex"), _uuid)
+            case "tuple[UUID, ...]":
+                return _Short(lambda ids: [id.hex for id in ids], lambda texts: tuple(map(_uuid, texts)))
+            case str(name) if issubclass(kind := self._classes.get(name, object), Enum):
+                return _Short(attrgetter("name"), lambda member: kind[member])
+            case _:
+                return None
 
     def _mapping(self, value: Mapping[object, object]) -> object:
         plain = self.plain
@@ -169,7 +183,24 @@ class Codec:
             return lambda entry: kind[entry["name"]]
         if issubclass(kind, tuple):
             return lambda entry: kind(*entry["items"])
-        return lambda entry: kind(**entry)
+        shorts = {field.name: short.read for field in fields(kind) if (short := self._short(field))}
+        if not shorts:
+            return lambda entry: kind(**entry)
+
+        def read(entry: dict[str, Any]) -> Any:
+            for name, whole in shorts.items():
+                if name in entry:
+                    entry[name] = whole(entry[name])
+            return kind(**entry)
+
+        return read
+
+
+class _Short(NamedTuple):
+    """How the values of a field are written and read whose type says what they are."""
+
+    write: Callable[[Any], object]
+    read: Callable[[Any], Any]
 
 
 class _List:

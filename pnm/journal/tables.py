@@ -63,7 +63,7 @@ lease: Final = Table(
 
 `rewritten` counts how often records were taken away, so that who has read them knows.
 """
-LAYOUT: Final = Layout("journal", 0x504E4D4A, 2, _TABLES)  # PNMJ
+LAYOUT: Final = Layout("journal", 0x504E4D4A, 3, _TABLES)  # PNMJ
 
 
 class _now(FunctionElement[float]):  # noqa: N801, it is a function of SQL

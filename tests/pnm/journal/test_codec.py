@@ -9,12 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as some
 
+from pnm.core.execution.call_results import Failure
 from pnm.core.logic.computed_values import MISSING
 from pnm.core.logic.conditions import All, Holds, Not
 from pnm.core.logic.expressions import UNKNOWN
 from pnm.core.machine.plan_graph import ActionCall, Cause, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
+from pnm.core.machine.requests import Accepted
 from pnm.journal.codec import Undecodable
 from pnm.journal.format import RECORDS
+from pnm.journal.records import Happened
 
 PLAIN = some.none() | some.booleans() | some.integers() | some.floats(allow_nan=False) | some.text() | some.uuids() | some.binary()
 VALUES = some.recursive(
@@ -40,6 +43,19 @@ def test_plans_are_read_back() -> None:
     ordering = Ordering(PlanEvent(0, Moment.END), PlanEvent(1, Moment.START), (("at", "r1", "a"),))
     graph = PlanGraph((ActionCall(0, action), ActionCall(1, action, timeout=3.0)), (ordering,), capacities={"lift": 2})
     assert RECORDS.value(RECORDS.text(graph)) == graph
+
+
+def test_fields_of_identities_and_of_enums_have_their_texts_alone() -> None:
+    failure = Failure(ActionCall(0, GroundAction("move")), Cause.LOST)
+    sent = Happened(UUID(int=1), Accepted(UUID(int=2)), {}, intents=(UUID(int=3), UUID(int=4)))
+    for value in (failure, sent):
+        assert RECORDS.value(RECORDS.text(value)) == value
+    assert RECORDS.value(RECORDS.text(failure)).cause is Cause.LOST
+    assert '"cause":"LOST"' in RECORDS.text(failure)
+    assert f'"run":"{UUID(int=1).hex}"' in RECORDS.text(sent)
+    for text in ('{"@":"Accepted","request":"x"}', '{"@":"Failure","call":null,"cause":"NONE"}'):
+        with pytest.raises(Undecodable):
+            RECORDS.value(text)
 
 
 def test_what_there_is_once_is_the_same_again() -> None:

@@ -39,7 +39,7 @@ def run_deaths(number: int, folder: Path) -> Counter[Code]:
 
 
 def _task(rng: random.Random, scenario: Scenario, id: UUID) -> Wanted:
-    kind, priority, on_conflict = rng.random(), rng.choice([0, 0, 1, 2]), rng.choice([None, None, *OnConflict])
+    kind, priority, on_conflict = rng.random(), rng.choice([0, 0, 1, 2]), rng.choice([OnConflict.DEFAULT, OnConflict.DEFAULT, *OnConflict])
     if kind < 0.7:
         return Wanted(id, scenario.world.goal(rng), priority, on_conflict=on_conflict)
     text = scenario.world.plan(rng) if kind < 0.85 else rng.choice([*scenario.programs])
