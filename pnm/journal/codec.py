@@ -156,8 +156,8 @@ class Codec:
         if reader is None:
             reader = self._readers[tag] = self._reader(tag)
         for name, item in entry.items():
-            if (array := _ARRAYS.get(type(item))) is not None:
-                entry[name] = array(item)
+            if type(item) in _ARRAYS:
+                entry[name] = _ARRAYS[type(item)](item)
         return reader(entry)
 
     def _reader(self, tag: str | None) -> Callable[[dict[str, Any]], Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import assert_never
+from typing import NoReturn, assert_never
 from uuid import UUID
 
 from pnm.clock import TimeUsed
@@ -19,7 +19,7 @@ from pnm.core.execution.events import Command, Observer, Send
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.generate import generate
-from pnm.core.machine.machine import PetriNetMachine, Rule
+from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Request
 from pnm.core.resources import Resources
@@ -70,16 +70,6 @@ class Step:
     commands: tuple[Command, ...] = ()
 
 
-class _Fired(Observer):
-    """Notes the transitions that fire."""
-
-    def __init__(self) -> None:
-        self.names: list[str] = []
-
-    def fired(self, transition: str, rule: Rule, now: float) -> None:
-        self.names.append(transition)
-
-
 @dataclass
 class ReplayedRun:
     """A run that was replayed. What it is connected to is exchanged when it goes on; everything else is as it was.
@@ -97,7 +87,6 @@ class ReplayedRun:
     run: Run
     listeners: list[Observer]
     goal_fields: GoalFields
-    fired: _Fired
     replay: Replay = field(repr=False)
     result: RunResult | None = None
     is_over: bool = False
@@ -225,19 +214,21 @@ class Replay:
 
     def _happened(self, number: int, time: float, record: Happened) -> Step:
         replayed, self._deltas = self.runs[record.run], []
-        run, fired = replayed.run, replayed.fired
+        run = replayed.run
         if record.fields:
             self.fields.update(record.fields)
         commands = run.handle(record.event, time)
         for command in commands:
             if isinstance(command, Send):
                 self.requests[command.request.id] = command.request
-        names, fired.names, deltas, self._deltas = tuple(fired.names), [], tuple(self._deltas), None
-        transitions = run.machine.compiled.transitions
-        _compare(number, "fires", names, tuple([transitions[index] for index in record.fired]))
-        _compare(number, "changes", deltas, record.deltas)
-        _compare(number, "intends", intents_of(commands), record.intents)
-        return Step(number, time, record, names, tuple(commands))
+        deltas, self._deltas, transitions = tuple(self._deltas), None, run.machine.compiled.transitions
+        if run.fired != record.fired:
+            _differ(number, "fires", *(tuple([transitions[index] for index in fired]) for fired in (run.fired, record.fired)))
+        if deltas != record.deltas:
+            _differ(number, "changes", deltas, record.deltas)
+        if (intents := intents_of(commands)) != record.intents:
+            _differ(number, "intends", intents, record.intents)
+        return Step(number, time, record, tuple([transitions[index] for index in record.fired]), tuple(commands))
 
     def _make(self, made: RunMade) -> None:
         assert self.source is not None, "a replay reads machines where it reads records"
@@ -246,8 +237,7 @@ class Replay:
             machine = generate(source.plan, source.bindings, on_failure=source.on_failure, capacities=source.capacities)
             self._machines[made.machine] = source, machine
         source, machine = self._machines[made.machine]
-        fired = _Fired()
-        listeners: list[Observer] = [fired]
+        listeners: list[Observer] = []
         run = Run(
             machine,
             Layered(self.world, self.bases[made.local]),
@@ -262,7 +252,7 @@ class Replay:
             priority=made.priority,
             adopted=made.adopted,
         )
-        replayed = self.runs[made.run] = ReplayedRun(made, run, listeners, self._known_fields, fired, self)
+        replayed = self.runs[made.run] = ReplayedRun(made, run, listeners, self._known_fields, self)
         if made.task in self.tasks:
             self.tasks[made.task].runs.append(replayed)
 
@@ -295,7 +285,6 @@ class Replay:
             self._deltas.append(delta)
 
 
-def _compare(number: int, verb: str, here: tuple[object, ...], then: tuple[object, ...]) -> None:
-    if here != then:
-        different = next((pair for pair in zip(here, then, strict=False) if pair[0] != pair[1]), (here[len(then) :], then[len(here) :]))
-        raise ReplayDiffers(f"record {number}: the replay {verb} {different[0]!r}, the journal says {different[1]!r}")
+def _differ(number: int, verb: str, here: tuple[object, ...], then: tuple[object, ...]) -> NoReturn:
+    different = next((pair for pair in zip(here, then, strict=False) if pair[0] != pair[1]), (here[len(then) :], then[len(here) :]))
+    raise ReplayDiffers(f"record {number}: the replay {verb} {different[0]!r}, the journal says {different[1]!r}")

@@ -17,12 +17,11 @@ from typing import TYPE_CHECKING, Final, Unpack
 from uuid import UUID
 
 from pnm.clock import TimeUsed
-from pnm.core.broadcast import broadcast
 from pnm.core.execution.call_requests import GoalFields
 from pnm.core.execution.events import Cancel, Command, Event, Observer, Send, Wake
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.machine.machine import PetriNetMachine, Rule
+from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.resources import Resources
 from pnm.journal.codec import Codec
@@ -64,17 +63,6 @@ _LONG: Final = 1000
 """Records of a segment after which another one begins as soon as nothing is under way."""
 
 _log = logging.getLogger(__name__)
-
-
-class _Watched(Observer):
-    """Notes the transitions that fire while an event is handled."""
-
-    def __init__(self, machine: PetriNetMachine) -> None:
-        self._numbers = machine.compiled.transition_id
-        self.fired_now: list[int] = []
-
-    def fired(self, transition: str, rule: Rule, now: float) -> None:
-        self.fired_now.append(self._numbers[transition])
 
 
 class WrittenJournal(Journal):
@@ -120,7 +108,6 @@ class WrittenJournal(Journal):
         """The knowledge bases that are followed, by number."""
         self._numbers = max(replay.bases, default=WORLD) if replay else WORLD
         """The last number of a knowledge base; none is used twice."""
-        self._watched: dict[UUID, _Watched] = {}
         self._fields: dict[str, tuple[str, ...] | None] = replay.fields if replay else {}
         self._news: dict[str, tuple[str, ...] | None] = {}
         """Goal fields that the event being handled has found out."""
@@ -173,9 +160,7 @@ class WrittenJournal(Journal):
         **options: Unpack[RunOptions],
     ) -> Run:
         """Return a run, and record what it was made from."""
-        watched = self._watched[options["id"]] = _Watched(machine)
-        observer, asks, adopted = options.get("observer"), options.get("asks", False), options.get("adopted", {})
-        options["observer"] = watched if observer is None else broadcast(Observer, (watched, observer))
+        asks, adopted = options.get("asks", False), options.get("adopted", {})
         options["goal_fields"] = self._remembering(options["goal_fields"])
         run = super().make_run(machine, knowledge, **options)
         source = MachineSource(machine.plan, options["bindings"], machine.on_failure, machine.capacities)
@@ -192,9 +177,8 @@ class WrittenJournal(Journal):
             commands = run.handle(event, now)
         finally:
             self._handling = False
-        watched, deltas, news = self._watched[run.id], self._deltas, self._news
-        fired, watched.fired_now, self._deltas, self._news = tuple(watched.fired_now), [], [], {}
-        self._record(Happened(run.id, event, news, fired, tuple(deltas), intents_of(commands)), now)
+        deltas, news, self._deltas, self._news = self._deltas, self._news, [], {}
+        self._record(Happened(run.id, event, news, run.fired, tuple(deltas), intents_of(commands)), now)
         self._waiting.append((perform, tuple(commands)))
         # What is only heard, and leads to nothing outside, is committed with what comes next, or a moment later: if it were lost
         # before that, it would be heard again, as if it had come after the death of this process.
@@ -204,20 +188,15 @@ class WrittenJournal(Journal):
 
     def go_on(self, replayed: ReplayedRun, observer: Observer | None, goal_fields: GoalFields) -> Run:
         """Return a run that was replayed, connected to what it is to go on with."""
-        run = super().go_on(replayed, observer, self._remembering(goal_fields))
-        watched = self._watched[run.id] = _Watched(run.machine)
-        replayed.listeners.insert(0, watched)
-        return run
+        return super().go_on(replayed, observer, self._remembering(goal_fields))
 
     def succeeded(self, run: Run, successor: Run) -> None:
         """Record that a run has taken the place of another."""
         self._record(RunSucceeded(run.id, successor.id))
-        self._watched.pop(run.id, None)
 
     def retired(self, run: Run) -> None:
         """Record that a run is not carried on."""
         self._record(RunRetired(run.id))
-        self._watched.pop(run.id, None)
 
     def confirmed(self, request: UUID, resources: Resources) -> None:
         """Record that the server of a request that was given up has confirmed its end, and free what it has kept."""

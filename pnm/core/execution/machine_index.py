@@ -16,6 +16,7 @@ from pnm.core.machine.machine import (
     Accepts,
     After,
     AlreadyTrue,
+    Always,
     CancelAsked,
     ConditionFalse,
     ConditionTrue,
@@ -74,8 +75,8 @@ class Firing:
     """Whether it gives resources back."""
     counts: bool
     """Whether it takes more than one token, and is therefore enabled only if the engine misses none."""
-    leaves: bool
-    """Whether it opens only when the run is ending, stopped or paused."""
+    is_free: bool
+    """Whether its guard is always open."""
     is_moment: bool
     """Whether time alone opens it."""
     ends: bool
@@ -94,6 +95,8 @@ class Decision:
 
     firings: tuple[Firing, ...]
     """The transitions that are decided on there, in their order."""
+    staying: tuple[Firing, ...]
+    """Those that may open although the run is not ending, stopped or paused."""
     awaits: bool
     """Whether a report is waited for there."""
     listens: bool
@@ -146,7 +149,9 @@ class MachineIndex:
             by_guard = [one for one, _ in self._consumers[place] if not isinstance(self.rules[one].guard, Accepts | Ends)]
             knows = any(isinstance(self.rules[one].guard, _KNOWING) for one in by_guard)
             awaits = len(by_guard) < len(self._consumers[place])
-            found = self._decisions[place] = Decision(tuple(map(self.firing, by_guard)), awaits, knows)
+            firings = tuple(map(self.firing, by_guard))
+            staying = tuple(firing for firing in firings if not isinstance(firing.rule.guard, _LEAVING))
+            found = self._decisions[place] = Decision(firings, staying if len(staying) < len(firings) else firings, awaits, knows)
         return found
 
     def opened(self, call: int, kind: OutcomeKind | None) -> tuple[Firing, ...]:
@@ -183,7 +188,7 @@ class MachineIndex:
             takes=takes,
             gives=gives,
             counts=len(taken) != 1 or taken[0][1] != 1,
-            leaves=isinstance(rule.guard, _LEAVING),
+            is_free=isinstance(rule.guard, Always),
             is_moment=isinstance(rule.guard, _MOMENTS),
             ends=ends,
             notes=notes,

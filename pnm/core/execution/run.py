@@ -104,6 +104,7 @@ class Run(RunView):
         self._undecided: dict[int, None] = {}
         self._timers = Timers()
         self._wake = NEVER
+        self._fired: list[int] = []
         self._commands: list[Command] = []
         self._reports: deque[Report] = deque()
         """Ends of requests that concerned knowledge alone."""
@@ -143,7 +144,7 @@ class Run(RunView):
 
     def handle(self, event: Event, now: float) -> list[Command]:
         """Take one event in and return what is to be done about it."""
-        state = self._state
+        state, self._fired = self._state, []
         state.now = max(now, state.now)  # guards compare times with each other, so the run's clock never goes back
         match event:
             case Accepted() | Ended():
@@ -258,12 +259,11 @@ class Run(RunView):
         decision, missing, state, guards = self._index.place(place), self._engine.missing, self._state, self._guards
         now, goes_on = state.now, not (state.pause or state.ending)
         again, waiting, asking = NEVER, decision.awaits, False
-        for firing in decision.firings:
+        if goes_on and decision.staying is not decision.firings:
+            waiting = True
+        for firing in decision.staying if goes_on else decision.firings:
             # a transition that lacks nothing but resources is asked all the same: its call has to stand in line for them
             if firing.counts and missing[firing.number] and not (firing.takes and guards.lacks_resources(firing.number)):
-                continue
-            if firing.leaves and goes_on:
-                waiting = True
                 continue
             if asking and not firing.is_moment:
                 continue
@@ -271,7 +271,7 @@ class Run(RunView):
                 if (firing.takes or state.pause) and self._is_put_off(firing, place):
                     waiting = True
                     break  # the rules after this one are asked when it may be asked itself
-                opens = guards.opens(firing, place)
+                opens = -NEVER if firing.is_free else guards.opens(firing, place)
                 # what effects depend on is asked before the firing, which cannot wait for answers
                 if opens <= now and self._calls.asks and firing.rule.call is not None:
                     self._calls.compute_intention(firing.rule.action, firing.rule.call, guards.context(firing.rule.call, place))
@@ -331,6 +331,7 @@ class Run(RunView):
             self._leave_and_mark(firing, state.now)
         else:
             self._act(firing, place)
+        self._fired.append(firing.number)
         self._observer.fired(firing.name, rule, state.now)
 
     def _act(self, firing: Firing, place: int | None) -> None:

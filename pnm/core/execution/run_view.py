@@ -28,6 +28,7 @@ class RunView:
     machine: PetriNetMachine
     _engine: Engine
     _index: MachineIndex
+    _fired: list[int]
     _state: RunState
     _calls: Calls
     _results: CallResults
@@ -79,6 +80,11 @@ class RunView:
     def awaits_answers(self) -> bool:
         """Whether nothing goes on before a person has answered."""
         return self._questions.wait_for_people and self._state.idle and not self._claims.is_waiting
+
+    @property
+    def fired(self) -> tuple[int, ...]:
+        """The transitions that the last event has had fire, by number."""
+        return tuple(self._fired)
 
     @property
     def open_requests(self) -> tuple[UUID, ...]:

@@ -53,7 +53,7 @@ def test_a_run_that_is_interrupted_has_an_ending_in_its_journal(deploy: Callable
 def test_simulated_robots_die_with_a_run_and_begin_anew_where_they_were_known_to_be(root: Path, tmp_path: Path) -> None:
     files = [str(root / "domains/delivery/domain.pddl"), str(root / "problems/delivery/p01.pddl")]
     journal = tmp_path / "j"
-    program = ["-m", "tests.support.e2e.programs.dying_run", "12", *files, "--journal", str(journal), "--improve", "0", "--json"]
+    program = ["-m", "tests.support.e2e.programs.dying_run", "11", *files, "--journal", str(journal), "--improve", "0", "--json"]
     dying = Program(program, {})
     assert dying.process.wait(LIMIT) == -signal.SIGKILL
     dying.close()
@@ -88,7 +88,7 @@ def test_a_journal_of_other_files_or_of_a_node_is_refused_with_what_to_do(root: 
 def test_a_plan_by_hand_is_kept_as_well_and_its_values_belong_to_it(root: Path, tmp_path: Path) -> None:
     plan = str(root / "domains/delivery/plans/errands.yaml")
     given = ["--plan", plan, "--name", "round_trip", "--set", "robot=r1", "--journal", str(tmp_path / "j"), "--json"]
-    program = ["-m", "tests.support.e2e.programs.dying_run", "6", *given]
+    program = ["-m", "tests.support.e2e.programs.dying_run", "5", *given]
     dying = Program(program, {})
     assert dying.process.wait(LIMIT) == -signal.SIGKILL
     dying.close()

@@ -72,8 +72,8 @@ MISTAKES: Final = (
         (
             Change(
                 _JOURNAL,
-                "        self._record(Happened(run.id, event, news, fired, tuple(deltas), intents_of(commands)), now)\n",
-                "        self._record(Happened(run.id, event, news, fired, (), intents_of(commands)), now)\n        self._write()\n"
+                "        self._record(Happened(run.id, event, news, run.fired, tuple(deltas), intents_of(commands)), now)\n",
+                "        self._record(Happened(run.id, event, news, run.fired, (), intents_of(commands)), now)\n        self._write()\n"
                 "        for delta in deltas:\n            self._record(delta)\n",
             ),
             Change("pnm/journal/replay.py", '        _compare(number, "changes", deltas, record.deltas)\n', ""),
