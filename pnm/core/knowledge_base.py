@@ -109,7 +109,8 @@ class KnowledgeBase:
         real = {fluent: value for fluent, value in changes.items() if not same_value(self._facts.get(fluent), value)}
         self._facts.update(real)
         if real:
-            self._derived_facts.forget({fluent[0] for fluent in real})
+            if self._derived:
+                self._derived_facts.forget({fluent[0] for fluent in real})
             for listener in tuple(self._listeners):
                 listener(real)
         return real

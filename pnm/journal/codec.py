@@ -136,10 +136,15 @@ class Codec:
                 return _Short(attrgetter("hex"), _uuid)
             case "tuple[UUID, ...]":
                 return _Short(lambda ids: [id.hex for id in ids], lambda texts: tuple(map(_uuid, texts)))
+            case "Changes" | "Mapping[Fluent, Value | Unknown]":
+                return _Short(self._facts, lambda pairs: {tuple(fluent): value for fluent, value in pairs})
             case str(name) if issubclass(kind := self._classes.get(name, object), Enum):
                 return _Short(attrgetter("name"), lambda member: kind[member])
             case _:
                 return None
+
+    def _facts(self, value: Mapping[tuple[str, ...], object]) -> object:
+        return [[fluent, self.plain(held)] for fluent, held in value.items()]
 
     def _mapping(self, value: Mapping[object, object]) -> object:
         plain = self.plain
@@ -154,11 +159,22 @@ class Codec:
         tag = entry.pop(_TAG, None)
         reader = self._readers.get(tag)
         if reader is None:
-            reader = self._readers[tag] = self._reader(tag)
-        for name, item in entry.items():
-            if type(item) in _ARRAYS:
-                entry[name] = _ARRAYS[type(item)](item)
+            kind = self._classes.get(tag or "")
+            reader = self._readers[tag] = self._class_reader(kind) if is_dataclass(kind) else _then(self._reader(tag))
         return reader(entry)
+
+    def _class_reader(self, kind: Any) -> Callable[[dict[str, Any]], Any]:
+        shorts = {field.name: short.read for field in fields(kind) if (short := self._short(field))}
+
+        def read(entry: dict[str, Any]) -> Any:
+            for name, item in entry.items():
+                if name in shorts:
+                    entry[name] = shorts[name](item)
+                elif type(item) in _ARRAYS:
+                    entry[name] = _ARRAYS[type(item)](item)
+            return kind(**entry)
+
+        return read
 
     def _reader(self, tag: str | None) -> Callable[[dict[str, Any]], Any]:
         match tag:
@@ -181,19 +197,12 @@ class Codec:
             raise Undecodable(f"there is no {tag} in this version")
         if issubclass(kind, Enum):
             return lambda entry: kind[entry["name"]]
-        if issubclass(kind, tuple):
-            return lambda entry: kind(*entry["items"])
-        shorts = {field.name: short.read for field in fields(kind) if (short := self._short(field))}
-        if not shorts:
-            return lambda entry: kind(**entry)
+        return lambda entry: kind(*entry["items"])
 
-        def read(entry: dict[str, Any]) -> Any:
-            for name, whole in shorts.items():
-                if name in entry:
-                    entry[name] = whole(entry[name])
-            return kind(**entry)
 
-        return read
+def _then(reader: Callable[[dict[str, Any]], Any]) -> Callable[[dict[str, Any]], Any]:
+    """Return a reader of objects with arrays in them."""
+    return lambda entry: reader({name: _whole(item) for name, item in entry.items()})
 
 
 class _Short(NamedTuple):
@@ -225,7 +234,7 @@ _ARRAYS: Final[Mapping[type, Callable[[Any], Any]]] = {
 @lru_cache(maxsize=10_000)
 def _uuid(text: str) -> UUID:
     """Return an identity; that of a request is in several records, and making one takes longer than reading the rest of its field."""
-    return UUID(hex=text)
+    return UUID(int=int(text, 16))
 
 
 def _default(field: Field[Any]) -> tuple[object, type | None]:

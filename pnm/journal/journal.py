@@ -80,7 +80,7 @@ class Journal:
 
     def go_on(self, replayed: ReplayedRun, observer: Observer | None, goal_fields: GoalFields) -> Run:
         """Return a run that was replayed, connected to what it is to go on with."""
-        replayed.listeners[:] = [] if observer is None else [observer]
+        replayed.run.observer = observer or Observer()
         replayed.goal_fields = goal_fields
         return replayed.run
 

@@ -6,16 +6,15 @@ replay that would do something else is an error, for then its state is not the o
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NoReturn, assert_never
 from uuid import UUID
 
 from pnm.clock import TimeUsed
-from pnm.core.broadcast import broadcast
 from pnm.core.execution.call_requests import GoalFields
 from pnm.core.execution.call_results import RunResult
-from pnm.core.execution.events import Command, Observer, Send
+from pnm.core.execution.events import Command, Send
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.generate import generate
@@ -59,15 +58,20 @@ class Step:
         number: of the record.
         time: on the clock of the event loop.
         record: what reached the runs.
-        fired: the transitions that fired, by name.
+        transitions: of the machine of its run, by name.
         commands: what the run wanted to be done.
     """
 
     number: int
     time: float
     record: Record
-    fired: tuple[str, ...] = ()
-    commands: tuple[Command, ...] = ()
+    transitions: Sequence[str] = ()
+    commands: Sequence[Command] = ()
+
+    @property
+    def fired(self) -> tuple[str, ...]:
+        """The transitions that fired, by name."""
+        return tuple(self.transitions[number] for number in self.record.fired) if isinstance(self.record, Happened) else ()
 
 
 @dataclass
@@ -77,7 +81,6 @@ class ReplayedRun:
     Args:
         made: what it was made from.
         run: the run.
-        listeners: who listens to it.
         goal_fields: what it knows of goals.
         result: its result so far when another run succeeded it, or when it was retired; None before.
         is_over: whether it is carried on no more.
@@ -85,7 +88,6 @@ class ReplayedRun:
 
     made: RunMade
     run: Run
-    listeners: list[Observer]
     goal_fields: GoalFields
     replay: Replay = field(repr=False)
     result: RunResult | None = None
@@ -228,7 +230,7 @@ class Replay:
             _differ(number, "changes", deltas, record.deltas)
         if (intents := intents_of(commands)) != record.intents:
             _differ(number, "intends", intents, record.intents)
-        return Step(number, time, record, tuple([transitions[index] for index in record.fired]), tuple(commands))
+        return Step(number, time, record, transitions, commands)
 
     def _make(self, made: RunMade) -> None:
         assert self.source is not None, "a replay reads machines where it reads records"
@@ -237,7 +239,6 @@ class Replay:
             machine = generate(source.plan, source.bindings, on_failure=source.on_failure, capacities=source.capacities)
             self._machines[made.machine] = source, machine
         source, machine = self._machines[made.machine]
-        listeners: list[Observer] = []
         run = Run(
             machine,
             Layered(self.world, self.bases[made.local]),
@@ -245,14 +246,13 @@ class Replay:
             bindings=source.bindings,
             goal_fields=lambda action: self.runs[made.run].goal_fields(action),
             asks=made.asks,
-            observer=broadcast(Observer, listeners),
             origin=made.origin,
             resources=self.resources,
             task=made.task,
             priority=made.priority,
             adopted=made.adopted,
         )
-        replayed = self.runs[made.run] = ReplayedRun(made, run, listeners, self._known_fields, self)
+        replayed = self.runs[made.run] = ReplayedRun(made, run, self._known_fields, self)
         if made.task in self.tasks:
             self.tasks[made.task].runs.append(replayed)
 

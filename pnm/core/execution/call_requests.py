@@ -7,15 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from hashlib import sha1
-from typing import Final, NamedTuple, assert_never
+from typing import Final, assert_never
 from uuid import UUID
 
 from pnm.core.execution.call_results import CallResult
-from pnm.core.execution.effect_checks import Intention, denied_at_end, finished, intention, is_assumed, lag_of_effects, unseen
-from pnm.core.execution.events import Cancel, Command, Reattach, Send, Store
-from pnm.core.execution.handover import UnderWay
+from pnm.core.execution.effect_checks import denied_at_end, finished, intention, is_assumed, lag_of_effects, unseen
+from pnm.core.execution.events import Cancel, Command, Performed, Reattach, Send, Store
+from pnm.core.execution.handover import CallAttempt, UnderWay
 from pnm.core.execution.machine_index import index_of
 from pnm.core.execution.questions import EvaluationContext, unknown_values
 from pnm.core.knowledge_base import Layered
@@ -33,51 +33,16 @@ from pnm.core.logic.computed_values import (
 from pnm.core.logic.conditions import Condition, ground
 from pnm.core.logic.effects import Changes, ground_effects, is_fixed, undo, values_before
 from pnm.core.logic.evaluation import observed, unmet
-from pnm.core.logic.expressions import Fluent, Unknown, Value, bind
+from pnm.core.logic.expressions import bind
 from pnm.core.logic.operators import CHANGING, Uncomputable
 from pnm.core.machine.bindings import Binding, Bindings, goal_data, open_parameters, placeholders
 from pnm.core.machine.machine import PetriNetMachine, TransitionAction
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
-from pnm.core.machine.requests import Ended, Feedback, Outcome, OutcomeKind, Report, Request
+from pnm.core.machine.requests import Ended, Feedback, Outcome, OutcomeKind, Request
 from pnm.core.message_fields import Unreadable, parse_field, value_in
-
-
-@dataclass(frozen=True, slots=True)
-class Performed:
-    """What a transition's action leads to: commands, ends of requests that concerned knowledge alone, and whether knowledge changed."""
-
-    commands: tuple[Command, ...] = ()
-    reports: tuple[Report, ...] = ()
-    changes_knowledge: bool = False
-
 
 _NOTHING: Final = Performed()
 _CHANGED: Final = Performed(changes_knowledge=True)
-
-
-class CallAttempt(NamedTuple):
-    """One request of a call, and what is known of it; what an earlier one had begun was undone, or is kept on purpose."""
-
-    number: int
-    """0 for a request that was taken over."""
-    request: UUID
-    action: GroundAction
-    """As it was sent."""
-    intended: Intention
-    accepted: float | None = None
-    """When it was; None while it is not, or is being cancelled."""
-    unanswered: Request | None = None
-    """What was sent, until it is accepted or being cancelled."""
-    begun: Changes | None = None
-    """Values before what it has written; None before it has begun, and after a rollback."""
-    ended: Mapping[Fluent, Value | Unknown] = {}
-    """What it has written at its end."""
-    denied: Mapping[Condition, str] = {}
-    """Conditions over all and at the end that were not so, and what was so instead."""
-    interrupted: float | None = None
-    """When conditions over all broke."""
-    feedback: str = ""
-    """What its server has said last."""
 
 
 GoalFields = Callable[[GroundAction], tuple[str, ...] | None]
@@ -125,6 +90,10 @@ class Calls:
         planned = self._plan.calls[call]
         return planned if action is planned.action else replace(planned, action=action)
 
+    def is_accepted(self, call: int) -> bool:
+        """Return whether the request of the call was accepted, and is not being cancelled."""
+        return self._attempts[call].accepted is not None
+
     def feedback(self, call: int) -> str:
         """Return what the server of the call, which was sent, has said last; empty if it has said nothing."""
         return self._attempts[call].feedback
@@ -134,7 +103,7 @@ class Calls:
         call = self.open.get(feedback.request)
         if call is None or self._attempts[call].feedback == feedback.text:
             return None
-        self._attempts[call] = self._attempts[call]._replace(feedback=feedback.text)
+        self._attempts[call].feedback = feedback.text
         return self.as_sent(call)
 
     def limit(self, call: int) -> float:
@@ -180,14 +149,21 @@ class Calls:
             end_effects=ground_effects(action.end_effects, env),
         )
 
-    def goal(self, call: int, context: EvaluationContext) -> tuple[dict[str, object], tuple[str, ...]]:
+    def own_goal(self, call: int) -> Mapping[str, object] | None:
+        """Return the fields of the goal where the call by itself has values for all of them."""
+        closed = self._closed(call)
+        if closed is None or self.binding(call).goal is not None:
+            return None
+        names = self._goal_fields(self._plan.calls[call].action)
+        if names is None:
+            return closed.own
+        return {name: closed.own[name] for name in names} if closed.own.keys() >= {*names} else None
+
+    def goal(self, call: int, context: EvaluationContext) -> tuple[Mapping[str, object], tuple[str, ...]]:
         """Return the fields of the goal, and the names of those for which there is no value."""
-        closed, binding = self._closed(call), context.binding
-        if closed is not None and binding.goal is None:
-            names = self._goal_fields(self._plan.calls[call].action)
-            if names is None or closed.own.keys() >= {*names}:  # the call has all of them
-                return {name: closed.own[name] for name in (closed.own if names is None else names)}, ()
-        action = self.ready(call, context)
+        if (own := self.own_goal(call)) is not None:
+            return own, ()
+        action, binding = self.ready(call, context), context.binding
         if action.operation is not None:
             return {}, unknown_values(action.operation, context)
         fields, missing = goal_data(action, binding, self._goal_fields(action), context)
@@ -250,35 +226,36 @@ class Calls:
             case _:
                 pass
 
-    def perform(self, action: TransitionAction, call: int, count: int, context: EvaluationContext, now: float) -> Performed:
+    def perform(self, action: TransitionAction, call: int, count: int, context: Callable[[], EvaluationContext], now: float) -> Performed:
         """Carry out the action of a transition that fires; `count` is that of the requests since the call was reached."""
         attempt = self._attempts.get(call)
         match action:
             case TransitionAction.SEND:
-                return self._send(call, count, context)
+                return self._send(call, count, context())
             case TransitionAction.ADOPT:
                 return _NOTHING  # the request is known since the run was made
             case TransitionAction.CANCEL:
                 # A request that is being cancelled is not handed over: the successor would take it for one that goes on.
-                self._attempts[call] = self._attempts[call]._replace(accepted=None, unanswered=None)
+                self._attempts[call].accepted = self._attempts[call].unanswered = None
                 return Performed((Cancel(self._attempts[call].request),))
             case TransitionAction.BEGIN:
                 attempt = self._attempts[call]
                 # Read before they are written, for a rollback if the call ends without success.
-                self._attempts[call] = attempt._replace(accepted=now, unanswered=None, begun=values_before(attempt.intended.start, context))
+                attempt.accepted, attempt.unanswered, attempt.begun = now, None, values_before(attempt.intended.start, self.world)
                 return self._write(attempt.intended.start)
             case TransitionAction.FINISH:
                 attempt = self._attempts[call]
                 closed = self._closed(call)
                 is_constant = closed is not None and closed.effects is not None
-                end = attempt.intended.end if is_constant else finished(attempt.action, attempt.intended, context)
-                self._attempts[call] = attempt._replace(ended=end, begun=values_before(end, context) | (attempt.begun or {}))
+                end = attempt.intended.end if is_constant else finished(attempt.action, attempt.intended, context())
+                attempt.ended, attempt.begun = end, values_before(end, self.world) | (attempt.begun or {})
                 return self._write(end)
             case TransitionAction.UNDO:
                 if attempt is None or attempt.begun is None:  # it was never accepted, so nothing was written at its start
                     return _NOTHING
-                self._attempts[call] = attempt._replace(begun=None, ended={})
-                return self._write(undo(attempt.begun, {**attempt.intended.start, **attempt.ended}, context))
+                before, after = attempt.begun, {**attempt.intended.start, **attempt.ended}
+                attempt.begun, attempt.ended = None, {}
+                return self._write(undo(before, after, self.world))
             case _:
                 assert_never(action)
 
@@ -335,17 +312,18 @@ class Calls:
             return bool(values)
         # Over all means until just before the end: what breaks at the very moment of the end does no harm.
         if attempt.interrupted == now:
-            self._attempts[call] = attempt._replace(denied={})
+            attempt.denied = {}
         # now, before anything is written of its effects: they may change what it relies on
         elif denied := denied_at_end(attempt.action, self.context_of(call, None)):
-            self._attempts[call] = attempt._replace(denied={**attempt.denied, **denied})
+            attempt.denied = {**attempt.denied, **denied}
         return bool(values)
 
     def interrupt(self, call: int, now: float) -> None:
         """Note what of the condition over all is not so: the call has not succeeded, whatever its server reports."""
         context = self.context_of(call, None)
         broken = {part: observed(part, context) for part in unmet(self.action(call).invariant, context)}
-        self._attempts[call] = self._attempts[call]._replace(denied=broken, interrupted=now)
+        attempt = self._attempts[call]
+        attempt.denied, attempt.interrupted = broken, now
 
     def _send(self, call: int, count: int, context: EvaluationContext) -> Performed:
         (number, identity), closed = self._next(call), self._closed(call)

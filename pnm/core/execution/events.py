@@ -137,6 +137,15 @@ class Store:
 Command: TypeAlias = Send | Reattach | Cancel | Wake | Ask | Withdraw | Store
 
 
+@dataclass(frozen=True, slots=True)
+class Performed:
+    """What a transition's action leads to: commands, ends of requests that concerned knowledge alone, and whether knowledge changed."""
+
+    commands: tuple[Command, ...] = ()
+    reports: tuple[Report, ...] = ()
+    changes_knowledge: bool = False
+
+
 class Observer:
     """Does nothing; override what is of interest. Must not raise and must not block. `now` is in seconds of the event loop."""
 

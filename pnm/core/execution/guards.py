@@ -115,6 +115,8 @@ class Guards:
         return _now_if(already_true(self._calls.ready(guard.call, context), context))
 
     def _data_missing(self, guard: DataMissing, firing: Firing, place: int) -> float:
+        if self._calls.own_goal(guard.call) is not None:
+            return NEVER
         return _now_if(bool(self._calls.goal(guard.call, self.context(guard.call, place))[1]))
 
     def _withheld(self, guard: Withheld, firing: Firing, place: int) -> float:
@@ -182,7 +184,7 @@ class Guards:
     @property
     def remembers(self) -> bool:
         """Whether there may be something to forget at some place."""
-        return bool(self._false_since or self._withheld_since or self._held or self._questions.remember)
+        return bool(self._false_since or self._withheld_since or self._held) or self._questions.remember
 
     def forget(self, place: int) -> Iterator[UUID]:
         """Forget since when guards at the place have been waiting; yield its questions, whose answers are no longer needed."""

@@ -1,4 +1,4 @@
-"""Handover: a run that is succeeded by another while requests are out hands them over.
+"""Requests that are out, and their handover: a run that is succeeded by another hands them over.
 
 The new run is made with the requests that its plan marks as under way (`check_adoption`); then it takes the place of the old one
 if nothing is lost or invented by that (`check_succession`). Both checks are made before anything changes.
@@ -8,15 +8,44 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from uuid import UUID
 
 from pnm.core.execution.call_results import CallResult
 from pnm.core.execution.effect_checks import Intention
+from pnm.core.logic.conditions import Condition
 from pnm.core.logic.effects import Changes
+from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
+from pnm.core.machine.requests import Request
 from pnm.errors import RunError
+
+
+@dataclass(slots=True)
+class CallAttempt:
+    """One request of a call, and what is known of it so far; what an earlier one had begun was undone, or is kept on purpose."""
+
+    number: int
+    """0 for a request that was taken over."""
+    request: UUID
+    action: GroundAction
+    """As it was sent."""
+    intended: Intention
+    accepted: float | None = None
+    """When it was; None while it is not, or is being cancelled."""
+    unanswered: Request | None = None
+    """What was sent, until it is accepted or being cancelled."""
+    begun: Changes | None = None
+    """Values before what it has written; None before it has begun, and after a rollback."""
+    ended: Mapping[Fluent, Value | Unknown] = field(default_factory=dict)
+    """What it has written at its end."""
+    denied: Mapping[Condition, str] = field(default_factory=dict)
+    """Conditions over all and at the end that were not so, and what was so instead."""
+    interrupted: float | None = None
+    """When conditions over all broke."""
+    feedback: str = ""
+    """What its server has said last."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Collection, Mapping
+from functools import partial
 from typing import Final, assert_never
 from uuid import UUID
 
@@ -46,7 +47,6 @@ from pnm.core.machine.plan_graph import Cause
 from pnm.core.machine.requests import BEFORE_ACCEPTANCE, Accepted, Ended, Feedback, OutcomeKind, Postponed, Report
 from pnm.core.net.firing_engine import Engine
 from pnm.core.resources import Resources, RunClaims
-from pnm.errors import RunError
 
 _NONE: Final[Mapping[int, UnderWay]] = {}
 
@@ -95,7 +95,7 @@ class Run(RunView):
         self.id = id
         self.resources = Resources(machine.capacities) if resources is None else resources
         self.task = id if task is None else task
-        self._observer = observer or Observer()
+        self.observer = observer or Observer()
         self._index = index_of(machine)
         # state
         self._engine = Engine(machine.compiled, machine.initial)
@@ -151,7 +151,7 @@ class Run(RunView):
                 # a request taken over may end before the run has begun: its place is not marked yet
                 (self._report if state.has_begun else self._early.append)(event)
             case Begin():
-                self._begin()
+                self._agenda.extend(state.begin())
             case Restarted():
                 self._wake = NEVER
                 for sent in self._calls.open.values():  # the answer to a dead process is not heard: the limit for the next one begins anew
@@ -165,18 +165,11 @@ class Run(RunView):
             case Tick():
                 self._wake = NEVER  # the timer has gone off: `_settle` has to ask for the next one even if it is not earlier
                 self._agenda.extend(self._timers.due(state.now))
-            case Stop():
-                if state.stop is None or event.cancel:  # a stop may become stricter, but never milder
-                    state.stop = event
-                if event.cancel:  # nothing is asked any more, so that no answer holds up the end
+            case Stop() | Pause() | Resume():
+                state.follow(event)
+                if isinstance(event, Stop) and event.cancel:  # nothing is asked any more, so that no answer holds up the end
                     self._commands += self._questions.close("the run was stopped")
-                self._agenda.extend(self._undecided)
-            case Pause(at_once):
-                state.pause = Pause(at_once or state.suspends)  # likewise a pause at once stays one when another pause is asked for
-                self._agenda.extend(self._undecided)
-            case Resume():
-                state.pause = None  # guards that were put off during the pause report no change by themselves, so all places are asked
-                self._agenda.extend(self._undecided)
+                self._agenda.extend(self._undecided)  # guards that were put off report no change by themselves
             case Answered(identity, value, message):
                 place = self._questions.answered(identity, value, message)
                 self._agenda.extend([] if place is None else [place])
@@ -184,7 +177,7 @@ class Run(RunView):
                 self._guards.postpone(self._calls.open.get(request))
             case Feedback():  # it moves no token
                 if call := self._calls.note_feedback(event):
-                    self._observer.progressed(call, event.text, state.now)
+                    self.observer.progressed(call, event.text, state.now)
             case _:
                 assert_never(event)
         self._settle()
@@ -193,38 +186,28 @@ class Run(RunView):
             self._settle()
         if self._waits != self.awaits_answers:  # compared at the end of the event, so that waiting for a moment in between is not reported
             self._waits = not self._waits
-            self._observer.waiting(self._waits, now)
+            self.observer.waiting(self._waits, now)
         commands, self._commands = self._commands, []
         return commands
-
-    def _begin(self) -> None:
-        state = self._state
-        if state.has_begun:
-            raise RunError("the run has begun already")
-        state.has_begun = True
-        state.origin = state.now if state.origin is None else state.origin
-        first = [place for place, tokens in enumerate(self._engine.tokens) if tokens and place not in self._index.records]
-        state.marked_at.update(dict.fromkeys(first, state.now))
-        self._agenda.extend(first)
 
     def _report(self, report: Report) -> None:
         call = self._calls.open.get(report.request)
         if call is None:
-            self._observer.orphaned(report, self._state.now)
+            self.observer.orphaned(report, self._state.now)
             if isinstance(report, Ended):
                 self.resources.confirm(report.request)
                 self._agenda.extend(self._claims.served())
             return
         if isinstance(report, Ended):
-            if report.outcome.kind not in BEFORE_ACCEPTANCE:
+            if report.outcome.kind not in BEFORE_ACCEPTANCE and not self._calls.is_accepted(call):
                 self._take(call, Accepted(report.request))  # a client may leave out what goes without saying
             del self._calls.open[report.request]  # before the firing, so that observers and guards see the request as over
             if report.outcome.kind is OutcomeKind.SUCCEEDED:  # stored before the firing: effects and checks after it may read results
                 self._has_changed_knowledge |= self._calls.succeeded(call, report.outcome, self._state.now)
             self._results.answered(call, report.outcome)  # before the firing as well: the explanation of a failure quotes the message
-            self._observer.ended(self._calls.as_sent(call), report.outcome, self._state.now)
+            self.observer.ended(self._calls.as_sent(call), report.outcome, self._state.now)
         if not self._take(call, report):
-            self._observer.orphaned(report, self._state.now)
+            self.observer.orphaned(report, self._state.now)
 
     def _take(self, call: int, report: Report) -> bool:
         """Fire the transition of the call that the report opens, if there is one."""
@@ -332,7 +315,7 @@ class Run(RunView):
         else:
             self._act(firing, place)
         self._fired.append(firing.number)
-        self._observer.fired(firing.name, rule, state.now)
+        self.observer.fired(firing.name, rule, state.now)
 
     def _act(self, firing: Firing, place: int | None) -> None:
         rule, call, state = firing.rule, firing.call, self._state
@@ -357,7 +340,7 @@ class Run(RunView):
         for failure_place in firing.fails:
             lacking = tuple(self._guards.withheld(rule.guard, place)) if isinstance(rule.guard, Withheld) else ()
             failure = self._results.failed(self._index.failures[failure_place], state.now, check, rule, lacking)
-            self._observer.failed(failure, state.now)
+            self.observer.failed(failure, state.now)
         self._leave_and_mark(firing, marked_at)
         if firing.ends and state.ending and not was_ending:  # everything that waits has an exit for that, which has just opened
             self._agenda.extend(self._undecided)
@@ -380,16 +363,17 @@ class Run(RunView):
         assumed = rule.outcome is CallOutcome.SUCCEEDED and self._calls.is_assumed(call)
         cause = self._results.fired(rule, call, self._state.now, check, unseen=unseen, assumed=assumed)
         if cause is not None:
-            self._observer.hindered(self._calls.as_sent(call), cause, self._state.now)
+            self.observer.hindered(self._calls.as_sent(call), cause, self._state.now)
         if rule.outcome is CallOutcome.ALREADY_TRUE:
-            self._observer.spared(self._calls.as_sent(call), self._state.now)
+            self.observer.spared(self._calls.as_sent(call), self._state.now)
         if rule.gives_up:
             self._calls.forget(call)
 
     def _perform(self, action: TransitionAction, call: int, place: int | None) -> None:
         """Carry out the action of a transition."""
         now = self._state.now
-        performed = self._calls.perform(action, call, self._results.current[call].attempts, self._guards.context(call, place), now)
+        count, context = self._results.current[call].attempts, partial(self._guards.context, call, place)
+        performed = self._calls.perform(action, call, count, context, now)
         if action is TransitionAction.ADOPT:
             self._results.adopted(self._calls.as_sent(call), self._state.adopted[call].result)
         elif action is TransitionAction.SEND:
@@ -397,7 +381,7 @@ class Run(RunView):
             self._results.sent(sent)
             for command in performed.commands:
                 if isinstance(command, Send):
-                    self._observer.sent(sent, command.request, now)
+                    self.observer.sent(sent, command.request, now)
         self._commands += performed.commands
         self._reports += performed.reports
         # Results of the request may have been stored just before, even if the action itself writes nothing.
@@ -409,7 +393,7 @@ class Run(RunView):
         """Give back the resources of the call; a request that was given up keeps them."""
         if rule.gives_up:
             names = self._claims.withhold(call, str(self._calls.action(call)))
-            self._observer.withheld(self._calls.as_sent(call), names, self._state.now)
+            self.observer.withheld(self._calls.as_sent(call), names, self._state.now)
         else:
             self._claims.give(call)
         self._agenda.extend(self._claims.served())  # of this run: the listener on the executor only notices with the next event

@@ -8,11 +8,12 @@ from heapq import heappop, heappush
 from math import inf
 
 from pnm.core.execution.call_results import CallResults
-from pnm.core.execution.events import Pause, Stop
+from pnm.core.execution.events import Pause, Resume, Stop
 from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.machine_index import MachineIndex
 from pnm.core.machine.machine import OnFailure
 from pnm.core.net.firing_engine import Engine
+from pnm.errors import RunError
 
 
 class Timers:
@@ -60,6 +61,26 @@ class RunState:
     """Requests of another run that are still to be taken over, by call."""
     marked_at: dict[int, float] = field(default_factory=dict)
     """When places were marked last."""
+
+    def begin(self) -> list[int]:
+        """Begin the run; return the places that are marked at first, and at which something is decided."""
+        if self.has_begun:
+            raise RunError("the run has begun already")
+        self.has_begun = True
+        self.origin = self.now if self.origin is None else self.origin
+        first = [place for place, tokens in enumerate(self.engine.tokens) if tokens and place not in self.index.records]
+        self.marked_at.update(dict.fromkeys(first, self.now))
+        return first
+
+    def follow(self, asked: Stop | Pause | Resume) -> None:
+        """Stop, pause or go on: a stop, and a pause, may become stricter, but never milder."""
+        match asked:
+            case Stop():
+                self.stop = asked if self.stop is None or asked.cancel else self.stop
+            case Pause(at_once):
+                self.pause = Pause(at_once or self.suspends)
+            case Resume():
+                self.pause = None
 
     @property
     def passed(self) -> float:

@@ -256,8 +256,11 @@ def ground_effects(effects: Effects, env: Environment) -> Effects:
 
 def values_before(after: Changes, state: State) -> Changes:
     """Return the old values of fluents that are about to change; an absent one is false, undefined, or an unknown number."""
-    before = {fluent: state.value(fluent) for fluent in after}
-    return {fluent: absent_value(after[fluent]) if old is None else old for fluent, old in before.items()}
+    before: Changes = {}
+    for fluent, new in after.items():
+        old = state.value(fluent)
+        before[fluent] = absent_value(new) if old is None else old
+    return before
 
 
 def undo(before: Changes, after: Changes, now: State) -> Changes:
