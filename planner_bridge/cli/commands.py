@@ -117,9 +117,16 @@ def plan(domain: Path, problem: Path, planner: str, planner_timeout: float, impr
     return 0 if result.plan else 2 if result.status is PlanningStatus.INVALID else 1
 
 
-@app.command(epilog="Example: pnm net domain.pddl problem.pddl --format dot -o net.dot")
+@app.command(epilog="Example: pnm net domain.pddl problem.pddl --format svg -o plan.svg")
 @files_or_plan
-@click.option("--format", "written_as", type=click.Choice(["json", "dot"]), default="json", show_default=True, help="how it is written")
+@click.option(
+    "--format",
+    "written_as",
+    type=click.Choice(["json", "dot", "svg"]),
+    default="json",
+    show_default=True,
+    help="json and dot have the whole net; svg is a picture of its calls, and of what waits for what",
+)
 @output_options
 @click.option("-v", "--verbose", is_flag=True, help="list the transitions that can never fire, with the reason")
 @bindings_option
@@ -150,6 +157,7 @@ def net(
     from pnm.core.machine.export import to_dot, to_json
     from pnm.core.machine.generate import generate
     from pnm.core.machine.verification.verify import verify
+    from pnm.core.pictures.plan_picture import plan_svg
 
     chosen = chosen_files(domain, problem, plan_file)
     if isinstance(chosen, Path):
@@ -168,7 +176,14 @@ def net(
             return 1
         machine = generate(plan_graph(loaded, result.plan), bound)
     proof = verify(machine)
-    write(output, to_json(machine) if written_as == "json" else to_dot(machine), force=force)
+    match written_as:
+        case "svg":
+            text = plan_svg(machine.plan)
+        case "dot":
+            text = to_dot(machine)
+        case _:
+            text = to_json(machine)
+    write(output, text, force=force)
     never = f"{len(proof.never)} of {len(machine.net.transitions)} transitions can never fire"
     print(f"proved {proof}; {never}{'' if verbose else ', -v lists them'}", *(proof.never if verbose else ()), sep="\n", file=sys.stderr)
     return 0

@@ -1,6 +1,6 @@
 """Which PDDL problems are read, planned, translated and executed to the goal in simulation: a table in Markdown.
 
-usage: python tests/benchmarks/pairs.py [FOLDER ...] [--write]      (--write puts it in docs/pairs.md)
+usage: python tests/benchmarks/pairs.py [FOLDER ...] [--write]      (--write puts it beside this file)
 
 A folder has a manifest.json with the names of its pairs, each a folder with domain.pddl and problem.pddl. Every pair
 has a process of its own and 60 seconds for everything. Times in the table are the plan's and the simulation's, in seconds.
@@ -86,7 +86,7 @@ def main() -> None:
     text += "seconds for reading, planning, proving and executing. Times are the plan's and the simulation's, in seconds.\n\n"
     text += "\n".join(map(pairs_table, folders))
     if "--write" in sys.argv:
-        (ROOT / "docs" / "pairs.md").write_text(text.rstrip("\n") + "\n", encoding="utf-8")
+        Path(__file__).with_suffix(".md").write_text(text.rstrip("\n") + "\n", encoding="utf-8")
     print(text)
 
 

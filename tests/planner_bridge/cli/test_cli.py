@@ -125,7 +125,7 @@ def test_an_unknown_planner_is_refused_with_those_there_are() -> None:
     assert done.stderr.startswith("there is no planner 'fastforward'; installed: ")
 
 
-@pytest.mark.parametrize("written_as", ["json", "dot"])
+@pytest.mark.parametrize("written_as", ["json", "dot", "svg"])
 def test_the_same_machine_is_written_in_the_same_bytes(tmp_path: Path, written_as: str) -> None:
     one = pnm("net", *DELIVERY, "--format", written_as)
     pnm("net", *DELIVERY, "--format", written_as, "-o", str(tmp_path / "net"))

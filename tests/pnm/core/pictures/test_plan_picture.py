@@ -1,0 +1,138 @@
+"""Pictures of plans: everything is there once, in the order of time, and nothing lies over anything else.
+
+`--write` with python -m tests.pnm.core.pictures.test_plan_picture renews the golden picture.
+"""
+
+from __future__ import annotations
+
+import sys
+from itertools import combinations
+from pathlib import Path
+from xml.etree import ElementTree
+
+from hypothesis import given
+
+from pnm.core.logic.conditions import Holds
+from pnm.core.machine.plan_graph import (
+    ActionCall,
+    Cause,
+    Choice,
+    Flow,
+    GroundAction,
+    Loop,
+    Moment,
+    Ordering,
+    PlanEvent,
+    PlanGraph,
+    Recovery,
+    Then,
+)
+from pnm.core.pictures.plan_layout import COLUMNS, laid_out
+from pnm.core.pictures.plan_picture import plan_svg
+from tests.support.runs.plan_graphs import plan, plans
+from tests.support.runs.simulated import move
+
+GOLDEN = Path(__file__).parent / "golden" / "plan.svg"
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def example() -> PlanGraph:
+    """Two robots and six calls; one waits for the other, and the last one for both."""
+    calls = (
+        ActionCall(0, move("r1", "hall", "door")),
+        ActionCall(1, move("r2", "dock", "hall")),
+        *(ActionCall(2 + number, move("r1", f"place{number}", f"place{number + 1}")) for number in range(4)),
+    )
+    chain = (Ordering(PlanEvent(2 + n, Moment.END), PlanEvent(3 + n, Moment.START), (("at", "r1", f"place{n + 1}"),)) for n in range(3))
+    free = Ordering(PlanEvent(0, Moment.END), PlanEvent(1, Moment.START), (("free", "hall"), ("open", "door")))
+    return PlanGraph(calls, (free, Ordering(PlanEvent(0, Moment.END), PlanEvent(2, Moment.START)), *chain))
+
+
+def boxes(svg: str) -> list[tuple[int, int]]:
+    """The upper left corners of the boxes of steps."""
+    rects = (rect for rect in ElementTree.fromstring(svg).iter(f"{SVG}rect") if rect.get("rx"))
+    return [(int(rect.get("x", "")), int(rect.get("y", ""))) for rect in rects]
+
+
+def test_a_picture_is_drawn_as_it_ever_was() -> None:
+    assert plan_svg(example()) == GOLDEN.read_text(encoding="utf-8")
+
+
+@given(plans(most=8))
+def test_every_step_has_a_place_of_its_own_behind_what_it_waits_for(graph: PlanGraph) -> None:
+    layout = laid_out(graph.flow)
+    cells = layout.cells
+    assert cells.keys() == {call.index for call in graph.calls}
+    assert len({(cell.column, cell.row) for cell in cells.values()}) == len(cells)
+    for one, other in combinations(cells.values(), 2):
+        assert one.row != other.row or one.line == other.line, "a row belongs to one line of columns"
+        assert one.line >= other.line or one.row < other.row, "later ones are below"
+    for ordering in graph.orderings:
+        if ordering.after.moment is Moment.START:
+            assert cells[ordering.before.call].column < cells[ordering.after.call].column
+
+
+@given(plans(most=8))
+def test_the_arrows_say_all_that_the_orderings_do_and_none_follows_from_others(graph: PlanGraph) -> None:
+    arrows = laid_out(graph.flow).arrows
+    waits = {(arrow.before, arrow.after) for arrow in arrows if not arrow.is_for_the_end}
+    asked = {(one.before.call, one.after.call) for one in graph.orderings if one.after.moment is Moment.START}
+    assert closure(waits) == closure(asked)
+    assert all(closure(waits - {pair}) != closure(waits) for pair in waits)
+    at_end = {(one.before.call, one.after.call) for one in graph.orderings if one.after.moment is Moment.END}
+    assert {(arrow.before, arrow.after) for arrow in arrows if arrow.is_for_the_end} == {pair for pair in at_end if pair[0] != pair[1]}
+
+
+def closure(pairs: set[tuple[int, int]]) -> set[tuple[int, int]]:
+    found = set(pairs)
+    while more := {(a, d) for a, b in found for c, d in found if b == c} - found:
+        found |= more
+    return found
+
+
+@given(plans(most=12))
+def test_boxes_lie_side_by_side_inside_the_picture(graph: PlanGraph) -> None:
+    svg = plan_svg(graph)
+    root, corners = ElementTree.fromstring(svg), boxes(svg)
+    assert len(corners) == len(graph.calls)
+    assert all(abs(x1 - x2) > 196 or abs(y1 - y2) > 46 for (x1, y1), (x2, y2) in combinations(corners, 2))
+    assert all(0 <= x <= int(root.get("width", "")) - 196 and 0 <= y <= int(root.get("height", "")) - 46 for x, y in corners)
+
+
+def test_a_long_plan_goes_on_below_with_numbers_at_both_ends() -> None:
+    graph = plan(COLUMNS + 1, *(f"{number}e<{number + 1}s" for number in range(COLUMNS)))
+    svg = plan_svg(graph)
+    assert f"→ #{COLUMNS}<" in svg
+    assert f">#{COLUMNS - 1} →" in svg
+    assert len({x for x, _ in boxes(svg)}) == COLUMNS
+
+
+def test_an_end_that_waits_says_so() -> None:
+    assert "ends after #1<" in plan_svg(plan(2, "0s<1s", "1e<0e"))
+
+
+def test_what_loops_choices_and_recoveries_hold_is_drawn_below_them() -> None:
+    say = GroundAction("say", ("Hello & <bye>",), ("text",))
+    sorry = Recovery(frozenset({Cause.ABORTED}), Then.RETRY, Flow((ActionCall(3, say),)))
+    loop = Loop(4, Holds(("on",)), Flow((ActionCall(0, say),)), 3)
+    choice = Choice(5, Holds(("on",)), Flow((ActionCall(1, say),)), Flow((ActionCall(2, say, recoveries=(sorry,)),)))
+    svg = plan_svg(PlanGraph((loop, choice)))
+    assert len(boxes(svg)) == 6
+    for words in (
+        "#4 is repeated while (on), 3 times at most",
+        "#5 if (on)",
+        "#5 otherwise",
+        "#2 after aborted; then retry",
+        "Hello &amp; &lt;bye&gt;",
+    ):
+        assert words in svg
+
+
+def test_a_plan_without_calls_has_a_picture() -> None:
+    svg = plan_svg(PlanGraph(()))
+    assert boxes(svg) == []
+    assert 'viewBox="0 0 324 94"' in svg
+
+
+if __name__ == "__main__" and "--write" in sys.argv:
+    GOLDEN.write_text(plan_svg(example()), encoding="utf-8")
