@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from pnm.core.net.net import Marking as Marking
     from pnm.core.net.net import NetBuilder as NetBuilder
     from pnm.core.net.net import PetriNet as PetriNet
+    from pnm.core.pictures.plan_picture import plan_svg as plan_svg
     from pnm.errors import InputError as InputError
     from pnm.errors import NotEnabled as NotEnabled
     from pnm.errors import PnmError as PnmError

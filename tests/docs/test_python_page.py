@@ -14,6 +14,7 @@ EXAMPLES = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "python.md").read
 PRINTED = [
     ["True the goal holds", "load(r1, parcel2, store) succeeded 1"],
     ["PAUSED", "cancelled"],
+    ["arrows"],
     ["switches switch_on ('hall',)", "True 2"],
     ["plan of", "attempt 1"],
 ]
