@@ -241,8 +241,10 @@ def check_execution(problem: Problem, plan: Plan, *, sensed: bool) -> None:
         assert len(set(starts)) < len(starts)
         return
     result, truth, beliefs = executed(problem, graph, sensed=sensed)
-    if not result.goal and any(ordering.after.moment is Moment.END for ordering in graph.orderings):
-        # An end comes when its time is up. A plan that leaves no slack may have it too early; then there is a new plan.
+    is_as_planned = result.goal and all(call.attempts <= 1 for call in result.calls)
+    if not is_as_planned and any(ordering.after.moment is Moment.END for ordering in graph.orderings):
+        # An end comes when its time is up. A plan that leaves no slack may have it too early; then the call is made once more, or there
+        # is a new plan.
         event("failed: an end did not wait for others")
         return
     event("executed")

@@ -121,7 +121,7 @@ class Rounds:
             if record["@"] == "SharedBegan":  # which is followed by copies of the last endings
                 segment = set()
             elif record["@"] == "TaskOver":
-                task = record["task"]["hex"]
+                task = record["task"]
                 assert task not in segment, f"{task} has ended twice"
                 segment.add(task)
                 endings.setdefault(task, set()).add(json.dumps(record["ending"]))

@@ -76,7 +76,11 @@ MISTAKES: Final = (
                 "        self._record(Happened(run.id, event, news, run.fired, (), intents_of(commands)), now)\n        self._write()\n"
                 "        for delta in deltas:\n            self._record(delta)\n",
             ),
-            Change("pnm/journal/replay.py", '        _compare(number, "changes", deltas, record.deltas)\n', ""),
+            Change(
+                "pnm/journal/replay.py",
+                '        if deltas != record.deltas:\n            _differ(number, "changes", deltas, record.deltas)\n',
+                "",
+            ),
         ),
         "knowledge_is_the_fold_of_its_changes",
     ),
