@@ -16,10 +16,12 @@ from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
-from pnm.core.machine.requests import Ended, Outcome, OutcomeKind
+from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.core.resources import Resources
 from pnm.journal.format import RECORDS
-from pnm.journal.resume import replayed
+from pnm.journal.records import Happened
+from pnm.journal.replay import Replay
+from pnm.journal.resume import replay_steps, replayed
 from pnm.journal.store import Durability, JournalError, JournalFile, Row
 from pnm.journal.written_journal import WrittenJournal
 from pnm.tasks import Code, TaskEnding, Wanted
@@ -85,6 +87,31 @@ def test_nothing_is_sent_until_it_is_kept(tmp_path: Path) -> None:
     run_async(main(), virtual=True)
     replay = replayed(tmp_path / "j", RECORDS)
     assert [str(request.action) for request in replay.requests.values()] == ["first()", "second()"]
+
+
+def test_what_is_only_heard_is_committed_with_what_comes_next_or_a_moment_later(tmp_path: Path) -> None:
+    def kept() -> int:
+        return sum(isinstance(step.record, Happened) for step in replay_steps(tmp_path / "j", RECORDS, Replay()))
+
+    async def main() -> None:
+        deployment = Deployment(tmp_path / "j")
+        deployment.handle(Begin())
+        (first,) = deployment.run.open_requests
+        deployment.handle(Accepted(first))
+        assert kept() == 1
+        deployment.handle(Ended(first, Outcome(OutcomeKind.SUCCEEDED)))
+        assert kept() == 3, "before the next request is sent, all that led to it is kept"
+        assert deployment.sent == ["first", "second"]
+        (second,) = deployment.run.open_requests
+        deployment.handle(Accepted(second))
+        await asyncio.sleep(0.0)
+        assert kept() == 4
+        deployment.handle(Ended(second, Outcome(OutcomeKind.SUCCEEDED)))
+        assert deployment.run.over
+        assert kept() == 5, "nobody hears of an end that is not kept"
+        deployment.journal.close()
+
+    run_async(main(), virtual=True)
 
 
 def test_what_runs_can_be_cancelled_meanwhile_and_what_waits_is_not_cancelled_before_it_is_sent(tmp_path: Path) -> None:
