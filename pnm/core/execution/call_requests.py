@@ -31,7 +31,7 @@ from pnm.core.logic.computed_values import (
     question_of,
 )
 from pnm.core.logic.conditions import Condition, ground
-from pnm.core.logic.effects import Changes, ground_effects, is_fixed, undo, values_before
+from pnm.core.logic.effects import Changes, ground_effects, is_fixed, names_written, undo, values_before
 from pnm.core.logic.evaluation import observed, unmet
 from pnm.core.logic.expressions import bind
 from pnm.core.logic.operators import CHANGING, Uncomputable
@@ -193,10 +193,9 @@ class Calls:
 
     def is_assumed(self, call: int) -> bool:
         """Return whether nothing reports some of what the call changes."""
-        closed = self._closed(call)
-        if closed is None:
-            return is_assumed(self.action(call), self.world)
-        return not all(self.world.is_sensed((name,)) for name in closed.names)
+        closed, action = self._closed(call), self.action(call)
+        changed = names_written((*action.start_effects, *action.end_effects)) if closed is None else closed.names
+        return is_assumed(changed, self.world)
 
     def explain_unseen(self, call: int, context: EvaluationContext) -> tuple[str, str]:
         """Return what of the call's effects is not seen, and what is seen instead, as texts."""

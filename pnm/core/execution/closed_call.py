@@ -10,15 +10,26 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
-from pnm.core.execution.effect_checks import Intention
-from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.execution.effect_checks import Intention, intention
+from pnm.core.execution.questions import EvaluationContext
+from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import TRUE
-from pnm.core.logic.effects import Effects, Set, changes, names_written
-from pnm.core.logic.expressions import Constant, Fluent, Unknown, Value, is_number, same_value
+from pnm.core.logic.effects import Effects, Set, facts, names_written
+from pnm.core.logic.expressions import Constant, Fluent, Unknown, Value, same_value
 from pnm.core.machine.bindings import open_parameters, own_values
 from pnm.core.machine.plan_graph import ActionCall
 
-_NO_STATE: Final = KnowledgeBase()
+
+class _AllSensed(KnowledgeBase):
+    """A world that sensors report all of."""
+
+    def is_sensed(self, fluent: Fluent) -> bool:
+        """Return True."""
+        return True
+
+
+_SEEING: Final = EvaluationContext(Layered(_AllSensed()))
+"""What constant effects are computed in: they read nothing, and all that should be seen of them is wanted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +40,7 @@ class ConstantEffects:
     """What the call is going to change where nothing of it is sensed."""
     visible: Mapping[Fluent, Value]
     """What should be seen of it where it is sensed."""
-    done: tuple[tuple[Fluent, Value], ...]
+    done: tuple[tuple[Fluent, Value | Unknown], ...]
     """What is so already where there is nothing to do; empty if that can never be said."""
 
     def intended(self, world: KnowledgeBase) -> Intention:
@@ -70,13 +81,9 @@ def _constant_effects(call: ActionCall) -> ConstantEffects | None:
     action = call.action
     if action.expected != TRUE or not (_are_constant(action.start_effects) and _are_constant(action.end_effects)):
         return None
-    start, end = changes(action.start_effects, _NO_STATE), changes(action.end_effects, _NO_STATE)
-    assigned: dict[Fluent, Value] = {fluent: value for fluent, value in (start | end).items() if not isinstance(value, Unknown)}
-    visible = {
-        fluent: value for fluent, value in assigned.items() if isinstance(value, bool | str) and (fluent in end or fluent in call.lasting)
-    }
-    has_numbers = any(map(is_number, assigned.values()))  # which cannot be seen to be done already
-    return ConstantEffects(Intention(start, end, action.end_effects), visible, () if has_numbers else tuple(assigned.items()))
+    seen, at_start, at_end = intention(call, _SEEING), facts(action.start_effects, _SEEING), facts(action.end_effects, _SEEING)
+    done = () if at_start is None or at_end is None else tuple((at_start | at_end).items())
+    return ConstantEffects(replace(seen, expected={}), seen.expected, done)
 
 
 def _are_constant(effects: Effects) -> bool:

@@ -66,9 +66,7 @@ class Engine:
         inputs, tokens, joins = self.compiled.inputs[transition], self.tokens, self.compiled.joins
         # Checked before any token moves, so that a refused firing leaves the marking as it was.
         # `missing` counts places for a single firing only; several at once need the weights to be looked at.
-        only = self.compiled.only_input[transition]
-        is_enabled = self.missing[transition] == 0 if only is None else tokens[only] > 0
-        if not is_enabled or (times > 1 and any(tokens[place] < weight * times for place, weight in inputs)):
+        if not self.is_enabled(transition) or (times > 1 and any(tokens[place] < weight * times for place, weight in inputs)):
             places = self.compiled.net.places
             short = {places[place]: weight * times - tokens[place] for place, weight in inputs if tokens[place] < weight * times}
             raise NotEnabled(self.compiled.transitions[transition], short)

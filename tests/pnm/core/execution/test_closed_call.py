@@ -11,7 +11,7 @@ from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import Literal
 from pnm.core.logic.conditions import Holds
-from pnm.core.logic.effects import Effects, Set
+from pnm.core.logic.effects import Effects, Set, names_written
 from pnm.core.logic.expressions import UNKNOWN, Constant
 from pnm.core.machine.bindings import DEFAULT, goal_data
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
@@ -32,7 +32,7 @@ def test_what_is_constant_of_a_call(start: Effects, end: Effects, known: dict, s
     closed = closed_call(call)
     assert closed is not None
     assert (dict(closed.own), ()) == goal_data(action, DEFAULT, None, context)
-    assert is_assumed(action, context.world) is not all(context.world.is_sensed((name,)) for name in closed.names)
+    assert is_assumed(names_written((*start, *end)), context.world) is not all(context.world.is_sensed((name,)) for name in closed.names)
     if closed.effects is None:
         assert any(effect.operation != "assign" for effect in (*start, *end))
         return
