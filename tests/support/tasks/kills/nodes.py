@@ -73,6 +73,7 @@ class Node:
     verdict: Verdict = field(default_factory=Verdict)
     goals: int = 0
     process: ForkServerProcess | None = None
+    _processes: list[ForkServerProcess] = field(default_factory=list)
     _numbers: Callable[[], int] = field(default_factory=lambda: partial(next, count()))
 
     def carried_out(self) -> Verdict:
@@ -85,7 +86,7 @@ class Node:
         while self.verdict.kills < self.kills:
             self._pursue_goals(robots)
         last = self._replace(None)
-        until(lambda: self._says("ready"))
+        self._until(lambda: self._says("ready"))
         last.terminate()
         last.join(LIMIT)
         self.verdict.wrong += [f"the node has ended with {last.exitcode}"] if last.exitcode else []
@@ -116,16 +117,31 @@ class Node:
     def _start(self, arguments: list[str], out: Path, instant: Instant | None = None) -> ForkServerProcess:
         process = forks().Process(target=_pnm, args=(arguments, self.deployment.environment, out, instant), daemon=True)
         process.start()
+        self._processes.append(process)
         return process
+
+    def _until(self, happens: Callable[[], object]) -> None:
+        """Wait for something that the node, its clients or its robots do; if it does not happen, show what they have said."""
+        try:
+            until(happens)
+        except AssertionError as error:
+            said = [f"--- {file.name}\n{file.read_text()}" for file in sorted(self.deployment.folder.glob("*.out"))]
+            raise AssertionError("\n".join((str(error), *said))) from error
+
+    def close(self) -> None:
+        """Kill what is still alive: the ROS domain belongs to others soon."""
+        for process in self._processes:
+            process.kill()
+            process.join(LIMIT)
 
     def _pursue_goals(self, robots: SimulationProgram) -> None:
         """Have three clients send a goal each, and kill the node until all of these are reached."""
         node = self._replace(None)
-        until(lambda: self._says("ready"))
+        self._until(lambda: self._says("ready"))
         targets = [f"(in p{parcel} a{self.rng.randrange(PLACES)})" for parcel in range(ROBOTS)]
         files = [self.deployment.folder / f"client{self._numbers()}.out" for _ in targets]
         clients = [self._start(["goal", target], file) for target, file in zip(targets, files, strict=True)]
-        until(lambda: self._says("  goal    ") == len(clients))
+        self._until(lambda: self._says("  goal    ") == len(clients))
         self.goals += len(clients)
         instants = self._instants()
         instant: Instant = AtMessage(1)  # the first node has all three goals under way
@@ -156,9 +172,9 @@ class Node:
         if isinstance(instant, AtTime):
             node.join(instant.seconds)
         else:
-            until(lambda: are_over() or self._says("ready"))
+            self._until(lambda: are_over() or self._says("ready"))
             events, least = len(robots.objects()), instant.message if isinstance(instant, AtMessage) else inf
-            until(lambda: are_over() or len(robots.objects()) - events >= least)
+            self._until(lambda: are_over() or len(robots.objects()) - events >= least)
         return not any(client.is_alive() for client in clients)
 
     def _truth(self, robots: SimulationProgram) -> dict[Fluent, Value | Unknown]:
@@ -197,9 +213,11 @@ def _complaints(true: Mapping[Fluent, Value | Unknown], replay: Replay, robots: 
 def _carried_out(number: int, kills: int) -> Verdict:
     with TemporaryDirectory() as folder, ros_domain() as domain:
         deployment = PlanDeployment(Path(folder), domain)
+        node = Node(deployment, random.Random(number), kills)
         try:
-            return Node(deployment, random.Random(number), kills).carried_out()
+            return node.carried_out()
         finally:
+            node.close()
             deployment.close()
 
 
