@@ -260,7 +260,7 @@ class RunClaims:
         self._task = task
         self._priority = priority
         # state
-        self._waiting: dict[int, UUID] = {}
+        self.waiting: dict[int, UUID] = {}
         """By place, the requests that stand in line."""
         self._had: dict[int, UUID] = {}
         """For every call that has resources, the request that has them."""
@@ -274,7 +274,7 @@ class RunClaims:
         if self.resources.is_free(claim):
             return True
         self.resources.take(claim)
-        self._waiting[place] = claim.request
+        self.waiting[place] = claim.request
         return False
 
     def take(self, call: int, claim: Claim) -> None:
@@ -302,28 +302,23 @@ class RunClaims:
         self.resources.withhold(request, f"{name} of task {self._task.hex[:8]}")
         return next((claim.names for claim in self.resources.held if claim.request == request), ())
 
-    @property
-    def is_waiting(self) -> bool:
-        """Whether anything is waited for."""
-        return bool(self._waiting)
-
     def leave(self, place: int) -> bool:
         """No longer wait at the place; return whether it did."""
-        if place not in self._waiting:
+        if place not in self.waiting:
             return False
-        self.resources.withdraw(self._waiting.pop(place))
+        self.resources.withdraw(self.waiting.pop(place))
         return True
 
     def served(self) -> list[int]:
         """Return the places that wait and where the claim may be granted now, or has come to wait for what is withheld."""
-        if not self._waiting:
+        if not self.waiting:
             return []
         ready = self.resources.servable() | {claim.request for claim in self.resources.line if self.resources.withheld_from(claim.names)}
-        return [place for place, request in self._waiting.items() if request in ready]
+        return [place for place, request in self.waiting.items() if request in ready]
 
     def end(self, kept: Collection[UUID], open_calls: Mapping[UUID, str]) -> None:
         """Wait for nothing, and give everything back but what these requests have; those that are open keep what they have."""
-        for place in [*self._waiting]:
+        for place in [*self.waiting]:
             self.leave(place)
         for call, request in [*self._had.items()]:
             if request in kept:

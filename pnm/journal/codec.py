@@ -9,6 +9,7 @@ text: arrays are tuples, which nearly all sequences here are; the others have ta
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING as NO_DEFAULT
 from dataclasses import Field, fields, is_dataclass
@@ -23,7 +24,10 @@ from pnm.core.logic.computed_values import MISSING
 from pnm.errors import PnmError
 
 _TAG: Final = "@"
-_PLAIN: Final = frozenset({str, int, float, bool, type(None)})
+_PLAIN: Final[frozenset[type]] = frozenset({str, int, float, bool, type(None)})
+_PLAIN_NAMES: Final = frozenset(kind.__name__ for kind in _PLAIN)
+_ARRAY_OF: Final = re.compile(r"tuple\[(\w+), \.\.\.\]")
+"""The type of a field that has an array of values of one class."""
 
 
 class Undecodable(PnmError):
@@ -56,7 +60,7 @@ class Codec:
         self._writers: dict[type, Callable[[Any], object]] = {}
         self._readers: dict[str | None, Callable[[dict[str, Any]], Any]] = {}
         self._encoder = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False)
-        self._decoder = json.JSONDecoder(object_hook=self._read)
+        self._decoder = json.JSONDecoder(object_hook=self._hook())
 
     def including(self, classes: Iterable[type]) -> Codec:
         """Return a codec that knows these classes as well."""
@@ -154,27 +158,39 @@ class Codec:
 
     # --- reading ------------------------------------------------------------------------------
 
-    def _read(self, entry: dict[str, Any]) -> Any:
-        """Return the value of an object whose own values have been read; lists in it are tuples from now on."""
-        tag = entry.pop(_TAG, None)
-        reader = self._readers.get(tag)
-        if reader is None:
-            kind = self._classes.get(tag or "")
-            reader = self._readers[tag] = self._class_reader(kind) if is_dataclass(kind) else _then(self._reader(tag))
-        return reader(entry)
-
-    def _class_reader(self, kind: Any) -> Callable[[dict[str, Any]], Any]:
-        shorts = {field.name: short.read for field in fields(kind) if (short := self._short(field))}
+    def _hook(self) -> Callable[[dict[str, Any]], Any]:
+        """Return what reads an object whose own values have been read; lists in it are tuples from now on."""
+        readers = self._readers
 
         def read(entry: dict[str, Any]) -> Any:
-            for name, item in entry.items():
-                if name in shorts:
-                    entry[name] = shorts[name](item)
-                elif type(item) in _ARRAYS:
-                    entry[name] = _ARRAYS[type(item)](item)
+            tag = entry.pop(_TAG, None)
+            reader = readers.get(tag)
+            if reader is None:
+                kind = self._classes.get(tag or "")
+                reader = readers[tag] = self._class_reader(kind) if is_dataclass(kind) else _then(self._reader(tag))
+            return reader(entry)
+
+        return read
+
+    def _class_reader(self, kind: Any) -> Callable[[dict[str, Any]], Any]:
+        readers = [(field.name, reader) for field in fields(kind) if (reader := self._field_reader(field))]
+
+        def read(entry: dict[str, Any]) -> Any:
+            for name, reader in readers:
+                if name in entry:
+                    entry[name] = reader(entry[name])
             return kind(**entry)
 
         return read
+
+    def _field_reader(self, field: Field[Any]) -> Callable[[Any], Any] | None:
+        """Return what reads a field; None if it holds no array."""
+        if (short := self._short(field)) is not None:
+            return short.read
+        array = _ARRAY_OF.fullmatch(str(field.type))
+        if array is not None and (array[1] in _PLAIN_NAMES or array[1] in self._classes):
+            return tuple  # what is in it has been read
+        return None if field.type in _PLAIN_NAMES else _whole
 
     def _reader(self, tag: str | None) -> Callable[[dict[str, Any]], Any]:
         match tag:

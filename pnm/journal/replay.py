@@ -261,7 +261,7 @@ class Replay:
         replayed.result = replayed.run.result() if replayed.run.over else replayed.run.interim_result()
 
     def _known_fields(self, action: GroundAction) -> tuple[str, ...] | None:
-        return self.fields.get(str(action))
+        return self.fields.get(str(action)) if self.fields else None
 
     def _note_task(self, record: TaskAccepted | TaskHeld | TaskNoted | TaskOver) -> None:
         match record:

@@ -14,6 +14,7 @@ from pathlib import Path
 from time import sleep
 from typing import Final, TypeAlias
 
+from pnm.clock import no_collection
 from pnm.errors import InputError, PnmError
 from pnm.files.database.place import Place
 from pnm.journal.codec import Codec, Undecodable
@@ -84,7 +85,8 @@ class Follower:
         if self._has_failed:  # in the middle of a record: what it has replayed is of no use
             self._begin()
         try:
-            self._apply()
+            with no_collection():
+                self._apply()
         except Exception:
             if self._kept.holding().rewritten == self._rewritten:
                 self._has_failed = True
@@ -116,8 +118,9 @@ class Follower:
 def replayed(place: Place, codec: Codec) -> Replay:
     """Return the replay of the last segment of a journal; raises as `replay_steps` does."""
     replay = Replay()
-    for _ in replay_steps(place, codec, replay, only_last=True):
-        pass
+    with no_collection():
+        for _ in replay_steps(place, codec, replay, only_last=True):
+            pass
     return replay
 
 

@@ -57,7 +57,7 @@ class Calls:
     def __init__(
         self, run: UUID, machine: PetriNetMachine, knowledge: Layered, bindings: Bindings, goal_fields: GoalFields, *, asks: bool
     ) -> None:
-        self._run = run
+        self._identified, self._prefix = sha1(run.bytes), run.bytes[:4]
         self._plan = machine.plan
         self._closed = index_of(machine).closed
         self._knowledge = knowledge
@@ -151,7 +151,7 @@ class Calls:
 
     def own_goal(self, call: int) -> Mapping[str, object] | None:
         """Return the fields of the goal where the call by itself has values for all of them."""
-        closed = self._closed(call)
+        closed = self._closed[call]
         if closed is None or self.binding(call).goal is not None:
             return None
         names = self._goal_fields(self._plan.calls[call].action)
@@ -186,14 +186,14 @@ class Calls:
 
     def unseen(self, call: int, context: EvaluationContext) -> tuple[Condition, ...]:
         """Return what of the call's effects is not seen."""
-        attempt, closed = self._attempts[call], self._closed(call)
+        attempt, closed = self._attempts[call], self._closed[call]
         if closed is not None and not (closed.is_checked or attempt.denied or attempt.intended.expected):
             return ()
         return tuple(dict.fromkeys((*attempt.denied, *unseen(attempt.intended.expected, attempt.action, context))))
 
     def is_assumed(self, call: int) -> bool:
         """Return whether nothing reports some of what the call changes."""
-        closed, action = self._closed(call), self.action(call)
+        closed, action = self._closed[call], self.action(call)
         changed = names_written((*action.start_effects, *action.end_effects)) if closed is None else closed.names
         return is_assumed(changed, self.world)
 
@@ -244,7 +244,7 @@ class Calls:
                 return self._write(attempt.intended.start)
             case TransitionAction.FINISH:
                 attempt = self._attempts[call]
-                closed = self._closed(call)
+                closed = self._closed[call]
                 is_constant = closed is not None and closed.effects is not None
                 end = attempt.intended.end if is_constant else finished(attempt.action, attempt.intended, context())
                 attempt.ended, attempt.begun = end, values_before(end, self.world) | (attempt.begun or {})
@@ -306,7 +306,7 @@ class Calls:
                     values[variable] = value_in(outcome.result, parse_field(name))
         if values:
             self._knowledge.local.store(values)
-        closed, attempt = self._closed(call), self._attempts[call]
+        closed, attempt = self._closed[call], self._attempts[call]
         if closed is not None and not closed.is_checked:
             return bool(values)
         # Over all means until just before the end: what breaks at the very moment of the end does no harm.
@@ -325,7 +325,7 @@ class Calls:
         attempt.denied, attempt.interrupted = broken, now
 
     def _send(self, call: int, count: int, context: EvaluationContext) -> Performed:
-        (number, identity), closed = self._next(call), self._closed(call)
+        (number, identity), closed = self._next(call), self._closed[call]
         # Computed now: once the robot moves, sensors report some of the effects, and conditions would read the new state.
         if closed is not None and closed.effects is not None:
             action, intended = self._plan.calls[call].action, closed.effects.intended(self.world)
@@ -347,7 +347,9 @@ class Calls:
 
     def identity(self, what: str) -> UUID:
         """Return an identity that follows from the run's and what it is for; the first four bytes are the run's, to be found by."""
-        return UUID(bytes=self._run.bytes[:4] + sha1(self._run.bytes + what.encode()).digest()[4:16], version=5)
+        identified = self._identified.copy()
+        identified.update(what.encode())
+        return UUID(bytes=self._prefix + identified.digest()[4:16], version=5)
 
     def _write(self, changes: Changes) -> Performed:
         """Write the assumed effects; sensors report all others."""

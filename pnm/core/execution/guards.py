@@ -97,18 +97,18 @@ class Guards:
     def _false(self, guard: ConditionFalse, firing: Firing, place: int) -> float:
         # Not false until the report delay has passed: sensors may be about to report what has just happened.
         is_false = self._truth(guard.condition, firing, place) is not True
-        return self._after(self._false_since, firing.number, is_false, self._lag(guard.condition) if is_false else 0.0)
+        return self._after(self._false_since, firing.number, place, is_false, self._lag(guard.condition) if is_false else 0.0)
 
     def _unknown(self, guard: ConditionUnknown, firing: Firing, place: int) -> float:
         truth = self._truth(guard.condition, firing, place)
-        opens = self._after(self._false_since, firing.number, truth is not True, self._lag(guard.condition))
+        opens = self._after(self._false_since, firing.number, place, truth is not True, self._lag(guard.condition))
         return opens if truth is UNKNOWN else NEVER
 
     def _invariant_false(self, guard: InvariantFalse, firing: Firing, place: int) -> float:
         return self._breaks(guard.condition, firing.rule.call, firing.number, place)
 
     def _already_true(self, guard: AlreadyTrue, firing: Firing, place: int) -> float:
-        closed = self._state.index.closed(guard.call)
+        closed = self._state.index.closed[guard.call]
         if closed is not None and closed.effects is not None:
             return _now_if(closed.effects.are_done(self._calls.world))
         context = self.context(guard.call, place)
@@ -122,7 +122,7 @@ class Guards:
     def _withheld(self, guard: Withheld, firing: Firing, place: int) -> float:
         # While it is not withheld, the claim is waited for without limit: some call gives back what it needs.
         is_withheld = bool(self.withheld(guard, place)) and not self._state.pause  # a pause stops this clock
-        return self._after(self._withheld_since, firing.number, is_withheld, guard.seconds)
+        return self._after(self._withheld_since, firing.number, place, is_withheld, guard.seconds)
 
     def _effects_seen(self, guard: EffectsSeen, firing: Firing, place: int) -> float:
         return _now_if(not self.unseen(guard.call, place))
@@ -130,7 +130,7 @@ class Guards:
     def _effects_missing(self, guard: EffectsMissing, firing: Firing, place: int) -> float:
         # As above: an effect counts as missing only when reports about it can no longer be on their way.
         lag = self._calls.lag_of_effects(guard.call, self.context(guard.call, place))
-        return self._after(self._false_since, firing.number, bool(self.unseen(guard.call, place)), lag)
+        return self._after(self._false_since, firing.number, place, bool(self.unseen(guard.call, place)), lag)
 
     def _adopted(self, guard: Adopted, firing: Firing, place: int) -> float:
         return _now_if(guard.call in self._state.adopted)
@@ -152,9 +152,10 @@ class Guards:
     def _lag(self, condition: Condition) -> float:
         return self._calls.world.lag(names(condition))
 
-    def _after(self, since: dict[int, float], transition: int, is_pending: bool, seconds: float) -> float:
+    def _after(self, since: dict[int, float], transition: int, place: int, is_pending: bool, seconds: float) -> float:
         """Return when the transition has been pending for so long; `NEVER`, and from the beginning next time, if it is not."""
         if is_pending:
+            self._questions.noted.add(place)
             return since.setdefault(transition, self._state.now) + seconds
         since.pop(transition, None)  # a condition that was true in between begins to be false anew
         return NEVER
@@ -163,6 +164,7 @@ class Guards:
         """Return when the over-all condition of the call counts as broken: at once, unless all that is false of it may be a late report."""
         assert call is not None, "only calls have over-all conditions"
         context, held = self.context(call, place), self._held.setdefault(transition, [])
+        self._questions.noted.add(place)
         false: list[Condition] = []
         for part in conjuncts(_grounded(condition, context)):
             if evaluate(part, context) is not True:
@@ -172,28 +174,23 @@ class Guards:
         action = self._calls.action(call)
         if not all(may_be_late(part, action, context, has_held=part in held) for part in false):
             return -NEVER
-        return self._after(self._false_since, transition, bool(false), context.world.lag(names(All(tuple(false)))))
+        return self._after(self._false_since, transition, place, bool(false), context.world.lag(names(All(tuple(false)))))
 
     def postpone(self, call: int | None) -> None:
         """Have the limit for the acceptance of a call's request begin anew."""
         state = self._state
-        for firing in () if call is None else state.index.opened(call, None):
+        for firing in () if call is None else state.index.opened[call, None]:
             if state.engine.is_enabled(firing.number):
                 state.marked_at.update(dict.fromkeys(firing.inputs, state.now))
 
-    @property
-    def remembers(self) -> bool:
-        """Whether there may be something to forget at some place."""
-        return bool(self._false_since or self._withheld_since or self._held) or self._questions.remember
-
     def forget(self, place: int) -> Iterator[UUID]:
         """Forget since when guards at the place have been waiting; yield its questions, whose answers are no longer needed."""
+        self._questions.noted.discard(place)
         # The next token at this place is a new decision, with delays that begin anew.
-        if self._false_since or self._withheld_since or self._held:
-            for consumer in self._state.index.place(place).firings:
-                self._false_since.pop(consumer.number, None)
-                self._withheld_since.pop(consumer.number, None)
-                self._held.pop(consumer.number, None)
+        for consumer in self._state.index.places[place].firings:
+            self._false_since.pop(consumer.number, None)
+            self._withheld_since.pop(consumer.number, None)
+            self._held.pop(consumer.number, None)
         return self._questions.left(place)
 
     def context(self, call: int | None, place: int | None) -> EvaluationContext:

@@ -5,8 +5,9 @@ Whatever a run asks about a place, a transition or a call is worked out when it 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeVar
 from weakref import WeakKeyDictionary
 
 from pnm.core.execution.closed_call import ClosedCall, closed_call
@@ -103,6 +104,22 @@ class Decision:
     """Whether the decision may change when facts change."""
 
 
+K = TypeVar("K")
+V = TypeVar("V")
+
+
+class WhenAsked(dict[K, V]):
+    """Values that are made when they are first asked for, and kept."""
+
+    def __init__(self, make: Callable[[K], V]) -> None:
+        super().__init__()
+        self._make = make
+
+    def __missing__(self, key: K) -> V:
+        value = self[key] = self._make(key)
+        return value
+
+
 class MachineIndex:
     """Places, transitions and calls of a machine.
 
@@ -113,7 +130,7 @@ class MachineIndex:
         net = machine.compiled
         ids = net.place_id
         self._inputs, self._outputs, self._consumers, self._names = net.inputs, net.outputs, net.consumers, net.transitions
-        self._plan = machine.plan
+        self._calls = calls = machine.plan.calls
         self.rules = [machine.rules[name] for name in net.transitions]
         self.records = frozenset(ids[place] for place in machine.record_places)
         """Places at which nothing is decided."""
@@ -130,49 +147,32 @@ class MachineIndex:
             if isinstance(rule.guard, Accepts | Ends):
                 self._reported.setdefault(rule.guard.call, []).append(transition)
         # worked out so far
-        self._firings: dict[int, Firing] = {}
-        self._decisions: dict[int, Decision] = {}
-        self._opened: dict[tuple[int, OutcomeKind | None], tuple[Firing, ...]] = {}
-        self._calls: dict[int, ClosedCall | None] = {}
+        self.firings: Final = WhenAsked(self._firing)
+        """The transitions."""
+        self.places: Final = WhenAsked(self._decision)
+        """What is decided at places."""
+        self.opened: Final = WhenAsked(self._opened)
+        """The transitions of a call that are opened by the end of its request in a way, or by its acceptance."""
+        self.closed: Final[WhenAsked[int, ClosedCall | None]] = WhenAsked(lambda call: closed_call(calls[call]))
+        """What of calls does not depend on knowledge."""
 
-    def firing(self, transition: int) -> Firing:
-        """Return a transition."""
-        found = self._firings.get(transition)
-        if found is None:
-            found = self._firings[transition] = self._firing(transition)
-        return found
+    def _decision(self, place: int) -> Decision:
+        by_guard = [one for one, _ in self._consumers[place] if not isinstance(self.rules[one].guard, Accepts | Ends)]
+        knows = any(isinstance(self.rules[one].guard, _KNOWING) for one in by_guard)
+        awaits = len(by_guard) < len(self._consumers[place])
+        firings = tuple(self.firings[one] for one in by_guard)
+        staying = tuple(firing for firing in firings if not isinstance(firing.rule.guard, _LEAVING))
+        return Decision(firings, staying if len(staying) < len(firings) else firings, awaits, knows)
 
-    def place(self, place: int) -> Decision:
-        """Return what is decided at a place."""
-        found = self._decisions.get(place)
-        if found is None:
-            by_guard = [one for one, _ in self._consumers[place] if not isinstance(self.rules[one].guard, Accepts | Ends)]
-            knows = any(isinstance(self.rules[one].guard, _KNOWING) for one in by_guard)
-            awaits = len(by_guard) < len(self._consumers[place])
-            firings = tuple(map(self.firing, by_guard))
-            staying = tuple(firing for firing in firings if not isinstance(firing.rule.guard, _LEAVING))
-            found = self._decisions[place] = Decision(firings, staying if len(staying) < len(firings) else firings, awaits, knows)
-        return found
-
-    def opened(self, call: int, kind: OutcomeKind | None) -> tuple[Firing, ...]:
-        """Return the transitions of a call that are opened by the end of its request in this way, or by its acceptance."""
-        found = self._opened.get((call, kind))
-        if found is None:
-            found = tuple(self.firing(one) for one in self._reported[call] if _admits(self.rules[one], kind))
-            self._opened[call, kind] = found
-        return found
-
-    def closed(self, call: int) -> ClosedCall | None:
-        """Return what of a call does not depend on knowledge."""
-        if call not in self._calls:
-            self._calls[call] = closed_call(self._plan.calls[call])
-        return self._calls[call]
+    def _opened(self, key: tuple[int, OutcomeKind | None]) -> tuple[Firing, ...]:
+        call, kind = key
+        return tuple(self.firings[one] for one in self._reported[call] if _admits(self.rules[one], kind))
 
     def _firing(self, transition: int) -> Firing:
         rule, taken = self.rules[transition], self._inputs[transition]
         inputs, outputs = (tuple(place for place, _ in arcs[transition]) for arcs in (self._inputs, self._outputs))
         fails = tuple(place for place in outputs if place in self.failures)
-        is_call = rule.call is not None and rule.call < len(self._plan.calls)
+        is_call = rule.call is not None and rule.call < len(self._calls)
         takes = not self.resources.isdisjoint(inputs) and rule.action is not TransitionAction.ADOPT
         gives, ends = not self.resources.isdisjoint(outputs), bool(fails) or not self.restarts.isdisjoint(outputs)
         notes = rule.outcome is not None or rule.cause is not None or rule.gives_up
@@ -197,7 +197,7 @@ class MachineIndex:
         )
 
     def _condition(self, rule: Rule, *, is_call: bool) -> CompiledCondition | None:
-        if not isinstance(rule.guard, ConditionTrue | ConditionFalse) or (is_call and self.closed(rule.call or 0) is None):
+        if not isinstance(rule.guard, ConditionTrue | ConditionFalse) or (is_call and self.closed[rule.call or 0] is None):
             return None
         return CompiledCondition(compiled(rule.guard.condition), any(True for _ in data_in(rule.guard.condition)))
 

@@ -171,6 +171,8 @@ class Questions:
     def __init__(self) -> None:
         self._subjects: dict[int, str] = {}
         """By place, what questions are asked for there."""
+        self.noted: set[int] = set()
+        """The places about which something is remembered; what guards remember of them is noted here as well."""
         self._answers: dict[int, dict[Question, object]] = {}
         self._silence: dict[int, list[str]] = {}
         self._asked: dict[UUID, tuple[int, Question, float]] = {}
@@ -187,11 +189,6 @@ class Questions:
     def answers_at(self, place: int) -> Mapping[Question, object]:
         """Return what is known for the decision at a place."""
         return self._answers.get(place, {})
-
-    @property
-    def remember(self) -> bool:
-        """Whether there is anything that concerns a place."""
-        return bool(self._asked or self._answers or self._silence)
 
     @property
     def wait_for_people(self) -> bool:
@@ -211,6 +208,7 @@ class Questions:
                 self.answered(known, MISSING, f"{question} was not answered within {LIMITS[question.layer]:g} s")
                 return Need((Withdraw(known),))
         self._subjects[place] = subject
+        self.noted.add(place)
         # The run before may have asked the same person the same: that answer, or the open question, is used instead.
         if self._take_up(place, subject, question, now):
             return Need()

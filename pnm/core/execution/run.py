@@ -101,7 +101,8 @@ class Run(RunView):
         self._engine = Engine(machine.compiled, machine.initial)
         self._agenda: deque[int] = deque()
         """Places to be asked, in this order."""
-        self._undecided: dict[int, None] = {}
+        self._undecided: dict[int, bool] = {}
+        """Places to be asked again, and whether they are when facts change."""
         self._timers = Timers()
         self._wake = NEVER
         self._fired: list[int] = []
@@ -212,10 +213,11 @@ class Run(RunView):
     def _take(self, call: int, report: Report) -> bool:
         """Fire the transition of the call that the report opens, if there is one."""
         kind = report.outcome.kind if isinstance(report, Ended) else None
-        opened = (one for one in self._index.opened(call, kind) if self._engine.is_enabled(one.number))
-        if (firing := next(opened, None)) is not None:  # there is one at most: the request is waited for at one place at a time
-            self._fire(firing, None)
-        return firing is not None
+        for firing in self._index.opened[call, kind]:
+            if self._engine.is_enabled(firing.number):  # one at most: the request is waited for at one place at a time
+                self._fire(firing, None)
+                return True
+        return False
 
     # --- δ̂ ------------------------------------------------------------------------------------
 
@@ -233,13 +235,13 @@ class Run(RunView):
             self._commands.append(Wake(self._wake))
 
     def _ask_again_about_knowledge(self) -> None:
-        self._agenda.extend(place for place in self._undecided if self._index.place(place).listens)
+        self._agenda.extend([place for place, listens in self._undecided.items() if listens])
 
     def _decide(self, place: int) -> None:
         """Fire the first open transition that takes from the place; if there is none, note when to ask again."""
         if not self._engine.tokens[place]:
             return  # the token has gone since the place was put on the agenda
-        decision, missing, state, guards = self._index.place(place), self._engine.missing, self._state, self._guards
+        decision, missing, state, guards = self._index.places[place], self._engine.missing, self._state, self._guards
         now, goes_on = state.now, not (state.pause or state.ending)
         again, waiting, asking = NEVER, decision.awaits, False
         if goes_on and decision.staying is not decision.firings:
@@ -272,7 +274,7 @@ class Run(RunView):
             if firing.takes:  # it is not open, so it must not keep others from the resources while it waits for something else
                 self._leave_line(place)
         if waiting:  # a place where nothing was even enabled is asked again when a token arrives, which puts it on the agenda anyway
-            self._undecided[place] = None
+            self._undecided[place] = decision.listens
         if again < NEVER:
             self._timers.set(place, again)
 
@@ -347,16 +349,16 @@ class Run(RunView):
 
     def _leave_and_mark(self, firing: Firing, marked_at: float) -> None:
         """Wait for nothing more at the places that tokens have left; put those that they have reached on the agenda."""
-        remembers, waits = self._guards.remembers, self._claims.is_waiting
+        noted, waiting, at = self._questions.noted, self._claims.waiting, self._state.marked_at
         for left in firing.inputs:
             self._undecided.pop(left, None)
-            if waits:
+            if left in waiting:
                 self._leave_line(left)
-            if remembers:
+            if left in noted:
                 self._commands.extend(map(Withdraw, self._guards.forget(left)))
         for marked in firing.outputs:
-            self._state.marked_at[marked] = marked_at
-        self._agenda.extend(firing.decided)
+            at[marked] = marked_at
+        self._agenda += firing.decided
 
     def _note(self, rule: Rule, call: int, place: int | None, check: Explanation | None) -> None:
         unseen = self._calls.explain_unseen(call, self._guards.context(call, place)) if isinstance(rule.guard, EffectsMissing) else None

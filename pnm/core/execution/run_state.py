@@ -100,7 +100,9 @@ class RunState:
     @property
     def ending(self) -> bool:
         """Whether nothing more is started."""
-        return self.failing or (bool(self.index.restarts) and any(self.engine.tokens[place] for place in self.index.restarts))
+        if self.results.failures or self.stop is not None:
+            return True
+        return bool(self.index.restarts) and any(self.engine.tokens[place] for place in self.index.restarts)
 
     @property
     def cancels(self) -> bool:

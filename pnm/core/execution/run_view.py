@@ -79,7 +79,7 @@ class RunView:
     @property
     def awaits_answers(self) -> bool:
         """Whether nothing goes on before a person has answered."""
-        return self._questions.wait_for_people and self._state.idle and not self._claims.is_waiting
+        return self._questions.wait_for_people and self._state.idle and not self._claims.waiting
 
     @property
     def fired(self) -> tuple[int, ...]:

@@ -33,6 +33,14 @@ class CompiledNet:
         """For every transition that takes one token, its place."""
         self.joins = [[(one, weight) for one, weight in consumers if self.only_input[one] is None] for consumers in self.consumers]
         """For every place, the consumers that take more than one token."""
+        # A place that is both input and output is first emptied and then filled: each change is small and keeps `missing` exact.
+        changes = [
+            [*((place, -weight) for place, weight in inputs), *outputs] for inputs, outputs in zip(self.inputs, self.outputs, strict=True)
+        ]
+        self.moves = [[(place, change) for place, change in all_ if not self.joins[place]] for all_ in changes]
+        """For every transition, how it changes the places that no consumer counts."""
+        self.counted = [[(place, change) for place, change in all_ if self.joins[place]] for all_ in changes]
+        """For every transition, how it changes those that some consumer counts."""
         # Every input place counts as lacking at first; an initial marking is added like any other tokens.
         self.unmarked = [0 if only is not None else len(inputs) for only, inputs in zip(self.only_input, self.inputs, strict=True)]
         """For every transition that takes more than one token, how many places hold too little when none is marked."""
@@ -63,24 +71,19 @@ class Engine:
 
     def fire(self, transition: int, times: int = 1) -> None:
         """Fire the transition `times` at once; raise `NotEnabled`, and change nothing, if the marking does not cover the preset."""
-        inputs, tokens, joins = self.compiled.inputs[transition], self.tokens, self.compiled.joins
+        compiled, tokens = self.compiled, self.tokens
+        only = compiled.only_input[transition]
         # Checked before any token moves, so that a refused firing leaves the marking as it was.
         # `missing` counts places for a single firing only; several at once need the weights to be looked at.
-        if not self.is_enabled(transition) or (times > 1 and any(tokens[place] < weight * times for place, weight in inputs)):
-            places = self.compiled.net.places
+        if times > 1 or (self.missing[transition] if only is None else not tokens[only]):
+            inputs, places = compiled.inputs[transition], compiled.net.places
             short = {places[place]: weight * times - tokens[place] for place, weight in inputs if tokens[place] < weight * times}
-            raise NotEnabled(self.compiled.transitions[transition], short)
-        # A place that is both input and output is first emptied and then filled: each change is small and keeps `missing` exact.
-        for place, weight in inputs:
-            if joins[place]:
-                self._add(place, -weight * times)
-            else:
-                tokens[place] -= weight * times
-        for place, weight in self.compiled.outputs[transition]:
-            if joins[place]:
-                self._add(place, weight * times)
-            else:
-                tokens[place] += weight * times
+            if short:
+                raise NotEnabled(compiled.transitions[transition], short)
+        for place, change in compiled.moves[transition]:
+            tokens[place] += change * times
+        for place, change in compiled.counted[transition]:
+            self._add(place, change * times)
 
     def _add(self, place: int, count: int) -> None:
         missing, before = self.missing, self.tokens[place]

@@ -272,7 +272,7 @@ def test_what_guards_answer_does_not_depend_on_the_order_in_which_they_are_asked
         outcome = data.draw(st.sampled_from([None, OutcomeKind.SUCCEEDED, OutcomeKind.ABORTED]))
         run.handle(Accepted(request) if outcome is None else Ended(request, Outcome(outcome)), 1.0)
     places = [place for place, tokens in enumerate(run._engine.tokens) if tokens]
-    pairs = [(one, place) for place in places for one in run._index.place(place).firings if run._engine.is_enabled(one.number)]
+    pairs = [(one, place) for place in places for one in run._index.places[place].firings if run._engine.is_enabled(one.number)]
 
     def answers(order: list[tuple[Firing, int]]) -> dict[tuple[Firing, int], float]:
         guards = Guards(run._state, run._calls, run._claims, run._questions)
