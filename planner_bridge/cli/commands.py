@@ -218,6 +218,7 @@ def net(
     "--answer", "answers", metavar="NAME=VALUE", multiple=True, help="what people would answer, who are not asked then; several in turn"
 )
 @journal_options
+@click.option("-v", "--verbose", is_flag=True, help="print how large machines are, and how much was explored to prove them")
 @quiet_option
 @as_json_option
 @command
@@ -245,6 +246,7 @@ def run(
     answers: tuple[str, ...],
     journal: Place | None,
     durability: str,
+    verbose: bool,
     quiet: bool,
     as_json: bool,
 ) -> int:
@@ -266,7 +268,7 @@ def run(
         raise InputError("--sensing describes topics and services of ROS 2; expected --actions ros2")
     choice = journal_choice(journal, durability) if journal else None
     others = Files(bindings, faults, knowledge, sensing, choice)
-    output = Output.JSON if as_json else Output.ENDING if quiet else Output.EVENTS
+    output = Output.JSON if as_json else Output.ENDING if quiet else Output.NUMBERS if verbose else Output.EVENTS
     policy = OnFailure(on_failure) if on_failure else None
     limits = Limits(replans=replans, seconds=seconds, patience=patience)
     failing = policy or OnFailure.DRAIN

@@ -26,6 +26,8 @@ from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from pnm.core.machine.verification.verify import Proof
 from pnm.knowledge.sources.person_text import printable
 
+_STEP: Final = re.compile(r" *[0-9.]+( s)? +")
+"""When a step of a plan comes, in front of it."""
 _INDENT: Final = 9
 """Columns before what belongs to the line above."""
 
@@ -41,6 +43,13 @@ class SafeConsole(Console):
         """Print texts without control characters and without what UTF-8 cannot encode."""
         safe = ("\n".join(map(printable, part.split("\n"))) if isinstance(part, str) else part for part in objects)
         super().print(*safe, **options)
+
+    def print_text(self, text: str, head: str = "") -> None:
+        """Print a text behind its head, which may have markup: on a terminal in lines that are not too long, behind the head as well."""
+        indent = Text.from_markup(head).cell_len
+        lines = textwrap.wrap(text, max(20, self.width - indent), break_on_hyphens=False) if self.is_terminal else [text]
+        first, *others = lines or [""]
+        self.print(f"{head}{escape(first)}", *(" " * indent + escape(line) for line in others), sep="\n", highlight=False, soft_wrap=True)
 
     def print_reason(self, head: str, reason: str) -> None:
         """Print a reason behind its head, which may have markup: on a terminal each part on lines of its own that are not too long."""
@@ -69,7 +78,7 @@ class EventLines:
         began: the time from which seconds count; that of the first line when None. Mutable state.
     """
 
-    console: Console
+    console: SafeConsole
     label: str = ""
     began: float | None = None
 
@@ -77,21 +86,26 @@ class EventLines:
         """Print a line; the word may have markup."""
         if self.began is None:
             self.began = now
-        self.console.print(f"  {now - self.began:8.2f} s  {escape(self.label)}{word} {escape(text)}", highlight=False, soft_wrap=True)
+        self.console.print_text(text, f"  {now - self.began:8.2f} s  {escape(self.label)}{word} ")
 
 
 class ConsoleObserver(TaskObserver):
     """Prints a line per event of a task; shows a spinner while it plans, when the output is a terminal.
 
-    `limit` is the seconds that the planner may take.
+    Args:
+        limit: seconds that the planner may take.
+        robots: who performs the actions; printed before the first event, if it is not empty.
+        is_verbose: whether it prints how large machines are, and how they were proved.
 
-    The mutable state is the time from which seconds count, the spinner, why calls are tried again, by number, and what was printed
-    of the failures of each call: the same is not printed again but at the end.
+    The mutable state is whether that was printed, the time from which seconds count, the spinner, why calls are tried again, by
+    number, and what was printed of the failures of each call: the same is not printed again but at the end.
     """
 
-    def __init__(self, console: SafeConsole, limit: float) -> None:
+    def __init__(self, console: SafeConsole, limit: float, *, robots: str = "", is_verbose: bool = False) -> None:
         self._console = console
         self._limit = limit
+        self._robots = robots
+        self._is_verbose = is_verbose
         self._lines = EventLines(console)
         self._waiting = ExitStack()
         self._causes: dict[int, Failure] = {}
@@ -104,16 +118,23 @@ class ConsoleObserver(TaskObserver):
 
     def planning(self, planner: str) -> None:
         """Show that a planner is being asked."""
+        self._print_robots()
         self._waiting.enter_context(searching(planner, self._limit, self._console))
 
     def restored(self) -> None:
         """Print that the task goes on."""
+        self._print_robots()
         self._console.print("[bold]resumed[/]  goes on where another process has left it", highlight=False, soft_wrap=True)
 
     def planned(self, plan: Plan) -> None:
         """Print the plan."""
         self._waiting.close()
-        self._console.print(f"[bold]plan[/]     {escape(str(plan))}", highlight=False, soft_wrap=True)
+        first, *steps = str(plan).splitlines()
+        self._console.print_text(first, "[bold]plan[/]     ")
+        for step in steps:
+            begins = _STEP.match(step)
+            when = begins[0] if begins else ""
+            self._console.print_text(step.removeprefix(when), when)
 
     def unplanned(self, result: PlanningResult) -> None:
         """Stop showing that a planner is being asked; the result is printed at the end."""
@@ -124,11 +145,14 @@ class ConsoleObserver(TaskObserver):
         self._console.print_reason("[bold yellow]help[/]    ", reason)
 
     def generated(self, machine: PetriNetMachine, proof: Proof) -> None:
-        """Print the size of the machine, in which calls have numbers of their own."""
+        """Print that the machine is proved, in which calls have numbers of their own."""
         self._causes.clear()
-        net = machine.net
-        size = f"{len(net.places)} places, {len(net.transitions)} transitions, {len(machine.orderings)} orderings"
-        self._console.print(f"[bold]machine[/]  {size}; proved {proof}", highlight=False, soft_wrap=True)
+        self._print_robots()
+        self._console.print_text("proved: whatever happens, it ends in the goal or in a named failure", "[bold]machine[/]  ")
+        if self._is_verbose:
+            net = machine.net
+            size = f"{len(net.places)} places, {len(net.transitions)} transitions, {len(machine.orderings)} orderings"
+            self._console.print_text(f"{size}; proved {proof}", " " * _INDENT)
 
     def sent(self, call: ActionCall, request: Request, now: float) -> None:
         """Print that a call starts."""
@@ -157,6 +181,11 @@ class ConsoleObserver(TaskObserver):
         """Print that a failure place is marked."""
         step = failure.call.action if isinstance(failure.call, ActionCall) else failure.call
         self._lines.print(now, "[bold red]failed[/]", f"{step}: {failure.cause}{self._new(step, failure.details)}")
+
+    def _print_robots(self) -> None:
+        if self._robots:
+            self._console.print_text(self._robots, "[bold]robots[/]   ")
+            self._robots = ""
 
     def _new(self, step: object, details: str) -> str:
         """Return the details of a step's failure with a colon before them, unless they were printed already."""
@@ -195,13 +224,12 @@ def print_result(console: SafeConsole, result: TaskResult) -> None:
     unreported = f"; {_count(assumed, 'result')} believed, which no sensor confirms (docs/sensing.md)" if assumed else ""
     planned = ((result.plans, "plan"), (result.replans, "replan")) if result.plans or not result.episodes else ()
     counts = ", ".join(_count(number, word) for number, word in (*planned, (sent, "request"), (len(result.failures), "failure")))
-    console.print(f"         {counts}{unreported}", highlight=False, soft_wrap=True)
-    lines = [*map(_constraint, result.constraints)]
+    lines = [f"{counts}{unreported}", *map(_constraint, result.constraints)]
     for preference in result.preferences:
         times = f" {_count(preference.violated, 'time')}" if preference.violated else ""
         lines.append(f"preference {preference.name or '(without a name)'} is {preference.status}{times}")
     for line in lines:
-        console.print(f"         {escape(line)}", highlight=False, soft_wrap=True)
+        console.print_text(line, " " * _INDENT)
 
 
 def _constraint(result: ConstraintResult) -> str:

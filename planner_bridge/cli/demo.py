@@ -19,7 +19,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
-from rich.console import Console
 from rich.markup import escape
 
 from planner_bridge.cli.console import ConsoleObserver, SafeConsole, print_result
@@ -49,18 +48,17 @@ def show_delivery(console: SafeConsole) -> int:
     backend = simulated_backend(problem, settings.bindings, faults)
     world = backend.robots.world
 
-    console.print("Two robots and a goal, written in PDDL. A planner finds the plan; the plan becomes a Petri Net Machine.", soft_wrap=True)
+    console.print_text("Two robots and a goal, written in PDDL. A planner finds the plan; the plan becomes a Petri Net Machine.")
     for fault in faults.faults:
-        text = f"The robots are simulated, and something will go wrong: {fault.what} fails, {fault.message}."
-        console.print(text, highlight=False, soft_wrap=True)
-    console.print(f"[bold]goal[/]     {' '.join(map(str, conjuncts(problem.goal)))}", highlight=False, soft_wrap=True)
+        console.print_text(f"The robots are simulated, and something will go wrong: {fault.what} fails, {fault.message}.")
+    console.print_text(" ".join(map(str, conjuncts(problem.goal))), "[bold]goal[/]     ")
     result = run_async(achieve_at(backend, problem, settings, ConsoleObserver(console, settings.planner_timeout)), virtual=True)
     print_result(console, result)
-    console.print("In the simulated world, which nobody but the simulation sees:", soft_wrap=True)
+    console.print_text("In the simulated world, which nobody but the simulation sees:")
     for part in conjuncts(problem.goal):
         console.print(f"         {part} is {'[green]true[/]' if world.holds(part) else '[red]false[/]'}", highlight=False)
     advice = "pnm run DOMAIN PROBLEM with your own files, or pnm net DOMAIN PROBLEM --format dot to see a machine"
-    console.print(f"Next: {advice}.", soft_wrap=True)
+    console.print_text(f"Next: {advice}.")
     return 0 if result.goal_reached and world.holds(problem.goal) else 1
 
 
@@ -95,7 +93,7 @@ _STATES: Final = {"RUNNING": "green", "PAUSED": "yellow", "OVER": "bold green"}
 """The states of tasks that are printed, and their colours."""
 
 
-def show_mall(console: Console) -> int:
+def show_mall(console: SafeConsole) -> int:
     """Play the script, and print what there is to see."""
     missing = [advice for module, advice in NEEDED.items() if find_spec(module) is None]
     if missing:
@@ -104,8 +102,8 @@ def show_mall(console: Console) -> int:
     return asyncio.run(_play(console))
 
 
-async def _play(console: Console) -> int:
-    console.print("A robot in a mall, over ROS 2. Every request is a task of its own; all share the robot's voice and arm.", soft_wrap=True)
+async def _play(console: SafeConsole) -> int:
+    console.print_text("A robot in a mall, over ROS 2. Every request is a task of its own; all share the robot's voice and arm.")
     story = Story(console)
     try:
         async with asyncio.timeout(LIMIT), AsyncExitStack() as stack:
@@ -178,7 +176,7 @@ async def _each(process: Process, hear: Any) -> None:
 class Story:
     """Prints who speaks, and the states of tasks. All fields but the first change."""
 
-    console: Console
+    console: SafeConsole
     began: float | None = None
     names: dict[str, str] = field(default_factory=dict)
     """What tasks are about, by their ids."""
@@ -194,11 +192,11 @@ class Story:
         self.clashes += "clash" in line
         name, _, arguments = line["call"].rstrip(")").partition("(")
         if line["event"] == "start" and name in _SPEECH:
-            self._print(line, "[bold cyan]robot[/]", f'"{_SPEECH[name].format(*arguments.split(", "))}"')
+            self._print(line, "[bold cyan]robot[/]  ", f'"{_SPEECH[name].format(*arguments.split(", "))}"')
         elif line["event"] == "start" and name == "point_at":
-            self._print(line, "[bold cyan]robot[/]", f"points at {arguments.split(', ')[-1]}")
+            self._print(line, "[bold cyan]robot[/]  ", f"points at {arguments.split(', ')[-1]}")
         elif line["event"] == "end" and line["outcome"] == "canceled":
-            self._print(line, "[bold cyan]robot[/]", f"breaks off: {name}({arguments})")
+            self._print(line, "[bold cyan]robot[/]  ", f"breaks off: {name}({arguments})")
 
     def seen(self, line: Mapping[str, Any]) -> None:
         """Print what the visitor does and sees."""
@@ -207,12 +205,12 @@ class Story:
                 self.requests += 1
                 shop = line["about"].startswith("shop")
                 said = f"Where is {line['about']}?" if shop else f"Let us talk about {line['about']}!"
-                self._print(line, "[bold magenta]ann  [/]", f'"{said}"')
+                self._print(line, "[bold magenta]ann  [/]  ", f'"{said}"')
             case "accepted":
                 self.names[line["task"]] = line["about"]
             case "answer":
                 self.answers += 1
-                self._print(line, "[bold magenta]ann  [/]", f'"{line["value"].rpartition(" ")[0]}"  (about {line["about"]})')
+                self._print(line, "[bold magenta]ann  [/]  ", f'"{line["value"].rpartition(" ")[0]}"  (about {line["about"]})')
             case "result":
                 self.reached += line["reason"] == "goal_reached"
             case "state" if line["state"] in _STATES and self.states.get(line["task"]) != line["state"]:
@@ -221,20 +219,17 @@ class Story:
                 self.states[task] = state
                 self.paused += state == "PAUSED"
                 word = "resumed" if resumed else state.lower()
-                self._print(line, "[bold]task [/]", f"[{_STATES[state]}]{self.names.get(task, line['about'])}: {word}[/]", line["reason"])
+                about = escape(self.names.get(task, line["about"]))
+                self._print(line, f"[bold]task [/]  [{_STATES[state]}]{about}: {word}[/]{', ' if line['reason'] else ''}", line["reason"])
 
-    def _print(self, line: Mapping[str, Any], who: str, text: str, more: str = "") -> None:
+    def _print(self, line: Mapping[str, Any], who: str, text: str) -> None:
         if self.began is None:
             self.began = line["time"]
-        text = text if text.startswith("[") else escape(text)
-        text += f", {escape(more)}" if more else ""
-        self.console.print(f"  {line['time'] - self.began:6.2f} s  {who}  {text}", highlight=False, soft_wrap=True)
+        self.console.print_text(text, f"  {line['time'] - self.began:6.2f} s  {who}")
 
     def sum_up(self) -> None:
         """Print the sums."""
-        self.console.print(
+        self.console.print_text(
             f"{self.reached} of {self.requests} tasks reached their goal; {self.paused} times one was paused and resumed by itself; "
-            f"{self.answers} answers found their question; {self.clashes} times voice or arm were used by two.",
-            highlight=False,
-            soft_wrap=True,
+            f"{self.answers} answers found their question; {self.clashes} times voice or arm were used by two."
         )

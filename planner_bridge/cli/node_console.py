@@ -6,9 +6,7 @@ import asyncio
 from collections.abc import Iterable
 from uuid import UUID
 
-from rich.console import Console
-
-from planner_bridge.cli.console import EventLines
+from planner_bridge.cli.console import EventLines, SafeConsole
 from planner_bridge.cli.options import print_warnings
 from planner_bridge.node.node_log import NodeObserver, journal_words, standing_words
 from pnm.core.machine.verification.verify import Proof
@@ -19,7 +17,7 @@ from pnm.tasks import Code, TaskEnding, TaskListener, Tasks, TraceEvent, shorten
 class NodeConsole(NodeObserver):
     """Prints what happens to a node and to its tasks; warnings about its files go to stderr."""
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: SafeConsole) -> None:
         self._console = console
 
     def unconfigured(self) -> None:
@@ -67,7 +65,7 @@ class NodeConsole(NodeObserver):
 class TaskConsole(TaskListener):
     """Prints the events of tasks. The mutable state is a printer for every task that is not over."""
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: SafeConsole) -> None:
         self._console = console
         self._loop = asyncio.get_running_loop()
         self._began = self._loop.time()

@@ -237,6 +237,7 @@ def print_warnings(warnings: Iterable[Tolerated]) -> None:
 class Output(Enum):
     """What `pnm run` prints."""
 
+    NUMBERS = "every event, with how large machines are, and how it ended"
     EVENTS = "every event, and how it ended"
     ENDING = "how it ended"
     JSON = "how it ended, as one JSON object"

@@ -37,7 +37,7 @@ def run_problem(domain: Path, problem: Path, files: Files, *, actions: Actions, 
         sensors = read_sensing(files.sensing, loaded.vocabulary) if files.sensing else NO_SENSING
         settings = replace(settings, bindings=bindings_for(domain, files.bindings, loaded.vocabulary), sensing=sensors)
         faults = faults_for(loaded, files.faults)
-    observer = observer_for(output, console, settings)
+    observer = observer_for(output, console, settings, actions)
     result = achieve(
         None, loaded, actions=actions, faults=faults, settings=settings, observer=observer, stopwatch=stopwatch, journal=files.journal
     )
@@ -50,9 +50,12 @@ def journal_choice(place: Place, durability: str) -> JournalChoice:
     return JournalChoice(place, Durability.of(durability), command=(os.getcwd(), *given))
 
 
-def observer_for(output: Output, console: SafeConsole, settings: Settings) -> TaskObserver:
+def observer_for(output: Output, console: SafeConsole, settings: Settings, actions: Actions) -> TaskObserver:
     """Return what prints the events of a task, or listens to them without printing."""
-    return ConsoleObserver(console, settings.planner_timeout) if output is Output.EVENTS else TaskObserver()
+    if output not in (Output.EVENTS, Output.NUMBERS):
+        return TaskObserver()
+    robots = "simulated here; --actions ros2 drives real ones" if actions == "simulated" else "the action servers of ROS 2"
+    return ConsoleObserver(console, settings.planner_timeout, robots=robots, is_verbose=output is Output.NUMBERS)
 
 
 def print_ending(result: TaskResult, console: SafeConsole, output: Output) -> int:
@@ -100,7 +103,7 @@ def run_written(
         faults=read_faults(files.faults, None) if files.faults else NO_FAULTS,
         settings=settings,
         on_failure=on_failure,
-        observer=observer_for(output, console, settings),
+        observer=observer_for(output, console, settings, actions),
         knowledge=files.knowledge,
         answers=named_values(answers, "--answer"),
         warn=print_warnings,

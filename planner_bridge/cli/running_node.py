@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 from uuid import UUID, uuid4
 
 import click
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
@@ -66,7 +65,7 @@ class EventPrinter:
     The mutable state is what is shown, by task and call, with its time.
     """
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: SafeConsole) -> None:
         self._lines = EventLines(console)
         self._below = console.status("") if console.is_terminal else None
         self._feedback: dict[tuple[UUID, str], Event] = {}
@@ -280,7 +279,7 @@ def _command(name: str, done: str, prefix: str, *, every: bool, namespace: str, 
     return 0
 
 
-def _print_status(console: Console, message: Any) -> None:
+def _print_status(console: SafeConsole, message: Any) -> None:
     if message.paused:
         console.print("paused: nothing is started")
     if not message.tasks:

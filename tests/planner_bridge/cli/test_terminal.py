@@ -84,3 +84,28 @@ def test_nothing_of_it_is_seen_in_a_pipe(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "planner_bridge", "plan", str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl")]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True)
     assert "is looking" not in done.stdout + done.stderr
+
+
+GUIDE = ("domains/mall_guide/domain.pddl", "problems/mall_guide/p01.pddl")
+FAILING = ("domains/delivery/domain.pddl", "problems/delivery/p01.pddl", "--faults", "problems/delivery/faults.yaml")
+
+
+@pytest.mark.parametrize("files", [GUIDE, FAILING])
+def test_a_run_fits_on_a_terminal_and_begins_with_who_moves(files: tuple[str, ...]) -> None:
+    status, seen = on_a_terminal("run", *files, "-v")
+    lines = [line.rstrip().rpartition("\r")[2] for line in re.sub("\x1b\\[[0-9;?]*[A-Za-z]", "", seen).splitlines()]
+    assert status == 0
+    assert lines[0] == "robots   simulated here; --actions ros2 drives real ones"
+    assert not [line for line in lines if len(line) > 80]
+
+
+def test_how_large_a_machine_is_is_printed_when_it_is_asked_for() -> None:
+    brief, verbose = (pnm_run(*GUIDE, *more) for more in ((), ("-v",)))
+    assert "machine  proved: whatever happens, it ends in the goal or in a named failure\n" in brief
+    (extra,) = set(verbose.splitlines()) - set(brief.splitlines())
+    assert re.fullmatch(r" {9}\d+ places, \d+ transitions, 20 orderings; proved sound: 8 calls of 8 shapes, \d+ states explored", extra)
+
+
+def pnm_run(*arguments: str) -> str:
+    command = [sys.executable, "-m", "planner_bridge", "run", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True).stdout
