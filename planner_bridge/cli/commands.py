@@ -80,17 +80,45 @@ def app() -> None:
     """Run robots from goals: PDDL goal, plan, Petri Net Machine, ROS 2 actions, and a new plan when something fails."""
 
 
-@app.command(epilog="Example: pnm plan domain.pddl problem.pddl --planner race")
+@app.command(epilog="Example: pnm plan domain.pddl problem.pddl --format svg -o plan.svg")
 @files
 @planning_within(0.04)  # people look, and no robot moves
+@click.option(
+    "--format",
+    "written_as",
+    type=click.Choice(["text", "dot", "svg"]),
+    default="text",
+    show_default=True,
+    help="dot and svg are pictures of its calls, and of what waits for what",
+)
+@output_options
 @as_json_option
 @command
-def plan(domain: Path, problem: Path, planner: str, planner_timeout: float, improve: float, as_json: bool) -> int:
+def plan(
+    *,
+    domain: Path,
+    problem: Path,
+    planner: str,
+    planner_timeout: float,
+    improve: float,
+    written_as: str,
+    output: Path | None,
+    force: bool,
+    as_json: bool,
+) -> int:
     """Find and print a plan."""
+    from planner_bridge.cli.console import SafeConsole
     from planner_bridge.model.plan import PlanningStatus
+    from planner_bridge.ordering.plan_to_graph import plan_graph
     from planner_bridge.planning.kairos import DEFAULT_PLANNER, IMPROVE
     from planner_bridge.planning.solve import solve
+    from pnm.core.pictures.plan_dot import plan_dot
+    from pnm.core.pictures.plan_picture import plan_svg
 
+    if as_json and (written_as != "text" or output):
+        raise InputError("--json prints a plan as JSON; expected no --format or --output with it")
+    if output:
+        check_output(output, force=force)
     loaded = problem_in(domain, problem, for_its_goal=True)
     with searching(planner, planner_timeout):
         result = solve(loaded, planner=planner, timeout=planner_timeout, improve=improve)
@@ -102,18 +130,20 @@ def plan(domain: Path, problem: Path, planner: str, planner_timeout: float, impr
         found = {"cost": result.plan.cost, "is_best": result.plan.is_best} if result.plan else {}
         fields = {"status": result.status.value, "message": result.message, "planner": result.planner, **found}
         print(json.dumps({**fields, "steps": steps if result.plan else None}))
-    elif result.plan:
-        print(f"plan     {result.plan}")
-        if result.planner != planner:
-            print(f"planner  {result.planner}")
-        if result.message:
-            print(f"note     {result.message}")
-        if improve < IMPROVE and planner == DEFAULT_PLANNER and result.plan.steps and not result.plan.is_best:
-            print(f"note     --improve {IMPROVE:g}, the default of pnm run, may find a better one")
+    elif result.plan is None:
+        SafeConsole(stderr=written_as != "text").print_reason("no plan:", result.reason)
+    elif written_as != "text":
+        graph = plan_graph(loaded, result.plan)
+        write(output, plan_svg(graph) if written_as == "svg" else plan_dot(graph), force=force)
     else:
-        from planner_bridge.cli.console import SafeConsole
-
-        SafeConsole().print_reason("no plan:", result.reason)
+        lines = [f"plan     {result.plan}"]
+        if result.planner != planner:
+            lines.append(f"planner  {result.planner}")
+        if result.message:
+            lines.append(f"note     {result.message}")
+        if improve < IMPROVE and planner == DEFAULT_PLANNER and result.plan.steps and not result.plan.is_best:
+            lines.append(f"note     --improve {IMPROVE:g}, the default of pnm run, may find a better one")
+        write(output, "\n".join((*lines, "")), force=force)
     return 0 if result.plan else 2 if result.status is PlanningStatus.INVALID else 1
 
 
@@ -125,7 +155,10 @@ def plan(domain: Path, problem: Path, planner: str, planner_timeout: float, impr
     type=click.Choice(["json", "dot", "svg"]),
     default="json",
     show_default=True,
-    help="json and dot have the whole net; svg is a picture of its calls, and of what waits for what",
+    help="json has everything; dot and svg are pictures",
+)
+@click.option(
+    "--level", type=click.Choice(["calls", "net"]), help="of a picture: calls, and what waits for what (default); or the whole net"
 )
 @output_options
 @click.option("-v", "--verbose", is_flag=True, help="list the transitions that can never fire, with the reason")
@@ -139,6 +172,7 @@ def net(
     plan_file: Path | None,
     name: str | None,
     written_as: str,
+    level: str | None,
     output: Path | None,
     force: bool,
     verbose: bool,
@@ -157,8 +191,11 @@ def net(
     from pnm.core.machine.export import to_dot, to_json
     from pnm.core.machine.generate import generate
     from pnm.core.machine.verification.verify import verify
+    from pnm.core.pictures.plan_dot import plan_dot
     from pnm.core.pictures.plan_picture import plan_svg
 
+    if written_as == "json" and level == "calls":
+        raise InputError("--format json has the whole net, and its calls; expected --format dot or svg with --level calls")
     chosen = chosen_files(domain, problem, plan_file)
     if isinstance(chosen, Path):
         from planner_bridge.cli.run import machine_of
@@ -176,13 +213,15 @@ def net(
             return 1
         machine = generate(plan_graph(loaded, result.plan), bound)
     proof = verify(machine)
-    match written_as:
-        case "svg":
-            text = plan_svg(machine.plan)
-        case "dot":
-            text = to_dot(machine)
-        case _:
+    match written_as, level:
+        case "json", _:
             text = to_json(machine)
+        case "dot", "net":
+            text = to_dot(machine)
+        case "svg", "net":
+            raise InputError("the whole net is written as dot or json")
+        case _:
+            text = plan_svg(machine.plan) if written_as == "svg" else plan_dot(machine.plan)
     write(output, text, force=force)
     never = f"{len(proof.never)} of {len(machine.net.transitions)} transitions can never fire"
     print(f"proved {proof}; {never}{'' if verbose else ', -v lists them'}", *(proof.never if verbose else ()), sep="\n", file=sys.stderr)

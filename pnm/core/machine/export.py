@@ -44,12 +44,12 @@ def to_dot(machine: PetriNetMachine) -> str:
     lines += (f"  {_transition(machine, name)}" for name in transitions[None])
     for arc in machine.net.arcs:
         weight = f" [label={arc.weight}]" if arc.weight > 1 else ""
-        lines.append(f"  {_quote(arc.source)} -> {_quote(arc.target)}{weight};")
+        lines.append(f"  {quoted(arc.source)} -> {quoted(arc.target)}{weight};")
     return "\n".join((*lines, "}", ""))
 
 
 def _cluster(machine: PetriNetMachine, step: Step, transitions: Mapping[int | None, list[str]], indent: str) -> Iterator[str]:
-    yield f'{indent}subgraph cluster_{step.index} {{ label={_quote(str(step))}; color=gray; fontname="sans-serif";'
+    yield f'{indent}subgraph cluster_{step.index} {{ label={quoted(str(step))}; color=gray; fontname="sans-serif";'
     yield from (f"{indent}  {_place(machine, place, f'{step} ')}" for place in machine.blocks[step.index])
     yield from (f"{indent}  {_transition(machine, name)}" for name in transitions[step.index])
     held = (region for region in machine.regions if region.owner == step.index)
@@ -69,15 +69,16 @@ def _place(machine: PetriNetMachine, place: str, title: str = "") -> str:
         label = ""  # its arcs say which steps it connects
     tokens = machine.initial[place]
     label += " •" * tokens if tokens <= _DOTS else f" {tokens}"
-    return f"{_quote(place)} [shape=circle, label={_quote(label)}, color={_quote(_COLOURS[machine.role(place)])}];"
+    return f"{quoted(place)} [shape=circle, label={quoted(label)}, color={quoted(_COLOURS[machine.role(place)])}];"
 
 
 def _transition(machine: PetriNetMachine, name: str) -> str:
-    return f"{_quote(name)} [shape=box, height=0.2, label={_quote(machine.rules[name].name)}];"
+    return f"{quoted(name)} [shape=box, height=0.2, label={quoted(machine.rules[name].name)}];"
 
 
-def _quote(text: str) -> str:
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+def quoted(text: str) -> str:
+    """Return a text as Graphviz reads it."""
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'
 
 
 def to_json(machine: PetriNetMachine) -> str:

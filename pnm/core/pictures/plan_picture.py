@@ -7,13 +7,14 @@ step waits for, below it.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from html import escape
-from typing import Final, assert_never
+from typing import Final
 
 from pnm.core.logic.expressions import fluent_text
-from pnm.core.machine.plan_graph import ActionCall, Choice, Flow, Junction, Loop, PlanGraph, Step, every_step, flows
+from pnm.core.machine.plan_graph import PlanGraph
 from pnm.core.pictures.plan_layout import COLUMNS, Arrow, Cell, PlanLayout, laid_out
+from pnm.core.pictures.step_words import cut, facts_of, held, numbers, words_of
 
 _BOX: Final = (196, 46)
 """Width and height of a box, in pixels."""
@@ -26,6 +27,8 @@ _LETTERS: Final = 30
 """Letters of a text in a box; longer ones are cut off, and are whole when they are pointed at."""
 _FACT: Final = 19
 """Letters of a fact at an arrow."""
+_NUMBERS: Final = _FACT - 4
+"""Letters of the numbers of other steps."""
 _STYLE: Final = (
     "text{font:11px sans-serif;fill:#263238}.name{font-weight:bold;font-size:12px}.fact{font-size:9.5px;fill:#1565c0;"
     "paint-order:stroke;stroke:#fff;stroke-width:3px}.far{font-size:9.5px;fill:#546e7a}rect{fill:#eceff1;stroke:#546e7a}"
@@ -35,7 +38,7 @@ _STYLE: Final = (
 
 def plan_svg(plan: PlanGraph, title: str = "") -> str:
     """Return the picture of a plan, and below it that of what its steps hold; the same plan gives the same text."""
-    sections = [("", laid_out(plan.flow)), *((name, laid_out(flow)) for step in plan.every_step for name, flow in _held(step))]
+    sections = [("", laid_out(plan.flow)), *((name, laid_out(flow)) for step in plan.every_step for name, flow in held(step))]
     columns = max(1, *(layout.columns for _, layout in sections))
     width = 2 * _MARGIN[0] + (columns - 1) * _PITCH[0] + _BOX[0]
     height, drawn = 0, []
@@ -55,24 +58,6 @@ def plan_svg(plan: PlanGraph, title: str = "") -> str:
         "</svg>",
     ]
     return "\n".join((*parts, ""))
-
-
-def _held(step: Step) -> Iterator[tuple[str, Flow]]:
-    """Yield what a step holds, with words for it."""
-    match step:
-        case Loop(condition=condition, body=body):
-            yield f"#{step.index} is repeated while {condition}, {step.limit} times at most", body
-        case Choice(condition=condition, then=then, otherwise=otherwise):
-            yield f"#{step.index} if {condition}", then
-            yield f"#{step.index} otherwise", otherwise
-        case ActionCall():
-            for recovery in step.recoveries:
-                if recovery.chain.steps:
-                    yield f"#{step.index} after {', '.join(sorted(recovery.causes))}; then {recovery.then.value}", recovery.chain
-        case Junction():
-            pass
-        case _:
-            assert_never(step)
 
 
 def _section(layout: PlanLayout, width: int) -> Iterator[str]:
@@ -105,21 +90,11 @@ def _rules(layout: PlanLayout, width: int) -> Iterator[str]:
 
 
 def _box(cell: Cell) -> Iterator[str]:
-    (x, y), (name, what, whole) = _corner(cell), _words(cell.step)
+    (x, y), (name, what, whole) = _corner(cell), words_of(cell.step)
     yield f'<g><title>{escape(whole)}</title><rect x="{x}" y="{y}" width="{_BOX[0]}" height="{_BOX[1]}" rx="6"/>'
-    yield f'<text class="name" x="{x + 8}" y="{y + 19}">{escape(_cut(name, _LETTERS - 8))}</text>'
+    yield f'<text class="name" x="{x + 8}" y="{y + 19}">{escape(cut(name, _LETTERS - 8))}</text>'
     yield f'<text class="far" x="{x + _BOX[0] - 6}" y="{y + 19}" text-anchor="end">#{cell.step.index}</text>'
-    yield f'<text x="{x + 8}" y="{y + 36}">{escape(_cut(what, _LETTERS))}</text></g>'
-
-
-def _words(step: Step) -> tuple[str, str, str]:
-    """Return the name of a step, what it is about, and both with all else that is known."""
-    if isinstance(step, ActionCall):
-        duration = "" if step.action.duration is None else f", {step.action.duration:g} s"
-        what = str(step.action.operation) if step.action.operation is not None else ", ".join(step.action.arguments)
-        return step.action.name, what, f"{step}, planned at {step.planned:g} s{duration}"
-    inner = [str(one) for flow in flows(step) for one in every_step(flow.steps)]
-    return type(step).__name__.lower(), f"{len(inner)} steps", "\n".join((str(step), *inner))
+    yield f'<text x="{x + 8}" y="{y + 36}">{escape(cut(what, _LETTERS))}</text></g>'
 
 
 def _arrow(layout: PlanLayout, arrow: Arrow, labels: int) -> Iterator[str]:
@@ -130,8 +105,7 @@ def _arrow(layout: PlanLayout, arrow: Arrow, labels: int) -> Iterator[str]:
     yield f"<g><title>{escape(f'#{arrow.before} before #{arrow.after} {facts}'.strip())}</title>"
     yield f'<path d="M{from_x} {from_y}C{from_x + 50} {from_y} {to_x - 50} {to_y} {to_x} {to_y}" marker-end="url(#tip)"/>'
     if arrow.protects:
-        more = f" +{len(arrow.protects) - 1}" if len(arrow.protects) > 1 else ""
-        shown = _cut(fluent_text(arrow.protects[0]), _FACT - len(more)) + more
+        shown = facts_of(arrow.protects, _FACT)
         yield f'<text class="fact" x="{to_x - 8}" y="{to_y - 5 - 11 * labels}" text-anchor="end">{escape(shown)}</text>'
     yield "</g>"
 
@@ -148,16 +122,8 @@ def _numbered_arrows(layout: PlanLayout) -> Iterator[str]:
     for index, cell in layout.cells.items():
         x, y = _corner(cell)
         if index in leaving:
-            yield f'<text class="far" x="{x + _BOX[0] + 4}" y="{y + _BOX[1] - 4}">→ {_numbers(leaving[index])}</text>'
+            yield f'<text class="far" x="{x + _BOX[0] + 4}" y="{y + _BOX[1] - 4}">→ {cut(numbers(leaving[index]), _NUMBERS)}</text>'
         if index in coming:
-            yield f'<text class="far" x="{x - 4}" y="{y + _BOX[1] - 4}" text-anchor="end">{_numbers(coming[index])} →</text>'
+            yield f'<text class="far" x="{x - 4}" y="{y + _BOX[1] - 4}" text-anchor="end">{cut(numbers(coming[index]), _NUMBERS)} →</text>'
         if index in ending:
-            yield f'<text class="far" x="{x + 8}" y="{y + _BOX[1] + 12}">ends after {_numbers(ending[index])}</text>'
-
-
-def _numbers(others: Iterable[int]) -> str:
-    return _cut(" ".join(f"#{other}" for other in sorted(others)), _FACT - 4)
-
-
-def _cut(text: str, letters: int) -> str:
-    return text if len(text) <= letters else f"{text[: letters - 1]}…"
+            yield f'<text class="far" x="{x + 8}" y="{y + _BOX[1] + 12}">ends after {cut(numbers(ending[index]), _NUMBERS)}</text>'

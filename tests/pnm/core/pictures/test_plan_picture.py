@@ -12,40 +12,14 @@ from xml.etree import ElementTree
 
 from hypothesis import given
 
-from pnm.core.logic.conditions import Holds
-from pnm.core.machine.plan_graph import (
-    ActionCall,
-    Cause,
-    Choice,
-    Flow,
-    GroundAction,
-    Loop,
-    Moment,
-    Ordering,
-    PlanEvent,
-    PlanGraph,
-    Recovery,
-    Then,
-)
+from pnm.core.machine.plan_graph import Moment, PlanGraph
 from pnm.core.pictures.plan_layout import COLUMNS, laid_out
 from pnm.core.pictures.plan_picture import plan_svg
+from tests.pnm.core.pictures.examples import nested_plan, two_robots
 from tests.support.runs.plan_graphs import plan, plans
-from tests.support.runs.simulated import move
 
 GOLDEN = Path(__file__).parent / "golden" / "plan.svg"
 SVG = "{http://www.w3.org/2000/svg}"
-
-
-def example() -> PlanGraph:
-    """Two robots and six calls; one waits for the other, and the last one for both."""
-    calls = (
-        ActionCall(0, move("r1", "hall", "door")),
-        ActionCall(1, move("r2", "dock", "hall")),
-        *(ActionCall(2 + number, move("r1", f"place{number}", f"place{number + 1}")) for number in range(4)),
-    )
-    chain = (Ordering(PlanEvent(2 + n, Moment.END), PlanEvent(3 + n, Moment.START), (("at", "r1", f"place{n + 1}"),)) for n in range(3))
-    free = Ordering(PlanEvent(0, Moment.END), PlanEvent(1, Moment.START), (("free", "hall"), ("open", "door")))
-    return PlanGraph(calls, (free, Ordering(PlanEvent(0, Moment.END), PlanEvent(2, Moment.START)), *chain))
 
 
 def boxes(svg: str) -> list[tuple[int, int]]:
@@ -55,7 +29,7 @@ def boxes(svg: str) -> list[tuple[int, int]]:
 
 
 def test_a_picture_is_drawn_as_it_ever_was() -> None:
-    assert plan_svg(example()) == GOLDEN.read_text(encoding="utf-8")
+    assert plan_svg(two_robots()) == GOLDEN.read_text(encoding="utf-8")
 
 
 @given(plans(most=8))
@@ -112,11 +86,7 @@ def test_an_end_that_waits_says_so() -> None:
 
 
 def test_what_loops_choices_and_recoveries_hold_is_drawn_below_them() -> None:
-    say = GroundAction("say", ("Hello & <bye>",), ("text",))
-    sorry = Recovery(frozenset({Cause.ABORTED}), Then.RETRY, Flow((ActionCall(3, say),)))
-    loop = Loop(4, Holds(("on",)), Flow((ActionCall(0, say),)), 3)
-    choice = Choice(5, Holds(("on",)), Flow((ActionCall(1, say),)), Flow((ActionCall(2, say, recoveries=(sorry,)),)))
-    svg = plan_svg(PlanGraph((loop, choice)))
+    svg = plan_svg(nested_plan())
     assert len(boxes(svg)) == 6
     for words in (
         "#4 is repeated while (on), 3 times at most",
@@ -135,4 +105,4 @@ def test_a_plan_without_calls_has_a_picture() -> None:
 
 
 if __name__ == "__main__" and "--write" in sys.argv:
-    GOLDEN.write_text(plan_svg(example()), encoding="utf-8")
+    GOLDEN.write_text(plan_svg(two_robots()), encoding="utf-8")
