@@ -44,14 +44,20 @@ def to_dot(machine: PetriNetMachine) -> str:
     lines += (f"  {_transition(machine, name)}" for name in transitions[None])
     for arc in machine.net.arcs:
         weight = f" [label={arc.weight}]" if arc.weight > 1 else ""
-        lines.append(f"  {quoted(arc.source)} -> {quoted(arc.target)}{weight};")
+        # A cycle would make Graphviz place what comes later first.
+        back = " [constraint=false]" if (arc.source, arc.target) in machine.time_order.back else ""
+        lines.append(f"  {quoted(arc.source)} -> {quoted(arc.target)}{weight}{back};")
     return "\n".join((*lines, "}", ""))
 
 
 def _cluster(machine: PetriNetMachine, step: Step, transitions: Mapping[int | None, list[str]], indent: str) -> Iterator[str]:
     yield f'{indent}subgraph cluster_{step.index} {{ label={quoted(str(step))}; color=gray; fontname="sans-serif";'
-    yield from (f"{indent}  {_place(machine, place, f'{step} ')}" for place in machine.blocks[step.index])
-    yield from (f"{indent}  {_transition(machine, name)}" for name in transitions[step.index])
+    when = machine.time_order.when
+    nodes = {place: (when[place], 0) for place in machine.blocks[step.index]}
+    for name in transitions[step.index]:
+        nodes[name] = max((nodes[place][0] for place in machine.net.inputs[name] if place in nodes), default=-1), 1
+    for node in sorted(nodes, key=nodes.__getitem__):  # Graphviz places first what stands first
+        yield f"{indent}  {_transition(machine, node) if node in machine.rules else _place(machine, node, f'{step} ')}"
     held = (region for region in machine.regions if region.owner == step.index)
     inner_places = dict.fromkeys(place for region in held for place in (*region.first, *region.last))
     yield from (f"{indent}  {_place(machine, place)}" for place in inner_places)

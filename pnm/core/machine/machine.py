@@ -23,6 +23,7 @@ from pnm.core.machine.plan_graph import Cause, Ordering, PlanGraph
 from pnm.core.machine.requests import OutcomeKind
 from pnm.core.net.firing_engine import CompiledNet
 from pnm.core.net.net import Marking, PetriNet
+from pnm.core.net.time_order import TimeOrder, time_order
 
 # --- guards --------------------------------------------------------------------------------
 
@@ -346,6 +347,12 @@ class PetriNetMachine:
     def compiled(self) -> CompiledNet:
         """The net over integers, made once and shared by all runs."""
         return CompiledNet(self.net)
+
+    @cached_property
+    def time_order(self) -> TimeOrder:
+        """The order of time of its places, in which pictures have them."""
+        (start,) = (place for place in self.initial if place not in self.record_places)
+        return time_order(self.net, start, self.record_places)
 
     def __repr__(self) -> str:
         return f"<PetriNetMachine {len(self.plan.calls)} calls, {len(self.net.places)} places, {len(self.net.inputs)} transitions>"
