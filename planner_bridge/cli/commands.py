@@ -191,6 +191,7 @@ def net(
     from pnm.core.machine.export import to_dot, to_json
     from pnm.core.machine.generate import generate
     from pnm.core.machine.verification.verify import verify
+    from pnm.core.pictures.net_picture import net_svg
     from pnm.core.pictures.plan_dot import plan_dot
     from pnm.core.pictures.plan_picture import plan_svg
 
@@ -219,7 +220,7 @@ def net(
         case "dot", "net":
             text = to_dot(machine)
         case "svg", "net":
-            raise InputError("the whole net is written as dot or json")
+            text = net_svg(machine)
         case _:
             text = plan_svg(machine.plan) if written_as == "svg" else plan_dot(machine.plan)
     write(output, text, force=force)

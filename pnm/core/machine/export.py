@@ -16,7 +16,7 @@ from typing import Any
 from pnm.core.machine.machine import Guard, PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, Step, flows
 
-_COLOURS = {
+COLOURS = {
     "goal": "#2e7d32",
     "failure": "#c62828",
     "restart": "#ef6c00",
@@ -25,6 +25,7 @@ _COLOURS = {
     "ordering": "#1565c0",
     "": "#455a64",
 }
+"""Of places, by their roles."""
 
 _DOTS = 5
 """Tokens that are drawn as dots; more are counted."""
@@ -75,7 +76,7 @@ def _place(machine: PetriNetMachine, place: str, title: str = "") -> str:
         label = ""  # its arcs say which steps it connects
     tokens = machine.initial[place]
     label += " •" * tokens if tokens <= _DOTS else f" {tokens}"
-    return f"{quoted(place)} [shape=circle, label={quoted(label)}, color={quoted(_COLOURS[machine.role(place)])}];"
+    return f"{quoted(place)} [shape=circle, label={quoted(label)}, color={quoted(COLOURS[machine.role(place)])}];"
 
 
 def _transition(machine: PetriNetMachine, name: str) -> str:
@@ -107,7 +108,7 @@ def as_data(machine: PetriNetMachine) -> dict[str, Any]:
                 "name": name,
                 "event": rule.name,
                 "call": rule.call,
-                "guard": _guard(rule.guard),
+                "guard": guard_data(rule.guard),
                 "action": rule.action.name if rule.action else None,
             }
             for name, rule in machine.rules.items()
@@ -117,7 +118,8 @@ def as_data(machine: PetriNetMachine) -> dict[str, Any]:
     }
 
 
-def _guard(guard: Guard) -> dict[str, Any]:
+def guard_data(guard: Guard) -> dict[str, Any]:
+    """Return a guard as plain data: its kind, and what it asks about."""
     data: dict[str, Any] = {"kind": type(guard).__name__}
     for field in fields(guard):
         value = getattr(guard, field.name)

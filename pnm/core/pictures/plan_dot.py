@@ -34,7 +34,7 @@ def plan_dot(plan: PlanGraph) -> str:
 def _steps(flow: Flow, indent: str) -> Iterator[str]:
     """Yield steps in the order of time, which is the order in which Graphviz places them, and their arrows."""
     layout = laid_out(flow)
-    for cell in sorted(layout.cells.values(), key=lambda cell: (cell.column, cell.row)):
+    for cell in sorted(layout.cells.values(), key=lambda cell: (cell.line, cell.column, cell.row)):
         words = words_of(cell.step)
         label = f"{words.name}  #{cell.step.index}\n{cut(words.what, _LETTERS)}"
         yield f"{indent}{cell.step.index} [label={quoted(label)}, tooltip={quoted(words.whole)}];"

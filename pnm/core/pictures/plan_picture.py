@@ -13,8 +13,9 @@ from typing import Final
 
 from pnm.core.logic.expressions import fluent_text
 from pnm.core.machine.plan_graph import PlanGraph
-from pnm.core.pictures.plan_layout import COLUMNS, Arrow, Cell, PlanLayout, laid_out
+from pnm.core.pictures.plan_layout import Arrow, Cell, PlanLayout, laid_out
 from pnm.core.pictures.step_words import cut, facts_of, held, numbers, words_of
+from pnm.core.pictures.svg import picture
 
 _BOX: Final = (196, 46)
 """Width and height of a box, in pixels."""
@@ -48,16 +49,7 @@ def plan_svg(plan: PlanGraph, title: str = "") -> str:
             drawn.append(f'<path class="rule" d="M0 0H{width}"/><text x="8" y="16">{escape(name)}</text>')
         drawn += (*_section(layout, width), "</g>")
         height += 2 * _MARGIN[1] + max(layout.rows - 1, 0) * _PITCH[1] + _BOX[1] + max(layout.lines - 1, 0) * _BETWEEN
-    parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" height="{height}" role="img">',
-        f"<title>{escape(title or f'a plan of {len(plan.calls)} calls')}</title><style>{_STYLE}</style>",
-        '<defs><marker id="tip" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="7" markerHeight="7" orient="auto">'
-        '<path d="M0 0L8 4L0 8z" style="fill:#78909c;stroke:none"/></marker></defs>',
-        f'<rect width="{width}" height="{height}" style="fill:#fff;stroke:none"/>',
-        *drawn,
-        "</svg>",
-    ]
-    return "\n".join((*parts, ""))
+    return picture(title or f"a plan of {len(plan.calls)} calls", _STYLE, width, height, drawn)
 
 
 def _section(layout: PlanLayout, width: int) -> Iterator[str]:
@@ -74,7 +66,7 @@ def _section(layout: PlanLayout, width: int) -> Iterator[str]:
 
 def _corner(cell: Cell) -> tuple[int, int]:
     """Return where the upper left corner of the box of a cell is."""
-    x = _MARGIN[0] + cell.column % COLUMNS * _PITCH[0]
+    x = _MARGIN[0] + cell.column * _PITCH[0]
     return x, _MARGIN[1] + cell.row * _PITCH[1] + cell.line * _BETWEEN
 
 

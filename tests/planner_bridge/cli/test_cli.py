@@ -127,7 +127,14 @@ def test_an_unknown_planner_is_refused_with_those_there_are() -> None:
 
 @pytest.mark.parametrize(
     "written_as",
-    [["net"], ["net", "--format", "dot"], ["net", "--format", "svg"], ["net", "--format", "dot", "--level", "net"], ["plan"]],
+    [
+        ["net"],
+        ["net", "--format", "dot"],
+        ["net", "--format", "svg"],
+        ["net", "--format", "dot", "--level", "net"],
+        ["net", "--format", "svg", "--level", "net"],
+        ["plan"],
+    ],
     ids=" ".join,
 )
 def test_the_same_plan_is_written_in_the_same_bytes(tmp_path: Path, written_as: list[str]) -> None:

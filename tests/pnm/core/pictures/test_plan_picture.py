@@ -43,7 +43,8 @@ def test_every_step_has_a_place_of_its_own_behind_what_it_waits_for(graph: PlanG
         assert one.line >= other.line or one.row < other.row, "later ones are below"
     for ordering in graph.orderings:
         if ordering.after.moment is Moment.START:
-            assert cells[ordering.before.call].column < cells[ordering.after.call].column
+            before, after = cells[ordering.before.call], cells[ordering.after.call]
+            assert (before.line, before.column) < (after.line, after.column)
 
 
 @given(plans(most=8))
