@@ -7,7 +7,7 @@ step waits for, below it.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from html import escape
 from typing import Final
 
@@ -28,6 +28,8 @@ _LETTERS: Final = 30
 """Letters of a text in a box; longer ones are cut off, and are whole when they are pointed at."""
 _FACT: Final = 19
 """Letters of a fact at an arrow."""
+_FACTS: Final = 4
+"""Facts above each other where arrows end."""
 _NUMBERS: Final = _FACT - 4
 """Letters of the numbers of other steps."""
 _STYLE: Final = (
@@ -54,11 +56,10 @@ def plan_svg(plan: PlanGraph, title: str = "") -> str:
 
 def _section(layout: PlanLayout, width: int) -> Iterator[str]:
     yield from _rules(layout, width)
-    labels = Counter[int]()
-    for arrow in layout.arrows:
-        if not arrow.is_for_the_end and layout.cells[arrow.before].line == layout.cells[arrow.after].line:
-            yield from _arrow(layout, arrow, labels[arrow.after])
-            labels[arrow.after] += bool(arrow.protects)
+    cells = layout.cells
+    drawn = [arrow for arrow in layout.arrows if not arrow.is_for_the_end and cells[arrow.before].line == cells[arrow.after].line]
+    yield from _paths(layout, drawn)
+    yield from _facts(layout, drawn)
     yield from _numbered_arrows(layout)
     for cell in layout.cells.values():
         yield from _box(cell)
@@ -89,17 +90,39 @@ def _box(cell: Cell) -> Iterator[str]:
     yield f'<text x="{x + 8}" y="{y + 36}">{escape(cut(what, _LETTERS))}</text></g>'
 
 
-def _arrow(layout: PlanLayout, arrow: Arrow, labels: int) -> Iterator[str]:
-    """Yield an arrow between boxes of one line of columns, above as many labels as other arrows have there."""
-    (x1, y1), (x2, y2) = _corner(layout.cells[arrow.before]), _corner(layout.cells[arrow.after])
-    (from_x, from_y), (to_x, to_y) = (x1 + _BOX[0], y1 + _BOX[1] // 2), (x2, y2 + _BOX[1] // 2)
-    facts = " ".join(map(fluent_text, arrow.protects))
-    yield f"<g><title>{escape(f'#{arrow.before} before #{arrow.after} {facts}'.strip())}</title>"
-    yield f'<path d="M{from_x} {from_y}C{from_x + 50} {from_y} {to_x - 50} {to_y} {to_x} {to_y}" marker-end="url(#tip)"/>'
-    if arrow.protects:
-        shown = facts_of(arrow.protects, _FACT)
-        yield f'<text class="fact" x="{to_x - 8}" y="{to_y - 5 - 11 * labels}" text-anchor="end">{escape(shown)}</text>'
-    yield "</g>"
+def _paths(layout: PlanLayout, arrows: Iterable[Arrow]) -> Iterator[str]:
+    """Yield arrows between boxes of one line of columns; where other boxes are in the way, they go between two rows."""
+    occupied = {(cell.row, cell.column) for cell in layout.cells.values()}
+    detours = Counter[int]()
+    for arrow in arrows:
+        before, after = layout.cells[arrow.before], layout.cells[arrow.after]
+        (x1, y1), (x2, y2) = _corner(before), _corner(after)
+        (from_x, from_y), (to_x, to_y) = (x1 + _BOX[0], y1 + _BOX[1] // 2), (x2, y2 + _BOX[1] // 2)
+        between = range(before.column + 1, after.column)
+        if between and (before.row != after.row or any((after.row, column) in occupied for column in between)):
+            nearer = 3 * (detours[after.row] % 3)
+            channel = y2 - 12 + nearer if before.row <= after.row else y2 + _BOX[1] + 24 - nearer  # `ends after` is nearer still
+            detours[after.row] += 1
+            way = f"C{from_x + 40} {from_y} {from_x + 20} {channel} {from_x + 58} {channel}H{to_x - 58}C{to_x - 20} {channel} {to_x - 40}"
+        else:
+            way = f"C{from_x + 50} {from_y} {to_x - 50}"
+        facts = " ".join(map(fluent_text, arrow.protects))
+        yield f"<g><title>{escape(f'#{arrow.before} before #{arrow.after} {facts}'.strip())}</title>"
+        yield f'<path d="M{from_x} {from_y}{way} {to_y} {to_x} {to_y}" marker-end="url(#tip)"/></g>'
+
+
+def _facts(layout: PlanLayout, arrows: Iterable[Arrow]) -> Iterator[str]:
+    """Yield the facts of arrows, above each other where these end; the last one there is room for counts the others."""
+    coming: dict[int, list[Arrow]] = {}
+    for arrow in arrows:
+        if arrow.protects:
+            coming.setdefault(arrow.after, []).append(arrow)
+    for index, together in coming.items():
+        x, y = _corner(layout.cells[index])
+        for number, arrow in enumerate(together[:_FACTS]):
+            others = [fact for other in together[_FACTS - 1 :] for fact in other.protects] if number == _FACTS - 1 else list(arrow.protects)
+            at = y + _BOX[1] // 2 - 5 - 11 * number
+            yield f'<text class="fact" x="{x - 8}" y="{at}" text-anchor="end">{escape(facts_of(tuple(others), _FACT))}</text>'
 
 
 def _numbered_arrows(layout: PlanLayout) -> Iterator[str]:

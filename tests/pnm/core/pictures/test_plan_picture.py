@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from itertools import combinations
 from pathlib import Path
@@ -12,7 +13,7 @@ from xml.etree import ElementTree
 
 from hypothesis import given
 
-from pnm.core.machine.plan_graph import Moment, PlanGraph
+from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
 from pnm.core.pictures.plan_layout import COLUMNS, laid_out
 from pnm.core.pictures.plan_picture import plan_svg
 from tests.pnm.core.pictures.examples import nested_plan, two_robots
@@ -72,6 +73,44 @@ def test_boxes_lie_side_by_side_inside_the_picture(graph: PlanGraph) -> None:
     assert len(corners) == len(graph.calls)
     assert all(abs(x1 - x2) > 196 or abs(y1 - y2) > 46 for (x1, y1), (x2, y2) in combinations(corners, 2))
     assert all(0 <= x <= int(root.get("width", "")) - 196 and 0 <= y <= int(root.get("height", "")) - 46 for x, y in corners)
+
+
+def points(path: str) -> list[tuple[float, float]]:
+    """Points of a path of moves, curves and horizontal lines."""
+    found: list[tuple[float, float]] = []
+    for command, text in re.findall(r"([MCH])([^MCH]+)", path):
+        numbers = [float(number) for number in text.split()]
+        if command == "M":
+            found.append((numbers[0], numbers[1]))
+        elif command == "H":
+            found += [(found[-1][0] + (numbers[0] - found[-1][0]) * step / 50, found[-1][1]) for step in range(51)]
+        else:
+            corners = [found[-1], *zip(numbers[::2], numbers[1::2], strict=True)]
+            for t in (step / 50 for step in range(51)):
+                shares = ((1 - t) ** 3, 3 * (1 - t) ** 2 * t, 3 * (1 - t) * t**2, t**3)
+                x, y = (sum(share * corner[axis] for share, corner in zip(shares, corners, strict=True)) for axis in (0, 1))
+                found.append((x, y))
+    return found
+
+
+@given(plans(most=12))
+def test_no_arrow_goes_through_a_box(graph: PlanGraph) -> None:
+    svg = plan_svg(graph)
+    arrows = [path.get("d", "") for path in ElementTree.fromstring(svg).iter(f"{SVG}path") if path.get("marker-end")]
+    for x, y in (point for arrow in arrows for point in points(arrow)):
+        assert not any(left < x < left + 196 and top < y < top + 46 for left, top in boxes(svg))
+
+
+def test_what_there_is_no_room_for_is_counted_where_arrows_end() -> None:
+    calls = plan(7).calls
+    orders = (Ordering(PlanEvent(number, Moment.END), PlanEvent(6, Moment.START), (("done", f"a{number}"),)) for number in range(6))
+    svg = plan_svg(PlanGraph(calls, tuple(orders)))
+    assert [text.text for text in ElementTree.fromstring(svg).iter(f"{SVG}text") if text.get("class") == "fact"] == [
+        "(done a0)",
+        "(done a1)",
+        "(done a2)",
+        "(done a3) +2",
+    ]
 
 
 def test_a_long_plan_goes_on_below_with_numbers_at_both_ends() -> None:
