@@ -17,6 +17,7 @@ from enum import Enum, StrEnum
 from functools import cached_property
 from typing import NamedTuple, TypeAlias
 
+from pnm.core import notebook
 from pnm.core.logic.conditions import Condition
 from pnm.core.machine.bindings import is_open
 from pnm.core.machine.plan_graph import Cause, Moment, Ordering, PlanGraph
@@ -360,6 +361,9 @@ class PetriNetMachine:
         # Tokens that ends wait for come into the middle of a block, which begins elsewhere.
         awaited = {place for place, ordering in self.orderings.items() if ordering.after.moment is Moment.END}
         return time_order(self.net, self.start_place, self.record_places | awaited)
+
+    def _repr_svg_(self) -> str | None:
+        return notebook.MACHINE.draw(self)
 
     def __repr__(self) -> str:
         return f"<PetriNetMachine {len(self.plan.calls)} calls, {len(self.net.places)} places, {len(self.net.inputs)} transitions>"
