@@ -57,6 +57,8 @@ if TYPE_CHECKING:
     from pnm.core.pictures.net_picture import net_svg as net_svg
     from pnm.core.pictures.plan_dot import plan_dot as plan_dot
     from pnm.core.pictures.plan_picture import plan_svg as plan_svg
+    from pnm.core.pictures.timeline import Timeline as Timeline
+    from pnm.core.pictures.timeline_picture import timeline_svg as timeline_svg
     from pnm.errors import InputError as InputError
     from pnm.errors import NotEnabled as NotEnabled
     from pnm.errors import PnmError as PnmError

@@ -125,49 +125,6 @@ def test_an_unknown_planner_is_refused_with_those_there_are() -> None:
     assert done.stderr.startswith("there is no planner 'fastforward'; installed: ")
 
 
-@pytest.mark.parametrize(
-    "written_as",
-    [
-        ["net"],
-        ["net", "--format", "dot"],
-        ["net", "--format", "svg"],
-        ["net", "--format", "dot", "--level", "net"],
-        ["net", "--format", "svg", "--level", "net"],
-        ["plan"],
-    ],
-    ids=" ".join,
-)
-def test_the_same_plan_is_written_in_the_same_bytes(tmp_path: Path, written_as: list[str]) -> None:
-    one = pnm(*written_as, *DELIVERY)
-    pnm(*written_as, *DELIVERY, "-o", str(tmp_path / "net"))
-    assert one.returncode == 0
-    assert (tmp_path / "net").read_text() == one.stdout
-
-
-@pytest.mark.parametrize("written_as", ["dot", "svg"])
-def test_a_plan_and_its_machine_are_drawn_as_calls(written_as: str) -> None:
-    plan, net, calls = (
-        pnm(command, *DELIVERY, "--improve", "0", "--format", written_as, *more)
-        for command, more in (("plan", []), ("net", []), ("net", ["--level", "calls"]))
-    )
-    assert plan.stdout == net.stdout == calls.stdout
-    assert "(at r1 hall)" in plan.stdout
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        (["net", "--level", "calls"], "--format json has the whole net"),
-        (["plan", "--json", "--format", "svg"], "--json prints a plan as JSON; expected no --format"),
-        (["plan", "--json", "-o", "/dev/null"], "--json prints a plan as JSON; expected no --format"),
-    ],
-)
-def test_options_that_contradict_each_other_are_refused(given: list[str], words: str) -> None:
-    done = pnm(*given, *DELIVERY)
-    assert done.returncode == 2
-    assert done.stderr.startswith(words)
-
-
 def test_a_machine_as_json_has_everything_that_executes_it() -> None:
     machine = json.loads(pnm("net", *DELIVERY).stdout)
     assert machine["calls"][0]["name"] == "load(r1, parcel2, store)#0"

@@ -21,9 +21,8 @@ from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import PlanGraph
 from pnm.core.pictures.net_layout import Crossing, Standing, block_layouts
 from pnm.core.pictures.net_picture import net_svg
-from tests.pnm.core.pictures.examples import nested_plan, two_robots
 from tests.support.runs.control_flow import LARGE, SHAPES
-from tests.support.runs.plan_graphs import plan, plans
+from tests.support.runs.plan_graphs import nested_plan, plan, plans, two_robots
 
 GOLDEN = Path(__file__).parent / "golden" / "net.svg"
 SVG = "{http://www.w3.org/2000/svg}"

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pnm.core.machine.generate import generate
 from pnm.core.pictures.net_picture import net_svg
 from pnm.core.pictures.plan_picture import plan_svg
-from tests.pnm.core.pictures.examples import two_robots
-from tests.support.runs.plan_graphs import plan
+from tests.support.runs.plan_graphs import plan, two_robots
 
 
 def test_plans_and_machines_draw_themselves() -> None:

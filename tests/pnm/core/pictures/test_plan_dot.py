@@ -14,8 +14,7 @@ from hypothesis import given
 from pnm.core.machine.plan_graph import PlanGraph
 from pnm.core.pictures.plan_dot import plan_dot
 from pnm.core.pictures.plan_layout import laid_out
-from tests.pnm.core.pictures.examples import nested_plan, two_robots
-from tests.support.runs.plan_graphs import plan, plans
+from tests.support.runs.plan_graphs import nested_plan, plan, plans, two_robots
 
 GOLDEN = Path(__file__).parent / "golden" / "plan.dot"
 

@@ -16,8 +16,7 @@ from hypothesis import given
 from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
 from pnm.core.pictures.plan_layout import COLUMNS, laid_out
 from pnm.core.pictures.plan_picture import plan_svg
-from tests.pnm.core.pictures.examples import nested_plan, two_robots
-from tests.support.runs.plan_graphs import plan, plans
+from tests.support.runs.plan_graphs import nested_plan, plan, plans, two_robots
 
 GOLDEN = Path(__file__).parent / "golden" / "plan.svg"
 SVG = "{http://www.w3.org/2000/svg}"
