@@ -78,7 +78,7 @@ def net_svg(machine: PetriNetMachine, title: str = "") -> str:
     drawn = [f'<path class="rule" d="M0 {at:g}H{width:g}"/><text x="8" y="{at + 15:g}">{escape(name)}</text>' for name, at in titles]
     for placed in blocks.values():
         drawn += _block(machine, placed, stands)
-    return picture(title or f"a machine of {len(machine.plan.calls)} calls", _STYLE, width, height, drawn)
+    return picture("net", title or f"a machine of {len(machine.plan.calls)} calls", _STYLE, width, height, drawn)
 
 
 def _section(flow: Flow, layouts: Mapping[BlockKey, BlockLayout], top: float, group: int) -> Iterator[_Placed]:

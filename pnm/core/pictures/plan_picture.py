@@ -51,7 +51,7 @@ def plan_svg(plan: PlanGraph, title: str = "") -> str:
             drawn.append(f'<path class="rule" d="M0 0H{width}"/><text x="8" y="16">{escape(name)}</text>')
         drawn += (*_section(layout, width), "</g>")
         height += 2 * _MARGIN[1] + max(layout.rows - 1, 0) * _PITCH[1] + _BOX[1] + max(layout.lines - 1, 0) * _BETWEEN
-    return picture(title or f"a plan of {len(plan.calls)} calls", _STYLE, width, height, drawn)
+    return picture("plan", title or f"a plan of {len(plan.calls)} calls", _STYLE, width, height, drawn)
 
 
 def _section(layout: PlanLayout, width: int) -> Iterator[str]:

@@ -62,7 +62,7 @@ def timeline_svg(*timelines: Timeline) -> str:
         drawn += (f'<g transform="translate(0 {top:g})">', *parts, "</g>")
         width, top = max(width, wide), top + high
     title = timelines[0].goal if len(timelines) == 1 else f"{len(timelines)} tasks"
-    return picture(title, _STYLE, max(width, _LEFT + _WIDTH[0] + _RIGHT), max(top, _TOP), drawn)
+    return picture("timeline", title, _STYLE, max(width, _LEFT + _WIDTH[0] + _RIGHT), max(top, _TOP), drawn)
 
 
 def _task(timeline: Timeline) -> tuple[list[str], float, float]:
@@ -88,8 +88,9 @@ def _task(timeline: Timeline) -> tuple[list[str], float, float]:
     for lane, rows in lanes.items():
         parts.append(f'<path d="M0 {y}H{width:g}"/><text class="name" x="10" y="{y + 20}">{escape(cut(lane, 14))}</text>')
         for row in rows:
+            row.sort(key=_named_at)
             for bar, following in zip(row, [*row[1:], None], strict=True):
-                parts += _drawn(bar, y, scale, _begin(following) if following else span + _RIGHT / scale)
+                parts += _drawn(bar, y, scale, _named_at(following) if following else span + _RIGHT / scale)
             y += _ROW
     parts.append(f'<path d="M0 {bottom}H{width:g}"/>')
     words = [*_words(timeline, bars)]
@@ -129,6 +130,11 @@ def _begin(bar: _Bar) -> float:
     return min(part[0] for part in (bar.planned, bar.done) if part)
 
 
+def _named_at(bar: _Bar) -> float:
+    """Return where the name of a call begins: at what was done, if there is something."""
+    return bar.done[0] if bar.done else _begin(bar)
+
+
 def _meet(one: _Bar, other: _Bar, gap: float) -> bool:
     """Return whether bars of two calls would lie over each other, or be nearer than this."""
     pairs = ((one.planned, other.planned), (one.done, other.done))
@@ -163,17 +169,18 @@ def _drawn(bar: _Bar, y: float, scale: float, until: float) -> Iterator[str]:
         noted.append((call.attempts[-1].sent if call.attempts else _begin(bar), f"✗ {call.outcome}"))
     elif not call.attempts:
         noted.append((_begin(bar), call.outcome))
-    yield from _written("", y + 21.5, scale, [(bar.done[0] if bar.done else _begin(bar), call.name)], until)
+    yield from _written("", y + 21.5, scale, [(_named_at(bar), call.name)], until)
     yield from _written("words" if call.attempts else "far", y + 35, scale, noted, until)
     yield "</g>"
 
 
 def _written(kind: str, y: float, scale: float, words: Sequence[tuple[float, str]], until: float) -> Iterator[str]:
-    """Yield words at their times, as far as there is room until the next ones."""
+    """Yield words at their times, as far as there is room until the next ones; where there is none, their sign alone."""
     for (time, text), (following, _) in pairwise((*words, (until, ""))):
         letters = int((following - time) * scale / _LETTER)
-        if letters > 2:
-            yield f'<text class="{kind}" x="{_LEFT + time * scale + 3:g}" y="{y:g}">{escape(cut(text, letters))}</text>'
+        shown = cut(text, letters) if letters > 2 else text[:1] if kind else ""
+        if shown:
+            yield f'<text class="{kind}" x="{_LEFT + time * scale + 3:g}" y="{y:g}">{escape(shown)}</text>'
 
 
 def _look(attempt: Attempt) -> tuple[str, str]:

@@ -136,6 +136,17 @@ def test_every_call_is_drawn_once_or_named_and_no_bars_lie_over_each_other(timel
     assert svg.count('class="cut"') == sum(plan.replan is not None for plan in timeline.plans)
 
 
+def test_calls_that_are_later_than_planned_keep_their_names_and_each_failure_its_sign() -> None:
+    calls = (
+        TimedCall(0, "go(r1, a)", "r1", 0.0, 10.0, (Attempt(0.0, 20.0, DONE),), "succeeded"),
+        TimedCall(1, "go(r1, b)", "r1", 10.0, 10.0, (Attempt(20.0, 39.0, DONE),), "succeeded"),
+        TimedCall(2, "go(r1, c)", "r1", 20.0, 10.0, tuple(Attempt(39.0 + n / 10, 39.1 + n / 10, FAILED) for n in range(3)), "aborted"),
+    )
+    said = texts(timeline_svg(Timeline("g", (TimedPlan(0.0, calls),), 40.0)))
+    assert {call.name for call in calls} <= {*said}
+    assert sum(text.startswith("✗") and "failed" not in text for text in said) == 3
+
+
 def test_several_tasks_stand_below_each_other() -> None:
     one = timeline_svg(example())
     two = timeline_svg(example(), replace(example(), goal="other"))
