@@ -11,7 +11,7 @@ from itertools import combinations
 from pathlib import Path
 from xml.etree import ElementTree
 
-from hypothesis import given
+from hypothesis import example, given
 
 from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
 from pnm.core.pictures.plan_layout import COLUMNS, laid_out
@@ -93,6 +93,8 @@ def points(path: str) -> list[tuple[float, float]]:
 
 
 @given(plans(most=12))
+@example(plan(6, "0e<2s", "2e<4s", "1e<3s", "3e<5s", "0e<5s"))
+@example(plan(9, "0e<2s", "2e<4s", "4e<6s", "1e<3s", "3e<5s", "5e<7s", "1e<6s", "0e<8s", "1e<8s"))
 def test_no_arrow_goes_through_a_box(graph: PlanGraph) -> None:
     svg = plan_svg(graph)
     arrows = [path.get("d", "") for path in ElementTree.fromstring(svg).iter(f"{SVG}path") if path.get("marker-end")]
