@@ -7,6 +7,7 @@ connects a run to an `ActionClient`, a clock and knowledge.
 
 from typing import TYPE_CHECKING
 
+from pnm.core import notebook
 from pnm.files.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
@@ -53,7 +54,11 @@ if TYPE_CHECKING:
     from pnm.core.net.net import Marking as Marking
     from pnm.core.net.net import NetBuilder as NetBuilder
     from pnm.core.net.net import PetriNet as PetriNet
+    from pnm.core.pictures.net_picture import net_svg as net_svg
+    from pnm.core.pictures.plan_dot import plan_dot as plan_dot
     from pnm.core.pictures.plan_picture import plan_svg as plan_svg
+    from pnm.core.pictures.timeline import Timeline as Timeline
+    from pnm.core.pictures.timeline_picture import timeline_svg as timeline_svg
     from pnm.errors import InputError as InputError
     from pnm.errors import NotEnabled as NotEnabled
     from pnm.errors import PnmError as PnmError
@@ -61,3 +66,18 @@ if TYPE_CHECKING:
     from pnm.executor import Executor as Executor
 else:
     __all__, __getattr__, __dir__ = lazy_exports(__name__, __file__)
+
+
+def _plan_in_notebook(plan: "PlanGraph") -> str:
+    from pnm.core.pictures.plan_picture import plan_svg
+
+    return plan_svg(plan)
+
+
+def _machine_in_notebook(machine: "PetriNetMachine") -> str | None:
+    from pnm.core.pictures.net_picture import net_svg
+
+    return net_svg(machine) if len(machine.plan.calls) <= 50 else None  # a browser takes long for more
+
+
+notebook.PLAN.draw, notebook.MACHINE.draw = _plan_in_notebook, _machine_in_notebook

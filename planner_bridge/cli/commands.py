@@ -36,6 +36,7 @@ from planner_bridge.cli.options import (
     quiet_option,
     searching,
     sensing_option,
+    timeline_option,
     write,
 )
 from pnm.errors import InputError
@@ -80,17 +81,45 @@ def app() -> None:
     """Run robots from goals: PDDL goal, plan, Petri Net Machine, ROS 2 actions, and a new plan when something fails."""
 
 
-@app.command(epilog="Example: pnm plan domain.pddl problem.pddl --planner race")
+@app.command(epilog="Example: pnm plan domain.pddl problem.pddl --format svg -o plan.svg")
 @files
 @planning_within(0.04)  # people look, and no robot moves
+@click.option(
+    "--format",
+    "written_as",
+    type=click.Choice(["text", "dot", "svg"]),
+    default="text",
+    show_default=True,
+    help="dot and svg are pictures of its calls, and of what waits for what",
+)
+@output_options
 @as_json_option
 @command
-def plan(domain: Path, problem: Path, planner: str, planner_timeout: float, improve: float, as_json: bool) -> int:
+def plan(
+    *,
+    domain: Path,
+    problem: Path,
+    planner: str,
+    planner_timeout: float,
+    improve: float,
+    written_as: str,
+    output: Path | None,
+    force: bool,
+    as_json: bool,
+) -> int:
     """Find and print a plan."""
+    from planner_bridge.cli.console import SafeConsole
     from planner_bridge.model.plan import PlanningStatus
+    from planner_bridge.ordering.plan_to_graph import plan_graph
     from planner_bridge.planning.kairos import DEFAULT_PLANNER, IMPROVE
     from planner_bridge.planning.solve import solve
+    from pnm.core.pictures.plan_dot import plan_dot
+    from pnm.core.pictures.plan_picture import plan_svg
 
+    if as_json and (written_as != "text" or output):
+        raise InputError("--json prints a plan as JSON; expected no --format or --output with it")
+    if output:
+        check_output(output, force=force)
     loaded = problem_in(domain, problem, for_its_goal=True)
     with searching(planner, planner_timeout):
         result = solve(loaded, planner=planner, timeout=planner_timeout, improve=improve)
@@ -102,18 +131,20 @@ def plan(domain: Path, problem: Path, planner: str, planner_timeout: float, impr
         found = {"cost": result.plan.cost, "is_best": result.plan.is_best} if result.plan else {}
         fields = {"status": result.status.value, "message": result.message, "planner": result.planner, **found}
         print(json.dumps({**fields, "steps": steps if result.plan else None}))
-    elif result.plan:
-        print(f"plan     {result.plan}")
-        if result.planner != planner:
-            print(f"planner  {result.planner}")
-        if result.message:
-            print(f"note     {result.message}")
-        if improve < IMPROVE and planner == DEFAULT_PLANNER and result.plan.steps and not result.plan.is_best:
-            print(f"note     --improve {IMPROVE:g}, the default of pnm run, may find a better one")
+    elif result.plan is None:
+        SafeConsole(stderr=written_as != "text").print_reason("no plan:", result.reason)
+    elif written_as != "text":
+        graph = plan_graph(loaded, result.plan)
+        write(output, plan_svg(graph) if written_as == "svg" else plan_dot(graph), force=force)
     else:
-        from planner_bridge.cli.console import SafeConsole
-
-        SafeConsole().print_reason("no plan:", result.reason)
+        lines = [f"plan     {result.plan}"]
+        if result.planner != planner:
+            lines.append(f"planner  {result.planner}")
+        if result.message:
+            lines.append(f"note     {result.message}")
+        if improve < IMPROVE and planner == DEFAULT_PLANNER and result.plan.steps and not result.plan.is_best:
+            lines.append(f"note     --improve {IMPROVE:g}, the default of pnm run, may find a better one")
+        write(output, "\n".join((*lines, "")), force=force)
     return 0 if result.plan else 2 if result.status is PlanningStatus.INVALID else 1
 
 
@@ -125,7 +156,10 @@ def plan(domain: Path, problem: Path, planner: str, planner_timeout: float, impr
     type=click.Choice(["json", "dot", "svg"]),
     default="json",
     show_default=True,
-    help="json and dot have the whole net; svg is a picture of its calls, and of what waits for what",
+    help="json has everything; dot and svg are pictures",
+)
+@click.option(
+    "--level", type=click.Choice(["calls", "net"]), help="of a picture: calls, and what waits for what (default); or the whole net"
 )
 @output_options
 @click.option("-v", "--verbose", is_flag=True, help="list the transitions that can never fire, with the reason")
@@ -139,6 +173,7 @@ def net(
     plan_file: Path | None,
     name: str | None,
     written_as: str,
+    level: str | None,
     output: Path | None,
     force: bool,
     verbose: bool,
@@ -157,8 +192,12 @@ def net(
     from pnm.core.machine.export import to_dot, to_json
     from pnm.core.machine.generate import generate
     from pnm.core.machine.verification.verify import verify
+    from pnm.core.pictures.net_picture import net_svg
+    from pnm.core.pictures.plan_dot import plan_dot
     from pnm.core.pictures.plan_picture import plan_svg
 
+    if written_as == "json" and level == "calls":
+        raise InputError("--format json has the whole net, and its calls; expected --format dot or svg with --level calls")
     chosen = chosen_files(domain, problem, plan_file)
     if isinstance(chosen, Path):
         from planner_bridge.cli.run import machine_of
@@ -176,13 +215,15 @@ def net(
             return 1
         machine = generate(plan_graph(loaded, result.plan), bound)
     proof = verify(machine)
-    match written_as:
-        case "svg":
-            text = plan_svg(machine.plan)
-        case "dot":
-            text = to_dot(machine)
-        case _:
+    match written_as, level:
+        case "json", _:
             text = to_json(machine)
+        case "dot", "net":
+            text = to_dot(machine)
+        case "svg", "net":
+            text = net_svg(machine)
+        case _:
+            text = plan_svg(machine.plan) if written_as == "svg" else plan_dot(machine.plan)
     write(output, text, force=force)
     never = f"{len(proof.never)} of {len(machine.net.transitions)} transitions can never fire"
     print(f"proved {proof}; {never}{'' if verbose else ', -v lists them'}", *(proof.never if verbose else ()), sep="\n", file=sys.stderr)
@@ -218,6 +259,8 @@ def net(
     "--answer", "answers", metavar="NAME=VALUE", multiple=True, help="what people would answer, who are not asked then; several in turn"
 )
 @journal_options
+@timeline_option
+@force_option
 @click.option("-v", "--verbose", is_flag=True, help="print how large machines are, and how much was explored to prove them")
 @quiet_option
 @as_json_option
@@ -246,6 +289,8 @@ def run(
     answers: tuple[str, ...],
     journal: Place | None,
     durability: str,
+    timeline: Path | None,
+    force: bool,
     verbose: bool,
     quiet: bool,
     as_json: bool,
@@ -255,7 +300,7 @@ def run(
     With --plan, carry out a hand-written plan.
     """
     from planner_bridge.cli.options import Files, Output
-    from planner_bridge.cli.run import journal_choice, run_problem
+    from planner_bridge.cli.run import drawn, journal_choice, run_problem, run_written
     from planner_bridge.tasks.replanning import Limits
     from planner_bridge.tasks.settings import Settings
     from pnm.core.machine.machine import OnFailure
@@ -266,21 +311,20 @@ def run(
         raise InputError("--faults belongs to simulated robots; give it to `pnm simulate`")
     if sensing and actions != "ros2":
         raise InputError("--sensing describes topics and services of ROS 2; expected --actions ros2")
-    choice = journal_choice(journal, durability) if journal else None
-    others = Files(bindings, faults, knowledge, sensing, choice)
     output = Output.JSON if as_json else Output.ENDING if quiet else Output.NUMBERS if verbose else Output.EVENTS
     policy = OnFailure(on_failure) if on_failure else None
     limits = Limits(replans=replans, seconds=seconds, patience=patience)
     failing = policy or OnFailure.DRAIN
     settings = Settings(planner, planner_timeout, improve, limits=limits, on_failure=failing, ask_for_help=ask_for_help, sim_time=sim_time)
     chosen = chosen_files(domain, problem, plan_file)
-    if isinstance(chosen, Path):
-        from planner_bridge.cli.run import run_written
-
-        return run_written(chosen, name, given, answers, others, actions=actions, settings=settings, on_failure=policy, output=output)
-    if name or given or answers or knowledge:
+    if not isinstance(chosen, Path) and (name or given or answers or knowledge):
         raise InputError("--name, --set, --answer and --knowledge belong to hand-written plans; expected --plan and a file")
-    return run_problem(*chosen, others, actions=actions, settings=settings, output=output)
+    choice = journal_choice(journal, durability) if journal else None
+    with drawn(timeline, choice, force=force) as kept:
+        others = Files(bindings, faults, knowledge, sensing, kept)
+        if isinstance(chosen, Path):
+            return run_written(chosen, name, given, answers, others, actions=actions, settings=settings, on_failure=policy, output=output)
+        return run_problem(*chosen, others, actions=actions, settings=settings, output=output)
 
 
 @app.command(epilog="Example: pnm simulate domain.pddl problem.pddl --faults faults.yaml")

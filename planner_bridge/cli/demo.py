@@ -57,7 +57,7 @@ def show_delivery(console: SafeConsole) -> int:
     console.print_text("In the simulated world, which nobody but the simulation sees:")
     for part in conjuncts(problem.goal):
         console.print(f"         {part} is {'[green]true[/]' if world.holds(part) else '[red]false[/]'}", highlight=False)
-    advice = "pnm run DOMAIN PROBLEM with your own files, or pnm net DOMAIN PROBLEM --format dot to see a machine"
+    advice = "pnm run DOMAIN PROBLEM with your own files, or pnm plan DOMAIN PROBLEM --format svg -o plan.svg to see a plan"
     console.print_text(f"Next: {advice}.")
     return 0 if result.goal_reached and world.holds(problem.goal) else 1
 

@@ -17,10 +17,12 @@ from rich.console import Console
 from rich.text import Text
 
 from planner_bridge.cli.console import SafeConsole
-from planner_bridge.cli.options import command
+from planner_bridge.cli.options import check_output, command, force_option, timeline_option, write
 from planner_bridge.node.journal_place import latest_journal
 from planner_bridge.tasks.result import TASKS
+from planner_bridge.tasks.scheduling.task_timeline import timelines
 from pnm.core.knowledge_base import statement_text
+from pnm.core.pictures.timeline_picture import timeline_svg
 from pnm.errors import InputError
 from pnm.files.database.place import Place, place_of
 from pnm.journal.codec import Undecodable
@@ -34,17 +36,27 @@ from pnm.tasks import Code
 journal_argument = click.argument("journal", required=False)
 
 
-@click.command(epilog="Example: pnm replay tasks.journal --to 120")
+@click.command(epilog="Examples: pnm replay tasks.journal --to 120; pnm replay tasks.journal --timeline tasks.svg")
 @journal_argument
 @click.option("--to", "last", type=click.IntRange(1), help="the record after which to stop, and to print what was so then")
 @click.option("--json", "as_json", is_flag=True, help="print a JSON object per record, and nothing else")
+@timeline_option
+@force_option
 @command
-def replay(journal: str | None, last: int | None, as_json: bool) -> int:
+def replay(journal: str | None, last: int | None, as_json: bool, timeline: Path | None, force: bool) -> int:
     """Execute the runs of a journal again.
 
-    Step by step, without any robot; with --to also what was so after that record.
+    Step by step, without any robot; with --to also what was so after that record; with --timeline only to draw its tasks.
     Without JOURNAL it is that of the node on this computer that has written last.
     """
+    if timeline is not None:
+        if last or as_json:
+            raise InputError("--timeline draws all of the journal; expected no --to, and no --json")
+        check_output(timeline, force=force)
+        with _errors_of_journals():
+            told = timelines(_chosen(journal))
+        write(timeline, timeline_svg(*told), force=force)
+        return 0
     console = SafeConsole()
     state = Replay()
     with _errors_of_journals():

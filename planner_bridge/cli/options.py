@@ -145,6 +145,7 @@ journal_options = options(
         help="what the journal survives: the death of the process, or that of the computer, which is slower",
     ),
 )
+timeline_option = click.option("--timeline", type=FILE, help="a new SVG file: what was planned and done when, what failed, new plans")
 knowledge_option = click.option(
     "--knowledge", type=PlaceName(), help="SQLite file of the global knowledge, or postgresql://…, in place of what plans choose"
 )

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import click
 
 from planner_bridge.cli.console import ConsoleObserver, SafeConsole, print_result
-from planner_bridge.cli.options import GIVEN, Files, Output, faults_for, print_warnings, problem_in
+from planner_bridge.cli.options import GIVEN, Files, Output, check_output, faults_for, print_warnings, problem_in, write
 from planner_bridge.loading import bindings_for
 from planner_bridge.pipeline import Actions, achieve, carry_out
 from planner_bridge.planning.solve import check_planner
@@ -48,6 +51,22 @@ def journal_choice(place: Place, durability: str) -> JournalChoice:
     """Return the journal of a run; another process would go on with what the command was given here."""
     given = click.get_current_context().meta[GIVEN]
     return JournalChoice(place, Durability.of(durability), command=(os.getcwd(), *given))
+
+
+@contextmanager
+def drawn(timeline: Path | None, journal: JournalChoice | None, *, force: bool) -> Iterator[JournalChoice | None]:
+    """Draw the timeline of a run when it is over; yield its journal, which is kept no longer than that if it has none of its own."""
+    if timeline is None:
+        yield journal
+        return
+    from planner_bridge.tasks.scheduling.task_timeline import timelines  # here, because most runs are not drawn
+    from pnm.core.pictures.timeline_picture import timeline_svg
+
+    check_output(timeline, force=force)
+    with TemporaryDirectory(prefix="pnm-timeline-") as folder:
+        kept = journal or JournalChoice(Path(folder) / "run.journal")
+        yield kept
+        write(timeline, timeline_svg(*timelines(kept.place)[-1:]), force=force)
 
 
 def observer_for(output: Output, console: SafeConsole, settings: Settings, actions: Actions) -> TaskObserver:

@@ -14,7 +14,8 @@ EXAMPLES = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "python.md").read
 PRINTED = [
     ["True the goal holds", "load(r1, parcel2, store) succeeded 1"],
     ["PAUSED", "cancelled"],
-    ["arrows"],
+    ["7 arrows", "digraph plan {", "130 places"],
+    ["r1 load(r1, parcel2, store) 0.0 [0.0]", "8 bars of what was done"],
     ["switches switch_on ('hall',)", "True 2"],
     ["plan of", "attempt 1"],
 ]

@@ -16,7 +16,7 @@ from typing import Any
 from pnm.core.machine.machine import Guard, PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, Step, flows
 
-_COLOURS = {
+COLOURS = {
     "goal": "#2e7d32",
     "failure": "#c62828",
     "restart": "#ef6c00",
@@ -25,6 +25,7 @@ _COLOURS = {
     "ordering": "#1565c0",
     "": "#455a64",
 }
+"""Of places, by their roles."""
 
 _DOTS = 5
 """Tokens that are drawn as dots; more are counted."""
@@ -44,14 +45,20 @@ def to_dot(machine: PetriNetMachine) -> str:
     lines += (f"  {_transition(machine, name)}" for name in transitions[None])
     for arc in machine.net.arcs:
         weight = f" [label={arc.weight}]" if arc.weight > 1 else ""
-        lines.append(f"  {_quote(arc.source)} -> {_quote(arc.target)}{weight};")
+        # A cycle would make Graphviz place what comes later first.
+        back = " [constraint=false]" if (arc.source, arc.target) in machine.time_order.back else ""
+        lines.append(f"  {quoted(arc.source)} -> {quoted(arc.target)}{weight}{back};")
     return "\n".join((*lines, "}", ""))
 
 
 def _cluster(machine: PetriNetMachine, step: Step, transitions: Mapping[int | None, list[str]], indent: str) -> Iterator[str]:
-    yield f'{indent}subgraph cluster_{step.index} {{ label={_quote(str(step))}; color=gray; fontname="sans-serif";'
-    yield from (f"{indent}  {_place(machine, place, f'{step} ')}" for place in machine.blocks[step.index])
-    yield from (f"{indent}  {_transition(machine, name)}" for name in transitions[step.index])
+    yield f'{indent}subgraph cluster_{step.index} {{ label={quoted(str(step))}; color=gray; fontname="sans-serif";'
+    when = machine.time_order.when
+    nodes = {place: (when[place], 0) for place in machine.blocks[step.index]}
+    for name in transitions[step.index]:
+        nodes[name] = max((nodes[place][0] for place in machine.net.inputs[name] if place in nodes), default=-1), 1
+    for node in sorted(nodes, key=nodes.__getitem__):  # Graphviz places first what stands first
+        yield f"{indent}  {_transition(machine, node) if node in machine.rules else _place(machine, node, f'{step} ')}"
     held = (region for region in machine.regions if region.owner == step.index)
     inner_places = dict.fromkeys(place for region in held for place in (*region.first, *region.last))
     yield from (f"{indent}  {_place(machine, place)}" for place in inner_places)
@@ -69,15 +76,16 @@ def _place(machine: PetriNetMachine, place: str, title: str = "") -> str:
         label = ""  # its arcs say which steps it connects
     tokens = machine.initial[place]
     label += " •" * tokens if tokens <= _DOTS else f" {tokens}"
-    return f"{_quote(place)} [shape=circle, label={_quote(label)}, color={_quote(_COLOURS[machine.role(place)])}];"
+    return f"{quoted(place)} [shape=circle, label={quoted(label)}, color={quoted(COLOURS[machine.role(place)])}];"
 
 
 def _transition(machine: PetriNetMachine, name: str) -> str:
-    return f"{_quote(name)} [shape=box, height=0.2, label={_quote(machine.rules[name].name)}];"
+    return f"{quoted(name)} [shape=box, height=0.2, label={quoted(machine.rules[name].name)}];"
 
 
-def _quote(text: str) -> str:
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+def quoted(text: str) -> str:
+    """Return a text as Graphviz reads it."""
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'
 
 
 def to_json(machine: PetriNetMachine) -> str:
@@ -100,7 +108,7 @@ def as_data(machine: PetriNetMachine) -> dict[str, Any]:
                 "name": name,
                 "event": rule.name,
                 "call": rule.call,
-                "guard": _guard(rule.guard),
+                "guard": guard_data(rule.guard),
                 "action": rule.action.name if rule.action else None,
             }
             for name, rule in machine.rules.items()
@@ -110,7 +118,8 @@ def as_data(machine: PetriNetMachine) -> dict[str, Any]:
     }
 
 
-def _guard(guard: Guard) -> dict[str, Any]:
+def guard_data(guard: Guard) -> dict[str, Any]:
+    """Return a guard as plain data: its kind, and what it asks about."""
     data: dict[str, Any] = {"kind": type(guard).__name__}
     for field in fields(guard):
         value = getattr(guard, field.name)

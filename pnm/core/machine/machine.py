@@ -17,12 +17,14 @@ from enum import Enum, StrEnum
 from functools import cached_property
 from typing import NamedTuple, TypeAlias
 
+from pnm.core import notebook
 from pnm.core.logic.conditions import Condition
 from pnm.core.machine.bindings import is_open
-from pnm.core.machine.plan_graph import Cause, Ordering, PlanGraph
+from pnm.core.machine.plan_graph import Cause, Moment, Ordering, PlanGraph
 from pnm.core.machine.requests import OutcomeKind
 from pnm.core.net.firing_engine import CompiledNet
 from pnm.core.net.net import Marking, PetriNet
+from pnm.core.net.time_order import TimeOrder, time_order
 
 # --- guards --------------------------------------------------------------------------------
 
@@ -303,6 +305,12 @@ class PetriNetMachine:
     """The plan itself first."""
     on_failure: OnFailure = OnFailure.DRAIN
 
+    @cached_property
+    def start_place(self) -> str:
+        """The place of the only token that is no counter and no resource."""
+        (start,) = (place for place in self.initial if place not in self.record_places)
+        return start
+
     @property
     def goal_places(self) -> frozenset[str]:
         """P_g: the run has reached its goal when one of these is marked."""
@@ -346,6 +354,16 @@ class PetriNetMachine:
     def compiled(self) -> CompiledNet:
         """The net over integers, made once and shared by all runs."""
         return CompiledNet(self.net)
+
+    @cached_property
+    def time_order(self) -> TimeOrder:
+        """The order of time of its places, in which pictures have them."""
+        # Tokens that ends wait for come into the middle of a block, which begins elsewhere.
+        awaited = {place for place, ordering in self.orderings.items() if ordering.after.moment is Moment.END}
+        return time_order(self.net, self.start_place, self.record_places | awaited)
+
+    def _repr_svg_(self) -> str | None:
+        return notebook.MACHINE.draw(self)
 
     def __repr__(self) -> str:
         return f"<PetriNetMachine {len(self.plan.calls)} calls, {len(self.net.places)} places, {len(self.net.inputs)} transitions>"

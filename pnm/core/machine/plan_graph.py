@@ -16,6 +16,7 @@ from graphlib import CycleError, TopologicalSorter
 from math import inf
 from typing import Final, NamedTuple, TypeAlias
 
+from pnm.core import notebook
 from pnm.core.logic.computed_values import Data, KnowledgeOperation
 from pnm.core.logic.conditions import TRUE, Condition, names
 from pnm.core.logic.effects import Effects, names_written
@@ -356,6 +357,9 @@ class PlanGraph:
     @cached_property
     def _order(self) -> tuple[PlanEvent, ...]:
         return in_order(self.flow)
+
+    def _repr_svg_(self) -> str | None:
+        return notebook.PLAN.draw(self)
 
     def __repr__(self) -> str:
         return f"<PlanGraph {len(self.calls)} calls, {len(self.orderings)} orderings>"

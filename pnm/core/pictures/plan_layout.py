@@ -2,7 +2,7 @@
 
 Steps stand in columns: a step is one column behind the last of those that its start waits for. They stand in lanes, from top to
 bottom: a step follows one that it waits for in its lane, with as many arguments in common as possible, so that what one robot does is
-a line. After `COLUMNS` columns the picture goes on below, as a line of text does.
+a line. After so many columns as fit on paper the picture goes on below, as a line of text does.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pnm.core.logic.expressions import Fluent
 from pnm.core.machine.plan_graph import ActionCall, Flow, Moment, Step, in_order
 
 COLUMNS: Final = 5
-"""Columns beside each other."""
+"""Columns beside each other, where steps are boxes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,15 +23,12 @@ class Cell:
     """Where a step stands."""
 
     step: Step
+    line: int
+    """Which line of columns it is in, from 0."""
     column: int
-    """From 0, in the order of time."""
+    """From 0, within the line, in the order of time."""
     row: int
     """From 0, downwards; those of a line of columns follow those of the lines above."""
-
-    @property
-    def line(self) -> int:
-        """Which line of columns it is in."""
-        return self.column // COLUMNS
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,11 +64,16 @@ class PlanLayout:
     @property
     def columns(self) -> int:
         """How many columns are beside each other at most."""
-        return min(COLUMNS, 1 + max((cell.column for cell in self.cells.values()), default=-1))
+        return 1 + max((cell.column for cell in self.cells.values()), default=-1)
 
 
-def laid_out(flow: Flow) -> PlanLayout:
-    """Return the layout of the steps of a flow, without what they hold, and of the orderings that do not follow from others."""
+def laid_out(flow: Flow, across: int = COLUMNS) -> PlanLayout:
+    """Return the layout of the steps of a flow, without what they hold, and of the orderings that do not follow from others.
+
+    Args:
+        flow: the steps.
+        across: columns beside each other, at most.
+    """
     steps = {step.index: step for step in flow.steps}
     order = [event.call for event in in_order(flow) if event.moment is Moment.START]
     waits_for: dict[int, set[int]] = {index: set() for index in steps}
@@ -82,7 +84,7 @@ def laid_out(flow: Flow) -> PlanLayout:
     for index in order:
         columns[index] = 1 + max((columns[before] for before in waits_for[index]), default=-1)
     lanes = _lanes(sorted(order, key=columns.__getitem__), columns, waits_for, steps)
-    return PlanLayout(_cells(columns, lanes, steps), _arrows(flow, order, waits_for))
+    return PlanLayout(_cells(columns, lanes, steps, across), _arrows(flow, order, waits_for))
 
 
 def _lanes(order: list[int], columns: Mapping[int, int], waits_for: Mapping[int, set[int]], steps: Mapping[int, Step]) -> dict[int, int]:
@@ -105,16 +107,20 @@ def _arguments(step: Step) -> frozenset[str]:
     return frozenset(step.action.arguments) if isinstance(step, ActionCall) else frozenset()
 
 
-def _cells(columns: Mapping[int, int], lanes: Mapping[int, int], steps: Mapping[int, Step]) -> dict[int, Cell]:
+def _cells(columns: Mapping[int, int], lanes: Mapping[int, int], steps: Mapping[int, Step], across: int) -> dict[int, Cell]:
     """Return the cells: of the lanes, only those that a line of columns uses are rows of it."""
     used: dict[int, set[int]] = {}
     for index, column in columns.items():
-        used.setdefault(column // COLUMNS, set()).add(lanes[index])
+        used.setdefault(column // across, set()).add(lanes[index])
     rows: dict[tuple[int, int], int] = {}
     for line in sorted(used):
         for lane in sorted(used[line]):
             rows[line, lane] = len(rows)
-    return {index: Cell(steps[index], column, rows[column // COLUMNS, lanes[index]]) for index, column in columns.items()}
+    cells: dict[int, Cell] = {}
+    for index, column in columns.items():
+        line, place = divmod(column, across)
+        cells[index] = Cell(steps[index], line, place, rows[line, lanes[index]])
+    return cells
 
 
 def _arrows(flow: Flow, order: list[int], waits_for: Mapping[int, set[int]]) -> tuple[Arrow, ...]:

@@ -125,14 +125,6 @@ def test_an_unknown_planner_is_refused_with_those_there_are() -> None:
     assert done.stderr.startswith("there is no planner 'fastforward'; installed: ")
 
 
-@pytest.mark.parametrize("written_as", ["json", "dot", "svg"])
-def test_the_same_machine_is_written_in_the_same_bytes(tmp_path: Path, written_as: str) -> None:
-    one = pnm("net", *DELIVERY, "--format", written_as)
-    pnm("net", *DELIVERY, "--format", written_as, "-o", str(tmp_path / "net"))
-    assert one.returncode == 0
-    assert (tmp_path / "net").read_text() == one.stdout
-
-
 def test_a_machine_as_json_has_everything_that_executes_it() -> None:
     machine = json.loads(pnm("net", *DELIVERY).stdout)
     assert machine["calls"][0]["name"] == "load(r1, parcel2, store)#0"

@@ -10,7 +10,21 @@ from hypothesis import strategies as st
 from pnm.core.logic.conditions import TRUE, Condition, Holds
 from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import Constant, Fluent
-from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph, Step
+from pnm.core.machine.plan_graph import (
+    ActionCall,
+    Cause,
+    Choice,
+    Flow,
+    GroundAction,
+    Loop,
+    Moment,
+    Ordering,
+    PlanEvent,
+    PlanGraph,
+    Recovery,
+    Step,
+    Then,
+)
 
 _MOMENTS = {"s": Moment.START, "e": Moment.END}
 
@@ -45,6 +59,30 @@ def plan_of_steps(*steps: Step, orders: tuple[str, ...] = (), goal: Condition = 
 def plan_of(*actions: GroundAction, orders: tuple[str, ...] = (), goal: Condition = TRUE) -> PlanGraph:
     """A plan of these actions, with orderings by their numbers."""
     return plan_of_steps(*(ActionCall(index, action) for index, action in enumerate(actions)), orders=orders, goal=goal)
+
+
+def two_robots() -> PlanGraph:
+    """Two robots and six calls; one waits for the other, and the last one for both."""
+
+    def move(*arguments: str) -> GroundAction:
+        return GroundAction("move", arguments, ("robot", "from", "to"), duration=4.0)
+
+    calls = (
+        ActionCall(0, move("r1", "hall", "door")),
+        ActionCall(1, move("r2", "dock", "hall")),
+        *(ActionCall(2 + number, move("r1", f"place{number}", f"place{number + 1}")) for number in range(4)),
+    )
+    chain = (ordering(f"{2 + number}e<{3 + number}s", (("at", "r1", f"place{number + 1}"),)) for number in range(3))
+    return PlanGraph(calls, (ordering("0e<1s", (("free", "hall"), ("open", "door"))), ordering("0e<2s"), *chain))
+
+
+def nested_plan() -> PlanGraph:
+    """A loop, a choice, a recovery with a chain, and a text with what XML and Graphviz would read as their own."""
+    say = GroundAction("say", ("Hello & <bye>",), ("text",))
+    sorry = Recovery(frozenset({Cause.ABORTED}), Then.RETRY, Flow((ActionCall(3, say),)))
+    loop = Loop(4, Holds(("on",)), Flow((ActionCall(0, say),)), 3)
+    choice = Choice(5, Holds(("on",)), Flow((ActionCall(1, say),)), Flow((ActionCall(2, say, recoveries=(sorry,)),)))
+    return PlanGraph((loop, choice))
 
 
 def shown(graph: PlanGraph) -> list[str]:

@@ -5,47 +5,21 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from itertools import combinations
 from pathlib import Path
 from xml.etree import ElementTree
 
-from hypothesis import given
+from hypothesis import example, given
 
-from pnm.core.logic.conditions import Holds
-from pnm.core.machine.plan_graph import (
-    ActionCall,
-    Cause,
-    Choice,
-    Flow,
-    GroundAction,
-    Loop,
-    Moment,
-    Ordering,
-    PlanEvent,
-    PlanGraph,
-    Recovery,
-    Then,
-)
+from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
 from pnm.core.pictures.plan_layout import COLUMNS, laid_out
 from pnm.core.pictures.plan_picture import plan_svg
-from tests.support.runs.plan_graphs import plan, plans
-from tests.support.runs.simulated import move
+from tests.support.runs.plan_graphs import nested_plan, plan, plans, two_robots
 
 GOLDEN = Path(__file__).parent / "golden" / "plan.svg"
 SVG = "{http://www.w3.org/2000/svg}"
-
-
-def example() -> PlanGraph:
-    """Two robots and six calls; one waits for the other, and the last one for both."""
-    calls = (
-        ActionCall(0, move("r1", "hall", "door")),
-        ActionCall(1, move("r2", "dock", "hall")),
-        *(ActionCall(2 + number, move("r1", f"place{number}", f"place{number + 1}")) for number in range(4)),
-    )
-    chain = (Ordering(PlanEvent(2 + n, Moment.END), PlanEvent(3 + n, Moment.START), (("at", "r1", f"place{n + 1}"),)) for n in range(3))
-    free = Ordering(PlanEvent(0, Moment.END), PlanEvent(1, Moment.START), (("free", "hall"), ("open", "door")))
-    return PlanGraph(calls, (free, Ordering(PlanEvent(0, Moment.END), PlanEvent(2, Moment.START)), *chain))
 
 
 def boxes(svg: str) -> list[tuple[int, int]]:
@@ -55,7 +29,7 @@ def boxes(svg: str) -> list[tuple[int, int]]:
 
 
 def test_a_picture_is_drawn_as_it_ever_was() -> None:
-    assert plan_svg(example()) == GOLDEN.read_text(encoding="utf-8")
+    assert plan_svg(two_robots()) == GOLDEN.read_text(encoding="utf-8")
 
 
 @given(plans(most=8))
@@ -69,7 +43,8 @@ def test_every_step_has_a_place_of_its_own_behind_what_it_waits_for(graph: PlanG
         assert one.line >= other.line or one.row < other.row, "later ones are below"
     for ordering in graph.orderings:
         if ordering.after.moment is Moment.START:
-            assert cells[ordering.before.call].column < cells[ordering.after.call].column
+            before, after = cells[ordering.before.call], cells[ordering.after.call]
+            assert (before.line, before.column) < (after.line, after.column)
 
 
 @given(plans(most=8))
@@ -99,6 +74,46 @@ def test_boxes_lie_side_by_side_inside_the_picture(graph: PlanGraph) -> None:
     assert all(0 <= x <= int(root.get("width", "")) - 196 and 0 <= y <= int(root.get("height", "")) - 46 for x, y in corners)
 
 
+def points(path: str) -> list[tuple[float, float]]:
+    """Points of a path of moves, curves and horizontal lines."""
+    found: list[tuple[float, float]] = []
+    for command, text in re.findall(r"([MCH])([^MCH]+)", path):
+        numbers = [float(number) for number in text.split()]
+        if command == "M":
+            found.append((numbers[0], numbers[1]))
+        elif command == "H":
+            found += [(found[-1][0] + (numbers[0] - found[-1][0]) * step / 50, found[-1][1]) for step in range(51)]
+        else:
+            corners = [found[-1], *zip(numbers[::2], numbers[1::2], strict=True)]
+            for t in (step / 50 for step in range(51)):
+                shares = ((1 - t) ** 3, 3 * (1 - t) ** 2 * t, 3 * (1 - t) * t**2, t**3)
+                x, y = (sum(share * corner[axis] for share, corner in zip(shares, corners, strict=True)) for axis in (0, 1))
+                found.append((x, y))
+    return found
+
+
+@given(plans(most=12))
+@example(plan(6, "0e<2s", "2e<4s", "1e<3s", "3e<5s", "0e<5s"))
+@example(plan(9, "0e<2s", "2e<4s", "4e<6s", "1e<3s", "3e<5s", "5e<7s", "1e<6s", "0e<8s", "1e<8s"))
+def test_no_arrow_goes_through_a_box(graph: PlanGraph) -> None:
+    svg = plan_svg(graph)
+    arrows = [path.get("d", "") for path in ElementTree.fromstring(svg).iter(f"{SVG}path") if path.get("marker-end")]
+    for x, y in (point for arrow in arrows for point in points(arrow)):
+        assert not any(left < x < left + 196 and top < y < top + 46 for left, top in boxes(svg))
+
+
+def test_what_there_is_no_room_for_is_counted_where_arrows_end() -> None:
+    calls = plan(7).calls
+    orders = (Ordering(PlanEvent(number, Moment.END), PlanEvent(6, Moment.START), (("done", f"a{number}"),)) for number in range(6))
+    svg = plan_svg(PlanGraph(calls, tuple(orders)))
+    assert [text.text for text in ElementTree.fromstring(svg).iter(f"{SVG}text") if text.get("class") == "fact"] == [
+        "(done a0)",
+        "(done a1)",
+        "(done a2)",
+        "(done a3) +2",
+    ]
+
+
 def test_a_long_plan_goes_on_below_with_numbers_at_both_ends() -> None:
     graph = plan(COLUMNS + 1, *(f"{number}e<{number + 1}s" for number in range(COLUMNS)))
     svg = plan_svg(graph)
@@ -112,11 +127,7 @@ def test_an_end_that_waits_says_so() -> None:
 
 
 def test_what_loops_choices_and_recoveries_hold_is_drawn_below_them() -> None:
-    say = GroundAction("say", ("Hello & <bye>",), ("text",))
-    sorry = Recovery(frozenset({Cause.ABORTED}), Then.RETRY, Flow((ActionCall(3, say),)))
-    loop = Loop(4, Holds(("on",)), Flow((ActionCall(0, say),)), 3)
-    choice = Choice(5, Holds(("on",)), Flow((ActionCall(1, say),)), Flow((ActionCall(2, say, recoveries=(sorry,)),)))
-    svg = plan_svg(PlanGraph((loop, choice)))
+    svg = plan_svg(nested_plan())
     assert len(boxes(svg)) == 6
     for words in (
         "#4 is repeated while (on), 3 times at most",
@@ -135,4 +146,4 @@ def test_a_plan_without_calls_has_a_picture() -> None:
 
 
 if __name__ == "__main__" and "--write" in sys.argv:
-    GOLDEN.write_text(plan_svg(example()), encoding="utf-8")
+    GOLDEN.write_text(plan_svg(two_robots()), encoding="utf-8")
