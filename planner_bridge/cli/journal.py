@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.text import Text
 
 from planner_bridge.cli.console import SafeConsole
-from planner_bridge.cli.options import command
+from planner_bridge.cli.options import ViewingCommand, command, view_option
 from planner_bridge.node.journal_place import latest_journal
 from planner_bridge.tasks.result import TASKS
 from pnm.core.knowledge_base import statement_text
@@ -28,23 +28,29 @@ from pnm.journal.kept import JournalError
 from pnm.journal.records import Happened, RunMade, TaskAccepted, TaskSummary
 from pnm.journal.replay import Replay, Step
 from pnm.journal.resume import command_of, replay_steps, summaries
+from pnm.journal.store import KeptJournal
 from pnm.journal.text import words
 from pnm.tasks import Code
 
 journal_argument = click.argument("journal", required=False)
 
 
-@click.command(epilog="Example: pnm replay tasks.journal --to 120")
+@click.command(cls=ViewingCommand, epilog="Examples: pnm replay tasks.journal --to 120; pnm replay tasks.journal --view")
 @journal_argument
 @click.option("--to", "last", type=click.IntRange(1), help="the record after which to stop, and to print what was so then")
 @click.option("--json", "as_json", is_flag=True, help="print a JSON object per record, and nothing else")
+@view_option
 @command
-def replay(journal: str | None, last: int | None, as_json: bool) -> int:
+def replay(journal: str | None, last: int | None, as_json: bool, view: int | None) -> int:
     """Execute the runs of a journal again.
 
-    Step by step, without any robot; with --to also what was so after that record.
+    Step by step, without any robot; with --to also what was so after that record; with --view on a page, until Ctrl-C.
     Without JOURNAL it is that of the node on this computer that has written last.
     """
+    if view is not None:
+        if last or as_json:
+            raise InputError("--view shows every record on a page; expected no --to, and no --json")
+        return _show(_chosen(journal), view)
     console = SafeConsole()
     state = Replay()
     with _errors_of_journals():
@@ -80,6 +86,18 @@ def history(journal: str | None, as_json: bool) -> int:
             _print_task(task, console)
     if not (tasks or as_json):
         console.print("no tasks", highlight=False)
+    return 0
+
+
+def _show(journal: Place, port: int) -> int:
+    """Show a journal on a page until Ctrl-C."""
+    from planner_bridge.view.serving import listening, serve_page, url_of  # here, because they are an extra
+
+    with _errors_of_journals():
+        KeptJournal(journal).close()  # which says what is wrong with it now
+    opened = listening(port)
+    print(f"view      {url_of(opened)}", file=sys.stderr, flush=True)
+    serve_page(journal, opened)
     return 0
 
 

@@ -12,7 +12,7 @@ from enum import Enum
 from functools import wraps
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec
+from typing import TYPE_CHECKING, Any, Final, ParamSpec
 
 import click
 
@@ -98,7 +98,21 @@ GIVEN = "given"
 """The key of what a command was given, in the `meta` of its context."""
 
 
-class RepeatableCommand(click.Command):
+VIEW_PORT: Final = 8421
+"""The port of the page, unless another one is chosen."""
+
+
+class ViewingCommand(click.Command):
+    """A command with `view_option`, whose port may be left out: what follows it is another argument then."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Give the page its port."""
+        named = zip(args, [*args[1:], ""], strict=True)
+        given = [f"--view={VIEW_PORT}" if one == "--view" and not after.isdecimal() else one for one, after in named]
+        return super().parse_args(ctx, given)
+
+
+class RepeatableCommand(ViewingCommand):
     """A command that knows what it was given, so that another process can be given the same."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
@@ -149,6 +163,12 @@ knowledge_option = click.option(
     "--knowledge", type=PlaceName(), help="SQLite file of the global knowledge, or postgresql://…, in place of what plans choose"
 )
 sensing_option = click.option("--sensing", type=FILE, help="topics and services of ROS 2 that report the state of the world")
+view_option = click.option(
+    "--view",
+    metavar="[PORT]",
+    type=click.IntRange(0, 65535),
+    help=f"show it on a page in a browser; by default at port {VIEW_PORT}, 0 for any",
+)
 faults_option = click.option("--faults", type=FILE, help="what goes wrong in simulation")
 
 

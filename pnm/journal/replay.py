@@ -167,6 +167,10 @@ class Replay:
         """The tasks that have not ended."""
         return tuple(task for task in self.tasks.values() if task.ending is None)
 
+    def source_of(self, made: RunMade) -> MachineSource:
+        """Return what the machine of a run was generated from."""
+        return self._machines[made.machine][0]
+
     def forget(self) -> None:
         """Forget what was in segments before the one that has just begun."""
         self.runs, self.tasks, self.requests, self._machines = {}, {}, {}, {}

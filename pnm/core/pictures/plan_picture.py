@@ -1,5 +1,7 @@
 """Picture of a plan as SVG: a box per step in the order of time, an arrow where one waits for another, with the fact it waits for.
 
+A box has the number of its step in `data-step`, and all looks are classes: a page that shows the picture gives it its own.
+
 Arrows to another line of columns are written as numbers, `→ #7` behind the one and `#3 →` before the other; so is what the end of a
 step waits for, below it.
 """
@@ -29,12 +31,18 @@ _FACT: Final = 19
 _STYLE: Final = (
     "text{font:11px sans-serif;fill:#263238}.name{font-weight:bold;font-size:12px}.fact{font-size:9.5px;fill:#1565c0;"
     "paint-order:stroke;stroke:#fff;stroke-width:3px}.far{font-size:9.5px;fill:#546e7a}rect{fill:#eceff1;stroke:#546e7a}"
-    "path{fill:none;stroke:#78909c}.rule{stroke:#cfd8dc}"
+    "path{fill:none;stroke:#78909c}.rule{stroke:#cfd8dc}.tip{fill:#78909c;stroke:none}.paper{fill:#fff;stroke:none}"
 )
 
 
-def plan_svg(plan: PlanGraph, title: str = "") -> str:
-    """Return the picture of a plan, and below it that of what its steps hold; the same plan gives the same text."""
+def plan_svg(plan: PlanGraph, title: str = "", *, style: str = _STYLE) -> str:
+    """Return the picture of a plan, and below it that of what its steps hold; the same plan gives the same text.
+
+    Args:
+        plan: the plan.
+        title: what the picture is called.
+        style: its looks, as CSS; empty where it is part of a page that has looks for it.
+    """
     sections = [("", laid_out(plan.flow)), *((name, laid_out(flow)) for step in plan.every_step for name, flow in _held(step))]
     columns = max(1, *(layout.columns for _, layout in sections))
     width = 2 * _MARGIN[0] + (columns - 1) * _PITCH[0] + _BOX[0]
@@ -47,10 +55,10 @@ def plan_svg(plan: PlanGraph, title: str = "") -> str:
         height += 2 * _MARGIN[1] + max(layout.rows - 1, 0) * _PITCH[1] + _BOX[1] + max(layout.lines - 1, 0) * _BETWEEN
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" height="{height}" role="img">',
-        f"<title>{escape(title or f'a plan of {len(plan.calls)} calls')}</title><style>{_STYLE}</style>",
+        f"<title>{escape(title or f'a plan of {len(plan.calls)} calls')}</title>{style and f'<style>{style}</style>'}",
         '<defs><marker id="tip" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="7" markerHeight="7" orient="auto">'
-        '<path d="M0 0L8 4L0 8z" style="fill:#78909c;stroke:none"/></marker></defs>',
-        f'<rect width="{width}" height="{height}" style="fill:#fff;stroke:none"/>',
+        '<path class="tip" d="M0 0L8 4L0 8z"/></marker></defs>',
+        f'<rect class="paper" width="{width}" height="{height}"/>',
         *drawn,
         "</svg>",
     ]
@@ -106,7 +114,8 @@ def _rules(layout: PlanLayout, width: int) -> Iterator[str]:
 
 def _box(cell: Cell) -> Iterator[str]:
     (x, y), (name, what, whole) = _corner(cell), _words(cell.step)
-    yield f'<g><title>{escape(whole)}</title><rect x="{x}" y="{y}" width="{_BOX[0]}" height="{_BOX[1]}" rx="6"/>'
+    yield f'<g data-step="{cell.step.index}"><title>{escape(whole)}</title>'
+    yield f'<rect x="{x}" y="{y}" width="{_BOX[0]}" height="{_BOX[1]}" rx="6"/>'
     yield f'<text class="name" x="{x + 8}" y="{y + 19}">{escape(_cut(name, _LETTERS - 8))}</text>'
     yield f'<text class="far" x="{x + _BOX[0] - 6}" y="{y + 19}" text-anchor="end">#{cell.step.index}</text>'
     yield f'<text x="{x + 8}" y="{y + 36}">{escape(_cut(what, _LETTERS))}</text></g>'
