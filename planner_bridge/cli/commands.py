@@ -36,6 +36,7 @@ from planner_bridge.cli.options import (
     quiet_option,
     searching,
     sensing_option,
+    view_option,
     write,
 )
 from pnm.errors import InputError
@@ -218,6 +219,7 @@ def net(
     "--answer", "answers", metavar="NAME=VALUE", multiple=True, help="what people would answer, who are not asked then; several in turn"
 )
 @journal_options
+@view_option
 @quiet_option
 @as_json_option
 @command
@@ -245,15 +247,16 @@ def run(
     answers: tuple[str, ...],
     journal: Place | None,
     durability: str,
+    view: int | None,
     quiet: bool,
     as_json: bool,
 ) -> int:
     """Plan, execute, and replan until the goal holds.
 
-    With --plan, carry out a hand-written plan.
+    With --plan, carry out a hand-written plan; with --view, show it on a page, until Ctrl-C.
     """
     from planner_bridge.cli.options import Files, Output
-    from planner_bridge.cli.run import journal_choice, run_problem
+    from planner_bridge.cli.run import journal_choice, run_problem, run_written, shown
     from planner_bridge.tasks.replanning import Limits
     from planner_bridge.tasks.settings import Settings
     from pnm.core.machine.machine import OnFailure
@@ -265,20 +268,19 @@ def run(
     if sensing and actions != "ros2":
         raise InputError("--sensing describes topics and services of ROS 2; expected --actions ros2")
     choice = journal_choice(journal, durability) if journal else None
-    others = Files(bindings, faults, knowledge, sensing, choice)
     output = Output.JSON if as_json else Output.ENDING if quiet else Output.EVENTS
     policy = OnFailure(on_failure) if on_failure else None
     limits = Limits(replans=replans, seconds=seconds, patience=patience)
     failing = policy or OnFailure.DRAIN
     settings = Settings(planner, planner_timeout, improve, limits=limits, on_failure=failing, ask_for_help=ask_for_help, sim_time=sim_time)
     chosen = chosen_files(domain, problem, plan_file)
-    if isinstance(chosen, Path):
-        from planner_bridge.cli.run import run_written
-
-        return run_written(chosen, name, given, answers, others, actions=actions, settings=settings, on_failure=policy, output=output)
-    if name or given or answers or knowledge:
+    if not isinstance(chosen, Path) and (name or given or answers or knowledge):
         raise InputError("--name, --set, --answer and --knowledge belong to hand-written plans; expected --plan and a file")
-    return run_problem(*chosen, others, actions=actions, settings=settings, output=output)
+    with shown(view, choice) as (kept, page):
+        others = Files(bindings, faults, knowledge, sensing, kept, page)
+        if isinstance(chosen, Path):
+            return run_written(chosen, name, given, answers, others, actions=actions, settings=settings, on_failure=policy, output=output)
+        return run_problem(*chosen, others, actions=actions, settings=settings, output=output)
 
 
 @app.command(epilog="Example: pnm simulate domain.pddl problem.pddl --faults faults.yaml")

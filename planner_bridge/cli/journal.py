@@ -96,7 +96,7 @@ def _show(journal: Place, port: int) -> int:
     with _errors_of_journals():
         KeptJournal(journal).close()  # which says what is wrong with it now
     opened = listening(port)
-    print(f"view      {url_of(opened)}", file=sys.stderr, flush=True)
+    print(f"view     {url_of(opened)}", file=sys.stderr, flush=True)
     serve_page(journal, opened)
     return 0
 

@@ -24,6 +24,7 @@ from pnm.files.database.place import Place, place_of
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from planner_bridge.view.process import PageProcess
     from pnm.actions.faults import Faults
     from pnm.journal.kept import JournalChoice
 
@@ -264,13 +265,14 @@ class Output(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Files:
-    """The files of a run besides its problem or plan, None for those that are not given."""
+    """The files of a run besides its problem or plan, and the page on which it is shown; None for what is not given."""
 
     bindings: Path | None = None
     faults: Path | None = None
     knowledge: Path | None = None
     sensing: Path | None = None
     journal: JournalChoice | None = None
+    page: PageProcess | None = None
 
 
 def faults_for(problem: Problem, file: Path | None) -> Faults:

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import click
 
@@ -16,8 +20,10 @@ from planner_bridge.pipeline import Actions, achieve, carry_out
 from planner_bridge.planning.solve import check_planner
 from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import Settings, TaskObserver
+from planner_bridge.view.process import PageProcess
 from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import NO_FAULTS, read_faults
+from pnm.clock import run_async
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.errors import InputError
@@ -27,6 +33,7 @@ from pnm.journal.kept import Durability, JournalChoice
 from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import NO_SENSING
 from pnm.language.plan import chosen_plan, read_plans
+from pnm.tasks import Code
 
 
 def run_problem(domain: Path, problem: Path, files: Files, *, actions: Actions, settings: Settings, output: Output) -> int:
@@ -41,7 +48,7 @@ def run_problem(domain: Path, problem: Path, files: Files, *, actions: Actions, 
     result = achieve(
         None, loaded, actions=actions, faults=faults, settings=settings, observer=observer, stopwatch=stopwatch, journal=files.journal
     )
-    return print_ending(result, console, output)
+    return print_ending(result, console, output, files.page)
 
 
 def journal_choice(place: Place, durability: str) -> JournalChoice:
@@ -55,12 +62,38 @@ def observer_for(output: Output, console: SafeConsole, settings: Settings) -> Ta
     return ConsoleObserver(console, settings.planner_timeout) if output is Output.EVENTS else TaskObserver()
 
 
-def print_ending(result: TaskResult, console: SafeConsole, output: Output) -> int:
-    """Print the result of a task, for people or as one JSON object; return the exit status."""
+@contextmanager
+def shown(port: int | None, journal: JournalChoice | None) -> Iterator[tuple[JournalChoice | None, PageProcess | None]]:
+    """Show a run on a page while this is entered; yield its journal, which is kept no longer than that if it has none, and the page."""
+    if port is None:
+        yield journal, None
+        return
+    with TemporaryDirectory(prefix="pnm-view-") as folder, PageProcess(port) as page:
+        print(f"view     {page.url}", file=sys.stderr, flush=True)
+        journal = journal or JournalChoice(Path(folder) / "run.journal")
+        page.follow(str(journal.place) if isinstance(journal.place, Path) else journal.place.text)
+        yield journal, page
+
+
+def _stay(page: PageProcess) -> None:
+    """Keep the page until a signal, such as Ctrl-C."""
+
+    async def stay() -> None:
+        print(f"view     {page.url} stays until Ctrl-C", file=sys.stderr, flush=True)
+        await page.ended()
+
+    with suppress(KeyboardInterrupt):
+        run_async(stay())
+
+
+def print_ending(result: TaskResult, console: SafeConsole, output: Output, page: PageProcess | None = None) -> int:
+    """Print the result of a task, for people or as one JSON object; keep its page, unless it was cancelled; return the exit status."""
     if output is Output.JSON:
         print(json.dumps(result.as_json(), default=str), flush=True)
     else:
         print_result(console, result)
+    if page and result.code is not Code.CANCELLED:
+        _stay(page)
     return 0 if result.goal_reached else 1
 
 
@@ -106,7 +139,7 @@ def run_written(
         warn=print_warnings,
         journal=files.journal,
     )
-    return print_ending(result, console, output)
+    return print_ending(result, console, output, files.page)
 
 
 def named_values(given: tuple[str, ...], option: str) -> list[tuple[str, object]]:

@@ -46,8 +46,8 @@ class Reader:
         self._story: Story | None = None
         self._rewritten = 0
         """How often records had been taken away when the story began."""
-        self._stuck = False
-        """Whether the next record cannot be replayed."""
+        self._stuck: PnmError | None = None
+        """Why the next record cannot be replayed, whenever it is tried."""
         self._view = View()
 
     def newest(self) -> View:
@@ -57,9 +57,7 @@ class Reader:
             try:
                 self._go_to(inf)
             except PnmError as error:
-                problem = str(error)
-            if problem and self._stuck:
-                problem = self._view.problem or problem
+                problem = f"after record {self._story.number}: {error}" if self._story else str(error)
             if self._story and (self._story.number, self._story.first) != (self._view.number, self._view.first):
                 self._view = view_of(self._story)
             if problem != self._view.problem:
@@ -98,9 +96,8 @@ class Reader:
         rewritten = kept.holding().rewritten
         if self._story is None or self._rewritten != rewritten or number < self._story.number:
             self._begin(kept, number)
-            self._rewritten, self._stuck = rewritten, False
-        if not self._stuck:
-            self._replay(kept, number)
+            self._rewritten, self._stuck = rewritten, None
+        self._replay(kept, number)
 
     def _begin(self, kept: KeptJournal, number: float) -> None:
         """Begin a story that reaches back to the beginning of the segment before that of a record."""
@@ -114,16 +111,18 @@ class Reader:
         done = self._story.number
         if done >= number:
             return
+        if self._stuck:
+            raise self._stuck
         try:
             for step in steps_after(kept, TASKS, self._story.apply, done):
                 done = step.number
                 if done >= number:
                     return
-        except PnmError:
+        except PnmError as error:
             if self._story.number != done:  # in the middle of a record: the story of those before it is told anew
                 self._begin(kept, done)
                 self._replay(kept, done)
-                self._stuck = True
+                self._stuck = error
             raise
 
 

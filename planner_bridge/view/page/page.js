@@ -200,6 +200,7 @@ function showWay(model) {
   way.min = first;
   way.max = last;
   way.value = model.number;
+  way.disabled = !live.number;
   way.setAttribute("aria-valuetext", `record ${model.number}, ${seconds(model.time - model.began)}`);
   $("where").textContent = `record ${model.number} of ${live.number} · ${seconds(model.time - model.began)}`;
   $("live").setAttribute("aria-pressed", String(!past));
