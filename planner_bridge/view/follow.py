@@ -146,7 +146,7 @@ class Feed:
         self._watching += 1
         try:
             self.view = await asyncio.to_thread(self._reader.newest)
-            if self._reading is None:
+            if self._reading is None or self._reading.done():
                 self._reading = asyncio.create_task(self._read())
             seen = None
             while not self._is_closed:

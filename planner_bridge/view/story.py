@@ -33,6 +33,7 @@ from pnm.journal.records import (
     MachineSource,
     Record,
     RunMade,
+    RunSucceeded,
     SharedBegan,
     TaskAccepted,
     TaskHeld,
@@ -178,6 +179,8 @@ class Story:
                 self._note_facts(step.record)
             case RunMade():
                 self._note_run(step.record)
+            case RunSucceeded(run, successor) if run in self.runs:
+                self._hand_over(self.runs[run], self.runs[successor])
             case Happened():
                 self._note_event(step.record, step)
             case TaskAccepted(wanted):
@@ -224,6 +227,13 @@ class Story:
         if task:
             task.runs.append(story)
             task.decision = None
+
+    def _hand_over(self, old: RunStory, new: RunStory) -> None:
+        """Note that a run goes on with requests of another one."""
+        run = new.replayed.run
+        for request, call in run.open_calls.items():
+            if sent := old.requests.pop(request.hex, None):
+                new.requests[request.hex] = replace(sent, run=run.id.hex, call=call.index)
 
     def _note_decision(self, task: TaskStory, decision: Decision) -> None:
         """Note why another run follows; one that succeeds another is there before that is kept."""

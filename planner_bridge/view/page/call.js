@@ -67,17 +67,17 @@ function checksOf(checks) {
   const sign = { true: "✓ true", false: "✕ false", unknown: "? unknown" };
   return el("table", {}, el("thead", {}, el("tr", {}, ...["when", "condition", "now", "known by"].map((text) => el("th", { scope: "col" }, text)))),
     el("tbody", {}, ...checks.map((check) => el("tr", { "data-truth": check.truth },
-      el("td", { class: "soft" }, check.when), el("td", { title: check.observed }, check.text), el("td", { class: "num" }, sign[check.truth]), el("td", { class: "soft" }, check.source)))));
+      el("td", { class: "soft" }, check.when), el("td", { title: check.observed }, check.text), el("td", { class: "num" }, sign[check.truth]), el("td", { class: "soft num" }, check.source)))));
 }
 
 const WAY = ["ready", "requested", "running", "finished", "done"];
-const BELOW = { withdrawing: 1, recover: 2, overdue: 2.5, suspending: 3, stopping: 3.5, settling: 3, returned: 2.5, ended: 3.5, failed: 4, budget: 0, spent: 0.55 };
+const BELOW = { budget: 0, spent: 0.45, withdrawing: 1.05, recover: 1.75, overdue: 2.3, settling: 2.85, stopping: 3.4, suspending: 2.85, returned: 2.3, ended: 3.4, failed: 4 };
 
 // The block of the call: its way from left to right, and below it what happens when something goes wrong.
 function netOf(detail) {
   const at = new Map();
   let others = 0;
-  const [stepX, first] = [96, 40];
+  const [stepX, first] = [104, 40];
   const used = new Set();
   for (const place of detail.places) {
     const name = place.name.replace(/^restarted /, "");

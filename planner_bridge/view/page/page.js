@@ -181,12 +181,15 @@ function showCallChoice(model, run, call) {
 }
 
 function fill(choice, options, value) {
-  const texts = options.map(([key, text]) => `${key} ${text}`).join("\n");
-  if (choice.dataset.texts !== texts) {
-    choice.dataset.texts = texts;
+  const old = choice.options;
+  if (old.length !== options.length || options.some(([key], place) => old[place].value !== key)) {
     choice.replaceChildren(...options.map(([key, text]) => el("option", { value: key }, text)));
+  } else {
+    options.forEach(([, text], place) => {
+      if (old[place].text !== text) old[place].text = text;
+    });
   }
-  choice.value = value;
+  if (choice.value !== value) choice.value = value;
 }
 
 function said(text, isBad = false) {
@@ -217,10 +220,9 @@ function showWay(model) {
 
 function showMarks(first, last) {
   const place = $("marks");
-  const width = place.clientWidth;
   const marks = [...live.events].filter(([, event]) => event.mark).map(([number, event]) => {
-    const x = 8 + ((Number(number) - first) / Math.max(1, last - first)) * (width - 16);
-    const mark = svg("text", { x, y: 13, "data-mark": event.mark, "data-record": number }, MARKS[event.mark], svg("title", {}, `record ${number}: ${event.lines[0]}`));
+    const x = (100 * (Number(number) - first)) / Math.max(1, last - first);
+    const mark = svg("text", { x: `${x.toFixed(2)}%`, y: 13, "data-mark": event.mark, "data-record": number }, MARKS[event.mark], svg("title", {}, `record ${number}: ${event.lines[0]}`));
     mark.addEventListener("click", () => go(Number(number)));
     return mark;
   });

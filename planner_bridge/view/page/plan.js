@@ -21,6 +21,7 @@ export async function showPlan(model, run, choose) {
     const answer = await fetch(`/picture?run=${run}&at=${model.number}`);
     if (!answer.ok) return;
     const picture = new DOMParser().parseFromString(await answer.text(), "image/svg+xml").documentElement;
+    picture.style.minWidth = `${Math.min(Number(picture.getAttribute("width")), 1000)}px`; // smaller than that, nobody can read it
     drawn = run;
     boxes = new Map([...picture.querySelectorAll("[data-step]")].map((box) => [Number(box.dataset.step), box]));
     for (const [index, box] of boxes) {
@@ -52,6 +53,6 @@ export function showStates(model, run, chosen) {
     const [x, y] = [Number(rect.getAttribute("x")), Number(rect.getAttribute("y"))];
     const sign = svg("text", { x, y: y + 4 }, SIGNS[call.state] ?? "·");
     box.append(svg("g", { class: "badge", "aria-hidden": "true" }, svg("circle", { cx: x, cy: y, r: 9 }), sign));
-    if (call.attempts > 1) box.lastChild.append(svg("text", { x: x + 22, y: y + 1 }, `${call.attempts}×`));
+    if (call.attempts > 1) box.lastChild.append(svg("text", { x: x + 22, y: y - 4 }, `${call.attempts}×`));
   }
 }

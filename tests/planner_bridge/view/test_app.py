@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -35,8 +36,7 @@ def test_the_page_and_its_files_come_with_what_keeps_them_among_themselves(url: 
 def test_the_page_needs_nothing_from_elsewhere() -> None:
     for file in PAGE.iterdir():
         text = file.read_text(encoding="utf-8").replace("http://www.w3.org/2000/svg", "")
-        assert "http" not in text, file
-        assert "//" not in text.replace("// ", ""), file
+        assert not re.search(r"""https?:|["'(]//|@import""", text), file
 
 
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", "localhost.evil.example:{port}"])

@@ -16,6 +16,7 @@ from pnm.core.machine.requests import Ended
 from pnm.journal.records import Happened, RunMade, TaskAccepted, TaskOver
 from pnm.journal.replay import Step
 from tests.support.e2e.page.journals import steps
+from tests.support.tasks.scenarios.random_scenarios import run_scenario
 
 FAILING = "move(r1, hall, kitchen)"
 
@@ -151,3 +152,19 @@ def test_there_is_no_detail_of_a_call_that_is_not_there(reader: Reader, records:
     run = next(iter(at(reader, records[-1]).runs))
     assert reader.at(records[-1].number, lambda story: detail(story, run, 99)) is None
     assert reader.at(records[-1].number, lambda story: detail(story, "0", 0)) is None
+
+
+@pytest.mark.parametrize("number", [0, 1, 2, 34, 40, 42, 51, 54, 65, 78])  # in most of them runs succeed others
+def test_every_request_ends_as_the_journal_says_also_one_that_another_run_has_taken_over(number: int, tmp_path: Path) -> None:
+    run_scenario(number, journal=tmp_path / "journal")
+    view, ends, runs = Reader(tmp_path / "journal").newest(), dict[str, str](), dict[str, str]()
+    for step in steps(tmp_path / "journal"):
+        if isinstance(step.record, Happened) and isinstance(step.record.event, Ended):
+            ends[step.record.event.request.hex], runs[step.record.event.request.hex] = (
+                step.record.event.outcome.kind.value,
+                step.record.run.hex,
+            )
+    for id, request in view.requests.items():
+        assert request.outcome == ends.get(id, "")
+        assert request.run == runs.get(id, request.run)
+        assert view.calls[f"{request.run}/{request.call}"].action == request.action
