@@ -16,7 +16,6 @@ import click
 
 from planner_bridge.cli.options import (
     FILE,
-    RepeatableCommand,
     Seconds,
     as_json_option,
     bindings_option,
@@ -27,23 +26,17 @@ from planner_bridge.cli.options import (
     files,
     files_or_plan,
     force_option,
-    journal_options,
-    knowledge_option,
     output_options,
     planning,
     planning_within,
     problem_in,
-    quiet_option,
     searching,
-    sensing_option,
-    timeline_option,
     write,
 )
 from pnm.errors import InputError
-from pnm.files.database.place import Place
 
 if TYPE_CHECKING:
-    from planner_bridge.pipeline import Actions
+    pass
 
 
 _ELSEWHERE: Final = {
@@ -52,6 +45,7 @@ _ELSEWHERE: Final = {
     "import": "convert",
     "init": "init",
     "schema": "convert",
+    "run": "run",
     "serve": "serve",
     "replay": "journal",
     "history": "journal",
@@ -228,103 +222,6 @@ def net(
     never = f"{len(proof.never)} of {len(machine.net.transitions)} transitions can never fire"
     print(f"proved {proof}; {never}{'' if verbose else ', -v lists them'}", *(proof.never if verbose else ()), sep="\n", file=sys.stderr)
     return 0
-
-
-@app.command(
-    cls=RepeatableCommand, epilog="Examples: pnm run domain.pddl problem.pddl --actions ros2; pnm run --plan tea.yaml --set guest=Ada"
-)
-@files_or_plan
-@click.option("--set", "given", metavar="NAME=VALUE", multiple=True, help="a parameter of that plan; the value as YAML")
-@click.option("--actions", type=click.Choice(["simulated", "ros2"]), default="simulated", show_default=True, help="who performs actions")
-@bindings_option
-@faults_option
-@knowledge_option
-@sensing_option
-@planning
-@click.option("--sim-time", is_flag=True, help="follow /clock, as nodes with use_sim_time do: a paused simulation pauses all limits")
-@click.option("--replans", type=click.IntRange(0), default=10, show_default=True, help="how many new machines may follow the first")
-@click.option(
-    "--patience", type=Seconds(0), default=0.0, show_default=True, help="seconds to wait for facts to change while there is no plan"
-)
-@click.option("--ask-for-help", is_flag=True, help="ask a person when the goal cannot be reached: 'try again' or 'give up'")
-@click.option(
-    "--seconds", type=Seconds(0), help="how long the goal is pursued; by default an hour, or thrice what the plan takes if longer"
-)
-@click.option(
-    "--on-failure",
-    type=click.Choice(["drain", "cancel", "continue_others"]),
-    help="what running actions do when one has failed; by default what a hand-written plan says, or else drain",
-)
-@click.option(
-    "--answer", "answers", metavar="NAME=VALUE", multiple=True, help="what people would answer, who are not asked then; several in turn"
-)
-@journal_options
-@timeline_option
-@force_option
-@click.option("-v", "--verbose", is_flag=True, help="print how large machines are, and how much was explored to prove them")
-@quiet_option
-@as_json_option
-@command
-def run(
-    *,
-    domain: Path | None,
-    problem: Path | None,
-    plan_file: Path | None,
-    name: str | None,
-    given: tuple[str, ...],
-    actions: Actions,
-    bindings: Path | None,
-    faults: Path | None,
-    knowledge: Path | None,
-    sensing: Path | None,
-    planner: str,
-    planner_timeout: float,
-    improve: float,
-    sim_time: bool,
-    replans: int,
-    patience: float,
-    ask_for_help: bool,
-    seconds: float | None,
-    on_failure: str | None,
-    answers: tuple[str, ...],
-    journal: Place | None,
-    durability: str,
-    timeline: Path | None,
-    force: bool,
-    verbose: bool,
-    quiet: bool,
-    as_json: bool,
-) -> int:
-    """Plan, execute, and replan until the goal holds.
-
-    With --plan, carry out a hand-written plan.
-    """
-    from planner_bridge.cli.options import Files, Output
-    from planner_bridge.cli.run import drawn, journal_choice, run_problem, run_written
-    from planner_bridge.tasks.replanning import Limits
-    from planner_bridge.tasks.settings import Settings
-    from pnm.core.machine.machine import OnFailure
-
-    if sim_time and actions != "ros2":
-        raise InputError("--sim-time follows /clock of ROS 2; expected --actions ros2")
-    if faults and actions == "ros2":
-        raise InputError("--faults belongs to simulated robots; give it to `pnm simulate`")
-    if sensing and actions != "ros2":
-        raise InputError("--sensing describes topics and services of ROS 2; expected --actions ros2")
-    output = Output.JSON if as_json else Output.ENDING if quiet else Output.NUMBERS if verbose else Output.EVENTS
-    policy = OnFailure(on_failure) if on_failure else None
-    limits = Limits(replans=replans, seconds=seconds, patience=patience)
-    failing = policy or OnFailure.DRAIN
-    settings = Settings(planner, planner_timeout, improve, limits=limits, on_failure=failing, ask_for_help=ask_for_help, sim_time=sim_time)
-    chosen = chosen_files(domain, problem, plan_file)
-    if not isinstance(chosen, Path) and (name or given or answers or knowledge):
-        raise InputError("--name, --set, --answer and --knowledge belong to hand-written plans; expected --plan and a file")
-    choice = journal_choice(journal, durability) if journal else None
-    with drawn(timeline, choice, force=force) as kept:
-        others = Files(bindings, faults, knowledge, sensing, kept)
-        if isinstance(chosen, Path):
-            return run_written(chosen, name, given, answers, others, actions=actions, settings=settings, on_failure=policy, output=output)
-        return run_problem(*chosen, others, actions=actions, settings=settings, output=output)
 
 
 @app.command(epilog="Example: pnm simulate domain.pddl problem.pddl --faults faults.yaml")

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.text import Text
 
 from planner_bridge.cli.console import SafeConsole
-from planner_bridge.cli.options import check_output, command, force_option, timeline_option, write
+from planner_bridge.cli.options import ViewingCommand, check_output, command, force_option, timeline_option, view_option, write
 from planner_bridge.node.journal_place import latest_journal
 from planner_bridge.tasks.result import TASKS
 from planner_bridge.tasks.scheduling.task_timeline import timelines
@@ -30,33 +30,39 @@ from pnm.journal.kept import JournalError
 from pnm.journal.records import Happened, RunMade, TaskAccepted, TaskSummary
 from pnm.journal.replay import Replay, Step
 from pnm.journal.resume import command_of, replay_steps, summaries
+from pnm.journal.store import KeptJournal
 from pnm.journal.text import words
 from pnm.tasks import Code
 
 journal_argument = click.argument("journal", required=False)
 
 
-@click.command(epilog="Examples: pnm replay tasks.journal --to 120; pnm replay tasks.journal --timeline tasks.svg")
+@click.command(cls=ViewingCommand, epilog="Examples: pnm replay tasks.journal --to 120; pnm replay tasks.journal --view")
 @journal_argument
 @click.option("--to", "last", type=click.IntRange(1), help="the record after which to stop, and to print what was so then")
 @click.option("--json", "as_json", is_flag=True, help="print a JSON object per record, and nothing else")
 @timeline_option
 @force_option
+@view_option
 @command
-def replay(journal: str | None, last: int | None, as_json: bool, timeline: Path | None, force: bool) -> int:
+def replay(journal: str | None, last: int | None, as_json: bool, timeline: Path | None, force: bool, view: int | None) -> int:
     """Execute the runs of a journal again.
 
-    Step by step, without any robot; with --to also what was so after that record; with --timeline only to draw its tasks.
-    Without JOURNAL it is that of the node on this computer that has written last.
+    Step by step, without any robot; with --to also what was so after that record. With --view instead on a page, until Ctrl-C, with
+    --timeline only to draw its tasks. Without JOURNAL it is that of the node on this computer that has written last.
     """
+    if (last or as_json) and (timeline or view is not None):
+        raise InputError("--view and --timeline show all of the journal; expected no --to, and no --json")
     if timeline is not None:
-        if last or as_json:
-            raise InputError("--timeline draws all of the journal; expected no --to, and no --json")
+        if view is not None:
+            raise InputError("expected --view or --timeline, not both")
         check_output(timeline, force=force)
         with _errors_of_journals():
             told = timelines(_chosen(journal))
         write(timeline, timeline_svg(*told), force=force)
         return 0
+    if view is not None:
+        return _show(_chosen(journal), view)
     console = SafeConsole()
     state = Replay()
     with _errors_of_journals():
@@ -95,9 +101,21 @@ def history(journal: str | None, as_json: bool) -> int:
     return 0
 
 
+def _show(journal: Place, port: int) -> int:
+    """Show a journal on a page until Ctrl-C."""
+    from planner_bridge.view.serving import listening, serve_page, url_of  # here, because they are an extra
+
+    with _errors_of_journals():
+        KeptJournal(journal).close()  # which says what is wrong with it now
+    opened = listening(port)
+    print(f"view     {url_of(opened)}", file=sys.stderr, flush=True)
+    serve_page(journal, opened)
+    return 0
+
+
 def resume_run(journal: Place) -> int:
     """Go on with the run that a journal has kept, with what its command was given, and end with its exit status."""
-    from planner_bridge.cli.commands import run  # here, because it looks up this module
+    from planner_bridge.cli.run import run  # here, because a look at a journal needs nothing of it
 
     with _errors_of_journals():
         tasks, (folder, *given) = summaries(journal, TASKS), command_of(journal, TASKS) or ("",)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import sys
 from collections.abc import Iterable
 from uuid import UUID
 
 from planner_bridge.cli.console import EventLines, SafeConsole
 from planner_bridge.cli.options import print_warnings
 from planner_bridge.node.node_log import NodeObserver, journal_words, standing_words
+from planner_bridge.view.process import PageProcess
 from pnm.core.machine.verification.verify import Proof
 from pnm.errors import Tolerated
 from pnm.tasks import Code, TaskEnding, TaskListener, Tasks, TraceEvent, shortened
@@ -60,6 +62,30 @@ class NodeConsole(NodeObserver):
     def configured(self, tasks: Tasks) -> None:
         """Print the events of tasks from now on."""
         tasks.listen(TaskConsole(self._console))
+
+
+class NodePage(NodeObserver):
+    """Shows a node on a page as soon as it is known which journal is its own, also while another process holds that.
+
+    Args:
+        page: where it is shown.
+        given: the journal as it was given on the command line, with the password that others leave out; empty for none.
+    """
+
+    def __init__(self, page: PageProcess, given: str) -> None:
+        self._page = page
+        self._given = given
+
+    def journalled(self, place: str, going_on: int) -> None:
+        """Show the journal."""
+        if place:
+            self._page.follow(self._given or place)
+        else:
+            print("view     there is no journal that could be shown", file=sys.stderr)
+
+    def standing_by(self, place: str, holder: str) -> None:
+        """Show the journal."""
+        self._page.follow(self._given or place)
 
 
 class TaskConsole(TaskListener):

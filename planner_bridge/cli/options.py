@@ -12,7 +12,7 @@ from enum import Enum
 from functools import wraps
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec
+from typing import TYPE_CHECKING, Any, Final, ParamSpec
 
 import click
 
@@ -24,6 +24,7 @@ from pnm.files.database.place import Place, place_of
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from planner_bridge.view.process import PageProcess
     from pnm.actions.faults import Faults
     from pnm.journal.kept import JournalChoice
 
@@ -98,7 +99,21 @@ GIVEN = "given"
 """The key of what a command was given, in the `meta` of its context."""
 
 
-class RepeatableCommand(click.Command):
+VIEW_PORT: Final = 8421
+"""The port of the page, unless another one is chosen."""
+
+
+class ViewingCommand(click.Command):
+    """A command with `view_option`, whose port may be left out: what follows it is another argument then."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Give the page its port."""
+        named = zip(args, [*args[1:], ""], strict=True)
+        given = [f"--view={VIEW_PORT}" if one == "--view" and not after.isdecimal() else one for one, after in named]
+        return super().parse_args(ctx, given)
+
+
+class RepeatableCommand(ViewingCommand):
     """A command that knows what it was given, so that another process can be given the same."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
@@ -150,6 +165,12 @@ knowledge_option = click.option(
     "--knowledge", type=PlaceName(), help="SQLite file of the global knowledge, or postgresql://…, in place of what plans choose"
 )
 sensing_option = click.option("--sensing", type=FILE, help="topics and services of ROS 2 that report the state of the world")
+view_option = click.option(
+    "--view",
+    metavar="[PORT]",
+    type=click.IntRange(0, 65535),
+    help=f"show it on a page in a browser; by default at port {VIEW_PORT}, 0 for any",
+)
 faults_option = click.option("--faults", type=FILE, help="what goes wrong in simulation")
 
 
@@ -246,13 +267,14 @@ class Output(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Files:
-    """The files of a run besides its problem or plan, None for those that are not given."""
+    """The files of a run besides its problem or plan, and the page on which it is shown; None for what is not given."""
 
     bindings: Path | None = None
     faults: Path | None = None
     knowledge: Path | None = None
     sensing: Path | None = None
     journal: JournalChoice | None = None
+    page: PageProcess | None = None
 
 
 def faults_for(problem: Problem, file: Path | None) -> Faults:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,14 +14,42 @@ from tempfile import TemporaryDirectory
 import click
 
 from planner_bridge.cli.console import ConsoleObserver, SafeConsole, print_result
-from planner_bridge.cli.options import GIVEN, Files, Output, check_output, faults_for, print_warnings, problem_in, write
+from planner_bridge.cli.options import (
+    GIVEN,
+    Files,
+    Output,
+    RepeatableCommand,
+    Seconds,
+    as_json_option,
+    bindings_option,
+    check_output,
+    chosen_files,
+    command,
+    faults_for,
+    faults_option,
+    files_or_plan,
+    force_option,
+    journal_options,
+    knowledge_option,
+    planning,
+    print_warnings,
+    problem_in,
+    quiet_option,
+    sensing_option,
+    timeline_option,
+    view_option,
+    write,
+)
 from planner_bridge.loading import bindings_for
 from planner_bridge.pipeline import Actions, achieve, carry_out
 from planner_bridge.planning.solve import check_planner
+from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import Settings, TaskObserver
+from planner_bridge.view.process import PageProcess
 from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import NO_FAULTS, read_faults
+from pnm.clock import run_async
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.errors import InputError
@@ -30,6 +59,100 @@ from pnm.journal.kept import Durability, JournalChoice
 from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import NO_SENSING
 from pnm.language.plan import chosen_plan, read_plans
+from pnm.tasks import Code
+
+
+@click.command(
+    cls=RepeatableCommand, epilog="Examples: pnm run domain.pddl problem.pddl --actions ros2; pnm run --plan tea.yaml --set guest=Ada"
+)
+@files_or_plan
+@click.option("--set", "given", metavar="NAME=VALUE", multiple=True, help="a parameter of that plan; the value as YAML")
+@click.option("--actions", type=click.Choice(["simulated", "ros2"]), default="simulated", show_default=True, help="who performs actions")
+@bindings_option
+@faults_option
+@knowledge_option
+@sensing_option
+@planning
+@click.option("--sim-time", is_flag=True, help="follow /clock, as nodes with use_sim_time do: a paused simulation pauses all limits")
+@click.option("--replans", type=click.IntRange(0), default=10, show_default=True, help="how many new machines may follow the first")
+@click.option(
+    "--patience", type=Seconds(0), default=0.0, show_default=True, help="seconds to wait for facts to change while there is no plan"
+)
+@click.option("--ask-for-help", is_flag=True, help="ask a person when the goal cannot be reached: 'try again' or 'give up'")
+@click.option(
+    "--seconds", type=Seconds(0), help="how long the goal is pursued; by default an hour, or thrice what the plan takes if longer"
+)
+@click.option(
+    "--on-failure",
+    type=click.Choice(["drain", "cancel", "continue_others"]),
+    help="what running actions do when one has failed; by default what a hand-written plan says, or else drain",
+)
+@click.option(
+    "--answer", "answers", metavar="NAME=VALUE", multiple=True, help="what people would answer, who are not asked then; several in turn"
+)
+@journal_options
+@timeline_option
+@force_option
+@view_option
+@click.option("-v", "--verbose", is_flag=True, help="print how large machines are, and how much was explored to prove them")
+@quiet_option
+@as_json_option
+@command
+def run(
+    *,
+    domain: Path | None,
+    problem: Path | None,
+    plan_file: Path | None,
+    name: str | None,
+    given: tuple[str, ...],
+    actions: Actions,
+    bindings: Path | None,
+    faults: Path | None,
+    knowledge: Path | None,
+    sensing: Path | None,
+    planner: str,
+    planner_timeout: float,
+    improve: float,
+    sim_time: bool,
+    replans: int,
+    patience: float,
+    ask_for_help: bool,
+    seconds: float | None,
+    on_failure: str | None,
+    answers: tuple[str, ...],
+    journal: Place | None,
+    durability: str,
+    timeline: Path | None,
+    force: bool,
+    view: int | None,
+    verbose: bool,
+    quiet: bool,
+    as_json: bool,
+) -> int:
+    """Plan, execute, and replan until the goal holds.
+
+    With --plan, carry out a hand-written plan; with --view, show it on a page, until Ctrl-C.
+    """
+    if sim_time and actions != "ros2":
+        raise InputError("--sim-time follows /clock of ROS 2; expected --actions ros2")
+    if faults and actions == "ros2":
+        raise InputError("--faults belongs to simulated robots; give it to `pnm simulate`")
+    if sensing and actions != "ros2":
+        raise InputError("--sensing describes topics and services of ROS 2; expected --actions ros2")
+    choice = journal_choice(journal, durability) if journal else None
+    output = Output.JSON if as_json else Output.ENDING if quiet else Output.NUMBERS if verbose else Output.EVENTS
+    policy = OnFailure(on_failure) if on_failure else None
+    limits = Limits(replans=replans, seconds=seconds, patience=patience)
+    failing = policy or OnFailure.DRAIN
+    settings = Settings(planner, planner_timeout, improve, limits=limits, on_failure=failing, ask_for_help=ask_for_help, sim_time=sim_time)
+    chosen = chosen_files(domain, problem, plan_file)
+    if not isinstance(chosen, Path) and (name or given or answers or knowledge):
+        raise InputError("--name, --set, --answer and --knowledge belong to hand-written plans; expected --plan and a file")
+    with looked_at(choice, view, timeline, force=force) as (kept, page):
+        others = Files(bindings, faults, knowledge, sensing, kept, page)
+        if isinstance(chosen, Path):
+            return run_written(chosen, name, given, answers, others, actions=actions, settings=settings, on_failure=policy, output=output)
+        return run_problem(*chosen, others, actions=actions, settings=settings, output=output)
 
 
 def run_problem(domain: Path, problem: Path, files: Files, *, actions: Actions, settings: Settings, output: Output) -> int:
@@ -44,7 +167,7 @@ def run_problem(domain: Path, problem: Path, files: Files, *, actions: Actions, 
     result = achieve(
         None, loaded, actions=actions, faults=faults, settings=settings, observer=observer, stopwatch=stopwatch, journal=files.journal
     )
-    return print_ending(result, console, output)
+    return print_ending(result, console, output, files.page)
 
 
 def journal_choice(place: Place, durability: str) -> JournalChoice:
@@ -54,19 +177,43 @@ def journal_choice(place: Place, durability: str) -> JournalChoice:
 
 
 @contextmanager
-def drawn(timeline: Path | None, journal: JournalChoice | None, *, force: bool) -> Iterator[JournalChoice | None]:
-    """Draw the timeline of a run when it is over; yield its journal, which is kept no longer than that if it has none of its own."""
-    if timeline is None:
-        yield journal
+def looked_at(
+    journal: JournalChoice | None, view: int | None, timeline: Path | None, *, force: bool
+) -> Iterator[tuple[JournalChoice | None, PageProcess | None]]:
+    """Show a run on a page while this is entered, and draw its timeline at the end.
+
+    Args:
+        journal: that of the run, if it has one; where it is looked at it has one in any case, which is kept no longer than this.
+        view: the port of the page; None without one.
+        timeline: the file of the timeline; None without one.
+        force: whether that file is replaced.
+
+    Yields:
+        The journal, and the page.
+    """
+    if view is None and timeline is None:
+        yield journal, None
         return
+    if timeline is not None:
+        check_output(timeline, force=force)
+    with ExitStack() as stack:
+        kept = journal or JournalChoice(Path(stack.enter_context(TemporaryDirectory(prefix="pnm-run-"))) / "run.journal")
+        page = None
+        if view is not None:
+            page = stack.enter_context(PageProcess(view))
+            print(f"view     {page.url}", file=sys.stderr, flush=True)
+            page.follow(str(kept.place) if isinstance(kept.place, Path) else kept.place.text)
+        yield kept, page
+        if timeline is not None:
+            _draw(kept, timeline, force=force)
+
+
+def _draw(journal: JournalChoice, timeline: Path, *, force: bool) -> None:
+    """Draw the timeline of the last task of a journal."""
     from planner_bridge.tasks.scheduling.task_timeline import timelines  # here, because most runs are not drawn
     from pnm.core.pictures.timeline_picture import timeline_svg
 
-    check_output(timeline, force=force)
-    with TemporaryDirectory(prefix="pnm-timeline-") as folder:
-        kept = journal or JournalChoice(Path(folder) / "run.journal")
-        yield kept
-        write(timeline, timeline_svg(*timelines(kept.place)[-1:]), force=force)
+    write(timeline, timeline_svg(*timelines(journal.place)[-1:]), force=force)
 
 
 def observer_for(output: Output, console: SafeConsole, settings: Settings, actions: Actions) -> TaskObserver:
@@ -77,12 +224,25 @@ def observer_for(output: Output, console: SafeConsole, settings: Settings, actio
     return ConsoleObserver(console, settings.planner_timeout, robots=robots, is_verbose=output is Output.NUMBERS)
 
 
-def print_ending(result: TaskResult, console: SafeConsole, output: Output) -> int:
-    """Print the result of a task, for people or as one JSON object; return the exit status."""
+def _stay(page: PageProcess) -> None:
+    """Keep the page until a signal, such as Ctrl-C."""
+
+    async def stay() -> None:
+        print(f"view     {page.url} stays until Ctrl-C", file=sys.stderr, flush=True)
+        await page.ended()
+
+    with suppress(KeyboardInterrupt):
+        run_async(stay())
+
+
+def print_ending(result: TaskResult, console: SafeConsole, output: Output, page: PageProcess | None = None) -> int:
+    """Print the result of a task, for people or as one JSON object; keep its page, unless it was cancelled; return the exit status."""
     if output is Output.JSON:
         print(json.dumps(result.as_json(), default=str), flush=True)
     else:
         print_result(console, result)
+    if page and result.code is not Code.CANCELLED:
+        _stay(page)
     return 0 if result.goal_reached else 1
 
 
@@ -128,7 +288,7 @@ def run_written(
         warn=print_warnings,
         journal=files.journal,
     )
-    return print_ending(result, console, output)
+    return print_ending(result, console, output, files.page)
 
 
 def named_values(given: tuple[str, ...], option: str) -> list[tuple[str, object]]:

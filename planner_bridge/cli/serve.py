@@ -9,8 +9,9 @@ from typing import Any, Final
 
 import click
 
-from planner_bridge.cli.options import FILE, command, options
+from planner_bridge.cli.options import FILE, ViewingCommand, command, options, view_option
 from planner_bridge.node.options import PARAMETERS
+from pnm.errors import InputError
 from pnm.files.yaml_nodes import load_yaml
 from pnm.journal.kept import Fenced
 from pnm.ros.node.parameters import NodeParameter, ParameterValue
@@ -20,7 +21,7 @@ FENCED: Final = 3
 """The exit status of a node whose journal another one has taken over; started again, it stands by."""
 
 
-class RosCommand(click.Command):
+class RosCommand(ViewingCommand):
     """A command whose arguments from ``--ros-args`` on are for ROS 2, as `ros2 run` and `ros2 launch` pass them."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
@@ -53,24 +54,40 @@ def _option(parameter: NodeParameter) -> Callable[[Any], Any]:
 @click.argument("problem", required=False)
 @click.option("--params-file", "files", multiple=True, type=FILE, help="parameters in a file as ROS has them; may be repeated")
 @options(*(_option(parameter) for parameter in PARAMETERS if parameter.name not in ("domain", "problem")))
+@view_option
 @command
-def serve(files: tuple[Path, ...], **given: ParameterValue | None) -> int:
+def serve(files: tuple[Path, ...], view: int | None, **given: ParameterValue | None) -> int:
     """Take goals over ROS 2 until interrupted.
 
     This is the node that a robot runs. It offers actions for goals of DOMAIN and PROBLEM, and for each plan of a world.
+    With --view, a page shows what its journal tells.
     What follows --ros-args is for ROS 2; options come before parameters that are given there, and before files of parameters.
     """
     # here, because these take their time to import, which `pnm serve --help` need not wait for
     from planner_bridge.cli.console import SafeConsole
-    from planner_bridge.cli.node_console import NodeConsole
+    from planner_bridge.cli.node_console import NodeConsole, NodePage
+    from planner_bridge.node.journal_place import NONE
+    from planner_bridge.node.node_log import NodeObserver
     from planner_bridge.node.serve import serve
+    from planner_bridge.view.process import PageProcess
+    from pnm.core.broadcast import broadcast
 
     for file in files:
         load_yaml(file)  # which says where it is wrong; what it means is for ROS
     named = [part for file in files for part in ("--params-file", str(file))]
     arguments = [ROS_ARGUMENTS, *named, *click.get_current_context().meta[ROS_ARGUMENTS]]
+    chosen = {name: value for name, value in given.items() if value is not None}
+    journal = str(chosen.get("journal", ""))
+    if view is not None and journal == NONE:
+        raise InputError(f"--view shows the journal; expected one, and not --journal {NONE}")
+    console: NodeObserver = NodeConsole(SafeConsole())
     try:
-        serve({name: value for name, value in given.items() if value is not None}, arguments, NodeConsole(SafeConsole()))
+        if view is None:
+            serve(chosen, arguments, console)
+        else:
+            with PageProcess(view) as page:
+                print(f"view     {page.url}", file=sys.stderr, flush=True)
+                serve(chosen, arguments, broadcast(NodeObserver, (console, NodePage(page, journal))))
     except Fenced as error:
         print(f"{error}; it goes on there", file=sys.stderr)
         return FENCED

@@ -20,7 +20,7 @@ from pnm.files.database.place import Place
 from pnm.journal.codec import Codec, Undecodable
 from pnm.journal.kept import Durability, Fenced, Held, Hold, JournalChoice, JournalError, log_end
 from pnm.journal.lease import take
-from pnm.journal.records import SharedBegan, TaskSummary
+from pnm.journal.records import Record, SharedBegan, TaskSummary
 from pnm.journal.replay import Replay, ReplayDiffers, Step
 from pnm.journal.store import JournalFile, KeptJournal
 from pnm.journal.written_journal import WrittenJournal
@@ -33,6 +33,8 @@ _LONG: Final = 200
 """Characters of a reason, which may quote what is in a file."""
 
 Take: TypeAlias = Callable[[Place, Durability, float], tuple[JournalFile, Hold]]
+Apply: TypeAlias = Callable[[int, float, Record], Step]
+"""Replays a record, with its number and its time."""
 
 _log = logging.getLogger(__name__)
 
@@ -96,7 +98,7 @@ class Follower:
             self._apply()
 
     def _apply(self) -> None:
-        for step in _steps(self._kept, self._codec, self.replay, self._seen):
+        for step in steps_after(self._kept, self._codec, self.replay.apply, self._seen):
             self._seen = step.number
             if isinstance(step.record, SharedBegan):
                 self.replay.forget()
@@ -134,14 +136,14 @@ def replay_steps(place: Place, codec: Codec, replay: Replay, *, only_last: bool 
     """
     with closing(KeptJournal(place)) as kept:
         replay.source = lambda key: codec.value(kept.part(key))
-        yield from _steps(kept, codec, replay, kept.last_segment() - 1 if only_last else 0)
+        yield from steps_after(kept, codec, replay.apply, kept.last_segment() - 1 if only_last else 0)
 
 
-def _steps(kept: KeptJournal, codec: Codec, replay: Replay, after: int) -> Iterator[Step]:
-    """Replay the records after this one; yield each when it was replayed."""
+def steps_after(kept: KeptJournal, codec: Codec, apply: Apply, after: int) -> Iterator[Step]:
+    """Replay the records after this one by a function; yield each when it was replayed; raises as `replay_steps` does."""
     try:
         for number, row in kept.rows(after):
-            yield replay.apply(number, row.time, codec.value(row.text))
+            yield apply(number, row.time, codec.value(row.text))
             after = number
     except PnmError:
         raise

@@ -222,6 +222,14 @@ class KeptJournal:
         """Return the number of the record with which the last segment begins; 0 if there is none."""
         return int(self._read(tables.LAST_SEGMENT)[0][0])
 
+    def segments(self) -> tuple[int, ...]:
+        """Return the numbers of the records with which the segments begin, in order."""
+        return tuple(int(first) for (first,) in self._read(tables.SEGMENTS))
+
+    def last(self) -> int:
+        """Return the number of the last record; 0 if there is none."""
+        return int(self._read(tables.LAST)[0][0])
+
     def tasks(self) -> Iterator[str]:
         """Yield the texts of all tasks, in the order in which they were accepted."""
         for (text,) in self._read(tables.TASKS):

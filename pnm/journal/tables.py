@@ -116,6 +116,7 @@ PART: Final = select(parts.c.text).where(parts.c.key == bindparam("wanted", type
 TASKS: Final = select(tasks.c.text).order_by(tasks.c.accepted)
 LAST: Final = select(func.coalesce(func.max(records.c.sequence), 0))
 LAST_SEGMENT: Final = select(func.coalesce(func.max(segments.c.first), 0))
+SEGMENTS: Final = select(segments.c.first).order_by(segments.c.first)
 
 # --- what is not kept any more ---
 OLDEST: Final = select(func.coalesce(func.min(records.c.sequence), 0))

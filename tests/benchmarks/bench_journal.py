@@ -31,8 +31,8 @@ sys.path.insert(0, str(ROOT))
 from planner_bridge.loading import load
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
+from planner_bridge.model.simulation import robots_of
 from planner_bridge.pddl import parse_problem
-from planner_bridge.simulation import robots_of
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.result import TASKS, Stopwatch
 from planner_bridge.tasks.scheduling.task_limits import TaskLimits

@@ -22,6 +22,8 @@ ONLY = {
     "kairos": "planner_bridge/planning/",
     "click": "planner_bridge/cli/",
     "rich": "planner_bridge/cli/",
+    "starlette": "planner_bridge/view/",
+    "uvicorn": "planner_bridge/view/",
 }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from uuid import UUID
 
 from pnm.core.execution.call_requests import Calls
-from pnm.core.execution.call_results import CallResults, RunResult
+from pnm.core.execution.call_results import CallResult, CallResults, RunResult
 from pnm.core.execution.events import Pause
 from pnm.core.execution.guards import Guards
 from pnm.core.execution.handover import Handover, UnderWay
@@ -129,6 +129,11 @@ class RunView:
             _, expected, seen = self._results.last_check or ("", "", "")
             reason = f"every call is done but the goal does not hold: expected {expected}; observed {seen}"
         return RunResult(goal, reason, self._results.calls(), tuple(self._results.failures), self.stopped)
+
+    @property
+    def results(self) -> tuple[CallResult, ...]:
+        """What has become of its calls so far, every time they were reached."""
+        return self._results.calls()
 
     def under_way(self) -> tuple[UnderWay, ...]:
         """Return the requests that were accepted and are not being cancelled: a successor can take them over."""

@@ -33,7 +33,7 @@ _LABEL: Final = 19
 _STYLE: Final = (
     "text{font:9.5px sans-serif;fill:#263238}.name{font-weight:bold;font-size:12px}.far{font-size:9px;fill:#546e7a}"
     ".fact{font-size:9px;fill:#1565c0}.event{font-size:8.5px;paint-order:stroke;stroke:#fff;stroke-width:2px}.box{fill:#fafafa;stroke:#90a4ae}"
-    ".bar,.dot{fill:#263238}circle{fill:#fff;stroke-width:1.5px}path{fill:none;stroke:#78909c}.line{stroke:#cfd8dc}.tip{fill:#78909c;stroke:none}"
+    ".bar,.dot{fill:#263238}circle{fill:#fff;stroke-width:1.5px}path{fill:none;stroke:#78909c}.line{stroke:#cfd8dc}"
     ".rule{stroke:#cfd8dc}"
 )
 

@@ -1,5 +1,7 @@
 """Picture of a plan as SVG: a box per step in the order of time, an arrow where one waits for another, with the fact it waits for.
 
+A box has the number of its step in `data-step`, and all looks are classes: a page that shows the picture gives it its own.
+
 Arrows to another line of columns are written as numbers, `→ #7` behind the one and `#3 →` before the other; so is what the end of a
 step waits for, below it.
 """
@@ -39,8 +41,14 @@ _STYLE: Final = (
 )
 
 
-def plan_svg(plan: PlanGraph, title: str = "") -> str:
-    """Return the picture of a plan, and below it that of what its steps hold; the same plan gives the same text."""
+def plan_svg(plan: PlanGraph, title: str = "", *, style: str = _STYLE) -> str:
+    """Return the picture of a plan, and below it that of what its steps hold; the same plan gives the same text.
+
+    Args:
+        plan: the plan.
+        title: what the picture is called.
+        style: its looks, as CSS; empty where it is part of a page that has looks for it.
+    """
     sections = [("", laid_out(plan.flow)), *((name, laid_out(flow)) for step in plan.every_step for name, flow in held(step))]
     columns = max(1, *(layout.columns for _, layout in sections))
     width = 2 * _MARGIN[0] + (columns - 1) * _PITCH[0] + _BOX[0]
@@ -51,7 +59,7 @@ def plan_svg(plan: PlanGraph, title: str = "") -> str:
             drawn.append(f'<path class="rule" d="M0 0H{width}"/><text x="8" y="16">{escape(name)}</text>')
         drawn += (*_section(layout, width), "</g>")
         height += 2 * _MARGIN[1] + max(layout.rows - 1, 0) * _PITCH[1] + _BOX[1] + max(layout.lines - 1, 0) * _BETWEEN
-    return picture("plan", title or f"a plan of {len(plan.calls)} calls", _STYLE, width, height, drawn)
+    return picture("plan", title or f"a plan of {len(plan.calls)} calls", style, width, height, drawn)
 
 
 def _section(layout: PlanLayout, width: int) -> Iterator[str]:
@@ -84,7 +92,8 @@ def _rules(layout: PlanLayout, width: int) -> Iterator[str]:
 
 def _box(cell: Cell) -> Iterator[str]:
     (x, y), (name, what, whole) = _corner(cell), words_of(cell.step)
-    yield f'<g><title>{escape(whole)}</title><rect x="{x}" y="{y}" width="{_BOX[0]}" height="{_BOX[1]}" rx="6"/>'
+    yield f'<g data-step="{cell.step.index}"><title>{escape(whole)}</title>'
+    yield f'<rect x="{x}" y="{y}" width="{_BOX[0]}" height="{_BOX[1]}" rx="6"/>'
     yield f'<text class="name" x="{x + 8}" y="{y + 19}">{escape(cut(name, _LETTERS - 8))}</text>'
     yield f'<text class="far" x="{x + _BOX[0] - 6}" y="{y + 19}" text-anchor="end">#{cell.step.index}</text>'
     yield f'<text x="{x + 8}" y="{y + 36}">{escape(cut(what, _LETTERS))}</text></g>'

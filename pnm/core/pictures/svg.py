@@ -5,6 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from html import escape
+from typing import Final
+
+_FRAME: Final = ".tip{fill:#78909c;stroke:none}.paper{fill:#fff;stroke:none}"
 
 
 def picture(kind: str, title: str, style: str, width: float, height: float, parts: Iterable[str]) -> str:
@@ -13,19 +16,20 @@ def picture(kind: str, title: str, style: str, width: float, height: float, part
     Args:
         kind: of picture, such as ``plan``.
         title: what it is called.
-        style: its looks, as rules of CSS; they are for pictures of its kind alone, for a notebook may have several on one page.
+        style: its looks, as rules of CSS, for pictures of its kind alone: a notebook may have several on one page. Empty for a picture
+            that is part of a page with looks for it.
         width: pixels.
         height: pixels.
         parts: what is drawn.
     """
     size = f"{width:g}", f"{height:g}"
-    looks = re.sub(r"[^{},]+(?=[,{])", rf".pnm-{kind} \g<0>", style)
+    looks = re.sub(r"[^{},]+(?=[,{])", rf".pnm-{kind} \g<0>", style + _FRAME) if style else ""
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" class="pnm-{kind}" viewBox="0 0 {size[0]} {size[1]}" width="{size[0]}" height="{size[1]}"'
-        f' role="img"><title>{escape(title)}</title><style>{looks}</style>',
+        f' role="img"><title>{escape(title)}</title>{looks and f"<style>{looks}</style>"}',
         '<defs><marker id="tip" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="7" markerHeight="7" orient="auto">'
-        '<path d="M0 0L8 4L0 8z" style="fill:#78909c;stroke:none"/></marker></defs>',
-        f'<rect width="{size[0]}" height="{size[1]}" style="fill:#fff;stroke:none"/>',
+        '<path class="tip" d="M0 0L8 4L0 8z"/></marker></defs>',
+        f'<rect class="paper" width="{size[0]}" height="{size[1]}"/>',
         *parts,
         "</svg>",
     ]

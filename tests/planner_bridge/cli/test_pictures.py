@@ -85,4 +85,4 @@ def test_a_timeline_that_cannot_be_written_is_refused_before_anything_moves(tmp_
     assert done.returncode == 2
     assert not (tmp_path / "u.svg").exists()
     done = pnm("replay", "j", "--to", "3", "--timeline", str(tmp_path / "u.svg"))
-    assert (done.returncode, done.stderr) == (2, "--timeline draws all of the journal; expected no --to, and no --json\n")
+    assert (done.returncode, done.stderr) == (2, "--view and --timeline show all of the journal; expected no --to, and no --json\n")

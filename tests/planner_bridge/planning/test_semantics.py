@@ -25,12 +25,12 @@ from planner_bridge.model.grounding import dynamic_names, ground_action, initial
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.plan_text import plan_text
 from planner_bridge.model.problem import Problem
+from planner_bridge.model.simulation import simulated_backend
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem, write_domain, write_problem
 from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.solve import solve
 from planner_bridge.planning.validate import trace, why_invalid
-from planner_bridge.simulation import simulated_backend
 from pnm.clock import run_async
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.run import Run

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from planner_bridge.model.problem import Problem
-from planner_bridge.simulation import robots_of
+from planner_bridge.model.simulation import robots_of
 from planner_bridge.tasks.constraint_monitor import ConstraintMonitor
 from planner_bridge.tasks.replanning import Limits
 from pnm.actions.backend import SimulatedBackend

@@ -6,8 +6,8 @@ import asyncio
 
 import pytest
 
+from planner_bridge.model.simulation import robots_of, simulated_backend
 from planner_bridge.pipeline import achieve_at
-from planner_bridge.simulation import robots_of, simulated_backend
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.actions.backend import SimulatedBackend

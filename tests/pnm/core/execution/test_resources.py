@@ -12,8 +12,8 @@ from uuid import UUID
 
 import pytest
 
+from planner_bridge.model.simulation import simulated_backend
 from planner_bridge.node.simulate import LoggedRobots
-from planner_bridge.simulation import simulated_backend
 from pnm.actions.simulated_robots import SimulatedRobots
 from pnm.actions.simulated_world import SimulatedWorld
 from pnm.clock import run_async

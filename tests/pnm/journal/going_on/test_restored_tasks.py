@@ -8,7 +8,7 @@ from uuid import UUID
 
 import pytest
 
-from planner_bridge.simulation import simulated_backend
+from planner_bridge.model.simulation import simulated_backend
 from planner_bridge.tasks.scheduling.task_limits import TaskLimits
 from planner_bridge.tasks.settings import Settings
 from pnm.clock import run_async

@@ -1,0 +1,1 @@
+"""The live page: what a journal tells, shown in a browser. It reads, and changes nothing."""

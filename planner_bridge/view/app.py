@@ -1,0 +1,166 @@
+"""The web application of the page: its files, the state after any record, and the changes as they come, as server-sent events.
+
+It is for browsers on this computer alone. A page of somebody else that such a browser shows may send requests here as well, and may
+have named this computer itself (DNS rebinding): so only requests to a name of this computer are answered, and of none but our page.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import AsyncIterator, Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final, TypeVar
+from uuid import uuid4
+
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from planner_bridge.view.call_detail import detail
+from planner_bridge.view.follow import Feed, Reader
+from planner_bridge.view.frames import frame
+from planner_bridge.view.shown import View
+from planner_bridge.view.story import Story
+from planner_bridge.view.view import view_of
+from pnm.core.pictures.plan_picture import plan_svg
+from pnm.errors import PnmError
+
+PAGE: Final = Path(__file__).parent / "page"
+NAMES: Final = ("127.0.0.1", "localhost")
+"""What this computer is called in requests that are answered."""
+HEADERS: Final = {
+    "content-security-policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
+        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "cache-control": "no-store",
+}
+
+T = TypeVar("T")
+
+
+class ViewApp:
+    """The application.
+
+    Args:
+        feed: what happens now.
+        past: reads what has happened.
+    """
+
+    def __init__(self, feed: Feed, past: Reader) -> None:
+        self._feed = feed
+        self._past = past
+        self._key = uuid4().hex
+        """Of this journal as this process reads it: numbers of records that a browser has from elsewhere mean nothing here."""
+        routes = [
+            Route("/", self._page),
+            Route("/state", self._state),
+            Route("/call", self._call),
+            Route("/picture", self._picture),
+            Route("/events", self._events),
+            Mount("/page", StaticFiles(directory=PAGE)),
+        ]
+        self.asgi: Final = _Guarded(Starlette(routes=routes))
+
+    async def _page(self, request: Request) -> Response:
+        return FileResponse(PAGE / "index.html")
+
+    async def _state(self, request: Request) -> Response:
+        """Answer with the whole state after a record."""
+        return await self._told(request, lambda story: self._frame(None, view_of(story)))
+
+    async def _call(self, request: Request) -> Response:
+        """Answer with all that is known of a call after a record."""
+        run, _, index = request.query_params.get("call", "").partition("/")
+        if not index.isdecimal():
+            return _refused(f"expected call=RUN/NUMBER, found {request.query_params.get('call', 'nothing')!r}", 400)
+
+        def told(story: Story) -> dict[str, Any] | None:
+            found = detail(story, run, int(index))
+            return None if found is None else asdict(found)
+
+        return await self._told(request, told)
+
+    async def _picture(self, request: Request) -> Response:
+        """Answer with the plan of a run that has begun by a record."""
+
+        def told(story: Story) -> str | None:
+            runs = {id.hex: run for id, run in story.runs.items()}
+            chosen = runs.get(request.query_params.get("run", ""))
+            return None if chosen is None else plan_svg(chosen.source.plan, style="")
+
+        return await self._told(request, told, lambda text: Response(text, media_type="image/svg+xml"))
+
+    async def _told(
+        self, request: Request, tell: Callable[[Story], T | None], response: Callable[[T], Response] = JSONResponse
+    ) -> Response:
+        """Answer with what is told after the record that the request names."""
+        given = request.query_params.get("at", "")
+        if not given.isdecimal():
+            return _refused(f"expected at=NUMBER, found {given or 'nothing'!r}", 400)
+        try:
+            told = await self._feed.asked(int(given), tell, self._past)
+        except PnmError as error:
+            return _refused(str(error), 409)
+        return _refused(f"there is nothing of that after record {given}", 404) if told is None else response(told)
+
+    async def _events(self, request: Request) -> Response:
+        """Stream frames, from what the browser has seen last."""
+        last = request.headers.get("last-event-id") or request.query_params.get("after", "")
+        seen: View | None = None
+        if last.isdecimal() and request.query_params.get("of") == self._key:
+            try:
+                seen = await self._feed.asked(int(last), view_of, self._past)
+            except PnmError:
+                seen = None  # which is told as a problem, with the whole state
+
+        async def stream() -> AsyncIterator[str]:
+            nonlocal seen
+            async for view in self._feed.views():
+                text = json.dumps(self._frame(seen, view), allow_nan=False)
+                seen = view
+                yield f"id: {view.number}\nretry: 1000\ndata: {text}\n\n"
+
+        return StreamingResponse(stream(), media_type="text/event-stream")
+
+    def _frame(self, before: View | None, after: View) -> dict[str, Any]:
+        return {"journal": self._key, **frame(before, after)}
+
+
+class _Guarded:
+    """Answers requests to this computer alone, and of our page alone, with headers that keep it among its own files."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            return
+
+        async def guarded(message: Any) -> None:
+            if message["type"] == "http.response.start":
+                own = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
+                message["headers"] = [*((name, value) for name, value in message["headers"] if name.decode() not in HEADERS), *own]
+            await send(message)
+
+        port = scope["server"][1]
+        hosts = {f"{name}:{port}" for name in NAMES}
+        given = {name.decode(): value.decode("latin-1") for name, value in scope["headers"]}
+        app = self._app
+        if given.get("host") not in hosts:
+            app = _refused(f"expected a request to {' or '.join(sorted(hosts))}", 421)
+        elif given.get("origin", f"http://{given['host']}") not in {f"http://{host}" for host in hosts}:
+            app = _refused("only its own page may ask here", 403)
+        await app(scope, receive, guarded)
+
+
+def _refused(why: str, status: int) -> Response:
+    return JSONResponse({"error": why}, status)

@@ -1,0 +1,200 @@
+"""The detail of one call: what it waits for, its conditions with what is known of them, and where its token is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import isfinite
+
+from planner_bridge.view.story import RunStory, Story
+from pnm.core.execution.questions import EvaluationContext
+from pnm.core.logic.computed_values import Unanswered
+from pnm.core.logic.conditions import Condition, conjuncts, fluents
+from pnm.core.logic.evaluation import evaluate, observed
+from pnm.core.logic.expressions import Fluent, Unknown, fluent_text
+from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, Recovery
+from pnm.errors import PnmError
+
+
+@dataclass(frozen=True, slots=True)
+class Wait:
+    """An ordering: of which call which moment is waited for, or waits, for which facts, and whether it has come."""
+
+    call: int
+    action: str
+    moment: str
+    protects: tuple[str, ...]
+    has_come: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """A condition of a call: when it is looked at, whether it is true now, what is observed, and how that is known."""
+
+    when: str
+    text: str
+    truth: str
+    observed: str
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceShown:
+    """A place of the call's block, without the name of the call, and its tokens."""
+
+    name: str
+    tokens: int
+
+
+@dataclass(frozen=True, slots=True)
+class TransitionShown:
+    """A transition of the call's block, without the name of the call: from which places to which, and whether it has its tokens."""
+
+    name: str
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    is_enabled: bool
+
+
+@dataclass(frozen=True, slots=True)
+class CallDetail:
+    """All that is known of a call.
+
+    Args:
+        parameters: names of its parameters, and the arguments.
+        server: who carries it out; empty for an operation on knowledge.
+        limit: the seconds that it may take from its acceptance; None if there is none.
+        resources: what it needs for itself, and which request has it now; empty if none has.
+        waits_for: what must have come before it starts, or ends.
+        needed_by: what waits for it.
+        checks: its conditions.
+        effects: what it changes.
+        recoveries: what the plan has for when it fails.
+        places: of its block, in the order of time.
+        transitions: of its block.
+    """
+
+    run: str
+    index: int
+    action: str
+    parameters: tuple[tuple[str, str], ...]
+    server: str
+    limit: float | None
+    resources: tuple[tuple[str, str], ...]
+    waits_for: tuple[Wait, ...]
+    needed_by: tuple[Wait, ...]
+    checks: tuple[Check, ...]
+    effects: tuple[str, ...]
+    recoveries: tuple[str, ...]
+    places: tuple[PlaceShown, ...]
+    transitions: tuple[TransitionShown, ...]
+
+
+def detail(story: Story, run: str, index: int) -> CallDetail | None:
+    """Return the detail of a call of a run; None if there is none."""
+    found = next((each for id, each in story.runs.items() if id.hex == run), None)
+    if found is None or not 0 <= index < len(found.source.plan.calls):
+        return None
+    replayed, call = found.replayed.run, found.source.plan.calls[index]
+    action = next((open.action for open in replayed.open_calls.values() if open.index == index), call.action)
+    limit = replayed.limit(call)
+    places, transitions = _block(found, index)
+    return CallDetail(
+        run,
+        index,
+        str(action),
+        tuple(zip(action.parameters, action.arguments, strict=False)),
+        "" if action.operation is not None or not found.source.bindings.names_server(action) else found.source.bindings.server(action),
+        limit if limit and isfinite(limit) else None,
+        tuple((name, _holder(story, name)) for name in found.source.bindings.resources(action)),
+        tuple(_wait(found, ordering, is_before=True) for ordering in _orderings(found) if ordering.after.call == index),
+        tuple(_wait(found, ordering, is_before=False) for ordering in _orderings(found) if ordering.before.call == index),
+        tuple(_checks(found, call)),
+        tuple(
+            f"{when}: {effect}"
+            for when, effects in (("at the start", action.start_effects), ("at the end", action.end_effects))
+            for effect in effects
+        ),
+        tuple(map(_recovery, call.recoveries)),
+        places,
+        transitions,
+    )
+
+
+def _holder(story: Story, resource: str) -> str:
+    """Return the action of the request that has a resource."""
+    claims = (claim for claim in story.replay.resources.held if resource in claim.names)
+    requests = (story.replay.requests[claim.request] for claim in claims if claim.request in story.replay.requests)
+    return ", ".join(str(request.action) for request in requests)
+
+
+def _orderings(run: RunStory) -> Iterator[Ordering]:
+    """Yield the orderings between calls, each once."""
+    yield from (ordering for ordering in run.source.plan.orderings if ordering.before.call != ordering.after.call)
+
+
+def _wait(run: RunStory, ordering: Ordering, *, is_before: bool) -> Wait:
+    event = ordering.before if is_before else ordering.after
+    steps = {step.index: step for step in run.source.plan.every_step}
+    results = {result.call.index: result for result in run.results}
+    before = results.get(ordering.before.call)
+    has_come = before is not None and (before.started if ordering.before.moment is Moment.START else before.ended) is not None
+    words = steps[event.call]
+    text = str(words.action) if isinstance(words, ActionCall) else str(words)
+    return Wait(event.call, text, event.moment.value, tuple(map(fluent_text, ordering.protects)), has_come)
+
+
+def _checks(run: RunStory, call: ActionCall) -> Iterator[Check]:
+    action = call.action
+    context = EvaluationContext(run.replayed.run.knowledge, action, run.source.bindings.of(action.name))
+    parts = (
+        ("before it starts", action.precondition),
+        ("while it runs", action.invariant),
+        ("when it ends", action.end_condition),
+        ("once it is done", action.expected),
+    )
+    for when, condition in parts:
+        for part in conjuncts(condition):
+            yield _check(when, part, context)
+
+
+def _check(when: str, condition: Condition, context: EvaluationContext) -> Check:
+    try:
+        truth = evaluate(condition, context)
+        text = "unknown" if isinstance(truth, Unknown) else "true" if truth else "false"
+        seen = observed(condition, context)
+    except (Unanswered, PnmError) as error:
+        text, seen = "unknown", str(error)
+    return Check(when, str(condition), text, seen, _source(fluents(condition, context), context))
+
+
+def _source(read: frozenset[Fluent], context: EvaluationContext) -> str:
+    """Return how the fluents of a condition are known."""
+    derived = {fluent for fluent in read if fluent[0] in context.world.rules.derived}
+    ways = {
+        "derived": bool(derived),
+        "sensed": any(context.world.is_sensed(fluent) for fluent in read - derived),
+        "assumed": any(not context.world.is_sensed(fluent) for fluent in read - derived),
+    }
+    return ", ".join(way for way, is_so in ways.items() if is_so) or "computed"
+
+
+def _recovery(recovery: Recovery) -> str:
+    chain = ", ".join(str(step.action if isinstance(step, ActionCall) else step) for step in recovery.chain.steps)
+    return f"after {', '.join(sorted(recovery.causes))}: {f'{chain}, then ' if chain else ''}{recovery.then.value}"
+
+
+def _block(run: RunStory, index: int) -> tuple[tuple[PlaceShown, ...], tuple[TransitionShown, ...]]:
+    """Return the places and transitions of a call, by the short names that people know them by."""
+    machine, marking = run.replayed.run.machine, run.replayed.run.marking
+    prefix = f"{machine.plan.calls[index]} "
+    own = frozenset(machine.blocks[index])
+    places = tuple(PlaceShown(place.removeprefix(prefix), marking[place]) for place in machine.blocks[index])
+    transitions = []
+    for name in machine.net.transitions:
+        inputs, outputs = machine.net.inputs[name], machine.net.outputs[name]
+        if machine.rules[name].call == index and not own.isdisjoint((*inputs, *outputs)):
+            is_enabled = all(marking[place] >= weight for place, weight in inputs.items())
+            taken, marked = (tuple(place.removeprefix(prefix) for place in weights if place in own) for weights in (inputs, outputs))
+            transitions.append(TransitionShown(name.removeprefix(prefix), taken, marked, is_enabled))
+    return places, tuple(transitions)

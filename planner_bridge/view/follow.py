@@ -1,0 +1,193 @@
+"""Following a journal: what is shown after its last record, as it grows, and after any record before.
+
+A reader replays records as they come. Browsers are not told what has happened: each is told how what it has seen last differs from
+what is so now. So a slow one misses what was in between, and nothing waits for it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from bisect import bisect_right
+from collections.abc import AsyncIterator, Callable
+from contextlib import suppress
+from dataclasses import replace
+from math import inf
+from threading import Lock
+from typing import Final, TypeVar
+
+from planner_bridge.tasks.result import TASKS
+from planner_bridge.view.shown import View
+from planner_bridge.view.story import Story
+from planner_bridge.view.view import view_of
+from pnm.errors import PnmError
+from pnm.files.database.place import Place
+from pnm.journal.replay import Replay
+from pnm.journal.resume import steps_after
+from pnm.journal.store import KeptJournal
+
+PERIOD: Final = 0.05
+"""Seconds between two looks into a journal that has grown: no browser gets more frames."""
+_IDLE: Final = 0.25
+"""Seconds between two looks into one that has not."""
+
+T = TypeVar("T")
+
+
+class Reader:
+    """Reads a journal, which need not be there yet. Any thread may call; one at a time is served.
+
+    The mutable state is the story so far, and what is shown of it.
+    """
+
+    def __init__(self, place: Place) -> None:
+        self._place = place
+        self._lock = Lock()
+        self._kept: KeptJournal | None = None
+        self._story: Story | None = None
+        self._rewritten = 0
+        """How often records had been taken away when the story began."""
+        self._stuck: PnmError | None = None
+        """Why the next record cannot be replayed, whenever it is tried."""
+        self._view = View()
+
+    def newest(self) -> View:
+        """Return what is shown after the last record; the same object if nothing has changed."""
+        with self._lock:
+            problem = ""
+            try:
+                self._go_to(inf)
+            except PnmError as error:
+                problem = f"after record {self._story.number}: {error}" if self._story else str(error)
+            if self._story and (self._story.number, self._story.first) != (self._view.number, self._view.first):
+                self._view = view_of(self._story)
+            if problem != self._view.problem:
+                self._view = replace(self._view, problem=problem)
+            return self._view
+
+    def at(self, number: int, tell: Callable[[Story], T]) -> T | None:
+        """Return what a function tells of the story after a record; None if that is not kept, or not there yet.
+
+        Raises:
+            JournalError: it cannot be read.
+            PnmError: it cannot be replayed.
+        """
+        with self._lock:
+            kept = self._opened()
+            if not kept.segments() or not kept.segments()[0] <= number <= kept.last():
+                return None
+            self._go_to(number)
+            return tell(self._story) if self._story and self._story.number else None
+
+    def close(self) -> None:
+        """Read no more."""
+        with self._lock:
+            if self._kept is not None:
+                self._kept.close()
+                self._kept = None
+
+    def _opened(self) -> KeptJournal:
+        if self._kept is None:
+            self._kept = KeptJournal(self._place)
+        return self._kept
+
+    def _go_to(self, number: float) -> None:
+        """Have the story end after a record, or after the last one."""
+        kept = self._opened()
+        rewritten = kept.holding().rewritten
+        if self._story is None or self._rewritten != rewritten or number < self._story.number:
+            self._begin(kept, number)
+            self._rewritten, self._stuck = rewritten, None
+        self._replay(kept, number)
+
+    def _begin(self, kept: KeptJournal, number: float) -> None:
+        """Begin a story that reaches back to the beginning of the segment before that of a record."""
+        segments = kept.segments()
+        before = max(0, bisect_right(segments, number) - 2)
+        self._story = Story(Replay(lambda key: TASKS.value(kept.part(key))))
+        self._story.number = segments[before] - 1 if segments else 0
+
+    def _replay(self, kept: KeptJournal, number: float) -> None:
+        assert self._story is not None
+        done = self._story.number
+        if done >= number:
+            return
+        if self._stuck:
+            raise self._stuck
+        try:
+            for step in steps_after(kept, TASKS, self._story.apply, done):
+                done = step.number
+                if done >= number:
+                    return
+        except PnmError as error:
+            if self._story.number != done:  # in the middle of a record: the story of those before it is told anew
+                self._begin(kept, done)
+                self._replay(kept, done)
+                self._stuck = error
+            raise
+
+
+class Feed:
+    """What browsers are told: the view after the last record, whenever it is another one, as long as somebody watches.
+
+    To be used on one event loop. The mutable state is the view, how many watch, and what reads for them.
+    """
+
+    def __init__(self, reader: Reader) -> None:
+        self._reader = reader
+        self.view = View()
+        self._watching = 0
+        self._reading: asyncio.Task[None] | None = None
+        self._changed = asyncio.Event()
+        """Set, and replaced, when the view has changed."""
+        self._is_closed = False
+
+    async def views(self) -> AsyncIterator[View]:
+        """Yield the view after the last record, and again when it has changed: whoever takes long misses those in between."""
+        self._watching += 1
+        try:
+            self.view = await asyncio.to_thread(self._reader.newest)
+            if self._reading is None or self._reading.done():
+                self._reading = asyncio.create_task(self._read())
+            seen = None
+            while not self._is_closed:
+                changed = self._changed
+                if self.view is not seen:
+                    seen = self.view
+                    yield seen
+                else:
+                    await changed.wait()
+        finally:
+            self._watching -= 1
+            if not self._watching and self._reading is not None:
+                self._reading.cancel()
+                self._reading = None
+
+    async def asked(self, number: int, tell: Callable[[Story], T], past: Reader) -> T | None:
+        """Return what is told of the story after a record: by the reader of what is new if it stands there, else by another one.
+
+        Raises:
+            PnmError: the journal cannot be read, or not replayed.
+        """
+        return await asyncio.to_thread((self._reader if number == self.view.number else past).at, number, tell)
+
+    async def _read(self) -> None:
+        while True:
+            view = await asyncio.to_thread(self._reader.newest)
+            is_news = view is not self.view
+            if is_news:
+                self.view = view
+                self._tell()
+            await asyncio.sleep(PERIOD if is_news else _IDLE)
+
+    def _tell(self) -> None:
+        changed, self._changed = self._changed, asyncio.Event()
+        changed.set()
+
+    async def close(self) -> None:
+        """Tell nothing more."""
+        self._is_closed = True
+        self._tell()
+        if self._reading is not None:
+            self._reading.cancel()
+            with suppress(asyncio.CancelledError):
+                await self._reading

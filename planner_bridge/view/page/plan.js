@@ -1,0 +1,58 @@
+// The plan of a run: the picture that the server draws, with the state of each call by colour and sign.
+
+import { SIGNS, el, svg, words } from "./words.js";
+
+let drawn = "";
+let boxes = new Map();
+const KEY = ["waiting", "running", "succeeded", "failed", "skipped"];
+
+document.getElementById("plan-key").replaceChildren(...KEY.flatMap((name) => [el("span", { class: "swatch", "data-state": name }, SIGNS[name]), words(name === "succeeded" ? "done" : name)]));
+
+// Draws the plan of a run if it is another one than before; the picture of a run never changes.
+export async function showPlan(model, run, choose) {
+  const place = document.getElementById("picture");
+  if (!run) {
+    drawn = "";
+    boxes = new Map();
+    place.replaceChildren(el("p", { class: "soft" }, "no plan yet"));
+    return;
+  }
+  if (drawn !== run) {
+    const answer = await fetch(`/picture?run=${run}&at=${model.number}`);
+    if (!answer.ok) return;
+    const picture = new DOMParser().parseFromString(await answer.text(), "image/svg+xml").documentElement;
+    picture.style.minWidth = `${Math.min(Number(picture.getAttribute("width")), 1000)}px`; // smaller than that, nobody can read it
+    drawn = run;
+    boxes = new Map([...picture.querySelectorAll("[data-step]")].map((box) => [Number(box.dataset.step), box]));
+    for (const [index, box] of boxes) {
+      box.setAttribute("tabindex", "0");
+      box.setAttribute("role", "button");
+      box.addEventListener("click", () => choose(`${run}/${index}`));
+      box.addEventListener("keydown", (key) => {
+        if (key.key === "Enter" || key.key === " ") {
+          key.preventDefault();
+          choose(`${run}/${index}`);
+        }
+      });
+    }
+    place.replaceChildren(document.adoptNode(picture));
+  }
+}
+
+export function showStates(model, run, chosen) {
+  for (const [index, box] of boxes) {
+    const call = model.calls.get(`${run}/${index}`);
+    if (!call) continue;
+    box.classList.toggle("chosen", chosen === `${run}/${index}`);
+    if (box.dataset.state === call.state && box.dataset.attempts === String(call.attempts)) continue;
+    box.dataset.state = call.state;
+    box.dataset.attempts = call.attempts;
+    box.setAttribute("aria-label", `${call.action}: ${call.outcome}${call.attempts > 1 ? `, attempt ${call.attempts}` : ""}`);
+    box.querySelector(".badge")?.remove();
+    const rect = box.querySelector("rect");
+    const [x, y] = [Number(rect.getAttribute("x")), Number(rect.getAttribute("y"))];
+    const sign = svg("text", { x, y: y + 4 }, SIGNS[call.state] ?? "·");
+    box.append(svg("g", { class: "badge", "aria-hidden": "true" }, svg("circle", { cx: x, cy: y, r: 9 }), sign));
+    if (call.attempts > 1) box.lastChild.append(svg("text", { x: x + 22, y: y - 4 }, `${call.attempts}×`));
+  }
+}

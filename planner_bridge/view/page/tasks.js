@@ -1,0 +1,69 @@
+// What needs me now: what failed and why, questions to people, and the tasks.
+
+import { clock, el, seconds, state, words } from "./words.js";
+
+export function showTasks(model) {
+  const tasks = [...model.tasks.entries()].sort(([, a], [, b]) => (a.state === "over") - (b.state === "over") || b.priority - a.priority || a.order - b.order);
+  showNeeds(model, tasks);
+  const open = tasks.filter(([, task]) => task.state !== "over");
+  const over = tasks.filter(([, task]) => task.state === "over").reverse();
+  const shown = open.length ? open : over.slice(0, 1);
+  const others = over.filter((entry) => !shown.includes(entry));
+  const list = document.getElementById("task-list");
+  const wasOpen = list.querySelector("details")?.open;
+  list.replaceChildren(...shown.map((entry) => taskOf(model, ...entry)));
+  if (!tasks.length) list.append(el("p", { class: "soft" }, "no tasks yet"));
+  if (others.length) {
+    const more = el("details", {}, el("summary", {}, `${others.length} more that ${others.length > 1 ? "are" : "is"} over`), ...others.map((entry) => taskOf(model, ...entry)));
+    more.open = Boolean(wasOpen);
+    list.append(more);
+  }
+}
+
+function taskOf(model, id, task) {
+  const facts = [`accepted at ${clock(task.accepted)}`];
+  if (task.runs.length > 1) facts.push(`${task.runs.length} plans, ${task.runs.length - 1} ${task.runs.length > 2 ? "replans" : "replan"}`);
+  if (task.priority) facts.push(`priority ${task.priority}`);
+  if (task.deadline !== null) facts.push(`has to be done by ${clock(task.deadline)}`);
+  if (task.limit !== null) facts.push(`${seconds(task.used, 1)} of ${seconds(task.limit, 0)} used`);
+  const how = task.code || task.state;
+  const word = task.code === "goal_reached" ? "✓ goal reached" : task.code ? `✕ ${words(task.code)}` : words(task.state);
+  return el("div", { class: "task", "data-task": id, "data-how": how },
+    state(task.code && task.code !== "goal_reached" ? "failed" : how, word),
+    el("span", { class: "goal" }, task.goal),
+    el("span", { class: "soft num" }, task.state === "over" ? "over" : ""),
+    task.reason ? el("span", { class: "more reason" }, task.reason) : "",
+    el("span", { class: "more" }, facts.join(" · ")));
+}
+
+// What people may have to do something about: questions, and failures of tasks that are not over well.
+function showNeeds(model, tasks) {
+  const bad = new Set(tasks.filter(([, task]) => task.code !== "goal_reached").map(([id]) => id));
+  const questions = [...model.questions.values()].map((question) => el("div", { class: "need asks" },
+    el("p", {}, el("strong", {}, `? ${question.who} is asked: `), question.text),
+    el("p", { class: "soft" }, `for ${question.subject}, since ${seconds(question.since - model.began)}; `,
+      question.who === "a person" ? "answer with: the terminal of pnm run, or the topic knowledge/answers of pnm serve" : "")));
+  const troubles = [...model.troubles.values()].sort((a, b) => b.time - a.time);
+  const isNow = (trouble) => !trouble.followed && bad.has(model.runs.get(trouble.run)?.task);
+  const before = troubles.filter((trouble) => !isNow(trouble));
+  const place = document.getElementById("needs");
+  const wasOpen = place.querySelector("details")?.open;
+  place.replaceChildren(...questions, ...troubles.filter(isNow).map((trouble) => troubleOf(model, trouble, true)));
+  if (before.length) {
+    const more = el("details", {}, el("summary", {}, `${before.length} ${before.length > 1 ? "troubles" : "trouble"} before, and what followed`),
+      ...before.slice(0, 50).map((trouble) => troubleOf(model, trouble, true)));
+    more.open = Boolean(wasOpen);
+    place.append(more);
+  }
+}
+
+// What a call was hindered by, or has failed with.
+export function troubleOf(model, trouble, hasStep) {
+  const what = hasStep ? `${trouble.step} ${trouble.is_failure ? "failed" : "was hindered"}: ` : trouble.is_failure ? "failed: " : "hindered: ";
+  return el("div", { class: "need", "data-cause": trouble.cause },
+    el("p", {}, el("strong", {}, `✕ ${what}${words(trouble.cause)}`), el("span", { class: "soft" }, ` at ${seconds(trouble.time - model.began)}`)),
+    el("dl", { class: "pair" },
+      el("dt", {}, "expected"), el("dd", { class: "expected" }, trouble.expected || "–"),
+      el("dt", {}, "observed"), el("dd", { class: "observed" }, trouble.observed || "–"),
+      el("dt", {}, "then"), el("dd", {}, trouble.followed || "not decided yet")));
+}

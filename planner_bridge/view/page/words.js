@@ -1,0 +1,46 @@
+// Words and signs for what is shown, and small makers of elements.
+
+export const SIGNS = {
+  waiting: "○", running: "▶", suspended: "‖", handed_over: "⇥", succeeded: "✓", already_true: "≡", skipped: "–",
+  canceled: "⊘", unconfirmed: "?", passed_over: "↷", failed: "✕",
+};
+export const MARKS = { failure: "✕", replan: "↻", end: "■" };
+
+export function seconds(time, digits = 2) {
+  return `${time.toFixed(digits)} s`;
+}
+
+export function clock(wall) {
+  return new Date(wall * 1000).toLocaleTimeString();
+}
+
+export function words(name) {
+  return name.replaceAll("_", " ");
+}
+
+// The state of a request, in the words of calls.
+export function stateOf(request, isOver) {
+  if (!request.outcome) return isOver ? "unconfirmed" : "running";
+  return request.outcome === "succeeded" ? "succeeded" : request.outcome === "canceled" ? "canceled" : "failed";
+}
+
+export function el(name, attributes = {}, ...children) {
+  return filled(document.createElement(name), attributes, children);
+}
+
+export function svg(name, attributes = {}, ...children) {
+  return filled(document.createElementNS("http://www.w3.org/2000/svg", name), attributes, children);
+}
+
+function filled(element, attributes, children) {
+  for (const [name, value] of Object.entries(attributes)) {
+    if (value !== null && value !== undefined && value !== false) element.setAttribute(name, value);
+  }
+  element.append(...children.filter((child) => child !== null && child !== ""));
+  return element;
+}
+
+export function state(name, text = words(name)) {
+  const sign = SIGNS[name];
+  return el("span", { class: "state", "data-state": name }, sign ? `${sign} ${text}` : text);
+}

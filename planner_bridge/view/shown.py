@@ -1,0 +1,244 @@
+"""The state that the page shows, after one record of a journal: plain values only, so that it is JSON as it is.
+
+Every part has its things by key; what changes from one moment to the next is told key by key, see `planner_bridge.view.frames`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, slots=True)
+class TaskShown:
+    """A task.
+
+    Args:
+        goal: what it is about.
+        state: in a word.
+        reason: why it is so, or how it has ended.
+        priority: higher ones come first.
+        accepted: the time of day, in seconds.
+        deadline: the time of day by which it has to be done, None for none.
+        used: seconds of its limit that are used.
+        limit: that limit; None if there is none.
+        code: how it has ended, empty while it has not.
+        runs: its runs, in their order.
+        order: tasks are numbered as they come in.
+    """
+
+    goal: str
+    state: str
+    reason: str
+    priority: int
+    accepted: float
+    deadline: float | None
+    used: float
+    limit: float | None
+    code: str
+    runs: tuple[str, ...]
+    order: int
+
+
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """Why another run follows, and what becomes of the calls that were left of the one before."""
+
+    why: str
+    kept: tuple[str, ...]
+    dropped: tuple[str, ...]
+    added: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RunShown:
+    """A run: one execution of one machine.
+
+    Args:
+        task: whose it is.
+        name: of the task.
+        record: with which it was made.
+        time: when that was.
+        origin: the time from which its plan counts; None until it begins.
+        is_over: whether it is carried on no more.
+        cut: how it differs from the run before; None for the first one of its task.
+    """
+
+    task: str
+    name: str
+    record: int
+    time: float
+    origin: float | None
+    is_over: bool
+    cut: Cut | None
+
+
+@dataclass(frozen=True, slots=True)
+class CallShown:
+    """A call of a run.
+
+    Args:
+        run: which run.
+        index: its number.
+        action: with its arguments, as it was sent last.
+        lane: whose it is, on the timeline.
+        state: what has become of it so far, in a word.
+        outcome: the same in words.
+        attempts: how often it was sent.
+        started: when it was sent first.
+        ended: when it was over.
+        planned: seconds after the origin of its run at which the planner had it start.
+        duration: the seconds that it was planned to take.
+        is_assumed: whether some of its effects are believed: nothing reports them.
+    """
+
+    run: str
+    index: int
+    action: str
+    lane: str
+    state: str
+    outcome: str
+    attempts: int
+    started: float | None
+    ended: float | None
+    planned: float
+    duration: float | None
+    is_assumed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class RequestShown:
+    """A request: one attempt at a call.
+
+    Args:
+        run: which run.
+        call: the number of the call.
+        action: with its arguments.
+        lane: as that of the call.
+        server: who carries it out.
+        attempt: which one it is.
+        record: with which it was sent.
+        sent: when that was.
+        accepted: when the server took it on.
+        ended: when it was over.
+        outcome: how, in a word; empty while it is not over.
+        message: what the server said about that.
+        feedback: what the server has said last while it was at work.
+    """
+
+    run: str
+    call: int
+    action: str
+    lane: str
+    server: str
+    attempt: int
+    record: int
+    sent: float
+    accepted: float | None = None
+    ended: float | None = None
+    outcome: str = ""
+    message: str = ""
+    feedback: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class FactShown:
+    """A fact: its value in words, how it is known, and since when."""
+
+    value: str
+    source: str
+    """``sensed`` or ``assumed``."""
+    since: float
+    is_initial: bool
+    """Whether it has been so from the beginning of what is shown: since then at least."""
+
+
+@dataclass(frozen=True, slots=True)
+class ServerShown:
+    """An action server, as far as the journal knows: its actions, and what it is busy with."""
+
+    actions: tuple[str, ...]
+    busy: tuple[str, ...]
+    failed: int
+    """How many requests it has not carried out."""
+
+
+@dataclass(frozen=True, slots=True)
+class QuestionShown:
+    """A question that is open: who is asked, what, on whose behalf, and since when."""
+
+    who: str
+    text: str
+    subject: str
+    since: float
+
+
+@dataclass(frozen=True, slots=True)
+class TroubleShown:
+    """What a call was hindered by, or has failed with.
+
+    Args:
+        run: which run.
+        call: the number of the step.
+        step: the step in words.
+        is_failure: whether it was given up; else it is tried again, or recovers.
+        cause: in a word.
+        expected: what should have been so.
+        observed: what was so instead.
+        time: when.
+        followed: what came of it.
+    """
+
+    run: str
+    call: int
+    step: str
+    is_failure: bool
+    cause: str
+    expected: str
+    observed: str
+    time: float
+    followed: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class EventShown:
+    """A record in words."""
+
+    time: float
+    task: str
+    lines: tuple[str, ...]
+    mark: str = ""
+    """``failure``, ``replan`` or ``end``: what is marked on the way through the records; else empty."""
+
+
+Shown = TaskShown | RunShown | CallShown | RequestShown | FactShown | ServerShown | QuestionShown | TroubleShown | EventShown
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """The whole state after a record.
+
+    Args:
+        number: of the record.
+        time: of the record, on the clock of its process.
+        began: when what is shown began.
+        first: the first record of what is shown.
+        problem: why no more can be shown; empty if all is well.
+    """
+
+    number: int = 0
+    time: float = 0.0
+    began: float = 0.0
+    first: int = 0
+    problem: str = ""
+    tasks: Mapping[str, TaskShown] = field(default_factory=dict)
+    runs: Mapping[str, RunShown] = field(default_factory=dict)
+    calls: Mapping[str, CallShown] = field(default_factory=dict)
+    requests: Mapping[str, RequestShown] = field(default_factory=dict)
+    facts: Mapping[str, FactShown] = field(default_factory=dict)
+    servers: Mapping[str, ServerShown] = field(default_factory=dict)
+    questions: Mapping[str, QuestionShown] = field(default_factory=dict)
+    troubles: Mapping[str, TroubleShown] = field(default_factory=dict)
+    """By record, and their number in it."""
+    events: Mapping[str, EventShown] = field(default_factory=dict)
+    """By record: the last ones, and all that are marked."""

@@ -1,0 +1,101 @@
+"""The application of the page: who may ask, and what is answered."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import urlsplit
+from xml.etree import ElementTree
+
+import pytest
+
+from planner_bridge.view.app import PAGE
+from tests.support.e2e.page.serving import asked, page_of
+
+
+@pytest.fixture(scope="module")
+def url(delivery: Path) -> Iterator[str]:
+    with page_of(delivery) as served:
+        yield served
+
+
+def test_the_page_and_its_files_come_with_what_keeps_them_among_themselves(url: str) -> None:
+    files = ["/", *(f"/page/{file.name}" for file in PAGE.iterdir())]
+    assert len(files) > 5
+    for file in files:
+        status, headers, text = asked(url, file)
+        assert (status, bool(text)) == (200, True)
+        assert "default-src 'none'" in headers["content-security-policy"]
+        assert "unsafe" not in headers["content-security-policy"]
+        assert headers["x-content-type-options"] == "nosniff"
+        assert "access-control-allow-origin" not in headers
+
+
+def test_the_page_needs_nothing_from_elsewhere() -> None:
+    for file in PAGE.iterdir():
+        text = file.read_text(encoding="utf-8").replace("http://www.w3.org/2000/svg", "")
+        assert not re.search(r"""https?:|["'(]//|@import""", text), file
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", "localhost.evil.example:{port}"])
+def test_a_request_to_another_name_is_refused(url: str, host: str) -> None:
+    status, _, text = asked(url, "/state?at=1", Host=host.format(port=urlsplit(url).port))
+    assert (status, "tasks" in text) == (421, False)
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", "https://127.0.0.1:{port}", "http://127.0.0.1:1"])
+@pytest.mark.parametrize("path", ["/", "/state?at=1", "/events"])
+def test_a_request_of_another_page_is_refused(url: str, origin: str, path: str) -> None:
+    assert asked(url, path, Origin=origin.format(port=urlsplit(url).port))[0] == 403
+
+
+def test_its_own_page_may_ask_under_both_names_of_this_computer(url: str) -> None:
+    port = urlsplit(url).port
+    for name in ("127.0.0.1", "localhost"):
+        assert asked(url, "/state?at=1", Host=f"{name}:{port}", Origin=f"http://{name}:{port}")[0] == 200
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS"])
+def test_nothing_can_be_done_to_it(url: str, method: str) -> None:
+    assert asked(url, "/state?at=1", method)[0] == 405
+
+
+@pytest.mark.parametrize(
+    ("path", "status"),
+    [
+        ("/nothing", 404),
+        ("/page/nothing.js", 404),
+        ("/page/../app.py", 404),
+        ("/page/%2e%2e/app.py", 404),
+        ("/state", 400),
+        ("/state?at=x", 400),
+        ("/state?at=-1", 400),
+        ("/state?at=0", 404),
+        ("/state?at=99999", 404),
+        ("/state?at=99999999999999999999999999", 404),
+        ("/call?at=5", 400),
+        ("/call?call=0/x&at=5", 400),
+        ("/call?call=0/0&at=5", 404),
+        ("/picture?run=0&at=5", 404),
+    ],
+)
+def test_what_is_not_there_is_said_so(url: str, path: str, status: int) -> None:
+    found, headers, text = asked(url, path)
+    assert found == status
+    assert "Traceback" not in text
+    assert headers["content-security-policy"]
+
+
+def test_the_state_a_call_and_a_picture_after_a_record(url: str) -> None:
+    state = json.loads(asked(url, "/state?at=60")[2])
+    assert (state["number"], state["is_whole"]) == (60, True)
+    for key, call in state["parts"]["calls"].items():
+        told = json.loads(asked(url, f"/call?call={key}&at=60")[2])
+        assert told["action"] == call["action"]
+    for run in state["parts"]["runs"]:
+        picture = ElementTree.fromstring(asked(url, f"/picture?run={run}&at=60")[2])
+        calls = {call["index"] for call in state["parts"]["calls"].values() if call["run"] == run}
+        assert {int(box.get("data-step", "")) for box in picture.iter() if box.get("data-step")} == calls
+        assert not [part for part in picture.iter() if part.get("style") or part.tag.endswith("style")], "the page has its own looks"

@@ -1,0 +1,180 @@
+"""Following a journal: one that is not there yet, grows, ends, is damaged; and browsers that are slow, or were away."""
+
+from __future__ import annotations
+
+import asyncio
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from planner_bridge.tasks.result import TASKS
+from planner_bridge.view import follow
+from planner_bridge.view.follow import Feed, Reader
+from planner_bridge.view.frames import frame
+from planner_bridge.view.shown import View
+from planner_bridge.view.view import view_of
+from pnm.errors import PnmError
+from pnm.journal.kept import JournalError
+from pnm.journal.records import RunRetired
+from tests.support.e2e.page.journals import GrowingJournal, steps
+from tests.support.e2e.page.serving import Stream, page_of
+from tests.support.processes import LIMIT
+
+
+def test_a_journal_that_is_not_there_yet_is_waited_for(growing: GrowingJournal, tmp_path: Path) -> None:
+    reader = Reader(tmp_path / "later.journal")
+    assert "there is no such file" in reader.newest().problem
+    growing.grow(growing.longest)
+    (tmp_path / "later.journal").symlink_to(growing.place)
+    assert (reader.newest().number, reader.newest().problem) == (growing.longest, "")
+
+
+def test_a_journal_that_grows_is_followed_and_nothing_new_is_the_same_view(growing: GrowingJournal) -> None:
+    reader = Reader(growing.place)
+    for length in (4, 5, 40, growing.longest):
+        growing.grow(length)
+        view = reader.newest()
+        assert view.number == length
+        assert reader.newest() is view
+
+
+def test_records_that_are_not_there_have_no_state(growing: GrowingJournal) -> None:
+    reader = Reader(growing.place)
+    assert reader.at(1, view_of) is None, "an empty journal"
+    growing.grow(10)
+    assert reader.at(0, view_of) is None
+    assert reader.at(11, view_of) is None
+    growing.grow(11)
+    assert reader.at(11, view_of) is not None
+
+
+def test_a_record_that_is_damaged_is_named_and_what_was_before_it_is_shown(growing: GrowingJournal) -> None:
+    growing.grow(30)
+    growing.add("{damaged")
+    reader = Reader(growing.place)
+    view = reader.newest()
+    assert (view.number, view.problem.startswith("after record 30: ")) == (30, True)
+    assert reader.newest() is view, "it is not read again and again"
+    assert reader.at(30, view_of) is not None
+    with pytest.raises(PnmError):
+        reader.at(31, view_of)
+
+
+def test_a_record_that_cannot_be_replayed_is_named_and_leaves_nothing_of_itself(delivery: Path, growing: GrowingJournal) -> None:
+    growing.grow(30)
+    before = Reader(growing.place).newest()
+    unknown = next(step.record.run for step in steps(delivery) if isinstance(step.record, RunRetired))
+    growing.add(TASKS.text(RunRetired(unknown)).replace(unknown.hex[:8], "0" * 8))
+    reader = Reader(growing.place)
+    view = reader.newest()
+    assert (view.number, view.tasks, view.calls) == (30, before.tasks, before.calls)
+    assert "damaged behind record 30" in view.problem
+    assert reader.newest() is view, "it is not replayed again and again"
+    with pytest.raises(JournalError, match="damaged behind record 30"):
+        reader.at(31, view_of)
+
+
+def test_no_journal_at_all(tmp_path: Path) -> None:
+    (tmp_path / "text").write_text("no database")
+    assert "cannot be opened" in Reader(tmp_path / "text").newest().problem
+
+
+def test_a_journal_of_which_records_were_taken_away_is_read_anew(growing: GrowingJournal) -> None:
+    growing.grow(30)
+    reader = Reader(growing.place)
+    assert reader.newest().number == 30
+    with closing(sqlite3.connect(growing.place)) as connection, connection:  # as a server does that was cut off in a commit
+        connection.execute("DELETE FROM records WHERE sequence > 20")
+        connection.execute("UPDATE lease SET rewritten = rewritten + 1")
+    assert reader.newest().number == 20
+
+
+def test_a_slow_browser_gets_what_is_so_now_and_no_backlog(growing: GrowingJournal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(follow, "PERIOD", 0.0)
+    monkeypatch.setattr(follow, "_IDLE", 0.0)
+
+    async def course() -> tuple[list[View], list[View]]:
+        growing.grow(2)
+        feed = Feed(Reader(growing.place))
+        quick, slow = feed.views(), feed.views()
+        seen_quick, seen_slow = [await anext(quick)], [await anext(slow)]
+        for length in range(3, 40):
+            growing.grow(length)
+            seen_quick.append(await anext(quick))
+        seen_slow.append(await anext(slow))
+        await feed.close()
+        assert [view async for view in slow] == []
+        return seen_quick, seen_slow
+
+    quick, slow = asyncio.run(asyncio.wait_for(course(), LIMIT))
+    assert [view.number for view in quick] == list(range(2, 40))
+    assert [view.number for view in slow] == [2, 39]
+    assert frame(slow[0], slow[1])["parts"] == frame(quick[0], quick[-1])["parts"]
+
+
+def test_nobody_reads_while_nobody_watches(growing: GrowingJournal) -> None:
+    reads = []
+
+    class Counting(Reader):
+        def newest(self) -> View:
+            reads.append(None)
+            return super().newest()
+
+    async def course() -> None:
+        growing.grow(5)
+        feed = Feed(Counting(growing.place))
+        views = feed.views()
+        assert not reads
+        await anext(views)
+        await views.aclose()  # type: ignore[attr-defined]
+        before = len(reads)
+        growing.grow(6)
+        for _ in range(100):
+            await asyncio.sleep(0)
+        assert len(reads) == before
+
+    asyncio.run(asyncio.wait_for(course(), LIMIT))
+
+
+def test_a_browser_that_was_away_gets_what_has_changed_since(growing: GrowingJournal) -> None:
+    growing.grow(40)
+    with page_of(growing.place) as url:
+        stream = Stream(url)
+        number, whole = stream.next()
+        assert (number, whole["is_whole"], whole["number"]) == ("40", True, 40)
+        stream.close()
+        growing.grow(60)
+        back = Stream(url, f"/events?of={whole['journal']}&after=1", {"Last-Event-ID": number})
+        number, change = back.next()
+        back.close()
+        assert (number, change["is_whole"]) == ("60", False)
+        reader = Reader(growing.place)
+        before, after = reader.at(40, view_of), reader.at(60, view_of)
+        assert after is not None
+        assert change["parts"].keys() == frame(before, after)["parts"].keys()
+        assert set(change["parts"]["requests"]) == set(frame(before, after)["parts"]["requests"])
+
+
+@pytest.mark.parametrize(("of", "last"), [("another", "20"), ("", "20"), ("same", "4711"), ("same", "x")])
+def test_a_browser_that_has_seen_something_else_gets_the_whole_state(growing: GrowingJournal, of: str, last: str) -> None:
+    growing.grow(40)
+    with page_of(growing.place) as url:
+        stream = Stream(url)
+        key = stream.next()[1]["journal"]
+        stream.close()
+        other = Stream(url, f"/events?of={key if of == 'same' else of}", {"Last-Event-ID": last})
+        assert other.next()[1]["is_whole"]
+        other.close()
+
+
+def test_frames_come_as_the_journal_grows(growing: GrowingJournal) -> None:
+    growing.grow(10)
+    with page_of(growing.place) as url:
+        stream = Stream(url)
+        assert stream.next()[0] == "10"
+        growing.grow(30)
+        number, change = stream.next()
+        assert (number, change["is_whole"]) == ("30", False)
+        stream.close()

@@ -1,0 +1,65 @@
+"""Frames: whoever applies them one by one has the whole state, whatever was done, and wherever they begin."""
+
+from __future__ import annotations
+
+import copy
+import json
+import random
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from planner_bridge.view.follow import Reader
+from planner_bridge.view.frames import frame
+from planner_bridge.view.shown import View
+from planner_bridge.view.view import view_of
+from pnm.journal import written_journal
+from tests.support.tasks.scenarios.random_scenarios import run_scenario
+
+
+def applied(state: dict[str, Any], received: dict[str, Any]) -> dict[str, Any]:
+    """Apply a frame as the page does."""
+    parts: dict[str, dict[str, Any]] = {} if received["is_whole"] else copy.copy(state["parts"])
+    for part, changes in received["parts"].items():
+        things = {**parts.get(part, {}), **changes}
+        parts[part] = {key: thing for key, thing in things.items() if thing is not None}
+    return {**received, "is_whole": True, "parts": {part: things for part, things in parts.items() if things}}
+
+
+def views(journal: Path) -> list[View]:
+    """The views after every record."""
+    reader = Reader(journal)
+    found = [reader.at(number, view_of) for number in range(1, reader.newest().number + 1)]
+    return [view for view in found if view is not None]
+
+
+@pytest.mark.parametrize("number", [*range(8), 34, 40, 51, 78])
+def test_frames_one_by_one_are_the_whole_state_after_every_record(number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(written_journal, "_LONG", 60)  # so that segments begin now and then
+    run_scenario(number, journal=tmp_path / "journal")
+    shown = views(tmp_path / "journal")
+    assert len(shown) > 10
+    state, seen = {"parts": dict[str, Any]()}, None
+    for view in shown:
+        state = applied(state, json.loads(json.dumps(frame(seen, view), allow_nan=False)))
+        assert state == json.loads(json.dumps(frame(None, view), allow_nan=False))
+        seen = view
+    # a slow browser misses most of them, and goes back and forth
+    for view in random.Random(number).choices(shown, k=20):
+        assert seen is not None
+        state = applied(state, json.loads(json.dumps(frame(seen, view))))
+        assert state == json.loads(json.dumps(frame(None, view)))
+        seen = view
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_what_is_shown_after_a_record_does_not_depend_on_what_was_read_before(
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(written_journal, "_LONG", 40)
+    run_scenario(number, journal=tmp_path / "journal")
+    shown = views(tmp_path / "journal")
+    assert Reader(tmp_path / "journal").newest() == shown[-1]
+    for view in random.Random(number).sample(shown, 8):
+        assert Reader(tmp_path / "journal").at(view.number, view_of) == view

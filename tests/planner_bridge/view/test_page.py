@@ -1,0 +1,184 @@
+"""The page in a browser: what lights up, what can be read, the way back, on wide and on narrow screens."""
+
+from __future__ import annotations
+
+import re
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from planner_bridge.view.follow import Reader
+from planner_bridge.view.view import view_of
+from pnm.core.machine.requests import Ended
+from pnm.journal.records import Happened, TaskOver
+from tests.support.e2e.page.browser import browser
+from tests.support.e2e.page.journals import GrowingJournal, steps
+from tests.support.e2e.page.serving import page_of
+from tests.support.files import ROOT
+from tests.support.processes import Program
+
+FAILING = "move(r1, hall, kitchen)"
+SIZES = {"wide": (1280, 900), "narrow": (400, 800)}
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Browser]:
+    with browser() as opened:
+        yield opened
+
+
+@pytest.fixture
+def page(chromium: Browser) -> Iterator[Page]:
+    """A page that must say nothing on its console: no error, and nothing that was kept from it; servers may go away."""
+    opened, said = chromium.new_page(), list[str]()
+    opened.on("console", lambda message: said.append(message.text) if "net::ERR_" not in message.text else None)
+    opened.on("pageerror", lambda error: said.append(str(error)))
+    yield opened
+    opened.close()
+    assert not said
+
+
+def shows(page: Page, record: int) -> None:
+    """Wait until the page shows what was so after a record."""
+    expect(page.locator("body")).to_have_attribute("data-record", str(record))
+
+
+def states(page: Page) -> dict[str, str]:
+    """The states of the calls of the plan that is shown, by what they do."""
+    boxes = page.locator("#picture [data-step]")
+    return {str(box.get_attribute("aria-label")).partition(":")[0]: str(box.get_attribute("data-state")) for box in boxes.all()}
+
+
+def expect_states(page: Page, journal: Path, record: int) -> None:
+    """The boxes of the newest plan have the states that the journal tells."""
+    view = Reader(journal).at(record, view_of)
+    assert view is not None
+    run = next(iter(view.tasks.values())).runs[-1]
+    calls = [call for call in view.calls.values() if call.run == run]
+    for call in calls:
+        box = page.locator(f'#picture [data-step="{call.index}"]')
+        expect(box).to_have_attribute("data-state", call.state)
+        expect(box).to_have_attribute("aria-label", re.compile(f"^{re.escape(call.action)}: "))
+    assert len(states(page)) == len(calls)
+
+
+def test_calls_light_up_as_the_journal_grows(page: Page, delivery: Path, growing: GrowingJournal) -> None:
+    growing.grow(5)
+    with page_of(growing.place) as url:
+        page.goto(url)
+        shows(page, 5)
+        happened = [step.number for step in steps(delivery) if isinstance(step.record, Happened) and (step.commands or step.fired)]
+        for record in [*happened[::3], growing.longest]:
+            growing.grow(record)
+            shows(page, record)
+            expect_states(page, growing.place, record)
+        expect(page.locator(".task")).to_contain_text("goal reached")
+        page.close()
+
+
+def test_a_failure_can_be_read_and_what_followed(page: Page, delivery: Path) -> None:
+    ended = [step.number for step in steps(delivery) if isinstance(step.record, Happened) and isinstance(step.record.event, Ended)]
+    failed = next(number for number in ended if "aborted" in _marked(delivery, number) and "give_up" in _marked(delivery, number))
+    with page_of(delivery) as url:
+        page.goto(url)
+        page.get_by_label("record", exact=True).fill(str(failed))
+        shows(page, failed)
+        need = page.locator("#needs > .need").first
+        expect(need).to_contain_text(f"{FAILING} failed: aborted")
+        expect(need.locator(".expected")).to_have_text("success")
+        expect(need.locator(".observed")).to_have_text("the way is blocked")
+        page.get_by_role("button", name="Live").click()
+        expect(page.locator("#status")).to_have_text("● live")
+        expect(page.locator("#cuts li")).to_have_count(2)
+        expect(page.locator("#cuts li").last).to_contain_text(f"not again: {FAILING}")
+        expect(page.locator("#cuts li").last).to_contain_text("added: ")
+        page.close()
+
+
+def _marked(journal: Path, record: int) -> str:
+    view = Reader(journal).at(record, view_of)
+    assert view is not None
+    return " ".join(view.events[str(record)].lines)
+
+
+def test_the_scrubber_goes_back_and_forth_by_keys(page: Page, delivery: Path) -> None:
+    last = Reader(delivery).newest().number
+    with page_of(delivery) as url:
+        page.goto(url)
+        shows(page, last)
+        way = page.get_by_label("record", exact=True)
+        way.focus()
+        for record in (last - 1, last - 2):
+            page.keyboard.press("ArrowLeft")
+            shows(page, record)
+        page.locator("h1").click()
+        way.blur()
+        page.keyboard.press("ArrowRight")
+        shows(page, last - 1)
+        page.get_by_role("button", name="✕◀").click()  # the last thing that is marked before that: why there is a new plan
+        record = int(str(page.locator("body").get_attribute("data-record")))
+        expect(page.locator("#status")).to_contain_text("history")
+        way.fill("20")
+        shows(page, 20)
+        expect_states(page, delivery, 20)
+        expect(page.locator("#facts")).not_to_contain_text("(at parcel1 hall)")
+        assert record < last
+        page.get_by_role("button", name="Live").click()
+        shows(page, last)
+        expect(page.locator("#facts")).to_contain_text("(at parcel1 hall)")
+        page.close()
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_everything_fits_and_a_call_opens(page: Page, delivery: Path, tmp_path: Path, size: str, scheme: str) -> None:
+    width, height = SIZES[size]
+    page.set_viewport_size({"width": width, "height": height})
+    page.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
+    with page_of(delivery) as url:
+        page.goto(url)
+        page.get_by_label("record", exact=True).fill("47")
+        shows(page, 47)
+        box = page.locator('#picture [data-step="4"]')
+        box.focus()
+        page.keyboard.press("Enter")
+        expect(page.locator("#call-choice")).to_have_value(re.compile("/4$"))
+        call = page.locator("#detail")
+        expect(call).to_contain_text("the end of #2 move(r1, store, hall)")
+        expect(call.locator('[data-place="running"]')).to_have_class("marked")
+        expect(call.locator(".attempts tbody tr")).to_have_count(2)
+        assert page.evaluate("document.documentElement.scrollWidth") <= width, "nothing but tables and pictures scrolls sideways"
+        picture = tmp_path / f"page-{size}-{scheme}.png"
+        page.screenshot(path=picture, full_page=True)
+        assert picture.stat().st_size > 10_000
+        page.close()
+
+
+def test_a_run_shows_itself_and_the_page_stays_until_it_is_ended(page: Page, tmp_path: Path) -> None:
+    files = ["domains/delivery/domain.pddl", "problems/delivery/p01.pddl", "--faults", "problems/delivery/faults.yaml"]
+    run = Program(["-m", "planner_bridge", "run", *files, "--view=0"], {"TMPDIR": str(tmp_path)}, cwd=ROOT)
+    try:
+        url = run.until(lambda: next((line.split()[1] for line in run.err if line.startswith("view ")), ""))
+        page.goto(url)
+        expect(page.locator(".task")).to_contain_text("goal reached")
+        expect(page.locator("#cuts li")).to_have_count(2)
+        run.until(lambda: any("stays until Ctrl-C" in line for line in run.err))
+        run.process.send_signal(signal.SIGINT)
+        assert run.ended() == 0
+        expect(page.locator("#status")).to_contain_text("not connected")
+        assert not list(tmp_path.glob("pnm-view-*"))
+    finally:
+        run.close()
+
+
+def test_marks_on_the_way_are_failures_replans_and_the_end(page: Page, delivery: Path) -> None:
+    over = next(step.number for step in steps(delivery) if isinstance(step.record, TaskOver))
+    with page_of(delivery) as url:
+        page.goto(url)
+        expect(page.locator("#marks [data-mark=failure]")).to_have_count(4)
+        expect(page.locator("#marks [data-mark=replan]")).to_have_count(2)
+        expect(page.locator("#marks [data-mark=end]")).to_have_attribute("data-record", str(over))
+        page.close()
