@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import re
 import sys
 import textwrap
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from rich.console import Console
 from rich.markup import escape
@@ -21,7 +22,7 @@ from planner_bridge.tasks.result import ConstraintResult, TaskResult, Violation
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.core.execution.call_results import Explanation, Failure, RunResult
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import ActionCall
+from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from pnm.core.machine.verification.verify import Proof
 from pnm.knowledge.sources.person_text import printable
@@ -89,16 +90,29 @@ class EventLines:
         self.console.print_text(text, f"  {now - self.began:8.2f} s  {escape(self.label)}{word} ")
 
 
+class _News(NamedTuple):
+    """What has happened to a call and is printed with what follows from it: when, in which word, to what, why, and in detail."""
+
+    now: float
+    word: str
+    action: GroundAction
+    cause: str
+    details: str
+
+
 class ConsoleObserver(TaskObserver):
     """Prints a line per event of a task; shows a spinner while it plans, when the output is a terminal.
+
+    An end without success and what follows from it at once are one line.
 
     Args:
         limit: seconds that the planner may take.
         robots: who performs the actions; printed before the first event, if it is not empty.
         is_verbose: whether it prints how large machines are, and how they were proved.
 
-    The mutable state is whether that was printed, the time from which seconds count, the spinner, why calls are tried again, by
-    number, and what was printed of the failures of each call: the same is not printed again but at the end.
+    The mutable state is whether that was printed, the time from which seconds count, the spinner, by the numbers of calls their
+    attempts, why they are tried again and what is not printed yet, and what was printed of the failures of each action: the same is
+    not printed again but at the end.
     """
 
     def __init__(self, console: SafeConsole, limit: float, *, robots: str = "", is_verbose: bool = False) -> None:
@@ -108,7 +122,9 @@ class ConsoleObserver(TaskObserver):
         self._is_verbose = is_verbose
         self._lines = EventLines(console)
         self._waiting = ExitStack()
+        self._attempts: dict[int, int] = {}
         self._causes: dict[int, Failure] = {}
+        self._news: dict[int, _News] = {}
         self._printed: set[tuple[str, str]] = set()
 
     def began(self, now: float) -> None:
@@ -146,6 +162,7 @@ class ConsoleObserver(TaskObserver):
 
     def generated(self, machine: PetriNetMachine, proof: Proof) -> None:
         """Print that the machine is proved, in which calls have numbers of their own."""
+        self._attempts.clear()
         self._causes.clear()
         self._print_robots()
         self._console.print_text("proved: whatever happens, it ends in the goal or in a named failure", "[bold]machine[/]  ")
@@ -155,32 +172,60 @@ class ConsoleObserver(TaskObserver):
             self._console.print_text(f"{size}; proved {proof}", " " * _INDENT)
 
     def sent(self, call: ActionCall, request: Request, now: float) -> None:
-        """Print that a call starts."""
-        again = ""
-        if request.attempt > 1:
-            cause = self._causes.pop(call.index, None)
-            again = f" (attempt {request.attempt}, after {f'{cause.cause}{self._new(call.action, cause.details)}' if cause else 'a pause'})"
-        self._lines.print(now, "[blue]start[/] ", f"{call.action}{again}")
+        """Print that a call starts, or is tried again and why."""
+        self._attempts[call.index] = request.attempt
+        if request.attempt == 1:
+            self._print(now, "[blue]start[/] ", str(call.action))
+            return
+        cause = self._causes.pop(call.index, None)
+        self._news.pop(call.index, None)
+        after = f"{cause.cause}{self._new(call.action, cause.details)}" if cause else "a pause"
+        self._print(now, "[yellow]retry[/] ", f"{call.action}: attempt {request.attempt}, after {after}")
 
     def hindered(self, call: ActionCall, cause: Explanation, now: float) -> None:
-        """Keep the cause for when the call is tried again; what was expected is printed then, unless a report has said it."""
-        self._causes[call.index] = Failure(call, *cause)
+        """Keep the cause, which is printed with what follows from it: that the call is tried again, or fails; alone if nothing does."""
+        self._causes[call.index] = failure = Failure(call, *cause)
+        if call.index in self._news:
+            self._news[call.index] = self._news[call.index]._replace(cause=str(cause.cause), details=failure.details)
+        else:
+            self._wait_for_more(call, _News(now, "[red]wrong[/] ", call.action, str(cause.cause), failure.details))
 
     def spared(self, call: ActionCall, now: float) -> None:
         """Print that a call is not needed."""
-        self._lines.print(now, "[green]spared[/]", f"{call.action}: its effects hold already")
+        self._print(now, "[green]spared[/]", f"{call.action}: its effects hold already")
 
     def ended(self, call: ActionCall, outcome: Outcome, now: float) -> None:
-        """Print how a request ended."""
+        """Print how a request ended; of one without success together with what follows."""
         if outcome.kind is OutcomeKind.SUCCEEDED:
-            self._lines.print(now, "[green]done[/]  ", str(call.action.operation or call.action))
+            self._print(now, "[green]done[/]  ", str(call.action.operation or call.action))
         else:
-            self._lines.print(now, "[red]ended[/] ", f"{call.action}: {outcome.kind.value}{self._new(call.action, outcome.message)}")
+            self._wait_for_more(call, _News(now, "[red]ended[/] ", call.action, outcome.kind.value, outcome.message))
 
     def failed(self, failure: Failure, now: float) -> None:
         """Print that a failure place is marked."""
-        step = failure.call.action if isinstance(failure.call, ActionCall) else failure.call
-        self._lines.print(now, "[bold red]failed[/]", f"{step}: {failure.cause}{self._new(step, failure.details)}")
+        step = failure.call
+        self._news.pop(step.index, None)
+        attempts = self._attempts.pop(step.index, 1)
+        named = step.action if isinstance(step, ActionCall) else step
+        tried = f" in {attempts} attempts" if attempts > 1 else ""
+        self._print(now, "[bold red]failed[/]", f"{named}{tried}: {failure.cause}{self._new(named, failure.details)}")
+
+    def _print(self, now: float, word: str, text: str) -> None:
+        """Print a line, and before it what was waiting for more."""
+        self._print_news()
+        self._lines.print(now, word, text)
+
+    def _wait_for_more(self, call: ActionCall, news: _News) -> None:
+        """Print the news at the end of what happens at this moment, unless it is printed with what follows from it."""
+        if not self._news:
+            asyncio.get_running_loop().call_soon(self._print_news)
+        self._news[call.index] = news
+
+    def _print_news(self) -> None:
+        """Print what was waiting for more that has not come."""
+        waiting, self._news = self._news, {}
+        for now, word, action, cause, details in waiting.values():
+            self._lines.print(now, word, f"{action}: {cause}{self._new(action, details)}")
 
     def _print_robots(self) -> None:
         if self._robots:
@@ -210,7 +255,7 @@ class ConsoleObserver(TaskObserver):
 
     def violated(self, violation: Violation, now: float) -> None:
         """Print that a constraint is violated."""
-        self._lines.print(now, "[bold red]broken[/]", f"{violation.constraint}; observed {violation.observed}")
+        self._print(now, "[bold red]broken[/]", f"{violation.constraint}; observed {violation.observed}")
 
 
 def print_result(console: SafeConsole, result: TaskResult) -> None:
