@@ -108,7 +108,7 @@ class ViewingCommand(click.Command):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Give the page its port."""
-        named = zip(args, [*args[1:], ""], strict=True)
+        named = zip(args, [*args[1:], ""], strict=False)
         given = [f"--view={VIEW_PORT}" if one == "--view" and not after.isdecimal() else one for one, after in named]
         return super().parse_args(ctx, given)
 
