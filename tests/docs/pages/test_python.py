@@ -10,7 +10,7 @@ import pytest
 
 from tests.support.files import ROOT
 
-EXAMPLES = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "python.md").read_text(encoding="utf-8"), re.DOTALL)
+EXAMPLES = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "guides" / "python.md").read_text(encoding="utf-8"), re.DOTALL)
 PRINTED = [
     ["True the goal holds", "load(r1, parcel2, store) succeeded 1"],
     ["PAUSED", "cancelled"],
