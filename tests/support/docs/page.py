@@ -16,6 +16,7 @@ import subprocess
 import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Final, Protocol
 
@@ -58,12 +59,16 @@ class Step:
         return command + (self.output if self.agrees(printed) else self._abridged(_TRAILING.sub("", printed)))
 
     def _abridged(self, printed: str) -> str:
-        """Leave out what the page leaves out: as many lines as it shows are kept before its first ellipsis, and after its last."""
+        """Leave out what the page leaves out: what it shows between two ellipses begins, and ends, with the lines that are most alike."""
         if LEFT_OUT not in self.output:
             return printed
-        parts, lines = self.output.split(LEFT_OUT), printed.splitlines(keepends=True)
-        before, after = (part.count("\n") for part in (parts[0], parts[-1]))
-        return "".join([*lines[:before], LEFT_OUT, *lines[max(before, len(lines) - after) :]])
+        lines = printed.splitlines(keepends=True)
+        first, *between, last = (part.splitlines(keepends=True) for part in self.output.split(LEFT_OUT))
+        kept = lines[: len(first)]
+        for part in between:
+            here = [lines.index(line) for shown in (part[0], part[-1]) for line in get_close_matches(shown, lines, n=1)]
+            kept += [LEFT_OUT, *(lines[here[0] : here[-1] + 1] if here else ())]
+        return "".join([*kept, LEFT_OUT, *lines[max(len(first), len(lines) - len(last)) :]])
 
 
 @dataclass(frozen=True)
