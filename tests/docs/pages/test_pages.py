@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import shlex
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -69,6 +71,12 @@ def test_commands_that_are_not_run_have_only_options_that_there_are(page: Path) 
         known = {option for parameter in command.params for option in parameter.opts} | {"-h", "--help"}
         own = words[1 : words.index("--ros-args")] if "--ros-args" in words else words[1:]
         assert {word.partition("=")[0] for word in own if word.startswith("-")} <= known, words
+
+
+def test_the_robot_of_the_tutorial_needs_no_package_of_the_tests() -> None:
+    code = "import sys; sys.modules.update(dict.fromkeys(('pytest', 'hypothesis'))); import tests.support.e2e.newcomer.porter"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_the_index_has_every_page() -> None:
