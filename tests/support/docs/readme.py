@@ -21,7 +21,8 @@ def main() -> None:
         real = as_it_is(shown, follow(shown, InstalledShell(with_examples(Path(folder)), Path(sys.argv[1]).resolve())))
     if real != shown:
         sys.exit("".join(difflib.unified_diff(shown.splitlines(True), real.splitlines(True), "README.md", "what is printed")))
-    print(f"{len(blocks_of(shown, 'console', 'output'))} examples of the README print what it says")
+    commands = [step.command for block in blocks_of(shown, "console") for step in block.steps()]
+    print(f"{len(commands)} commands of the README print what it says")
 
 
 if __name__ == "__main__":
