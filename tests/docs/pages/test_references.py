@@ -6,13 +6,16 @@ import ast
 import json
 import re
 from collections.abc import Iterator
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
+import yaml
 from click.testing import CliRunner
 
 from planner_bridge.cli.commands import app
+from planner_bridge.loading import load
 from planner_bridge.node.options import PARAMETERS
 from planner_bridge.tasks.result import code_of_failures
 from pnm.actions.bindings_file import binding_keys, read_bindings
@@ -20,8 +23,12 @@ from pnm.actions.faults import FaultKind
 from pnm.core.execution.call_results import Failure
 from pnm.core.machine.bindings import DEFAULT
 from pnm.core.machine.plan_graph import ActionCall, Cause, GroundAction
+from pnm.core.message_fields import value_in
 from pnm.core.readiness import ReadyState
+from pnm.knowledge.sensor_file import read_sensing
+from pnm.knowledge.sensor_model import instances, read
 from pnm.ros.action_client.fitted_binding import fitted_binding
+from pnm.ros.sensors.fitted import fitted
 from pnm.tasks import Code
 from tests.support.docs.page import DOCS, blocks_of, files_of
 from tests.support.files import ROOT, written
@@ -78,12 +85,26 @@ def test_states_of_readiness_and_kinds_of_faults_have_their_rows() -> None:
     assert {kind.value for kind in FaultKind} <= set(words("guides/rehearsal.md"))
 
 
-def test_the_bindings_that_are_shown_are_read_and_fit(tmp_path: Path) -> None:
-    porter_msgs = pytest.importorskip("porter_msgs.action")
+def test_the_bindings_that_are_shown_are_read(tmp_path: Path) -> None:
     for page in ("reference/bindings.md", "guides/several-robots.md"):
         assert read_bindings(written(tmp_path / "bindings.yaml", files_of(text(page))["bindings.yaml"])).actions
-    nav2 = read_bindings(written(tmp_path / "bindings.yaml", files_of(text("guides/nav2.md"))["bindings.yaml"]))
-    assert fitted_binding(nav2.of("navigate_to_pose"), porter_msgs.NavigateToPose)  # of the same shape
+
+
+def test_the_files_of_the_page_about_nav2_fit_types_of_its_shape(tmp_path: Path) -> None:
+    goal, pose = (
+        pytest.importorskip("porter_msgs.action").NavigateToPose,
+        pytest.importorskip("geometry_msgs.msg").PoseWithCovarianceStamped,
+    )
+    files = {name: written(tmp_path / name, body) for name, body in files_of(text("guides/nav2.md")).items()}
+    problem = load(files["domain.pddl"], files["problem.pddl"])
+    assert fitted_binding(read_bindings(files["bindings.yaml"], problem.vocabulary).of("navigate_to_pose"), goal)
+    (sensor,) = instances(read_sensing(files["sensing.yaml"], problem.vocabulary), {})
+    (reports,) = (fitted(one, pose) for one in read_sensing(files["sensing.yaml"]).sensors)
+    assert len(reports.statements) == len(problem.objects)
+    table = yaml.safe_load(files["bindings.yaml"].read_text())["actions"]["navigate_to_pose"]["goal"]["pose"]["table"]
+    for place, stamped in table.items():
+        reading = read(sensor, partial(value_in, {"pose": stamped}), {})  # a pose with covariance has its pose inside of a pose
+        assert [fluent for fluent, value in reading.facts.items() if value is True] == [("at", place)]
 
 
 def test_every_command_has_its_help() -> None:
