@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import subprocess
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import chdir
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,8 +27,10 @@ class OwnShell:
         """Carry out a command of `pnm`, or print its exit status."""
         match shlex.split(step.command):
             case ["pnm", *arguments]:
-                with inside_of(self.folder):
-                    done = CliRunner().invoke(app, arguments, prog_name="pnm")
+                # As wide as a terminal is by default; knowledge and journals that outlast a process are kept in the folder.
+                environment = {"COLUMNS": "80", "XDG_STATE_HOME": str(self.folder)}
+                with chdir(self.folder):
+                    done = CliRunner(env=environment).invoke(app, arguments, prog_name="pnm")
                 self.status = done.exit_code
                 return done.output
             case ["echo", _]:
@@ -51,7 +52,7 @@ class InstalledShell:
 
     def printed(self, step: Step) -> str:
         """Run a command; return what it prints."""
-        environment = {**os.environ, "PATH": f"{self.programs}:{os.environ['PATH']}"}
+        environment = {**os.environ, "COLUMNS": "80", "PATH": f"{self.programs}:{os.environ['PATH']}"}
         done = subprocess.run(
             step.command,
             shell=True,
@@ -72,18 +73,3 @@ def with_examples(folder: Path) -> Path:
     for name in ("domains", "problems"):
         (folder / name).symlink_to(ROOT / name)
     return folder
-
-
-@contextmanager
-def inside_of(folder: Path) -> Iterator[None]:
-    """Be in a folder; knowledge that outlasts a process is kept there."""
-    before, state = Path.cwd(), os.environ.get("XDG_STATE_HOME")
-    os.chdir(folder)
-    os.environ["XDG_STATE_HOME"] = str(folder)
-    try:
-        yield
-    finally:
-        os.chdir(before)
-        del os.environ["XDG_STATE_HOME"]
-        if state is not None:
-            os.environ["XDG_STATE_HOME"] = state
