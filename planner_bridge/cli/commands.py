@@ -6,6 +6,7 @@ Commands import what they need in their functions, so that each starts as fast a
 from __future__ import annotations
 
 import json
+import logging
 import signal
 import sys
 from importlib import import_module
@@ -285,4 +286,16 @@ def main() -> None:
     # Shells without job control start background processes with SIGINT ignored; one that is sent all the same asks us to stop in order.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    logging.basicConfig(level=logging.WARNING, format="%(message)s", handlers=[_Warnings()])
     app(prog_name="pnm")
+
+
+class _Warnings(logging.Handler):
+    """Prints warnings on stderr, on terminals in lines that are not too long."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a warning."""
+        from planner_bridge.cli.console import SafeConsole
+
+        for line in self.format(record).split("\n"):
+            SafeConsole(stderr=True).print_text(line)

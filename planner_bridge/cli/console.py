@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import re
 import sys
 import textwrap
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from rich.console import Console
 from rich.markup import escape
 from rich.text import Text
 
-from planner_bridge.cli.options import searching
+from planner_bridge.cli.options import planner_words, waiting
 from planner_bridge.model.plan import Plan, PlanningResult
 from planner_bridge.tasks.replanning import PlanAgain, ResumePlan
 from planner_bridge.tasks.result import ConstraintResult, TaskResult, Violation
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.core.execution.call_results import Explanation, Failure, RunResult
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import ActionCall
+from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from pnm.core.machine.verification.verify import Proof
 from pnm.knowledge.sources.person_text import printable
@@ -89,27 +90,53 @@ class EventLines:
         self.console.print_text(text, f"  {now - self.began:8.2f} s  {escape(self.label)}{word} ")
 
 
+class _News(NamedTuple):
+    """What has happened to a call and is printed with what follows from it: when, in which word, to what, why, and in detail."""
+
+    now: float
+    word: str
+    action: GroundAction
+    cause: str
+    details: str
+
+
 class ConsoleObserver(TaskObserver):
     """Prints a line per event of a task; shows a spinner while it plans, when the output is a terminal.
+
+    An end without success and what follows from it at once are one line.
 
     Args:
         limit: seconds that the planner may take.
         robots: who performs the actions; printed before the first event, if it is not empty.
+        awaited: what is waited for between a plan and its machine, with the limit; empty for nothing.
         is_verbose: whether it prints how large machines are, and how they were proved.
 
-    The mutable state is whether that was printed, the time from which seconds count, the spinner, why calls are tried again, by
-    number, and what was printed of the failures of each call: the same is not printed again but at the end.
+    The mutable state is whether that was printed, the time from which seconds count, the spinner, by the numbers of calls their
+    attempts, why they are tried again and what is not printed yet, and what was printed of the failures of each action: the same is
+    not printed again but at the end.
     """
 
-    def __init__(self, console: SafeConsole, limit: float, *, robots: str = "", is_verbose: bool = False) -> None:
+    def __init__(self, console: SafeConsole, limit: float, *, robots: str = "", awaited: str = "", is_verbose: bool = False) -> None:
         self._console = console
         self._limit = limit
         self._robots = robots
+        self._awaited = awaited
         self._is_verbose = is_verbose
         self._lines = EventLines(console)
         self._waiting = ExitStack()
+        self._attempts: dict[int, int] = {}
         self._causes: dict[int, Failure] = {}
+        self._news: dict[int, _News] = {}
         self._printed: set[tuple[str, str]] = set()
+
+    def wait(self, text: str) -> None:
+        """Show what is waited for, with its limit, until something happens."""
+        self._waiting.close()
+        self._waiting.enter_context(waiting(text, self._console))
+
+    def close(self) -> None:
+        """Show nothing any more."""
+        self._waiting.close()
 
     def began(self, now: float) -> None:
         """Count seconds from the beginning of the task; a plan that goes on under a planner keeps its own."""
@@ -119,10 +146,11 @@ class ConsoleObserver(TaskObserver):
     def planning(self, planner: str) -> None:
         """Show that a planner is being asked."""
         self._print_robots()
-        self._waiting.enter_context(searching(planner, self._limit, self._console))
+        self.wait(planner_words(planner, self._limit))
 
     def restored(self) -> None:
         """Print that the task goes on."""
+        self._waiting.close()
         self._print_robots()
         self._console.print("[bold]resumed[/]  goes on where another process has left it", highlight=False, soft_wrap=True)
 
@@ -135,6 +163,8 @@ class ConsoleObserver(TaskObserver):
             begins = _STEP.match(step)
             when = begins[0] if begins else ""
             self._console.print_text(step.removeprefix(when), when)
+        if self._awaited:
+            self.wait(self._awaited)
 
     def unplanned(self, result: PlanningResult) -> None:
         """Stop showing that a planner is being asked; the result is printed at the end."""
@@ -146,7 +176,9 @@ class ConsoleObserver(TaskObserver):
 
     def generated(self, machine: PetriNetMachine, proof: Proof) -> None:
         """Print that the machine is proved, in which calls have numbers of their own."""
+        self._attempts.clear()
         self._causes.clear()
+        self._waiting.close()
         self._print_robots()
         self._console.print_text("proved: whatever happens, it ends in the goal or in a named failure", "[bold]machine[/]  ")
         if self._is_verbose:
@@ -155,34 +187,63 @@ class ConsoleObserver(TaskObserver):
             self._console.print_text(f"{size}; proved {proof}", " " * _INDENT)
 
     def sent(self, call: ActionCall, request: Request, now: float) -> None:
-        """Print that a call starts."""
-        again = ""
-        if request.attempt > 1:
-            cause = self._causes.pop(call.index, None)
-            again = f" (attempt {request.attempt}, after {f'{cause.cause}{self._new(call.action, cause.details)}' if cause else 'a pause'})"
-        self._lines.print(now, "[blue]start[/] ", f"{call.action}{again}")
+        """Print that a call starts, or is tried again and why."""
+        self._attempts[call.index] = request.attempt
+        if request.attempt == 1:
+            self._print(now, "[blue]start[/] ", str(call.action))
+            return
+        cause = self._causes.pop(call.index, None)
+        self._news.pop(call.index, None)
+        after = f"{cause.cause}{self._new(call.action, cause.details)}" if cause else "a pause"
+        self._print(now, "[yellow]retry[/] ", f"{call.action}: attempt {request.attempt}, after {after}")
 
     def hindered(self, call: ActionCall, cause: Explanation, now: float) -> None:
-        """Keep the cause for when the call is tried again; what was expected is printed then, unless a report has said it."""
-        self._causes[call.index] = Failure(call, *cause)
+        """Keep the cause, which is printed with what follows from it: that the call is tried again, or fails; alone if nothing does."""
+        self._causes[call.index] = failure = Failure(call, *cause)
+        if call.index in self._news:
+            self._news[call.index] = self._news[call.index]._replace(cause=str(cause.cause), details=failure.details)
+        else:
+            self._wait_for_more(call, _News(now, "[red]wrong[/] ", call.action, str(cause.cause), failure.details))
 
     def spared(self, call: ActionCall, now: float) -> None:
         """Print that a call is not needed."""
-        self._lines.print(now, "[green]spared[/]", f"{call.action}: its effects hold already")
+        self._print(now, "[green]spared[/]", f"{call.action}: its effects hold already")
 
     def ended(self, call: ActionCall, outcome: Outcome, now: float) -> None:
-        """Print how a request ended."""
+        """Print how a request ended; of one without success together with what follows."""
         if outcome.kind is OutcomeKind.SUCCEEDED:
-            self._lines.print(now, "[green]done[/]  ", str(call.action.operation or call.action))
+            self._print(now, "[green]done[/]  ", str(call.action.operation or call.action))
         else:
-            self._lines.print(now, "[red]ended[/] ", f"{call.action}: {outcome.kind.value}{self._new(call.action, outcome.message)}")
+            self._wait_for_more(call, _News(now, "[red]ended[/] ", call.action, outcome.kind.value, outcome.message))
 
     def failed(self, failure: Failure, now: float) -> None:
         """Print that a failure place is marked."""
-        step = failure.call.action if isinstance(failure.call, ActionCall) else failure.call
-        self._lines.print(now, "[bold red]failed[/]", f"{step}: {failure.cause}{self._new(step, failure.details)}")
+        step = failure.call
+        self._news.pop(step.index, None)
+        attempts = self._attempts.pop(step.index, 1)
+        named = step.action if isinstance(step, ActionCall) else step
+        tried = f" in {attempts} attempts" if attempts > 1 else ""
+        self._print(now, "[bold red]failed[/]", f"{named}{tried}: {failure.cause}{self._new(named, failure.details)}")
+
+    def _print(self, now: float, word: str, text: str) -> None:
+        """Print a line, and before it what was waiting for more."""
+        self._print_news()
+        self._lines.print(now, word, text)
+
+    def _wait_for_more(self, call: ActionCall, news: _News) -> None:
+        """Print the news at the end of what happens at this moment, unless it is printed with what follows from it."""
+        if not self._news:
+            asyncio.get_running_loop().call_soon(self._print_news)
+        self._news[call.index] = news
+
+    def _print_news(self) -> None:
+        """Print what was waiting for more that has not come."""
+        waiting, self._news = self._news, {}
+        for now, word, action, cause, details in waiting.values():
+            self._lines.print(now, word, f"{action}: {cause}{self._new(action, details)}")
 
     def _print_robots(self) -> None:
+        self._waiting.close()
         if self._robots:
             self._console.print_text(self._robots, "[bold]robots[/]   ")
             self._robots = ""
@@ -210,7 +271,7 @@ class ConsoleObserver(TaskObserver):
 
     def violated(self, violation: Violation, now: float) -> None:
         """Print that a constraint is violated."""
-        self._lines.print(now, "[bold red]broken[/]", f"{violation.constraint}; observed {violation.observed}")
+        self._print(now, "[bold red]broken[/]", f"{violation.constraint}; observed {violation.observed}")
 
 
 def print_result(console: SafeConsole, result: TaskResult) -> None:

@@ -6,13 +6,16 @@ import asyncio
 import json
 from collections.abc import Awaitable, Callable
 from contextlib import closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from math import inf
+from time import monotonic
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 from uuid import UUID, uuid4
 
 import click
+from rich.live import Live
 from rich.markup import escape
-from rich.table import Table
+from rich.table import Column, Table
 
 from planner_bridge.cli.console import EventLines, SafeConsole
 from planner_bridge.cli.options import Seconds, as_json_option, command, options
@@ -59,39 +62,87 @@ class Event:
         return ": ".join(filter(None, (self.subject, self.text)))
 
 
-class EventPrinter:
-    """Prints a line per event. Feedback about calls is shown below them on a terminal, and elsewhere printed once a second for each.
+@dataclass
+class TaskBoard:
+    """What is going on now, as it is shown below the events on a terminal: tasks, and their calls under way with seconds and feedback.
 
-    The mutable state is what is shown, by task and call, with its time.
+    The mutable state is the goal and the state of each task that is not over, and since when its calls are under way, with what
+    their servers have said last.
     """
 
-    def __init__(self, console: SafeConsole) -> None:
+    goals: dict[UUID, str] = field(default_factory=dict)
+    states: dict[UUID, str] = field(default_factory=dict)
+    calls: dict[UUID, dict[str, tuple[float | None, str]]] = field(default_factory=dict)
+
+    @staticmethod
+    def of(message: Any) -> TaskBoard:
+        """Read an ``ExecutorStatus``. Since when its calls are under way is not known."""
+        board = TaskBoard()
+        for task in message.tasks:
+            if task.state != task.OVER:
+                id = UUID(bytes=bytes(task.id.uuid))
+                board.goals[id], board.states[id] = task.goal, ": ".join(filter(None, (TaskState(task.state).word, task.reason)))
+                board.calls[id] = {call: (None, said) for call, said in zip(task.running, task.feedback, strict=True)}
+        return board
+
+    def note(self, event: Event, now: float) -> None:
+        """Change as the event says, which is heard now."""
+        calls = self.calls.setdefault(event.task, {})
+        match event.kind:
+            case TraceKind.GOAL:
+                self.goals[event.task] = event.text
+            case TraceKind.STATE if event.text.startswith("over"):
+                for kept in (self.goals, self.states, self.calls):
+                    kept.pop(event.task, None)
+            case TraceKind.STATE:
+                self.states[event.task] = event.text
+            case TraceKind.SENT:
+                calls[event.subject] = (now, "")
+            case TraceKind.FEEDBACK:
+                calls[event.subject] = (calls.get(event.subject, (None, ""))[0], event.text)
+            case TraceKind.ENDED:
+                calls.pop(event.subject, None)
+
+    def shown(self, now: float) -> Table:
+        """Return the tasks with their calls, as a table that fits any terminal."""
+        table = Table.grid(Column(no_wrap=True), Column(overflow="fold"), padding=(0, 2))
+        for task, state in self.states.items():
+            table.add_row(f"[bold]{task.hex[:8]}[/]", f"[bold]{escape(self.goals.get(task, ''))}[/]  {escape(state)}")
+            for call, (since, said) in self.calls.get(task, {}).items():
+                table.add_row("" if since is None else f"{now - since:6.0f} s", escape("  ".join(filter(None, (call, said)))))
+        return table
+
+
+class EventPrinter:
+    """Prints a line per event, and shows below them on a terminal what is going on; elsewhere feedback is printed once a second.
+
+    The mutable state is what is going on, and when feedback was printed last, by task and call.
+    """
+
+    def __init__(self, console: SafeConsole, board: TaskBoard | None = None) -> None:
         self._lines = EventLines(console)
-        self._below = console.status("") if console.is_terminal else None
-        self._feedback: dict[tuple[UUID, str], Event] = {}
+        self._board = board or TaskBoard()
+        self._told: dict[tuple[UUID, str], float] = {}
+        self._below = Live(get_renderable=lambda: self._board.shown(monotonic()), console=console, refresh_per_second=4, transient=True)
+        if console.is_terminal:
+            self._below.start()
 
     def close(self) -> None:
         """Show nothing below the lines any more."""
-        if self._below:
-            self._below.stop()
+        self._below.stop()
 
     def print(self, event: Event, label: str = "") -> None:
         """Print an event; the label comes behind its time."""
+        self._board.note(event, monotonic())
         if event.kind == TraceKind.FIRED:
             return
-        self._lines.label, key = label, (event.task, event.subject)
-        last = self._feedback.get(key)
-        if event.kind != TraceKind.FEEDBACK:
-            self._feedback.pop(key, None)
-        elif self._below or last is None or event.time - last.time >= SECOND:
-            self._feedback[key] = event
-        else:
-            return
-        if self._below:
-            self._below.update(escape("; ".join(map(str, self._feedback.values()))))
-            (self._below.start if self._feedback else self._below.stop)()
-        if event.kind != TraceKind.FEEDBACK or not self._below:
-            self._lines.print(event.time, f"{event.word:<7}", str(event))
+        if event.kind == TraceKind.FEEDBACK:
+            key = (event.task, event.subject)
+            if self._below.is_started or event.time - self._told.get(key, -inf) < SECOND:
+                return
+            self._told[key] = event.time
+        self._lines.label = label
+        self._lines.print(event.time, f"{event.word:<7}", str(event))
 
 
 @click.command(epilog="Example: pnm status --json")
@@ -117,14 +168,15 @@ def status(namespace: str, as_json: bool) -> int:
 def watch(namespace: str) -> int:
     """Follow the tasks of the node until interrupted.
 
-    Shows them, and then a line for whatever happens to them.
+    Shows them, and then a line for whatever happens to them; on a terminal what is going on stays in sight below.
     """
     console = SafeConsole()
 
     async def show(node: NodeClient) -> None:
         async with node.hearing(*_TRACE) as heard:
-            _print_status(console, await node.status())
-            with closing(EventPrinter(console)) as printer, suppress(asyncio.CancelledError):  # which is how it ends
+            status = await node.status()
+            _print_status(console, status)
+            with closing(EventPrinter(console, TaskBoard.of(status))) as printer, suppress(asyncio.CancelledError):  # which is how it ends
                 while True:
                     event = Event.of(await heard.get())
                     printer.print(event, f"{event.task.hex[:8]}  ")

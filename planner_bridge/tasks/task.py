@@ -239,7 +239,7 @@ class Task(TaskObserver):
 
     def sent(self, call: ActionCall, request: Request, now: float) -> None:
         """Note that a call is being sent."""
-        self.note(TraceKind.SENT, str(call.action))
+        self.note(TraceKind.SENT, str(call.action), f"attempt {request.attempt}" if request.attempt > 1 else "")
         self.listener.changed(self.id)
 
     def progressed(self, call: ActionCall, feedback: str, now: float) -> None:

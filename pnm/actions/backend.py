@@ -9,7 +9,7 @@ import asyncio
 import logging
 from collections.abc import Callable, Iterable
 from math import inf
-from typing import Protocol
+from typing import Final, Protocol
 
 from pnm.actions.simulated_robots import SimulatedRobots
 from pnm.actions.simulated_world import report_changes
@@ -22,6 +22,8 @@ from pnm.core.readiness import Readiness, ReadyState, refuse_unfit
 from pnm.knowledge.sources.source import FindKnowledge, Source
 
 _log = logging.getLogger(__name__)
+_EACH: Final = 3
+"""So many servers that are not there have a line each; more are named together."""
 
 
 class Backend(Protocol):
@@ -65,9 +67,13 @@ async def check_ready(backend: Backend, actions: Iterable[GroundAction] = (), kn
     """Log what is not ready yet of what the backend needs; raise an `InputError` if something can never work."""
     rows = await backend.check(actions, known=known)
     refuse_unfit(rows)
+    awaited = [row for row in rows if row.waits]
+    if len(awaited) > _EACH:
+        names = ", ".join(dict.fromkeys(row.name for row in awaited))
+        _log.warning("not there yet (`pnm check` says more): %s; each %s", names, awaited[0].waits)
     for row in rows:
-        if row.state is not ReadyState.READY:
-            _log.warning("%s%s", row, f"; {row.waits}" if row.waits else "")
+        if row.state is not ReadyState.READY and not (row.waits and len(awaited) > _EACH):
+            _log.warning("%s%s", row, f"; it {row.waits}" if row.waits else "")
 
 
 def schedule(knowledge: KnowledgeBase, timed: Iterable[TimedChange], began: float, after: float = -inf) -> Callable[[], None]:

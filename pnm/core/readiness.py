@@ -39,7 +39,7 @@ class Readiness:
     advice: str = ""
     """Why it is not ready, and what to do about it."""
     waits: str = ""
-    """How long it is waited for, if it is."""
+    """What becomes of it while it is not there, as the rest of a sentence about it; empty if it is not waited for."""
     position: Position | None = None
     """Of the binding or of the sensor in its file."""
     is_sensor: bool = False

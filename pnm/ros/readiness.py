@@ -123,7 +123,7 @@ def server_readiness(
         return replace(row, state=ReadyState.SEVERAL, advice=f"{advice} (see `several_servers`)")
     if there:
         return replace(row, state=ReadyState.READY)
-    waits = f"it is waited for where it is needed, {patience:.0f} s at most"
+    waits = f"is waited for where it is needed, {patience:.0f} s at most"
     return replace(row, state=ReadyState.ABSENT, advice=absence(graph.servers, server, wanted), waits=waits)
 
 

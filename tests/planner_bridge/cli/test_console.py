@@ -38,7 +38,7 @@ TWICE = """(define (domain d) (:requirements :durative-actions) (:predicates (a)
     ("fault", "start", "why"),
     [
         ("hang", "10.00", "timed_out: expected an end within 10 s; observed none; then cancelled on request"),
-        ("abort", " 1.50", "aborted"),
+        ("abort", " 1.50", "aborted: the action failed"),
         ("no_effect", " 3.01", "effects_missing: expected (a); observed (a) is false"),
     ],
 )
@@ -47,7 +47,7 @@ def test_why_a_call_is_tried_again_stands_beside_the_attempt(tmp_path: Path, fau
     (tmp_path / "p.pddl").write_text("(define (problem p) (:domain d) (:init) (:goal (b)))")
     (tmp_path / "f.yaml").write_text(f"faults: [{{action: first, do: {fault}, times: 1}}]")
     done = pnm("run", str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl"), "--faults", str(tmp_path / "f.yaml"))
-    assert f"     {start} s  start  first() (attempt 2, after {why})" in done.stdout.splitlines()
+    assert f"     {start} s  retry  first(): attempt 2, after {why}" in done.stdout.splitlines()
 
 
 def test_why_a_call_is_given_up_stands_beside_the_failure_with_its_limits(tmp_path: Path) -> None:
@@ -78,9 +78,9 @@ def test_every_call_has_its_reason_also_if_another_has_failed_for_the_same(tmp_p
     fault = "{{action: {}, do: abort, times: 1, message: no air}}".format
     (tmp_path / "f.yaml").write_text(f"faults: [{fault('first')}, {fault('second')}]")
     lines = pnm("run", str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl"), "--faults", str(tmp_path / "f.yaml")).stdout.splitlines()
-    assert [line.split("ended")[1].strip() for line in lines if " ended " in line] == [
-        "first(): aborted: no air",
-        "second(): aborted: no air",
+    assert [line.split("retry")[1].strip() for line in lines if " retry " in line] == [
+        "first(): attempt 2, after aborted: no air",
+        "second(): attempt 2, after aborted: no air",
     ]
 
 
@@ -90,8 +90,8 @@ def test_the_same_reason_is_printed_once_and_again_at_the_end(tmp_path: Path) ->
     (tmp_path / "f.yaml").write_text("faults: [{action: first, do: abort, times: 9, message: out of tea}]")
     done = pnm("run", str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl"), "--faults", str(tmp_path / "f.yaml"))
     told = [line for line in done.stdout.splitlines() if "out of tea" in line]
-    assert [line.split()[2] for line in told] == ["ended", "reached:"]
-    assert "      3.00 s  failed first(): aborted" in done.stdout.splitlines()
+    assert [line.split()[2] for line in told] == ["retry", "reached:"]
+    assert "      3.00 s  failed first() in 2 attempts: aborted" in done.stdout.splitlines()
 
 
 def test_a_question_without_an_answer_is_told_also_where_the_plan_goes_on(tmp_path: Path) -> None:

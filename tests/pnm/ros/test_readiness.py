@@ -66,7 +66,7 @@ def test_a_server_for_each_robot_is_looked_for(tmp_path: Path) -> None:
     assert rows["count /r_1/count"].state is ReadyState.READY
     absent = rows["count /r2/count"]
     assert (absent.state, absent.advice) == (ReadyState.ABSENT, "there is no action server /r2/count; similar are /r_1/count")
-    assert absent.waits == "it is waited for where it is needed, 7 s at most"
+    assert absent.waits == "is waited for where it is needed, 7 s at most"
 
 
 @pytest.mark.parametrize(
