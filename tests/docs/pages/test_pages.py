@@ -19,7 +19,7 @@ from tests.support.files import ROOT
 
 LINKING = (*PAGES, ROOT / "CHANGELOG.md", ROOT / "ros" / "pnm" / "README.md")
 LINK = re.compile(r"\]\((?![a-z]+://)([^)#\s]*)(?:#([^)]*))?\)")
-DRAWN = re.compile(r"-o ([\w-]+\.svg)")
+DRAWN = re.compile(r"(?:-o|--timeline) ([\w-]+\.svg)")
 
 
 def name(page: Path) -> str:
