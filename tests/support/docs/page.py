@@ -64,11 +64,12 @@ class Step:
             return printed
         lines = printed.splitlines(keepends=True)
         first, *between, last = (part.splitlines(keepends=True) for part in self.output.split(LEFT_OUT))
-        kept = lines[: len(first)]
-        for part in between:
-            here = [lines.index(line) for shown in (part[0], part[-1]) for line in get_close_matches(shown, lines, n=1)]
-            kept += [LEFT_OUT, *(lines[here[0] : here[-1] + 1] if here else ())]
-        return "".join([*kept, LEFT_OUT, *lines[max(len(first), len(lines) - len(last)) :]])
+        kept, at, end = lines[: len(first)], len(first), max(len(first), len(lines) - len(last))
+        for part in filter(None, between):
+            begins = _most_alike(part[0], lines, at, end)
+            at = min(end, _most_alike(part[-1], lines, begins, end) + 1)
+            kept += [LEFT_OUT, *lines[begins:at]]
+        return "".join([*kept, LEFT_OUT, *lines[end:]])
 
 
 @dataclass(frozen=True)
@@ -152,6 +153,12 @@ def pictures_in(folder: Path) -> Iterator[tuple[Path, Path]]:
     """Yield the pictures of the docs that the commands of a page have written, each with the file that it has written."""
     shown = "".join(page.read_text(encoding="utf-8") for page in PAGES)
     yield from ((PICTURES / file.name, file) for file in sorted(folder.glob("*.svg")) if f"pictures/{file.name})" in shown)
+
+
+def _most_alike(line: str, lines: list[str], start: int, end: int) -> int:
+    """Return the position of the first of the lines that are most alike, from `start`; `end` if there is none."""
+    alike = get_close_matches(line, lines[start:end], n=1)
+    return lines.index(alike[0], start, end) if alike else end
 
 
 def _normal(text: str) -> str:
