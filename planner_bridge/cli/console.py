@@ -282,7 +282,7 @@ def print_result(console: SafeConsole, result: TaskResult) -> None:
         console.print_reason("[bold red]goal[/]     not reached:", result.reason)
     sent = sum(call.attempts for call in result.calls)
     assumed = sum(call.assumed for call in result.calls)
-    unreported = f"; {_count(assumed, 'result')} believed, which no sensor confirms (docs/sensing.md)" if assumed else ""
+    unreported = f"; {_count(assumed, 'result')} believed, which no sensor confirms (docs/guides/sensing.md)" if assumed else ""
     planned = ((result.plans, "plan"), (result.replans, "replan")) if result.plans or not result.episodes else ()
     counts = ", ".join(_count(number, word) for number, word in (*planned, (sent, "request"), (len(result.failures), "failure")))
     lines = [f"{counts}{unreported}", *map(_constraint, result.constraints)]
