@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 import click
 from rich.text import Text
@@ -12,51 +14,63 @@ from rich.tree import Tree
 from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.options import FILE, Seconds, as_json_option, command, problem_in, searching
 from planner_bridge.explanations.answer import Answer, Known
+from planner_bridge.explanations.limited_search import TimeLimit
 from planner_bridge.explanations.needed_call import why_call_of_plan
-from planner_bridge.explanations.no_plan import TimeLimit, why_no_plan
+from planner_bridge.explanations.no_plan import why_no_plan
+from planner_bridge.explanations.other_action import why_not
 from planner_bridge.explanations.plan_overview import why_plan
+from planner_bridge.explanations.smallest_change import what_would_help
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.plan_text import read_plan
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.kairos import DEFAULT_PLANNER
-from planner_bridge.planning.solve import solve
 from pnm.errors import InputError, suggestion
 from pnm.knowledge.sources.person_text import printable
+
+_IMPROVE: Final = 0.3
+"""Seconds for which a better plan is looked for."""
 
 
 @click.command(epilog="Example: pnm why domain.pddl problem.pddl --call 3")
 @click.argument("domain", type=FILE)
 @click.argument("problem", type=FILE)
 @click.option("--call", "called", metavar="CALL", help="why this call: its number in the plan, or the call, such as 'move(r1, a, b)'")
+@click.option("--not", "other", metavar="CALL", help="why not this call, which the plan does not have, such as 'move(r1, a, b)'")
 @click.option("--seconds", type=Seconds(0.1), default=10.0, show_default=True, help="for all searches together, at most")
 @as_json_option
 @command
-def why(*, domain: Path, problem: Path, called: str | None, seconds: float, as_json: bool) -> int:
+def why(*, domain: Path, problem: Path, called: str | None, other: str | None, seconds: float, as_json: bool) -> int:
     """Explain a plan, or why there is none."""
+    if called is not None and other is not None:
+        raise InputError("expected --call or --not, not both: each is a question of its own")
     loaded = problem_in(domain, problem, for_its_goal=True)
+    unwanted = None if other is None else _call(loaded, other, "--not")
     limit = TimeLimit.of(seconds)
     with searching(DEFAULT_PLANNER, seconds):
-        found = solve(loaded, timeout=limit.left / 2, improve=0.0)
-        if called is not None and found.plan:
-            answer = why_call_of_plan(loaded, found.plan, _number(loaded, found.plan, called))
-        elif found.plan:
-            answer = why_plan(loaded, found.plan)
-        else:
-            answer = why_no_plan(loaded, found, limit)
-    show(answer, as_json=as_json)
+        found = limit.solve(loaded, share=0.5, improve=_IMPROVE)
+        match found.plan:
+            case _ if unwanted is not None:
+                answers = [why_not(loaded, unwanted, found, limit)]
+            case None:
+                reason = why_no_plan(loaded, found, limit)
+                answers = [reason, what_would_help(loaded, limit, reason)]
+            case plan:
+                answers = [why_plan(loaded, plan) if called is None else why_call_of_plan(loaded, plan, _number(loaded, plan, called))]
+    show(answers, as_json=as_json)
     return 0
 
 
-def show(answer: Answer, *, as_json: bool) -> None:
-    """Print an answer: as a tree that fits the terminal, in plain lines elsewhere, or as JSON."""
+def show(answers: Sequence[Answer], *, as_json: bool) -> None:
+    """Print answers: as trees that fit the terminal, in plain lines elsewhere, or as JSON."""
     if as_json:
-        print(json.dumps(answer.as_json()))
+        print(json.dumps({"answers": [answer.as_json() for answer in answers]}))
         return
     console = SafeConsole()
-    if console.is_terminal:
-        console.print(_tree(answer, None), highlight=False)
-    else:
-        console.print(_lines(answer, None, 0), highlight=False, soft_wrap=True, markup=False)
+    for answer in answers:
+        if console.is_terminal:
+            console.print(_tree(answer, None), highlight=False)
+        else:
+            console.print(_lines(answer, None, 0), highlight=False, soft_wrap=True, markup=False)
 
 
 def _tree(answer: Answer, above: Known | None) -> Tree:

@@ -68,7 +68,15 @@ class Best:
     plan: Plan
 
 
-Claim: TypeAlias = Solves | Fails | Unsolvable | Best
+@dataclass(frozen=True, slots=True)
+class NoSmallerChange:
+    """The claim that no plan solves a problem after a change of fewer facts than so many, those of the goal left as they are."""
+
+    problem: Problem
+    facts: int
+
+
+Claim: TypeAlias = Solves | Fails | Unsolvable | Best | NoSmallerChange
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +118,11 @@ class Answer:
         yield depth, self
         for reason in self.reasons:
             yield from reason._with_depth(depth + 1)
+
+
+def counted(number: int, what: str) -> str:
+    """Return how many there are of something, in words."""
+    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def listed(texts: list[str], word: str = "and", most: int = 4) -> str:

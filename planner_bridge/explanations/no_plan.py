@@ -7,16 +7,15 @@ neither shows is called not proved.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from planner_bridge.explanations.answer import Answer, Known, Solves, Unsolvable, listed
+from planner_bridge.explanations.answer import Answer, Known, Solves, Unsolvable, counted, listed
+from planner_bridge.explanations.limited_search import TimeLimit
 from planner_bridge.model.plan import PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.reachability import Achiever, Literal, Reachability, TooLarge, literal_of
-from planner_bridge.planning.solve import solve
 from pnm.core.logic.conditions import All, Compare, Condition, conjunction, conjuncts, fluents
 from pnm.core.logic.expressions import fluent_text
 
@@ -24,30 +23,6 @@ _WAYS: Final = 3
 """Actions that are looked at for each fact; others are counted."""
 _DEPTH: Final = 12
 """Facts on the way from the goal to where it ends."""
-_LEAST: Final = 0.05
-"""Seconds for a search, at least."""
-
-
-@dataclass(frozen=True)
-class TimeLimit:
-    """The moment at which a question has to be answered, on the clock of this process."""
-
-    end: float
-
-    @staticmethod
-    def of(seconds: float) -> TimeLimit:
-        """Return the limit that ends in so many seconds."""
-        return TimeLimit(time.monotonic() + seconds)
-
-    @property
-    def left(self) -> float:
-        """Seconds that are left."""
-        return max(0.0, self.end - time.monotonic())
-
-    @property
-    def is_over(self) -> bool:
-        """Whether no search is worth its beginning."""
-        return self.left < _LEAST
 
 
 def why_no_plan(problem: Problem, found: PlanningResult, limit: TimeLimit) -> Answer:
@@ -174,7 +149,7 @@ def _exclusions(problem: Problem, limit: TimeLimit) -> Iterator[Answer]:
         return
     if problem.constraints or problem.domain.constraints:
         free = replace(problem, constraints=(), domain=replace(problem.domain, constraints=()))
-        found = _solve(free, limit)
+        found = limit.solve(free)
         if found.plan:
             constraints = listed([str(one) for one in (*problem.domain.constraints, *problem.constraints)])
             yield Answer(f"without what must always be kept there is a plan: {constraints}", Known.PLAN, (), (Solves(free, found.plan),))
@@ -186,11 +161,11 @@ def _exclusions(problem: Problem, limit: TimeLimit) -> Iterator[Answer]:
         if not rest:
             break
         asked = replace(problem, goal=conjunction(rest))
-        found = _solve(asked, limit)
+        found = limit.solve(asked)
         if found.status is PlanningStatus.UNSOLVABLE:
             needed = rest
         elif found.plan:
-            text = f"without {part}, there is a plan with {len(found.plan.steps)} calls"
+            text = f"without {part}, there is a plan with {counted(len(found.plan.steps), 'call')}"
             possible.append(Answer(text, Known.PLAN, (), (Solves(asked, found.plan),)))
         else:
             text = f"whether there is a plan without {part} was not found out: {found.reason}"
@@ -208,12 +183,5 @@ def _exclusions(problem: Problem, limit: TimeLimit) -> Iterator[Answer]:
 
 def _alone(problem: Problem, part: Condition, limit: TimeLimit) -> Iterator[Answer]:
     asked = replace(problem, goal=part)
-    if plan := _solve(asked, limit).plan:
-        yield Answer(f"{part} alone has a plan with {len(plan.steps)} calls", Known.PLAN, (), (Solves(asked, plan),))
-
-
-def _solve(problem: Problem, limit: TimeLimit) -> PlanningResult:
-    """Search for a plan until the limit."""
-    if limit.is_over:
-        return PlanningResult(PlanningStatus.TIMED_OUT, message="there was no time left")
-    return solve(problem, timeout=limit.left, improve=0.0)
+    if plan := limit.solve(asked).plan:
+        yield Answer(f"{part} alone has a plan with {counted(len(plan.steps), 'call')}", Known.PLAN, (), (Solves(asked, plan),))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from planner_bridge.explanations.answer import Answer, Known, Solves, listed
+from planner_bridge.explanations.answer import Answer, Known, Solves, counted, listed
 from planner_bridge.explanations.needed_call import Course
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Problem
@@ -15,7 +15,7 @@ def why_plan(problem: Problem, plan: Plan) -> Answer:
     course = Course.of(problem, plan)
     best = ", and it is proved that none is better" if plan.is_best else ""
     lines = tuple(_line(course, number) for number in range(len(plan.steps)))
-    return Answer(f"there is a plan with {len(plan.steps)} calls{best}", Known.PLAN, lines, (Solves(problem, plan),))
+    return Answer(f"there is a plan with {counted(len(plan.steps), 'call')}{best}", Known.PLAN, lines, (Solves(problem, plan),))
 
 
 def _line(course: Course, call: int) -> Answer:
