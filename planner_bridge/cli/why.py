@@ -1,9 +1,10 @@
-"""`pnm why`: the answers to why there is this plan, or none, why it has a call, and why it has not another one."""
+"""`pnm why`: why there is this plan, or none, why it has a call and not another one; and why a run goes as it goes."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -12,52 +13,142 @@ from rich.text import Text
 from rich.tree import Tree
 
 from planner_bridge.cli.console import SafeConsole
+from planner_bridge.cli.journal import chosen_journal, errors_of_journals
 from planner_bridge.cli.options import FILE, Seconds, as_json_option, command, problem_in, searching
 from planner_bridge.explanations.answer import Answer, Known
 from planner_bridge.explanations.limited_search import TimeLimit
 from planner_bridge.explanations.needed_call import why_call_of_plan
+from planner_bridge.explanations.new_plan import why_replanned
 from planner_bridge.explanations.no_plan import why_no_plan
 from planner_bridge.explanations.other_action import why_not
 from planner_bridge.explanations.plan_overview import why_plan
+from planner_bridge.explanations.run_history import JournalHistory
+from planner_bridge.explanations.run_questions import call_meant, task_meant, why_call_of_run, why_so
 from planner_bridge.explanations.smallest_change import what_would_help
+from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.plan_text import read_plan
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.kairos import DEFAULT_PLANNER
-from pnm.errors import InputError, suggestion
+from pnm.errors import InputError, Position, suggestion
 from pnm.knowledge.sources.person_text import printable
 
 _IMPROVE: Final = 0.3
 """Seconds for which a better plan is looked for."""
 
 
-@click.command(epilog="Example: pnm why domain.pddl problem.pddl --call 3")
-@click.argument("domain", type=FILE)
-@click.argument("problem", type=FILE)
-@click.option("--call", "called", metavar="CALL", help="why this call: its number in the plan, or the call, such as 'move(r1, a, b)'")
-@click.option("--not", "other", metavar="CALL", help="why not this call, which the plan does not have, such as 'move(r1, a, b)'")
+@click.command(epilog="Examples: pnm why domain.pddl problem.pddl --not 'move(r1, hall, kitchen)'; pnm why --journal run.journal --call 3")
+@click.argument("domain", type=FILE, required=False)
+@click.argument("problem", type=FILE, required=False)
+@click.option("--call", "called", metavar="CALL", help="why this call: its number, or the call itself, such as 'move(r1, a, b)'")
+@click.option("--not", "other", metavar="CALL", help="why not this call, which the plan does not have; of DOMAIN and PROBLEM")
+@click.option("--replan", is_flag=True, help="why there were new plans; of a journal")
+@click.option("--journal", metavar="FILE", help="file of a journal, or postgresql://…; with DOMAIN and PROBLEM, what is so in it counts")
+@click.option("--task", metavar="TASK", help="of a journal: its number, or how its id begins; by default the last that goes on")
+@click.option("--to", "last", type=click.IntRange(1), help="of a journal: the record up to which it is read")
 @click.option("--seconds", type=Seconds(0.1), default=10.0, show_default=True, help="for all searches together, at most")
 @as_json_option
 @command
-def why(*, domain: Path, problem: Path, called: str | None, other: str | None, seconds: float, as_json: bool) -> int:
-    """Explain a plan, or why there is none."""
-    if called is not None and other is not None:
-        raise InputError("expected --call or --not, not both: each is a question of its own")
-    loaded = problem_in(domain, problem, for_its_goal=True)
-    unwanted = None if other is None else _call(loaded, other, "--not")
+def why(
+    *,
+    domain: Path | None,
+    problem: Path | None,
+    called: str | None,
+    other: str | None,
+    replan: bool,
+    journal: str | None,
+    task: str | None,
+    last: int | None,
+    seconds: float,
+    as_json: bool,
+) -> int:
+    """Explain a plan, or why there is none, or a run.
+
+    With DOMAIN and PROBLEM: what each call of a plan is for; or why there is no plan, and what would help. Without them: how a task of
+    a journal is doing, and why; by default in that of the node on this computer that has written last. What is not proved is called so.
+    """
+    if sum((called is not None, other is not None, replan)) > 1:
+        raise InputError("expected one of --call, --not and --replan: each is a question of its own")
+    if domain is not None and problem is None:
+        raise InputError("expected DOMAIN and PROBLEM, or neither of them for a journal")
+    if domain is None or problem is None:
+        if other is not None:
+            raise InputError("--not asks for other plans: expected DOMAIN and PROBLEM; with --journal, what is so in it counts")
+        show(_of_journal(journal, task, last, called, replan=replan), as_json=as_json)
+        return 0
+    if replan:
+        raise InputError("--replan is about a run: expected no DOMAIN and PROBLEM")
+    if journal is None and (task or last):
+        raise InputError("--task and --to are about a journal: expected --journal")
+    loaded = problem_in(domain, problem, for_its_goal=journal is None)
+    if journal is not None:
+        loaded = _in_the_middle(loaded, journal, task, last)
+    show(_of_problem(loaded, called, other, seconds), as_json=as_json)
+    return 0
+
+
+def _of_problem(problem: Problem, called: str | None, other: str | None, seconds: float) -> Sequence[Answer]:
+    """Return the answers about the plan of a problem."""
+    unwanted = None if other is None else _call(problem, other, "--not")
+    wanted = None if called is None or called.strip("# ").isdecimal() else _call(problem, called, "--call")
     limit = TimeLimit.of(seconds)
     with searching(DEFAULT_PLANNER, seconds):
-        found = limit.solve(loaded, share=0.5, improve=_IMPROVE)
-        match found.plan:
-            case _ if unwanted is not None:
-                answers = [why_not(loaded, unwanted, found, limit)]
-            case None:
-                reason = why_no_plan(loaded, found, limit)
-                answers = [reason, what_would_help(loaded, limit, reason)]
-            case plan:
-                answers = [why_plan(loaded, plan) if called is None else why_call_of_plan(loaded, plan, _number(loaded, plan, called))]
-    show(answers, as_json=as_json)
-    return 0
+        found = limit.solve(problem, share=0.5, improve=_IMPROVE)
+        if unwanted is not None:
+            return [why_not(problem, unwanted, found, limit)]
+        if found.plan is None:
+            reason = why_no_plan(problem, found, limit)
+            return [reason, what_would_help(problem, limit, reason)]
+        if called is None:
+            return [why_plan(problem, found.plan)]
+        return [why_call_of_plan(problem, found.plan, _number(found.plan, called, wanted))]
+
+
+def _of_journal(journal: str | None, task: str | None, last: int | None, called: str | None, *, replan: bool) -> Sequence[Answer]:
+    """Return the answers about a run."""
+    with errors_of_journals():
+        history = JournalHistory.read(chosen_journal(journal), last)
+    meant = task_meant(history, task)
+    if replan:
+        return why_replanned(history, meant)
+    return why_so(history, meant) if called is None else why_call_of_run(history, meant, *call_meant(meant, called))
+
+
+def _in_the_middle(problem: Problem, journal: str, task: str | None, last: int | None) -> Problem:
+    """Return the problem with what is so in a journal as its initial state, and the goal of a task."""
+    with errors_of_journals():
+        history = JournalHistory.read(chosen_journal(journal), last)
+    meant = task_meant(history, task)
+    if not meant.runs:
+        raise InputError(f"{meant.name} has no plan yet, so its goal is not known")
+    now = problem_now(problem, history.replay.world, history.time - history.replay.began)
+    return replace(now, goal=meant.runs[-1].source.plan.goal)
+
+
+def _number(plan: Plan, called: str, wanted: PlanStep | None) -> int:
+    """Return the number from 0 of the call that is meant."""
+    if wanted is None:
+        number = int(called.strip("# "))
+        if not 1 <= number <= len(plan.steps):
+            raise InputError(f"--call: there is no call {number}: the plan has {len(plan.steps)}; expected a number from 1")
+        return number - 1
+    steps = [str(step) for step in plan.steps]
+    if str(wanted) not in steps:
+        hint = suggestion(str(wanted), steps) or "without --call, all are listed"
+        raise InputError(f"--call: {wanted} is not in the plan; {hint} (--not asks why)")
+    return steps.index(str(wanted))
+
+
+def _call(problem: Problem, text: str, option: str) -> PlanStep:
+    """Return the call that is written as ``move(r1, a, b)`` or as ``(move r1 a b)``; raise an `InputError` for other names."""
+    name, bracket, arguments = text.strip().partition("(")
+    if name:
+        text = f"({name} {arguments.replace(',', ' ')}" if bracket else f"({name})"
+    try:
+        (step,) = read_plan(" ".join(text.split()) or "()", problem).steps
+    except InputError as error:
+        raise InputError(error.message, Position(option)) from error
+    return step
 
 
 def show(answers: Sequence[Answer], *, as_json: bool) -> None:
@@ -87,32 +178,4 @@ def _lines(answer: Answer, above: Known | None, depth: int) -> str:
 
 def _how(answer: Answer, above: Known | None) -> str:
     """Return how a statement is known, where that does not go without saying."""
-    return "" if answer.known is above or answer.known is Known.GIVEN else f"  [{answer.known.value}]"
-
-
-def _number(problem: Problem, plan: Plan, called: str) -> int:
-    """Return the number from 0 of the call that is meant."""
-    if called.strip("# ").isdecimal():
-        number = int(called.strip("# "))
-        if not 1 <= number <= len(plan.steps):
-            raise InputError(f"--call {number}: the plan has {len(plan.steps)} calls; expected a number from 1")
-        return number - 1
-    wanted = str(_call(problem, called, "--call"))
-    steps = [str(step) for step in plan.steps]
-    if wanted not in steps:
-        raise InputError(f"--call: {wanted} is not in the plan; {suggestion(wanted, steps) or 'pnm why without --call lists its calls'}")
-    return steps.index(wanted)
-
-
-def _call(problem: Problem, text: str, option: str) -> PlanStep:
-    """Return the call that is written as ``move(r1, a, b)`` or as ``(move r1 a b)``; raise an `InputError` for other names."""
-    name, bracket, arguments = text.strip().partition("(")
-    if name and bracket:
-        text = f"({name} {arguments.replace(',', ' ')}"
-    elif name:
-        text = f"({name})"
-    try:
-        (step,) = read_plan(" ".join(text.split()) or "()", problem).steps
-    except InputError as error:
-        raise InputError(f"{option}: {error.message}") from error
-    return step
+    return "" if answer.known is above or answer.known is Known.GIVEN else f" [{answer.known.value}]"

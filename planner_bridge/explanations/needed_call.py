@@ -53,6 +53,8 @@ class Course:
     happenings: Sequence[PlanEvent | TimedChange]
     state: KnowledgeBase
     goal: Condition
+    under_way: frozenset[int] = frozenset()
+    """The calls that have begun before."""
     _needs: dict[int, tuple[Need, ...]] = field(default_factory=dict, repr=False)
     """Those that were looked for already: mutable state."""
 
@@ -88,7 +90,8 @@ class Course:
 
     def _unmet(self, without: int | None) -> Iterator[tuple[int | None, Condition]]:
         """Yield every condition that is not fulfilled when it is needed, and by which call; effects come all the same."""
-        state, running = snapshot(self.state), dict[int, GroundAction]()
+        state = snapshot(self.state)
+        running = {call: self.calls[call].action for call in self.under_way if call != without}
         for what in self.happenings:
             if isinstance(what, TimedChange):
                 state.update(what.changes)
@@ -166,8 +169,8 @@ def why_call(course: Course, call: int) -> Answer:
     """Return why a call is there: what needs it, and from there the way to the goal."""
     needs = course.needs(call)
     if not needs:
-        statement = f"nothing needs {course.name(call)}: without it, all that comes later goes on, and the goal is reached"
-        return Answer(statement, Known.SIMULATION)
+        statement = f"nothing needs {course.name(call)}: without it, all that comes later goes on as it would"
+        return Answer(statement, Known.NOT_PROVED if course.as_it_is else Known.SIMULATION)
     reasons = tuple(_need(course, need) for need in needs)
     return Answer(f"{course.name(call)} is needed: without it, the rest of the plan does not work", Known.SIMULATION, reasons)
 

@@ -16,8 +16,8 @@ from planner_bridge.explanations.limited_search import TimeLimit
 from planner_bridge.model.plan import PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.reachability import Achiever, Literal, Reachability, TooLarge, literal_of
-from pnm.core.logic.conditions import All, Compare, Condition, conjunction, conjuncts, fluents
-from pnm.core.logic.expressions import fluent_text
+from pnm.core.logic.conditions import All, Compare, Condition, Not, conjunction, conjuncts, fluents, ground
+from pnm.core.logic.expressions import NOTHING, Environment, fluent_text
 
 _WAYS: Final = 3
 """Actions that are looked at for each fact; others are counted."""
@@ -85,9 +85,10 @@ class DeadEnds:
         """Return why the condition can never be true."""
         literal = literal_of(condition)
         if literal is None:
-            lacks = self.reachability.lacking(condition)
-            reasons = tuple(self.why(lack, (*path, condition)) for lack in lacks if lack != condition)
-            return self._proved(condition, f"{condition} can never be true", reasons)
+            parts, is_every = self.reachability.parts(condition, NOTHING, True)
+            whys = [self.why(lack, (*path, condition)) for part in parts for lack in self.lacks(*part)][: None if is_every else _WAYS]
+            others = 0 if is_every else len(parts) - len(whys)
+            return self._proved(condition, f"{condition} can never be true{_closed(others)}", tuple(whys))
         if condition in path:
             return self._proved(condition, f"{condition} would be needed for itself", ())
         if end := self._end(literal):
@@ -96,10 +97,19 @@ class DeadEnds:
             return self._proved(condition, f"{condition} can never be true{', as said above' if condition in self.seen else ''}", ())
         self.seen.add(condition)
         reasons, others = self._ways(literal, (*path, condition))
-        text = f"{condition} can never be true"
-        if others:
-            text += f": {others} more {'way' if others == 1 else 'ways'} to it {'is' if others == 1 else 'are'} closed as well"
-        return self._proved(condition, text, reasons)
+        return self._proved(condition, f"{condition} can never be true{_closed(others)}", reasons)
+
+    def lacks(self, condition: Condition, env: Environment = NOTHING, truth: bool = True) -> tuple[Condition, ...]:
+        """Return what of a condition, or of its opposite, can never be true; alternatives are left together."""
+        if not self.reachability.of(condition, env, truth):
+            return ()
+        if literal := literal_of(condition, env, truth):
+            return (literal.condition,)
+        parts, is_every = self.reachability.parts(condition, env, truth)
+        if is_every:
+            return tuple(dict.fromkeys(lack for part in parts for lack in self.lacks(*part)))
+        whole = ground(condition, env)
+        return (whole if truth else Not(whole),)
 
     def _proved(self, condition: Condition, text: str, reasons: tuple[Answer, ...]) -> Answer:
         asked = replace(self.problem, goal=condition, constraints=(), preferences=(), metric=None, network="")
@@ -123,14 +133,14 @@ class DeadEnds:
         """Return why each action that would bring the fact about can never do it, the likeliest ones; and how many others there are."""
         by_lack: dict[tuple[str, tuple[Condition, ...]], Achiever] = {}
         for achiever in sorted(self.reachability.way(literal).achievers, key=self._rank):
-            by_lack.setdefault((achiever.name, self.reachability.lacking(achiever.condition, achiever.env)), achiever)
+            by_lack.setdefault((achiever.name, self.lacks(achiever.condition, achiever.env)), achiever)
         least = min(self._rank(achiever)[0] for achiever in by_lack.values())
         likeliest = [key for key, achiever in by_lack.items() if self._rank(achiever)[0] == least][:_WAYS]
         reasons = []
         for name, lacks in likeliest:
             closed = {why.statement: why for why in (self.why(lack, path) for lack in lacks)}
             needs = listed([*dict.fromkeys(map(str, lacks))])
-            text = f"{name} would make it so, but needs {needs}" if name else f"it follows only from {needs}"
+            text = f"{name} would make it so, but needs {needs}" if name else f"it would follow from a rule, but that needs {needs}"
             reasons.append(Answer(text, Known.GIVEN, tuple(closed.values())))
         return tuple(reasons), len(by_lack) - len(likeliest)
 
@@ -138,6 +148,11 @@ class DeadEnds:
         """Return how likely people think of an action first: the fewer conditions are missing and the nearer they are, the likelier."""
         lack = self.reachability.of(achiever.condition, achiever.env)
         return self.reachability.cost(lack), len(lack), achiever.name
+
+
+def _closed(others: int) -> str:
+    """Return that there are other ways, none of which is open."""
+    return f": {others} more {'way' if others == 1 else 'ways'} to it {'is' if others == 1 else 'are'} closed as well" if others else ""
 
 
 # --- what excludes each other ----------------------------------------------------------------------
