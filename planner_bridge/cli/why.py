@@ -27,6 +27,7 @@ from planner_bridge.explanations.run_questions import call_meant, task_meant, wh
 from planner_bridge.explanations.smallest_change import what_would_help
 from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.plan import Plan, PlanStep
+from planner_bridge.model.plan_simulation import NotProjectable, projected_state
 from planner_bridge.model.plan_text import read_plan
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.kairos import DEFAULT_PLANNER
@@ -93,7 +94,7 @@ def _of_problem(problem: Problem, called: str | None, other: str | None, seconds
     wanted = None if called is None or called.strip("# ").isdecimal() else _call(problem, called, "--call")
     limit = TimeLimit.of(seconds)
     with searching(DEFAULT_PLANNER, seconds):
-        found = limit.solve(problem, share=0.5, improve=_IMPROVE)
+        found = limit.first_plan(problem, improve=_IMPROVE)
         if unwanted is not None:
             return [why_not(problem, unwanted, found, limit)]
         if found.plan is None:
@@ -121,7 +122,11 @@ def _in_the_middle(problem: Problem, journal: str, task: str | None, last: int |
     meant = task_meant(history, task)
     if not meant.runs:
         raise InputError(f"{meant.name} has no plan yet, so its goal is not known")
-    now = problem_now(problem, history.replay.world, history.time - history.replay.began)
+    try:
+        world = projected_state(history.replay.world, meant.runs[-1].replayed.run.under_way())
+    except NotProjectable as error:
+        raise InputError(f"what will be so when the calls under way have ended is not known: {error}") from error
+    now = problem_now(problem, world, history.time - history.replay.began)
     return replace(now, goal=meant.runs[-1].source.plan.goal)
 
 

@@ -9,6 +9,7 @@ from typing import Final
 from planner_bridge.model.plan import PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.solve import solve
+from planner_bridge.planning.unreachable import why_unreachable
 
 _LEAST: Final = 0.02
 """Seconds for a search, at least."""
@@ -40,3 +41,9 @@ class TimeLimit:
         if self.is_over:
             return PlanningResult(PlanningStatus.TIMED_OUT, message="there was no time left")
         return solve(problem, timeout=max(_LEAST, self.left * share), improve=min(improve, self.left * share))
+
+    def first_plan(self, problem: Problem, *, improve: float = 0.0) -> PlanningResult:
+        """Search for the plan that is to be explained; what cannot be reached at all is not searched for, which might take long."""
+        if reason := why_unreachable(problem):
+            return PlanningResult(PlanningStatus.UNSOLVABLE, message=reason)
+        return self.solve(problem, share=0.5, improve=improve)

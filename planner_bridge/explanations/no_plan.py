@@ -21,6 +21,8 @@ from pnm.core.logic.expressions import NOTHING, Environment, fluent_text
 
 _WAYS: Final = 3
 """Actions that are looked at for each fact; others are counted."""
+_LONG: Final = 70
+"""Characters of a condition."""
 _DEPTH: Final = 12
 """Facts on the way from the goal to where it ends."""
 
@@ -85,10 +87,8 @@ class DeadEnds:
         """Return why the condition can never be true."""
         literal = literal_of(condition)
         if literal is None:
-            parts, is_every = self.reachability.parts(condition, NOTHING, True)
-            whys = [self.why(lack, (*path, condition)) for part in parts for lack in self.lacks(*part)][: None if is_every else _WAYS]
-            others = 0 if is_every else len(parts) - len(whys)
-            return self._proved(condition, f"{condition} can never be true{_closed(others)}", tuple(whys))
+            reasons, others = self._parts(condition, (*path, condition))
+            return self._proved(condition, f"{_short(condition)} can never be true{_closed(others)}", reasons)
         if condition in path:
             return self._proved(condition, f"{condition} would be needed for itself", ())
         if end := self._end(literal):
@@ -129,25 +129,48 @@ class DeadEnds:
         what = fluent_text(literal.subject) if isinstance(literal.subject, tuple) else str(condition)
         return f"{what} is {now}, and no action changes that"
 
+    def _parts(self, condition: Condition, path: tuple[Condition, ...]) -> tuple[tuple[Answer, ...], int]:
+        """Return why the parts of a condition can never be true; of alternatives the nearest, and how many others there are."""
+        parts, is_every = self.reachability.parts(condition, NOTHING, True)
+        if not is_every:
+            costs = [self.reachability.cost(self.reachability.of(*part)) for part in parts]
+            parts = [part for part, cost in zip(parts, costs, strict=True) if cost == min(costs)][:_WAYS]
+            others = len(costs) - len(parts)
+        whys = {why.statement: why for part in parts for lack in self.lacks(*part) for why in [self.why(lack, path)]}
+        return tuple(whys.values()), 0 if is_every else others
+
     def _ways(self, literal: Literal, path: tuple[Condition, ...]) -> tuple[tuple[Answer, ...], int]:
-        """Return why each action that would bring the fact about can never do it, the likeliest ones; and how many others there are."""
+        """Return why the action that would most likely bring the fact about can never do it; and how many others there are.
+
+        Others are told of as well if nothing but a switch, such as a door, keeps them from it.
+        """
         by_lack: dict[tuple[str, tuple[Condition, ...]], Achiever] = {}
         for achiever in sorted(self.reachability.way(literal).achievers, key=self._rank):
             by_lack.setdefault((achiever.name, self.lacks(achiever.condition, achiever.env)), achiever)
-        least = min(self._rank(achiever)[0] for achiever in by_lack.values())
-        likeliest = [key for key, achiever in by_lack.items() if self._rank(achiever)[0] == least][:_WAYS]
-        reasons = []
+        fresh = [key for key in by_lack if not any(lack in path for lack in key[1])] or [*by_lack]
+        least = self._rank(by_lack[fresh[0]])[0]
+        near = [key for key in fresh[1:] if self._rank(by_lack[key])[0] == least and all(map(self.reachability.is_end, key[1]))]
+        likeliest = [fresh[0], *near][:_WAYS]
+        reasons: dict[str, Answer] = {}
         for name, lacks in likeliest:
             closed = {why.statement: why for why in (self.why(lack, path) for lack in lacks)}
-            needs = listed([*dict.fromkeys(map(str, lacks))])
-            text = f"{name} would make it so, but needs {needs}" if name else f"it would follow from a rule, but that needs {needs}"
-            reasons.append(Answer(text, Known.GIVEN, tuple(closed.values())))
-        return tuple(reasons), len(by_lack) - len(likeliest)
+            if name:
+                needs = listed([*dict.fromkeys(map(_short, lacks))])
+                text = f"{name} would make it so, but needs {needs}"
+                closed = {text: Answer(text, Known.GIVEN, tuple(closed.values()))}
+            reasons |= closed  # of a rule, which needs no words of its own
+        return tuple(reasons.values()), len(by_lack) - len(likeliest)
 
     def _rank(self, achiever: Achiever) -> tuple[int, int, str]:
         """Return how likely people think of an action first: the fewer conditions are missing and the nearer they are, the likelier."""
         lack = self.reachability.of(achiever.condition, achiever.env)
         return self.reachability.cost(lack), len(lack), achiever.name
+
+
+def _short(condition: Condition) -> str:
+    """Return the text of a condition; of a long one the beginning."""
+    text = str(condition)
+    return text if len(text) <= _LONG else f"{text[: _LONG - 1]}…"
 
 
 def _closed(others: int) -> str:

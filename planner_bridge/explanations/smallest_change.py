@@ -25,7 +25,9 @@ _MOST: Final = 3
 """Facts that are changed, at most."""
 _SHOWN: Final = 3
 """Changes of the same size that are looked for."""
-_LABELS: Final = 300
+_FOR_LABELS: Final = 0.25
+"""Share of the time for labels; the rest is for searches."""
+_LABELS: Final = 60
 """Labels of one literal; with more, not all changes are looked at."""
 _NUMBERS = ("no fact", "one fact", "two facts", "three facts")
 
@@ -137,7 +139,7 @@ def what_would_help(problem: Problem, limit: TimeLimit, reason: Answer) -> Answe
     fixed, proved, is_exhaustive = goal_facts(problem), 0, reason.known.is_certain
     for size in range(1, _MOST + 1):
         labels = Labels(reachability, fixed, size)
-        of_goal = labels.settle(problem.goal, limit)
+        of_goal = labels.settle(problem.goal, TimeLimit.of(limit.left * _FOR_LABELS))
         is_reachable = frozenset() in of_goal  # if nothing were undone: then any fact may be the one
         facts = (frozenset({literal}) for literal in _facts(problem, reachability, fixed)) if is_reachable else of_goal
         candidates = sorted((label for label in facts if len(label) == size), key=_Rank(reachability))
@@ -190,7 +192,7 @@ def _try(problem: Problem, candidates: Iterable[Label], limit: TimeLimit) -> _Tr
         if len(found) == _SHOWN or limit.is_over:
             break
         asked = changed(problem, label)
-        result = limit.solve(asked, share=0.5)
+        result = limit.solve(asked, share=0.2)
         if result.plan:
             found.append((label, asked, result.plan))
         all_proved = all_proved and result.status is PlanningStatus.UNSOLVABLE
