@@ -71,7 +71,8 @@ def is_classical(problem: Problem) -> bool:
 @cache
 def _run(domain: str, problem: str, search: str) -> tuple[int, str]:
     spec = find_spec("up_fast_downward")
-    assert spec is not None and spec.origin is not None, "pip install up-fast-downward"
+    assert spec, "pip install up-fast-downward"
+    assert spec.origin
     program = Path(spec.origin).parent / "downward" / "fast-downward.py"
     with tempfile.TemporaryDirectory() as folder:
         for name, text in (("domain.pddl", domain), ("problem.pddl", problem)):
