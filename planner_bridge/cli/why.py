@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from textwrap import wrap
 from typing import Final
 
 import click
-from rich.text import Text
-from rich.tree import Tree
 
 from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.journal import chosen_journal, errors_of_journals
@@ -32,10 +31,11 @@ from planner_bridge.model.plan_text import read_plan
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.kairos import DEFAULT_PLANNER
 from pnm.errors import InputError, Position, suggestion
-from pnm.knowledge.sources.person_text import printable
 
-_IMPROVE: Final = 0.3
-"""Seconds for which a better plan is looked for."""
+_IMPROVE: Final = 0.04
+"""Seconds for which a better plan is looked for: the plan is that of `pnm plan`."""
+_NARROW: Final = 40
+"""Columns that a statement gets at least, however deep it stands."""
 
 
 @click.command(epilog="Examples: pnm why domain.pddl problem.pddl --not 'move(r1, hall, kitchen)'; pnm why --journal run.journal --call 3")
@@ -157,30 +157,22 @@ def _call(problem: Problem, text: str, option: str) -> PlanStep:
 
 
 def show(answers: Sequence[Answer], *, as_json: bool) -> None:
-    """Print answers: as trees that fit the terminal, in plain lines elsewhere, or as JSON."""
+    """Print answers: as trees that fit the terminal, in lines of any length elsewhere, or as JSON."""
     if as_json:
         print(json.dumps({"answers": [answer.as_json() for answer in answers]}))
         return
     console = SafeConsole()
     for answer in answers:
-        if console.is_terminal:
-            console.print(_tree(answer, None), highlight=False)
-        else:
-            console.print(_lines(answer, None, 0), highlight=False, soft_wrap=True, markup=False)
+        for depth, text in _lines(answer, None, 0):
+            indent = "  " * depth
+            wide = max(console.width, len(indent) + _NARROW)
+            lines = wrap(text, wide, initial_indent=indent, subsequent_indent=indent + " " * 4, break_on_hyphens=False)
+            console.print("\n".join(lines) if console.is_terminal else indent + text, highlight=False, soft_wrap=True, markup=False)
 
 
-def _tree(answer: Answer, above: Known | None) -> Tree:
-    style = "" if answer.known.is_certain else "yellow"
-    tree = Tree(Text(printable(answer.statement), style).append(_how(answer, above), "dim"), guide_style="dim")
-    tree.children += (_tree(reason, answer.known) for reason in answer.reasons)
-    return tree
-
-
-def _lines(answer: Answer, above: Known | None, depth: int) -> str:
-    own = f"{'  ' * depth}{answer.statement}{_how(answer, above)}"
-    return "\n".join((own, *(_lines(reason, answer.known, depth + 1) for reason in answer.reasons)))
-
-
-def _how(answer: Answer, above: Known | None) -> str:
-    """Return how a statement is known, where that does not go without saying."""
-    return "" if answer.known is above or answer.known is Known.GIVEN else f" [{answer.known.value}]"
+def _lines(answer: Answer, above: Known | None, depth: int) -> Iterator[tuple[int, str]]:
+    """Yield every statement with its depth, and how it is known where that does not go without saying."""
+    goes_without_saying = answer.known is above or answer.known is Known.GIVEN
+    yield depth, answer.statement if goes_without_saying else f"{answer.statement} [{answer.known.value}]"
+    for reason in answer.reasons:
+        yield from _lines(reason, above if answer.known is Known.GIVEN else answer.known, depth + 1)

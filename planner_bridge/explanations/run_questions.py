@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from uuid import UUID
+
 from planner_bridge.explanations.answer import Answer, Known, counted, listed
 from planner_bridge.explanations.call_timing import why_now
 from planner_bridge.explanations.needed_call import why_call
@@ -10,6 +12,7 @@ from planner_bridge.explanations.run_history import JournalHistory, RunHistory, 
 from pnm.core.logic.computed_values import Unanswered
 from pnm.core.machine.machine import CallOutcome
 from pnm.errors import InputError, suggestion
+from pnm.files.database.place import Place
 
 
 def task_meant(history: JournalHistory, text: str | None) -> TaskHistory:
@@ -62,6 +65,27 @@ def why_call_of_run(history: JournalHistory, task: TaskHistory, run: RunHistory,
 
 def _failures(run: RunHistory) -> list[int]:
     return [trouble.call for trouble in run.troubles if trouble.failure is not None]
+
+
+def explained(place: Place, task: UUID, call: tuple[UUID, int] | None = None, last: int | None = None) -> tuple[Answer, ...]:
+    """Read a journal, and return why a task, or one of its calls, is as it is: for who knows them by their ids, as a page does.
+
+    Args:
+        place: of the journal.
+        task: which one.
+        call: its run and its number, from 0; None for the task as a whole.
+        last: the record up to which the journal is read; None for all that there is.
+    """
+    history = JournalHistory.read(place, last)
+    if task not in history.tasks:
+        raise InputError(f"the journal knows no task {task}")
+    meant = history.tasks[task]
+    if call is None:
+        return why_so(history, meant)
+    run = next((run for run in meant.runs if run.replayed.run.id == call[0]), None)
+    if run is None or not 0 <= call[1] < len(run.source.plan.calls):
+        raise InputError(f"the task has no call {call[1]} in a run {call[0]}")
+    return why_call_of_run(history, meant, run, call[1])
 
 
 def why_so(history: JournalHistory, task: TaskHistory) -> tuple[Answer, ...]:

@@ -12,8 +12,8 @@ import sys
 from pathlib import Path
 
 from pnm.errors import PnmError
-from tests.support.explanations.checked_claims import Checked
-from tests.support.explanations.questions import ask, domains, read
+from tests.support.pddl.explanations.checked_claims import Checked
+from tests.support.pddl.explanations.questions import ask, domains, read
 
 
 def main() -> int:

@@ -10,10 +10,10 @@ import pytest
 from planner_bridge.explanations.answer import Answer, Best, Claim, Fails, Known, NoSmallerChange, Solves, Unsolvable
 from planner_bridge.model.plan import Plan
 from planner_bridge.planning.solve import solve
-from tests.support.explanations.checked_claims import Checked
-from tests.support.explanations.doors import house
-from tests.support.explanations.questions import ask, domains, read
-from tests.support.explanations.second_planner import Verdict, allowing_more, second_opinion
+from tests.support.pddl.explanations.checked_claims import Checked
+from tests.support.pddl.explanations.doors import house
+from tests.support.pddl.explanations.questions import ask, domains, read
+from tests.support.pddl.explanations.second_planner import Verdict, allowing_more, second_opinion
 from tests.support.pddl.problems import matches, rooms, tanks
 
 pytestmark = pytest.mark.skipif(find_spec("up_fast_downward") is None, reason="the second planner is not installed")

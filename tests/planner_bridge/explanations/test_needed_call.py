@@ -15,8 +15,8 @@ from planner_bridge.model.plan_text import read_plan
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.solve import solve
 from planner_bridge.planning.validate import why_invalid
-from tests.support.explanations.checked_claims import Checked
-from tests.support.explanations.doors import house
+from tests.support.pddl.explanations.checked_claims import Checked
+from tests.support.pddl.explanations.doors import house
 from tests.support.pddl.problems import matches, rooms, tanks
 from tests.support.pddl.random_problems import problems as random_problems
 

@@ -13,7 +13,7 @@ from planner_bridge.model.forbidden_actions import ForbiddenCall, forbid
 from planner_bridge.model.plan import PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
-from tests.support.explanations.doors import house
+from tests.support.pddl.explanations.doors import house
 from tests.support.pddl.problems import hard, rooms
 
 GAVE_UP = PlanningResult(PlanningStatus.TIMED_OUT, message="after 1 s")

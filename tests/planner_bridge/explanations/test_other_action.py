@@ -11,8 +11,8 @@ from planner_bridge.model.plan import PlanningResult, PlanningStatus, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.solve import solve
 from planner_bridge.planning.validate import why_invalid
-from tests.support.explanations.checked_claims import Checked
-from tests.support.explanations.doors import house
+from tests.support.pddl.explanations.checked_claims import Checked
+from tests.support.pddl.explanations.doors import house
 from tests.support.pddl.problems import hard, matches, rooms, tanks
 
 

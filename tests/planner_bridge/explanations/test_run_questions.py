@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from uuid import uuid4
 
 import pytest
 
 from planner_bridge.explanations.answer import Known
 from planner_bridge.explanations.new_plan import why_replanned
 from planner_bridge.explanations.run_history import JournalHistory
-from planner_bridge.explanations.run_questions import call_meant, task_meant, why_call_of_run, why_so
+from planner_bridge.explanations.run_questions import call_meant, explained, task_meant, why_call_of_run, why_so
 from planner_bridge.pipeline.achieve import achieve
 from planner_bridge.tasks.result import TASKS
 from pnm.actions.faults import read_faults
@@ -124,3 +125,14 @@ def test_before_there_is_a_task_or_a_plan_that_is_said(journal: Path) -> None:
     assert why_so(history, task)[0].statement == "the goal of the problem has no plan yet"
     with pytest.raises(InputError, match="has no plan yet"):
         call_meant(task, "1")
+
+
+def test_who_knows_the_ids_gets_the_same_answers(journal: Path) -> None:
+    history = JournalHistory.read(journal, 40)
+    ((id, task),) = history.tasks.items()
+    run = task.runs[-1].replayed.run.id
+    assert explained(journal, id, last=40) == why_so(history, task)
+    assert explained(journal, id, (run, 4), 40) == why_call_of_run(history, task, *call_meant(task, "5"))
+    for wrong in ((uuid4(), None), (id, (run, 99)), (id, (uuid4(), 0))):
+        with pytest.raises(InputError):
+            explained(journal, *wrong)

@@ -12,8 +12,8 @@ from planner_bridge.explanations.no_plan import why_no_plan
 from planner_bridge.explanations.smallest_change import what_would_help
 from planner_bridge.model.forbidden_actions import ForbiddenCall, forbid
 from planner_bridge.model.problem import Problem
-from tests.support.explanations.checked_claims import Checked
-from tests.support.explanations.doors import house
+from tests.support.pddl.explanations.checked_claims import Checked
+from tests.support.pddl.explanations.doors import house
 from tests.support.pddl.problems import rooms, tanks
 
 

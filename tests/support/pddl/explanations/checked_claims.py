@@ -16,7 +16,7 @@ from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.solve import solve
 from planner_bridge.planning.validate import why_invalid
 from pnm.core.logic.expressions import Fluent, fluent_text
-from tests.support.explanations.second_planner import Verdict, fewest_calls, is_classical, second_opinion
+from tests.support.pddl.explanations.second_planner import Verdict, fewest_calls, is_classical, second_opinion
 
 _TRIED: Final = 30
 """Changes of several facts that are tried, drawn at random."""
