@@ -21,6 +21,8 @@ from pnm.core.logic.expressions import NOTHING, Environment, fluent_text
 
 _WAYS: Final = 3
 """Actions that are looked at for each fact; others are counted."""
+_KNOTS: Final = 2
+"""Facts that only each other would bring about, on the way from the goal: of more there is no telling where to begin."""
 _LONG: Final = 70
 """Characters of a condition."""
 _DEPTH: Final = 12
@@ -93,7 +95,7 @@ class DeadEnds:
             return self._proved(condition, f"{condition} would be needed for itself", ())
         if end := self._end(literal):
             return self._proved(condition, end, ())
-        if condition in self.seen or len(path) >= _DEPTH:
+        if condition in self.seen or len(path) >= _DEPTH or sum(map(self._is_knot, path)) >= _KNOTS:
             return self._proved(condition, f"{condition} can never be true{', as said above' if condition in self.seen else ''}", ())
         self.seen.add(condition)
         reasons, others = self._ways(literal, (*path, condition))
@@ -110,6 +112,11 @@ class DeadEnds:
             return tuple(dict.fromkeys(lack for part in parts for lack in self.lacks(*part)))
         whole = ground(condition, env)
         return (whole if truth else Not(whole),)
+
+    def _is_knot(self, condition: Condition) -> bool:
+        """Return whether every way to a fact leads through itself, or through others of which that is so: no end is nearer than others."""
+        literal = literal_of(condition)
+        return literal is not None and self.reachability.way(literal).by is None
 
     def _proved(self, condition: Condition, text: str, reasons: tuple[Answer, ...]) -> Answer:
         asked = replace(self.problem, goal=condition, constraints=(), preferences=(), metric=None, network="")

@@ -76,8 +76,8 @@ class Labels:
         """Return the labels of the goal."""
         found, is_settled = self.of(goal), False
         while not is_settled:
-            is_settled = True
-            for literal in [*self.of_literal]:
+            known, is_settled = [*self.of_literal], True
+            for literal in known:
                 if limit.is_over:
                     self.is_complete = False
                     return found
@@ -85,8 +85,8 @@ class Labels:
                 labels = self._least(self.of_literal[literal].union(*ways))
                 if labels != self.of_literal[literal]:
                     self.of_literal[literal], is_settled = labels, False
-            before, found = len(self.of_literal), self.of(goal)
-            is_settled = is_settled and before == len(self.of_literal)
+            found = self.of(goal)
+            is_settled = is_settled and len(known) == len(self.of_literal)
         return found
 
     def of(self, condition: Condition, env: Environment = NOTHING, truth: bool = True) -> frozenset[Label]:

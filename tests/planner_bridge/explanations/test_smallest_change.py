@@ -60,6 +60,15 @@ def test_every_claim_is_right(problem: Problem) -> None:
     assert checked.false == []
 
 
+def test_a_change_far_from_the_goal_is_found_where_only_facts_in_a_circle_would_help() -> None:
+    problem = house("(open door)")
+    nowhere = replace(problem, init={fluent: value for fluent, value in problem.init.items() if fluent != ("at", "r1", "hall")})
+    assert "if (at r1 yard) were true: a plan with 4 calls" in [part.statement for part in help_for(nowhere).reasons]
+    checked = Checked()
+    checked.look(help_for(replace(nowhere, goal=nowhere.goal)))
+    assert checked.false == []
+
+
 def test_numbers_are_not_changed_and_that_is_said() -> None:
     answer = help_for(replace(tanks("1")))
     assert not any("if " in part.statement for part in answer.reasons)
