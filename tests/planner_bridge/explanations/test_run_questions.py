@@ -20,6 +20,7 @@ from pnm.errors import InputError
 from pnm.journal.replay import Replay
 from pnm.journal.resume import replay_steps
 from tests.support.files import ROOT
+from tests.support.tasks.scenarios.random_scenarios import run_scenario
 
 FAILING = "move(r1, hall, kitchen)"
 
@@ -136,3 +137,21 @@ def test_who_knows_the_ids_gets_the_same_answers(journal: Path) -> None:
     for wrong in ((uuid4(), None), (id, (run, 99)), (id, (uuid4(), 0))):
         with pytest.raises(InputError):
             explained(journal, *wrong)
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_every_call_of_several_tasks_is_explained_at_any_time(number: int, tmp_path: Path) -> None:
+    run_scenario(number, journal=tmp_path / "journal")
+    records, asked = length(tmp_path / "journal"), 0
+    for last in (*range(1, records, max(1, records // 8)), records):
+        history = JournalHistory.read(tmp_path / "journal", last)
+        for task in history.tasks.values():
+            assert why_so(history, task)
+            for run in task.runs:
+                for call in run.source.plan.calls:
+                    answers = why_call_of_run(history, task, run, call.index)
+                    asked += 1
+                    assert all(part.statement and not part.claims for answer in answers for part in answer.every())
+                    waits = [answer for answer in answers if answer.statement.endswith(" waits")]
+                    assert not (waits and run.results[call.index].kind is not CallOutcome.WAITING)
+    assert asked
