@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from planner_bridge.explanations.answer import Answer, Best, Known, Unsolvable
@@ -86,3 +88,20 @@ def test_a_plan_of_the_forced_problem_is_one_of_the_problem_with_the_action(prob
         checked = Checked()
         checked.look(ask(problem, schema.name, *arguments))
         assert checked.false == []
+
+
+class NeverSure(TimeLimit):
+    """The planner never proves that a plan is best."""
+
+    def solve(self, problem: Problem, *, share: float = 1.0, improve: float = 0.0) -> PlanningResult:
+        found = super().solve(problem, share=share, improve=improve)
+        return replace(found, plan=found.plan and replace(found.plan, is_best=False))
+
+
+def test_a_gap_between_plans_that_are_not_proved_best_is_not_called_proved() -> None:
+    problem, limit = house("(open door)", "(has r1 cup)"), NeverSure(TimeLimit.of(30).end)
+    answer = why_not(problem, PlanStep("move", ("r1", "hall", "yard")), limit.first_plan(problem), limit)
+    assert answer.statement == "the best plan found that uses move(r1, hall, yard) is worse by 2 calls: 4 against 2 calls"
+    assert answer.known is Known.PLAN
+    assert not any(isinstance(claim, Best) for claim in answer.claims)
+    assert answer.reasons[-1].known is Known.NOT_PROVED

@@ -11,7 +11,9 @@ from planner_bridge.explanations.limited_search import TimeLimit
 from planner_bridge.explanations.no_plan import why_no_plan
 from planner_bridge.explanations.smallest_change import what_would_help
 from planner_bridge.model.forbidden_actions import ForbiddenCall, forbid
+from planner_bridge.model.plan import PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
+from planner_bridge.pddl import parse_domain, parse_problem
 from tests.support.pddl.explanations.checked_claims import Checked
 from tests.support.pddl.explanations.doors import house
 from tests.support.pddl.problems import rooms, tanks
@@ -93,3 +95,31 @@ def help_for_at_once(problem: Problem) -> Answer:
 def test_a_call_that_is_forbidden_might_be_used_again() -> None:
     problem = forbid(rooms(ways="ab bc", goal="(at r1 c)"), frozenset({ForbiddenCall("move", ("r1", "b", "c"))}))
     assert "if move(r1, b, c) might be used: a plan with 2 calls" in [part.statement for part in help_for(problem).reasons]
+
+
+SMALL = """(define (domain small) (:requirements :strips) (:predicates (p) (q) (r) (s) (x) (y) (z))
+  (:action one :parameters () :precondition (q) :effect (p)) (:action two :parameters () :precondition (and (r) (s)) :effect (p))
+  (:action three :parameters () :precondition (and (x) (y)) :effect (r)) (:action four :parameters () :precondition (z) :effect (x))
+  (:action five :parameters () :precondition (z) :effect (y)))"""
+
+
+def small(goal: str) -> Problem:
+    return parse_problem(f"(define (problem p) (:domain small) (:init) (:goal {goal}))", parse_domain(SMALL))
+
+
+def test_one_fact_that_two_others_follow_from_is_found() -> None:
+    assert "if (z) were true: a plan with 3 calls" in [part.statement for part in help_for(small("(r)")).reasons]
+
+
+class SlowAtOneFact(TimeLimit):
+    """The planner gives up where a single fact was changed."""
+
+    def solve(self, problem: Problem, *, share: float = 1.0, improve: float = 0.0) -> PlanningResult:
+        return PlanningResult(PlanningStatus.TIMED_OUT) if len(problem.init) == 1 else super().solve(problem, share=share, improve=improve)
+
+
+def test_where_the_planner_gives_up_no_change_is_called_smallest() -> None:
+    limit = SlowAtOneFact(TimeLimit.of(30).end)
+    answer = what_would_help(small("(p)"), limit, Answer("there is no plan", Known.RELAXATION))
+    assert answer.statement == "there would be a plan with two facts changed"
+    assert answer.reasons[-1] == Answer("it is not proved that no change of one fact is enough", Known.NOT_PROVED)
