@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from pnm.files.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
-    from planner_bridge.loading import load as load
     from planner_bridge.model.plan import Plan as Plan
     from planner_bridge.model.plan import PlanningResult as PlanningResult
     from planner_bridge.model.plan import PlanningStatus as PlanningStatus
@@ -23,8 +22,9 @@ if TYPE_CHECKING:
     from planner_bridge.pddl import read_problem as read_problem
     from planner_bridge.pddl.write.writer import write_domain as write_domain
     from planner_bridge.pddl.write.writer import write_problem as write_problem
-    from planner_bridge.pipeline import achieve as achieve
-    from planner_bridge.pipeline import achieve_async as achieve_async
+    from planner_bridge.pipeline.achieve import achieve as achieve
+    from planner_bridge.pipeline.achieve import achieve_async as achieve_async
+    from planner_bridge.pipeline.loading import load as load
     from planner_bridge.planning.kairos import validate as validate
     from planner_bridge.planning.solve import solve as solve
     from planner_bridge.tasks.replanning import Limits as Limits

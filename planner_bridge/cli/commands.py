@@ -41,15 +41,16 @@ if TYPE_CHECKING:
 
 
 _ELSEWHERE: Final = {
-    "check": "check",
+    "check": "robot",
     "export": "convert",
     "import": "convert",
-    "init": "init",
+    "init": "robot",
     "schema": "convert",
     "run": "run",
     "serve": "serve",
     "replay": "journal",
     "history": "journal",
+    "why": "why",
     **dict.fromkeys(("status", "watch", "goal", "pause", "resume", "cancel", "facts"), "running_node"),
 }
 """Commands in modules of their own, which are imported when they are looked up: their options come from what no other needs."""
@@ -181,8 +182,8 @@ def net(
 
     A planner finds the plan, or --plan names a hand-written one.
     """
-    from planner_bridge.loading import bindings_for
     from planner_bridge.ordering.plan_to_graph import plan_graph
+    from planner_bridge.pipeline.loading import bindings_for
     from planner_bridge.planning.solve import solve
     from pnm.core.machine.export import to_dot, to_json
     from pnm.core.machine.generate import generate
@@ -241,8 +242,8 @@ def simulate(
     There is one for each action of DOMAIN, or as the bindings say; what sensors see is published.
     """
     from planner_bridge.cli.options import faults_for
-    from planner_bridge.loading import bindings_for
     from planner_bridge.node.simulate import play
+    from planner_bridge.pipeline.loading import bindings_for
 
     if log:
         check_output(log, force=force)

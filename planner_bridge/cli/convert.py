@@ -21,7 +21,7 @@ from planner_bridge.cli.options import (
     write,
     write_files,
 )
-from planner_bridge.loading import bindings_for
+from planner_bridge.pipeline.loading import bindings_for
 from planner_bridge.yaml.convert import exported, imported
 from planner_bridge.yaml.write_bindings import unwritten
 from pnm.errors import InputError

@@ -22,9 +22,9 @@ from typing import Any, Final
 from rich.markup import escape
 
 from planner_bridge.cli.console import ConsoleObserver, SafeConsole, print_result
-from planner_bridge.loading import load
 from planner_bridge.model.simulation import simulated_backend
-from planner_bridge.pipeline import achieve_at
+from planner_bridge.pipeline.achieve import achieve_at
+from planner_bridge.pipeline.loading import load
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import read_faults

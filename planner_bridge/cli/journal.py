@@ -57,16 +57,16 @@ def replay(journal: str | None, last: int | None, as_json: bool, timeline: Path 
         if view is not None:
             raise InputError("expected --view or --timeline, not both")
         check_output(timeline, force=force)
-        with _errors_of_journals():
-            told = timelines(_chosen(journal))
+        with errors_of_journals():
+            told = timelines(chosen_journal(journal))
         write(timeline, timeline_svg(*told), force=force)
         return 0
     if view is not None:
-        return _show(_chosen(journal), view)
+        return _show(chosen_journal(journal), view)
     console = SafeConsole()
     state = Replay()
-    with _errors_of_journals():
-        for step in replay_steps(_chosen(journal), TASKS, state):
+    with errors_of_journals():
+        for step in replay_steps(chosen_journal(journal), TASKS, state):
             if as_json:
                 print(json.dumps(_as_json(step, state), default=str), flush=True)
             else:
@@ -88,8 +88,8 @@ def history(journal: str | None, as_json: bool) -> int:
     When each was accepted, what it is about, and how it has ended.
     Without JOURNAL it is that of the node on this computer that has written last.
     """
-    with _errors_of_journals():
-        tasks = summaries(_chosen(journal), TASKS)
+    with errors_of_journals():
+        tasks = summaries(chosen_journal(journal), TASKS)
     console = SafeConsole()
     for task in tasks:
         if as_json:
@@ -105,7 +105,7 @@ def _show(journal: Place, port: int) -> int:
     """Show a journal on a page until Ctrl-C."""
     from planner_bridge.view.serving import listening, serve_page, url_of  # here, because they are an extra
 
-    with _errors_of_journals():
+    with errors_of_journals():
         KeptJournal(journal).close()  # which says what is wrong with it now
     opened = listening(port)
     print(f"view     {url_of(opened)}", file=sys.stderr, flush=True)
@@ -117,7 +117,7 @@ def resume_run(journal: Place) -> int:
     """Go on with the run that a journal has kept, with what its command was given, and end with its exit status."""
     from planner_bridge.cli.run import run  # here, because a look at a journal needs nothing of it
 
-    with _errors_of_journals():
+    with errors_of_journals():
         tasks, (folder, *given) = summaries(journal, TASKS), command_of(journal, TASKS) or ("",)
     if not folder:
         again = "start `pnm serve` again, with the files and options that it had, and it goes on"
@@ -134,7 +134,7 @@ def resume_run(journal: Place) -> int:
     return int(run.main([*given, "--journal", place], "pnm run", standalone_mode=False) or 0)
 
 
-def _chosen(journal: str | None) -> Place:
+def chosen_journal(journal: str | None) -> Place:
     """Return the journal that is meant; one that was not named is named on stderr."""
     if journal is not None:
         return place_of(journal)
@@ -144,7 +144,7 @@ def _chosen(journal: str | None) -> Place:
 
 
 @contextmanager
-def _errors_of_journals() -> Iterator[None]:
+def errors_of_journals() -> Iterator[None]:
     """Raise an `InputError` for a file that is no journal of this version."""
     try:
         yield

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any, Final, ParamSpec
 
 import click
 
-from planner_bridge.loading import load, warning_lines
 from planner_bridge.model.problem import Problem
+from planner_bridge.pipeline.loading import load, warning_lines
 from pnm.errors import InputError, PnmError, Position, Tolerated
 from pnm.files.database.place import Place, place_of
 

@@ -40,8 +40,8 @@ from planner_bridge.cli.options import (
     view_option,
     write,
 )
-from planner_bridge.loading import bindings_for
-from planner_bridge.pipeline import Actions, achieve, carry_out
+from planner_bridge.pipeline.achieve import Actions, achieve, carry_out
+from planner_bridge.pipeline.loading import bindings_for
 from planner_bridge.planning.solve import check_planner
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.result import Stopwatch, TaskResult

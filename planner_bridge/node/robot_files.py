@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from planner_bridge.loading import bindings_beside
 from planner_bridge.node.options import Options
+from planner_bridge.pipeline.loading import bindings_beside
 from pnm.actions.bindings_file import bindings_in
 from pnm.core.logic.declared_names import Vocabulary
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings

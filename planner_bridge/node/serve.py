@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, Final
 from uuid import UUID
 
-from planner_bridge.loading import load
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan_world import names_of_world
 from planner_bridge.model.problem import Problem
@@ -27,6 +26,7 @@ from planner_bridge.node.problem_service import NOTHING, LoadedProblem, ServedPr
 from planner_bridge.node.robot_files import RobotFiles
 from planner_bridge.node.world_queries import SharedWorld, read_goals
 from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.pipeline.loading import load
 from planner_bridge.planning.solve import check_planner
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.result import TASKS

@@ -28,11 +28,11 @@ from uuid import UUID
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from planner_bridge.loading import load
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.simulation import robots_of
 from planner_bridge.pddl import parse_problem
+from planner_bridge.pipeline.loading import load
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.result import TASKS, Stopwatch
 from planner_bridge.tasks.scheduling.task_limits import TaskLimits

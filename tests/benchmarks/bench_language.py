@@ -14,7 +14,7 @@ import yaml
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from planner_bridge.loading import load
+from planner_bridge.pipeline.loading import load
 from planner_bridge.yaml.convert import exported, imported
 from pnm.core.machine.generate import generate
 from pnm.core.machine.verification.verify import verify

@@ -18,7 +18,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from planner_bridge.loading import load
+from planner_bridge.pipeline.loading import load
 from pnm.errors import InputError
 from tests.support.runs.timing import seconds
 

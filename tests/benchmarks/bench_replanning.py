@@ -16,10 +16,10 @@ from statistics import median
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from planner_bridge.loading import load
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.simulation import robots_of
-from planner_bridge.pipeline import achieve_at
+from planner_bridge.pipeline.achieve import achieve_at
+from planner_bridge.pipeline.loading import load
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import OnChange, Settings
 from pnm.actions.backend import SimulatedBackend

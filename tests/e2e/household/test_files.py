@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from planner_bridge.loading import bindings_for, load
-from planner_bridge.pipeline import achieve
+from planner_bridge.pipeline.achieve import achieve
+from planner_bridge.pipeline.loading import bindings_for, load
 from pnm.knowledge.sensor_file import read_sensing
 from tests.support.files import ROOT
 

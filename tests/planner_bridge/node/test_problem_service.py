@@ -9,10 +9,10 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from planner_bridge.loading import load
 from planner_bridge.model.grounding import initial_knowledge, problem_now
 from planner_bridge.node.world_queries import SharedWorld
 from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.pipeline.loading import load
 from pnm.core.knowledge_base import statement_text
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, fluent_text
 from pnm.errors import InputError

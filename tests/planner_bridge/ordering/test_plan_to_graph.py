@@ -15,7 +15,7 @@ from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.pipeline import achieve
+from planner_bridge.pipeline.achieve import achieve
 from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.replanning import Progress, why_not

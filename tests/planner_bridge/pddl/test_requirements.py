@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from planner_bridge.loading import load, warning_lines
 from planner_bridge.model.problem import Domain
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain
+from planner_bridge.pipeline.loading import load, warning_lines
 from pnm.core.logic.conditions import All, Compare
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.expressions import Constant, ValueOf

@@ -18,7 +18,7 @@ import unified_planning.shortcuts as up
 
 from planner_bridge.model.plan import PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Metric, Problem
-from planner_bridge.pipeline import achieve
+from planner_bridge.pipeline.achieve import achieve
 from planner_bridge.planning.engines import require_installed
 from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.solve import check_planner, solve

@@ -22,7 +22,7 @@ from click.testing import CliRunner
 from planner_bridge.cli.commands import app
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
 from planner_bridge.model.problem import Problem
-from planner_bridge.pipeline import achieve
+from planner_bridge.pipeline.achieve import achieve
 from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.portfolio import solve_with_portfolio, suitable_planners
 from planner_bridge.planning.solve import solve

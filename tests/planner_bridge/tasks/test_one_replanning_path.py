@@ -10,8 +10,8 @@ from uuid import UUID
 
 import pytest
 
-from planner_bridge.loading import load
 from planner_bridge.model.problem import Problem
+from planner_bridge.pipeline.loading import load
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import OnChange, Settings
 from planner_bridge.yaml.reader import read

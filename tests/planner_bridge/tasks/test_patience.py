@@ -7,7 +7,7 @@ import asyncio
 import pytest
 
 from planner_bridge.model.simulation import robots_of, simulated_backend
-from planner_bridge.pipeline import achieve_at
+from planner_bridge.pipeline.achieve import achieve_at
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.actions.backend import SimulatedBackend

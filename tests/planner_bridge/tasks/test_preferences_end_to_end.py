@@ -9,7 +9,7 @@ import pytest
 
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.pipeline import achieve
+from planner_bridge.pipeline.achieve import achieve
 from planner_bridge.tasks.replanning import PlanAgain, ResumePlan
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange

@@ -12,7 +12,7 @@ from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.plan_to_graph import plan_graph, total_order
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.pipeline import achieve, achieve_at
+from planner_bridge.pipeline.achieve import achieve, achieve_at
 from planner_bridge.tasks.replanning import MAX_SHORTENED, Decision, History, Limits, PlanAgain, Progress, ResumePlan, decide, shortened
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange

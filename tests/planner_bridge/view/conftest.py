@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from planner_bridge.pipeline import achieve
+from planner_bridge.pipeline.achieve import achieve
 from pnm.actions.faults import read_faults
 from tests.support.e2e.page.journals import GrowingJournal
 from tests.support.files import ROOT

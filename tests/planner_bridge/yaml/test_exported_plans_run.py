@@ -7,10 +7,10 @@ from typing import Final
 
 import pytest
 
-from planner_bridge.loading import load
 from planner_bridge.model.simulation import simulated_backend
 from planner_bridge.ordering.plan_to_graph import plan_graph
-from planner_bridge.pipeline import achieve_at
+from planner_bridge.pipeline.achieve import achieve_at
+from planner_bridge.pipeline.loading import load
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from planner_bridge.yaml.convert import exported

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from planner_bridge.pipeline import achieve, carry_out
+from planner_bridge.pipeline.achieve import achieve, carry_out
 from planner_bridge.tasks.result import TASKS
 from planner_bridge.tasks.scheduling.task_timeline import timelines
 from planner_bridge.tasks.settings import TaskObserver

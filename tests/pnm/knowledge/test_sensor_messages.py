@@ -8,8 +8,8 @@ import re
 
 import pytest
 
-from planner_bridge.loading import load
 from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.pipeline.loading import load
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN

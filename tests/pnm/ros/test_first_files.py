@@ -8,7 +8,7 @@ import pytest
 from pnm_interfaces.action import RunPlan
 from porter_msgs.action import Grip
 
-from planner_bridge.loading import bindings_for, load
+from planner_bridge.pipeline.loading import bindings_for, load
 from pnm.actions.bindings_file import read_bindings
 from pnm.core.machine.bindings import Table
 from pnm.core.message_fields import Comparison, parse_field

@@ -9,9 +9,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
-from planner_bridge.loading import load
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
+from planner_bridge.pipeline.loading import load
 from pnm.core.knowledge_base import KnowledgeBase, parse_statement
 from pnm.core.logic.evaluation import evaluate
 from tests.support.files import ROOT, written

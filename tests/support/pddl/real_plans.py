@@ -8,9 +8,9 @@ from typing import Final
 
 import pytest
 
-from planner_bridge.loading import load
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.plan_to_graph import plan_graph
+from planner_bridge.pipeline.loading import load
 from planner_bridge.planning.solve import solve
 from pnm.core.machine.plan_graph import PlanGraph
 from tests.support.files import ROOT

@@ -7,7 +7,7 @@ import asyncio
 import pytest
 
 from planner_bridge.model.simulation import simulated_backend
-from planner_bridge.pipeline import achieve, achieve_async
+from planner_bridge.pipeline.achieve import achieve, achieve_async
 from planner_bridge.tasks.result import Stopwatch
 from planner_bridge.tasks.scheduling.goal_handle import GoalHandle
 from planner_bridge.tasks.settings import Settings, TaskObserver

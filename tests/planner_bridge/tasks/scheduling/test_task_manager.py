@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner_bridge.loading import load
 from planner_bridge.model.problem import Problem
+from planner_bridge.pipeline.loading import load
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import OnChange
 from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange

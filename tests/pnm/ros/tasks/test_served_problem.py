@@ -6,7 +6,7 @@ from uuid import UUID
 
 import pytest
 
-from planner_bridge.loading import load
+from planner_bridge.pipeline.loading import load
 from pnm.ros.node.service_client import ServiceClient
 from tests.support.files import ROOT
 from tests.support.processes import LIMIT, Program

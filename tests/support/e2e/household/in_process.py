@@ -11,9 +11,9 @@ from uuid import UUID
 
 from pyrobosim.core import World
 
-from planner_bridge.loading import load
 from planner_bridge.model.problem import Problem
-from planner_bridge.pipeline import achieve_at
+from planner_bridge.pipeline.achieve import achieve_at
+from planner_bridge.pipeline.loading import load
 from planner_bridge.tasks.result import TaskResult
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.backend import ClientBackend

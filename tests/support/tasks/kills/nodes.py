@@ -19,8 +19,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-from planner_bridge.loading import load
 from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.pipeline.loading import load
 from planner_bridge.tasks.result import TASKS
 from pnm.core.knowledge_base import parse_statement
 from pnm.core.logic.expressions import Fluent, Unknown, Value

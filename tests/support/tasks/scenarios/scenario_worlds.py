@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from functools import cache
 from itertools import permutations
 
-from planner_bridge.loading import load
 from planner_bridge.model.problem import Problem
+from planner_bridge.pipeline.loading import load
 from pnm.core.logic.expressions import Fluent, Value
 from tests.support.files import ROOT
 from tests.support.pddl.problems import fleet, matches, rooms, tanks

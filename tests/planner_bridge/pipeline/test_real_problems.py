@@ -8,10 +8,10 @@ from typing import Final
 import kairos
 import pytest
 
-from planner_bridge.loading import load
 from planner_bridge.model.simulation import simulated_backend
 from planner_bridge.pddl import write_domain, write_problem
-from planner_bridge.pipeline import achieve_at
+from planner_bridge.pipeline.achieve import achieve_at
+from planner_bridge.pipeline.loading import load
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.clock import run_async

@@ -1,8 +1,9 @@
-"""`pnm check`: whether the action servers and sensors of a robot are there, and fit the files about them."""
+"""`pnm init` and `pnm check`: first files for the robot that is there, and whether its servers and sensors fit the files about them."""
 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -13,25 +14,64 @@ from rich.text import Text
 
 from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.options import (
+    FILE,
     Seconds,
     as_json_option,
     bindings_option,
     chosen_files,
     command,
     files_or_plan,
+    force_option,
     problem_in,
     sensing_option,
+    write_files,
 )
-from planner_bridge.loading import bindings_for
-from planner_bridge.pipeline import readiness, readiness_for_plan
+from planner_bridge.pipeline.achieve import readiness, readiness_for_plan
+from planner_bridge.pipeline.loading import bindings_for
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.bindings_file import read_bindings
+from pnm.clock import run_async
 from pnm.core.machine.bindings import NO_BINDINGS
 from pnm.core.readiness import Readiness, ReadyState
+from pnm.errors import InputError
 from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import NO_SENSING
 
 _STYLES: Final = {ReadyState.READY: "green", ReadyState.UNFIT: "bold red"}
+
+
+@click.command(epilog="Example: pnm init my_robot")
+@click.argument("folder", type=FILE)
+@force_option
+@command
+def init(folder: Path, force: bool) -> int:
+    """Write first files for the robot that is there.
+
+    A domain, a problem, bindings and sensors for what is in the ROS graph, into FOLDER.
+    They pass `pnm check`; every line that needs a decision of yours has a comment with the word `decide`.
+    """
+    name = re.sub(r"\W", "-", folder.resolve().name.lower()).strip("-") or "robot"
+
+    async def look() -> dict[str, str]:
+        from pnm.ros.node.ros_thread import RosThread  # here, because rclpy is an extra
+
+        async with RosThread("pnm_init") as ros:
+            from pnm.ros.first_files import first_files  # needs rclpy, which is there by now
+            from pnm.ros.node.graph import snapshot
+
+            await ros.settled()
+            return first_files(await ros.ask(lambda: snapshot(ros.node)), name)
+
+    texts = run_async(look())
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: not a folder, and none can be made there: {error.strerror}") from error
+    write_files({folder / name: text for name, text in texts.items()}, force=force)
+    decisions = sum(text.count("decide: ") for text in texts.values())
+    files = f"{folder / 'domain.pddl'} {folder / 'problem.pddl'}"
+    print(f"{decisions} lines need a decision: look for `decide`. Then: pnm check {files} --sensing {folder / 'sensing.yaml'}")
+    return 0
 
 
 @click.command(epilog="Example: pnm check domain.pddl problem.pddl --sensing sensing.yaml")

@@ -11,8 +11,8 @@ from uuid import UUID
 
 import pytest
 
-from planner_bridge.loading import load
-from planner_bridge.pipeline import achieve, carry_out
+from planner_bridge.pipeline.achieve import achieve, carry_out
+from planner_bridge.pipeline.loading import load
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings
@@ -73,7 +73,10 @@ def test_an_action_client_carries_out_a_hand_written_plan(tmp_path: Path) -> Non
         ("ros", "expected actions 'simulated', 'ros2' or an ActionClient, found 'ros'; did you mean 'ros2'?"),
         (None, "expected actions 'simulated', 'ros2' or an ActionClient, found None"),
         (print, "expected actions 'simulated', 'ros2' or an ActionClient, found <built-in function print>"),
-        (Robot, "expected actions 'simulated', 'ros2' or an ActionClient, found <class 'tests.planner_bridge.test_pipeline.Robot'>"),
+        (
+            Robot,
+            f"expected actions 'simulated', 'ros2' or an ActionClient, found {Robot}",
+        ),
     ],
 )
 def test_what_performs_no_actions_is_refused(tmp_path: Path, run: Callable[[Any, Path], object], actions: Any, message: str) -> None:

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias, cast
 from uuid import uuid4
 
-from planner_bridge.loading import bindings_for, load
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan_world import names_of_world
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.model.simulation import simulated_backend
 from planner_bridge.pddl.write.writer import write_domain, write_problem
+from planner_bridge.pipeline.loading import bindings_for, load
 from planner_bridge.tasks.result import PlanResult, Stopwatch, TaskResult
 from planner_bridge.tasks.scheduling.goal_handle import GoalHandle
 from planner_bridge.tasks.scheduling.task_journal import KEPT_NOWHERE, TaskJournal

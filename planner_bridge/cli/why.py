@@ -1,0 +1,178 @@
+"""`pnm why`: why there is this plan, or none, why it has a call and not another one; and why a run goes as it goes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from textwrap import wrap
+from typing import Final
+
+import click
+
+from planner_bridge.cli.console import SafeConsole
+from planner_bridge.cli.journal import chosen_journal, errors_of_journals
+from planner_bridge.cli.options import FILE, Seconds, as_json_option, command, problem_in, searching
+from planner_bridge.explanations.answer import Answer, Known
+from planner_bridge.explanations.limited_search import TimeLimit
+from planner_bridge.explanations.needed_call import why_call_of_plan
+from planner_bridge.explanations.new_plan import why_replanned
+from planner_bridge.explanations.no_plan import why_no_plan
+from planner_bridge.explanations.other_action import why_not
+from planner_bridge.explanations.plan_overview import why_plan
+from planner_bridge.explanations.run_history import JournalHistory
+from planner_bridge.explanations.run_questions import call_meant, task_meant, why_call_of_run, why_so
+from planner_bridge.explanations.smallest_change import what_would_help
+from planner_bridge.model.grounding import problem_now
+from planner_bridge.model.plan import Plan, PlanStep
+from planner_bridge.model.plan_simulation import NotProjectable, projected_state
+from planner_bridge.model.plan_text import read_plan
+from planner_bridge.model.problem import Problem
+from planner_bridge.planning.kairos import DEFAULT_PLANNER
+from pnm.errors import InputError, Position, suggestion
+
+_IMPROVE: Final = 0.04
+"""Seconds for which a better plan is looked for: the plan is that of `pnm plan`."""
+_NARROW: Final = 40
+"""Columns that a statement gets at least, however deep it stands."""
+
+
+@click.command(epilog="Examples: pnm why domain.pddl problem.pddl --not 'move(r1, hall, kitchen)'; pnm why --journal run.journal --call 3")
+@click.argument("domain", type=FILE, required=False)
+@click.argument("problem", type=FILE, required=False)
+@click.option("--call", "called", metavar="CALL", help="why this call: its number, or the call itself, such as 'move(r1, a, b)'")
+@click.option("--not", "other", metavar="CALL", help="why not this call, which the plan does not have; of DOMAIN and PROBLEM")
+@click.option("--replan", is_flag=True, help="why there were new plans; of a journal")
+@click.option("--journal", metavar="FILE", help="file of a journal, or postgresql://…; with DOMAIN and PROBLEM, what is so in it counts")
+@click.option("--task", metavar="TASK", help="of a journal: its number, or how its id begins; by default the last that goes on")
+@click.option("--to", "last", type=click.IntRange(1), help="of a journal: the record up to which it is read")
+@click.option("--seconds", type=Seconds(0.1), default=10.0, show_default=True, help="for all searches together, at most")
+@as_json_option
+@command
+def why(
+    *,
+    domain: Path | None,
+    problem: Path | None,
+    called: str | None,
+    other: str | None,
+    replan: bool,
+    journal: str | None,
+    task: str | None,
+    last: int | None,
+    seconds: float,
+    as_json: bool,
+) -> int:
+    """Explain a plan, or why there is none, or a run.
+
+    With DOMAIN and PROBLEM: what each call of a plan is for; or why there is no plan, and what would help. Without them: how a task of
+    a journal is doing, and why; by default in that of the node on this computer that has written last. What is not proved is called so.
+    """
+    if sum((called is not None, other is not None, replan)) > 1:
+        raise InputError("expected one of --call, --not and --replan: each is a question of its own")
+    if domain is not None and problem is None:
+        raise InputError("expected DOMAIN and PROBLEM, or neither of them for a journal")
+    if domain is None or problem is None:
+        if other is not None:
+            raise InputError("--not asks for other plans: expected DOMAIN and PROBLEM; with --journal, what is so in it counts")
+        show(_of_journal(journal, task, last, called, replan=replan), as_json=as_json)
+        return 0
+    if replan:
+        raise InputError("--replan is about a run: expected no DOMAIN and PROBLEM")
+    if journal is None and (task or last):
+        raise InputError("--task and --to are about a journal: expected --journal")
+    loaded = problem_in(domain, problem, for_its_goal=journal is None)
+    if journal is not None:
+        loaded = _in_the_middle(loaded, journal, task, last)
+    show(_of_problem(loaded, called, other, seconds), as_json=as_json)
+    return 0
+
+
+def _of_problem(problem: Problem, called: str | None, other: str | None, seconds: float) -> Sequence[Answer]:
+    """Return the answers about the plan of a problem."""
+    unwanted = None if other is None else _call(problem, other, "--not")
+    wanted = None if called is None or called.strip("# ").isdecimal() else _call(problem, called, "--call")
+    limit = TimeLimit.of(seconds)
+    with searching(DEFAULT_PLANNER, seconds):
+        found = limit.first_plan(problem, improve=_IMPROVE)
+        if unwanted is not None:
+            return [why_not(problem, unwanted, found, limit)]
+        if found.plan is None:
+            reason = why_no_plan(problem, found, limit)
+            return [reason, what_would_help(problem, limit, reason)]
+        if called is None:
+            return [why_plan(problem, found.plan)]
+        return [why_call_of_plan(problem, found.plan, _number(found.plan, called, wanted))]
+
+
+def _of_journal(journal: str | None, task: str | None, last: int | None, called: str | None, *, replan: bool) -> Sequence[Answer]:
+    """Return the answers about a run."""
+    with errors_of_journals():
+        history = JournalHistory.read(chosen_journal(journal), last)
+    meant = task_meant(history, task)
+    if replan:
+        return why_replanned(history, meant)
+    return why_so(history, meant) if called is None else why_call_of_run(history, meant, *call_meant(meant, called))
+
+
+def _in_the_middle(problem: Problem, journal: str, task: str | None, last: int | None) -> Problem:
+    """Return the problem with what is so in a journal as its initial state, and the goal of a task."""
+    with errors_of_journals():
+        history = JournalHistory.read(chosen_journal(journal), last)
+    meant = task_meant(history, task)
+    if not meant.runs:
+        raise InputError(f"{meant.name} has no plan yet, so its goal is not known")
+    try:
+        world = projected_state(history.replay.world, meant.runs[-1].replayed.run.under_way())
+    except NotProjectable as error:
+        raise InputError(f"what will be so when the calls under way have ended is not known: {error}") from error
+    now = problem_now(problem, world, history.time - history.replay.began)
+    return replace(now, goal=meant.runs[-1].source.plan.goal)
+
+
+def _number(plan: Plan, called: str, wanted: PlanStep | None) -> int:
+    """Return the number from 0 of the call that is meant."""
+    if wanted is None:
+        number = int(called.strip("# "))
+        if not 1 <= number <= len(plan.steps):
+            raise InputError(f"--call: there is no call {number}: the plan has {len(plan.steps)}; expected a number from 1")
+        return number - 1
+    steps = [str(step) for step in plan.steps]
+    if str(wanted) not in steps:
+        hint = suggestion(str(wanted), steps) or "without --call, all are listed"
+        raise InputError(f"--call: {wanted} is not in the plan; {hint} (--not asks why)")
+    return steps.index(str(wanted))
+
+
+def _call(problem: Problem, text: str, option: str) -> PlanStep:
+    """Return the call that is written as ``move(r1, a, b)`` or as ``(move r1 a b)``; raise an `InputError` for other names."""
+    name, bracket, arguments = text.strip().partition("(")
+    if name:
+        text = f"({name} {arguments.replace(',', ' ')}" if bracket else f"({name})"
+    try:
+        (step,) = read_plan(" ".join(text.split()) or "()", problem).steps
+    except InputError as error:
+        raise InputError(error.message, Position(option)) from error
+    return step
+
+
+def show(answers: Sequence[Answer], *, as_json: bool) -> None:
+    """Print answers: as trees that fit the terminal, in lines of any length elsewhere, or as JSON."""
+    if as_json:
+        print(json.dumps({"answers": [answer.as_json() for answer in answers]}))
+        return
+    console = SafeConsole()
+    for answer in answers:
+        for depth, text in _lines(answer, None, 0):
+            indent = "  " * depth
+            wide = max(console.width, len(indent) + _NARROW)
+            lines = wrap(text, wide, initial_indent=indent, subsequent_indent=indent + " " * 4, break_on_hyphens=False)
+            console.print("\n".join(lines) if console.is_terminal else indent + text, highlight=False, soft_wrap=True, markup=False)
+
+
+def _lines(answer: Answer, above: Known | None, depth: int) -> Iterator[tuple[int, str]]:
+    """Yield every statement with its depth, and how it is known where that does not go without saying."""
+    goes_without_saying = answer.known is above or answer.known is Known.GIVEN
+    yield depth, answer.statement if goes_without_saying else f"{answer.statement} [{answer.known.value}]"
+    for reason in answer.reasons:
+        yield from _lines(reason, above if answer.known is Known.GIVEN else answer.known, depth + 1)

@@ -1,0 +1,131 @@
+"""An answer to the question why: a tree of statements, each with how it is known and the reasons for it.
+
+What is proved may carry a claim: what another planner, or a validator, can check on its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any, TypeAlias
+
+from planner_bridge.model.plan import Plan
+from planner_bridge.model.problem import Problem
+
+
+class Known(Enum):
+    """How a statement is known."""
+
+    GIVEN = "given"
+    """It stands in the domain, in the problem, or in what is known of the world."""
+    PLAN = "proved by a plan"
+    """A plan shows it, which both validators accept."""
+    SIMULATION = "proved by simulation"
+    """The plan was simulated, with and without what it is about."""
+    RELAXATION = "proved by reachability"
+    """Not even if nothing were ever undone, in no order of actions."""
+    SEARCH = "proved by search"
+    """A planner has searched all states."""
+    JOURNAL = "observed"
+    """The journal says so."""
+    NOT_PROVED = "not proved"
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether it is given, observed or proved."""
+        return self is not Known.NOT_PROVED
+
+
+@dataclass(frozen=True, slots=True)
+class Solves:
+    """The claim that a plan solves a problem."""
+
+    problem: Problem
+    plan: Plan
+
+
+@dataclass(frozen=True, slots=True)
+class Fails:
+    """The claim that a plan does not solve a problem."""
+
+    problem: Problem
+    plan: Plan
+
+
+@dataclass(frozen=True, slots=True)
+class Unsolvable:
+    """The claim that no plan solves a problem."""
+
+    problem: Problem
+
+
+@dataclass(frozen=True, slots=True)
+class Best:
+    """The claim that no plan solves a problem better than this one."""
+
+    problem: Problem
+    plan: Plan
+
+
+@dataclass(frozen=True, slots=True)
+class NoSmallerChange:
+    """The claim that no plan solves a problem after a change of fewer facts than so many, those of the goal left as they are."""
+
+    problem: Problem
+    facts: int
+
+
+Claim: TypeAlias = Solves | Fails | Unsolvable | Best | NoSmallerChange
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A statement, how it is known, and the reasons for it.
+
+    Args:
+        statement: in one sentence.
+        known: how it is known.
+        reasons: why it is so.
+        claims: what others can check of it.
+    """
+
+    statement: str
+    known: Known
+    reasons: tuple[Answer, ...] = ()
+    claims: tuple[Claim, ...] = ()
+
+    def every(self) -> Iterator[Answer]:
+        """Yield the answer and all its reasons, outer ones first."""
+        yield self
+        for reason in self.reasons:
+            yield from reason.every()
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the tree as JSON has it."""
+        return {
+            "statement": self.statement,
+            "known": self.known.value,
+            "certain": self.known.is_certain,
+            "reasons": [reason.as_json() for reason in self.reasons],
+        }
+
+    def __str__(self) -> str:
+        lines = (f"{'  ' * depth}{answer.statement} [{answer.known.value}]" for depth, answer in self._with_depth())
+        return "\n".join(lines)
+
+    def _with_depth(self, depth: int = 0) -> Iterator[tuple[int, Answer]]:
+        yield depth, self
+        for reason in self.reasons:
+            yield from reason._with_depth(depth + 1)
+
+
+def counted(number: int, what: str) -> str:
+    """Return how many there are of something, in words."""
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def listed(texts: list[str], word: str = "and", most: int = 4) -> str:
+    """Return the texts as a list of words; of many the first ones, and how many more there are."""
+    shown = texts if len(texts) <= most else [*texts[: most - 1], f"{len(texts) - most + 1} more"]
+    return f" {word} ".join(filter(None, (", ".join(shown[:-1]), shown[-1]))) if shown else ""

@@ -1,0 +1,193 @@
+"""Why a plan has a call: which later calls, or which part of the goal, need what it does, found by simulating the plan without it.
+
+What would fail first needs the call itself. So a call that nothing needs is superfluous, and that is proved: without it all that
+comes later goes on as before. Numbers, derived facts and conditional effects are no special case.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Final
+
+from planner_bridge.explanations.answer import Answer, Fails, Known, Solves, listed
+from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.plan import Plan
+from planner_bridge.model.plan_simulation import snapshot
+from planner_bridge.model.problem import Problem
+from planner_bridge.ordering.plan_to_graph import calls_of
+from planner_bridge.planning.validate import why_invalid
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import Condition
+from pnm.core.logic.effects import Effects, TimedChange, changes, decided
+from pnm.core.logic.evaluation import unmet
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, PlanEvent
+
+_SHOWN: Final = 6
+"""Calls that are named on the way to the goal."""
+
+
+@dataclass(frozen=True, slots=True)
+class Need:
+    """What a later call, or the goal, needs of an earlier call."""
+
+    by: int | None
+    """The number of the later call; None for the goal."""
+    conditions: tuple[Condition, ...]
+
+
+@dataclass(frozen=True)
+class Course:
+    """Calls in an order in which they can be carried out, the state they begin in, and the goal.
+
+    Args:
+        calls: by number.
+        happenings: events, and what changes by itself, in the order of time.
+        state: before the first; it is not changed.
+        goal: what holds at the end.
+    """
+
+    calls: Sequence[ActionCall]
+    happenings: Sequence[PlanEvent | TimedChange]
+    state: KnowledgeBase
+    goal: Condition
+    under_way: frozenset[int] = frozenset()
+    """The calls that have begun before."""
+    _needs: dict[int, tuple[Need, ...]] = field(default_factory=dict, repr=False)
+    """Those that were looked for already: mutable state."""
+
+    @staticmethod
+    def of(problem: Problem, plan: Plan) -> Course:
+        """Return the course of a plan."""
+        calls = calls_of(problem, plan)
+        timed, end, start = range(3)  # of one moment
+        moments: list[tuple[float, int, int, PlanEvent | TimedChange]] = []
+        moments += [(round(change.time, 5), timed, index, change) for index, change in enumerate(problem.timed)]
+        for index, step in enumerate(plan.steps):
+            at, until = (step.start, step.start + step.duration) if plan.temporal else (float(index), float(index))
+            begins, ends = round(at, 5), round(until, 5)
+            moments.append((begins, start, index, PlanEvent(index, Moment.START)))
+            moments.append((ends, end if ends > begins else start, index, PlanEvent(index, Moment.END)))
+        moments.sort(key=lambda moment: moment[:3])
+        return Course(calls, [what for *_, what in moments], initial_knowledge(problem), problem.goal)
+
+    @cached_property
+    def as_it_is(self) -> frozenset[tuple[int | None, Condition]]:
+        """What is not fulfilled although nothing is left out: what is given up, and changed beside the plan."""
+        return frozenset(self._unmet(None))
+
+    def needs(self, call: int) -> tuple[Need, ...]:
+        """Return what needs the call itself, in the order of time."""
+        if call not in self._needs:
+            found: dict[int | None, dict[Condition, None]] = {}
+            for by, condition in self._unmet(call):
+                if by != call and (by, condition) not in self.as_it_is:
+                    found.setdefault(by, {})[condition] = None
+            self._needs[call] = tuple(Need(by, tuple(conditions)) for by, conditions in found.items())
+        return self._needs[call]
+
+    def _unmet(self, without: int | None) -> Iterator[tuple[int | None, Condition]]:
+        """Yield every condition that is not fulfilled when it is needed, and by which call; effects come all the same."""
+        state = snapshot(self.state)
+        running = {call: self.calls[call].action for call in self.under_way if call != without}
+        for what in self.happenings:
+            if isinstance(what, TimedChange):
+                state.update(what.changes)
+            elif what.call != without:
+                effects, failed = _advance(self.calls[what.call].action, what, running, state)
+                yield from ((what.call, condition) for condition in failed)
+                state.update(changes(effects, state))
+            for call, action in running.items():
+                yield from ((call, condition) for condition in unmet(action.invariant, state))
+        yield from ((None, condition) for condition in unmet(self.goal, state))
+
+    def way_to_goal(self, call: int) -> tuple[int, ...] | None:
+        """Return the calls from one to the goal, each of which needs the one before; the shortest way, None if there is none."""
+        before: dict[int, int | None] = {call: None}
+        waiting = deque([call])
+        while waiting:
+            last = waiting.popleft()
+            for need in self.needs(last):
+                if need.by is None:
+                    way: list[int] = []
+                    step: int | None = last
+                    while step is not None:
+                        way.append(step)
+                        step = before[step]
+                    return tuple(reversed(way))
+                if need.by not in before:
+                    before[need.by] = last
+                    waiting.append(need.by)
+        return None
+
+    def goals_behind(self, call: int) -> tuple[Condition, ...]:
+        """Return the parts of the goal that need the call itself."""
+        return tuple(condition for need in self.needs(call) if need.by is None for condition in need.conditions)
+
+    def name(self, call: int) -> str:
+        """Return a call with its number, as people count."""
+        return f"#{call + 1} {self.calls[call].action}"
+
+
+def _advance(
+    action: GroundAction, event: PlanEvent, running: dict[int, GroundAction], state: KnowledgeBase
+) -> tuple[Effects, tuple[Condition, ...]]:
+    """Note that an action starts or ends; return the effects of that, and which conditions are not fulfilled."""
+    if event.moment is Moment.START:
+        running[event.call] = replace(action, end_effects=decided(action.end_effects, state))
+        return action.start_effects, unmet(action.precondition, state)
+    return running.pop(event.call).end_effects, unmet(action.end_condition, state)
+
+
+def why_call_of_plan(problem: Problem, plan: Plan, call: int) -> Answer:
+    """Return why a plan has a call, by its number from 0; what a plan without it lacks is looked at by the validator as well."""
+    course = Course.of(problem, plan)
+    steps = (*plan.steps[:call], *plan.steps[call + 1 :])
+    without = replace(plan, steps=steps, is_best=False)
+    if course.needs(call):
+        answer = why_call(course, call)
+        return replace(answer, claims=(Fails(problem, without),)) if why_invalid(problem, without) else answer
+    if problem.has_tasks:
+        statement = f"no condition needs {course.name(call)}; whether the network of tasks asks for it was not looked at"
+        return Answer(statement, Known.NOT_PROVED)
+    if reason := why_invalid(problem, without):
+        return Answer(f"{course.name(call)} is needed: without it, {reason}", Known.SIMULATION, (), (Fails(problem, without),))
+    statement = f"nothing needs {course.name(call)}: the plan without it reaches the goal as well"
+    return Answer(statement, Known.PLAN, _otherwise(problem, course.calls[call].action), (Solves(problem, without),))
+
+
+def _otherwise(problem: Problem, action: GroundAction) -> tuple[Answer, ...]:
+    """Return what else there may be for which a planner has a call."""
+    if problem.has_preferences:
+        return (Answer(f"whether {action} fulfils a preference was not looked at", Known.NOT_PROVED),)
+    return ()
+
+
+def why_call(course: Course, call: int) -> Answer:
+    """Return why a call is there: what needs it, and from there the way to the goal."""
+    needs = course.needs(call)
+    if not needs:
+        statement = f"nothing needs {course.name(call)}: without it, all that comes later goes on as it would"
+        return Answer(statement, Known.NOT_PROVED if course.as_it_is else Known.SIMULATION)
+    reasons = tuple(_need(course, need) for need in needs)
+    return Answer(f"{course.name(call)} is needed: without it, the rest of the plan does not work", Known.SIMULATION, reasons)
+
+
+def _need(course: Course, need: Need) -> Answer:
+    conditions = listed([str(condition) for condition in need.conditions])
+    if need.by is None:
+        return Answer(f"the goal needs it: {conditions}", Known.SIMULATION)
+    way = course.way_to_goal(need.by)
+    if way is None:
+        further = Answer(f"nothing needs {course.name(need.by)}", Known.SIMULATION)
+    else:
+        *between, last = way[1:] or way
+        named = [course.name(number) for number in between]
+        named = [*named[: _SHOWN - 2], f"{len(named) - _SHOWN + 2} more calls", *named[-1:]] if len(named) >= _SHOWN else named
+        steps = ", then ".join([*named, course.name(last)])
+        goals = listed([str(goal) for goal in course.goals_behind(last)])
+        text = f"{steps}: for the goal {goals}" if way[1:] else f"it is for the goal {goals}"
+        further = Answer(f"which is needed by {text}" if way[1:] else text, Known.SIMULATION)
+    return Answer(f"{course.name(need.by)} needs it: {conditions}", Known.SIMULATION, (further,))

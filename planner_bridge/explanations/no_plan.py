@@ -1,0 +1,232 @@
+"""Why there is no plan: a tree that ends where nothing can be done any more.
+
+Most goals without a plan could not be reached even if nothing were ever undone; reachability shows that, and its lacks are the tree.
+Otherwise a planner that has searched all states may have proved it, and goals that exclude each other are looked for. Whatever
+neither shows is called not proved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+from planner_bridge.explanations.answer import Answer, Known, Solves, Unsolvable, counted, listed
+from planner_bridge.explanations.limited_search import TimeLimit
+from planner_bridge.model.plan import PlanningResult, PlanningStatus
+from planner_bridge.model.problem import Problem
+from planner_bridge.planning.reachability import Achiever, Literal, Reachability, TooLarge, literal_of
+from pnm.core.logic.conditions import All, Compare, Condition, Not, conjunction, conjuncts, fluents, ground
+from pnm.core.logic.expressions import NOTHING, Environment, fluent_text
+
+_WAYS: Final = 3
+"""Actions that are looked at for each fact; others are counted."""
+_KNOTS: Final = 2
+"""Facts that only each other would bring about, on the way from the goal: of more there is no telling where to begin."""
+_LONG: Final = 70
+"""Characters of a condition."""
+_DEPTH: Final = 12
+"""Facts on the way from the goal to where it ends."""
+
+
+def why_no_plan(problem: Problem, found: PlanningResult, limit: TimeLimit) -> Answer:
+    """Return why there is no plan.
+
+    Args:
+        problem: what has no plan, as far as is known.
+        found: what a planner has said about it.
+        limit: until when to look further.
+    """
+    if dead_ends := _unreachable(problem):
+        text = listed([str(part) for part, _ in dead_ends])
+        reasons = tuple(answer for _, answer in dead_ends)
+        return Answer(f"there is no plan: {text} cannot be reached", Known.RELAXATION, reasons, (Unsolvable(problem),))
+    if problem.unknown and (blocked := _unreachable(replace(problem, unknown=frozenset()))):
+        facts = listed(sorted(map(fluent_text, problem.unknown)))
+        text = f"no plan was found: {facts} {'are' if len(problem.unknown) > 1 else 'is'} unknown, and counted as false"
+        return Answer(text, Known.NOT_PROVED, tuple(_as_known(answer) for _, answer in blocked))
+    if found.status is PlanningStatus.UNSOLVABLE:
+        return Answer("there is no plan", Known.SEARCH, tuple(_exclusions(problem, limit)), (Unsolvable(problem),))
+    return Answer(f"no plan was found, and it is not proved that there is none: {found.reason}", Known.NOT_PROVED)
+
+
+def _as_known(answer: Answer) -> Answer:
+    """Return the answer without proofs: it rests on unknown facts being false."""
+    return Answer(answer.statement, Known.NOT_PROVED, tuple(map(_as_known, answer.reasons)))
+
+
+# --- what cannot be reached ------------------------------------------------------------------------
+
+
+def _unreachable(problem: Problem) -> list[tuple[Condition, Answer]]:
+    """Return the parts of the goal that cannot be reached, with the reasons; none if the problem is too large to be looked at."""
+    reachability = Reachability(problem, problem.unknown)
+    try:
+        reachability.settle(problem.goal)
+        parts = [part for part in conjuncts(problem.goal) if reachability.of(part)]
+        tree = DeadEnds(problem, reachability)
+        return [(part, tree.why(part)) for part in parts]
+    except TooLarge:
+        return []
+
+
+def why_unreachable(problem: Problem, condition: Condition) -> Answer | None:
+    """Return why a condition can never come true; None if it can, as far as reachability shows."""
+    asked = replace(problem, goal=condition, constraints=())
+    dead_ends = _unreachable(asked)
+    return Answer(f"{condition} can never be true", Known.RELAXATION, tuple(answer for _, answer in dead_ends)) if dead_ends else None
+
+
+@dataclass
+class DeadEnds:
+    """The tree of what cannot be reached. The mutable state is which facts were explained already."""
+
+    problem: Problem
+    reachability: Reachability
+    seen: set[Condition] = field(default_factory=set)
+
+    def why(self, condition: Condition, path: tuple[Condition, ...] = ()) -> Answer:
+        """Return why the condition can never be true."""
+        literal = literal_of(condition)
+        if literal is None:
+            reasons, others = self._parts(condition, (*path, condition))
+            return self._proved(condition, f"{_short(condition)} can never be true{_closed(others)}", reasons)
+        if condition in path:
+            return self._proved(condition, f"{condition} would be needed for itself", ())
+        if end := self._end(literal):
+            return self._proved(condition, end, ())
+        if condition in self.seen or len(path) >= _DEPTH or sum(map(self._is_knot, path)) >= _KNOTS:
+            return self._proved(condition, f"{condition} can never be true{', as said above' if condition in self.seen else ''}", ())
+        self.seen.add(condition)
+        reasons, others = self._ways(literal, (*path, condition))
+        return self._proved(condition, f"{condition} can never be true{_closed(others)}", reasons)
+
+    def lacks(self, condition: Condition, env: Environment = NOTHING, truth: bool = True) -> tuple[Condition, ...]:
+        """Return what of a condition, or of its opposite, can never be true; alternatives are left together."""
+        if not self.reachability.of(condition, env, truth):
+            return ()
+        if literal := literal_of(condition, env, truth):
+            return (literal.condition,)
+        parts, is_every = self.reachability.parts(condition, env, truth)
+        if is_every:
+            return tuple(dict.fromkeys(lack for part in parts for lack in self.lacks(*part)))
+        whole = ground(condition, env)
+        return (whole if truth else Not(whole),)
+
+    def _is_knot(self, condition: Condition) -> bool:
+        """Return whether every way to a fact leads through itself, or through others of which that is so: no end is nearer than others."""
+        literal = literal_of(condition)
+        return literal is not None and self.reachability.way(literal).by is None
+
+    def _proved(self, condition: Condition, text: str, reasons: tuple[Answer, ...]) -> Answer:
+        asked = replace(self.problem, goal=condition, constraints=(), preferences=(), metric=None, network="")
+        return Answer(text, Known.RELAXATION, reasons, (Unsolvable(asked),))
+
+    def _end(self, literal: Literal) -> str:
+        """Return what there is to say of a fact that nothing brings about; empty if there are actions for that."""
+        condition, mentioned = literal.condition, fluents(literal.condition, self.reachability.state)
+        if guarded := [self.problem.guards[fluent] for fluent in mentioned & self.problem.guards.keys()]:
+            return f"{listed(guarded)} must not be used any more"
+        if isinstance(literal.subject, Compare) and (missing := self.reachability.without_value(literal.subject)):
+            return f"{listed([fluent_text(fluent) for fluent in missing])} {'has' if len(missing) == 1 else 'have'} no value"
+        if self.reachability.way(literal).achievers:
+            return ""
+        is_fact = not isinstance(literal.subject, Compare)
+        now = "true" if is_fact and not literal.truth else "false"
+        what = fluent_text(literal.subject) if isinstance(literal.subject, tuple) else str(condition)
+        return f"{what} is {now}, and no action changes that"
+
+    def _parts(self, condition: Condition, path: tuple[Condition, ...]) -> tuple[tuple[Answer, ...], int]:
+        """Return why the parts of a condition can never be true; of alternatives the nearest, and how many others there are."""
+        parts, is_every = self.reachability.parts(condition, NOTHING, True)
+        if not is_every:
+            costs = [self.reachability.cost(self.reachability.of(*part)) for part in parts]
+            parts = [part for part, cost in zip(parts, costs, strict=True) if cost == min(costs)][:_WAYS]
+            others = len(costs) - len(parts)
+        whys = {why.statement: why for part in parts for lack in self.lacks(*part) for why in [self.why(lack, path)]}
+        return tuple(whys.values()), 0 if is_every else others
+
+    def _ways(self, literal: Literal, path: tuple[Condition, ...]) -> tuple[tuple[Answer, ...], int]:
+        """Return why the action that would most likely bring the fact about can never do it; and how many others there are.
+
+        Others are told of as well if nothing but a switch, such as a door, keeps them from it.
+        """
+        by_lack: dict[tuple[str, tuple[Condition, ...]], Achiever] = {}
+        for achiever in sorted(self.reachability.way(literal).achievers, key=self._rank):
+            by_lack.setdefault((achiever.name, self.lacks(achiever.condition, achiever.env)), achiever)
+        fresh = [key for key in by_lack if not any(lack in path for lack in key[1])] or [*by_lack]
+        least = self._rank(by_lack[fresh[0]])[0]
+        near = [key for key in fresh[1:] if self._rank(by_lack[key])[0] == least and all(map(self.reachability.is_end, key[1]))]
+        likeliest = [fresh[0], *near][:_WAYS]
+        reasons: dict[str, Answer] = {}
+        for name, lacks in likeliest:
+            closed = {why.statement: why for why in (self.why(lack, path) for lack in lacks)}
+            if name:
+                needs = listed([*dict.fromkeys(map(_short, lacks))])
+                text = f"{name} would make it so, but needs {needs}"
+                closed = {text: Answer(text, Known.GIVEN, tuple(closed.values()))}
+            reasons |= closed  # of a rule, which needs no words of its own
+        return tuple(reasons.values()), len(by_lack) - len(likeliest)
+
+    def _rank(self, achiever: Achiever) -> tuple[int, int, str]:
+        """Return how likely people think of an action first: the fewer conditions are missing and the nearer they are, the likelier."""
+        lack = self.reachability.of(achiever.condition, achiever.env)
+        return self.reachability.cost(lack), len(lack), achiever.name
+
+
+def _short(condition: Condition) -> str:
+    """Return the text of a condition; of a long one the beginning."""
+    text = str(condition)
+    return text if len(text) <= _LONG else f"{text[: _LONG - 1]}…"
+
+
+def _closed(others: int) -> str:
+    """Return that there are other ways, none of which is open."""
+    return f": {others} more {'way' if others == 1 else 'ways'} to it {'is' if others == 1 else 'are'} closed as well" if others else ""
+
+
+# --- what excludes each other ----------------------------------------------------------------------
+
+
+def _exclusions(problem: Problem, limit: TimeLimit) -> Iterator[Answer]:
+    """Yield which parts of the goal exclude each other: together proved impossible, and none of them can be left out of that."""
+    if problem.has_tasks:
+        return
+    if problem.constraints or problem.domain.constraints:
+        free = replace(problem, constraints=(), domain=replace(problem.domain, constraints=()))
+        found = limit.solve(free)
+        if found.plan:
+            constraints = listed([str(one) for one in (*problem.domain.constraints, *problem.constraints)])
+            yield Answer(f"without what must always be kept there is a plan: {constraints}", Known.PLAN, (), (Solves(free, found.plan),))
+            return
+    parts = conjuncts(problem.goal)
+    needed, possible = list(parts), list[Answer]()
+    for part in parts:
+        rest = [other for other in needed if other is not part]
+        if not rest:
+            break
+        asked = replace(problem, goal=conjunction(rest))
+        found = limit.solve(asked)
+        if found.status is PlanningStatus.UNSOLVABLE:
+            needed = rest
+        elif found.plan:
+            text = f"without {part}, there is a plan with {counted(len(found.plan.steps), 'call')}"
+            possible.append(Answer(text, Known.PLAN, (), (Solves(asked, found.plan),)))
+        else:
+            text = f"whether there is a plan without {part} was not found out: {found.reason}"
+            possible.append(Answer(text, Known.NOT_PROVED))
+    claim = Unsolvable(replace(problem, goal=conjunction(needed)))
+    if len(needed) == 1:
+        yield Answer(f"{needed[0]} alone is impossible: all states were searched", Known.SEARCH, (), (claim,))
+        return
+    reasons = tuple(answer for answer in possible if len(needed) == len(parts) or answer.known is Known.NOT_PROVED)
+    reasons += tuple(self for part in needed for self in _alone(problem, part, limit)) if len(needed) < len(parts) else ()
+    is_minimal = all(reason.known is Known.PLAN for reason in reasons)
+    text = f"{listed([str(part) for part in needed])} exclude each other" if is_minimal else f"{All(tuple(needed))} is impossible"
+    yield Answer(text, Known.SEARCH, reasons, (claim,))
+
+
+def _alone(problem: Problem, part: Condition, limit: TimeLimit) -> Iterator[Answer]:
+    asked = replace(problem, goal=part)
+    if plan := limit.solve(asked).plan:
+        yield Answer(f"{part} alone has a plan with {counted(len(plan.steps), 'call')}", Known.PLAN, (), (Solves(asked, plan),))

@@ -1,0 +1,1 @@
+"""From files to a result: problems are loaded, goals and plans carried out."""

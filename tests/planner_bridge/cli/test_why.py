@@ -1,0 +1,103 @@
+"""`pnm why`: plans, problems without one, and runs explained on the command line; wrong names refused."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from planner_bridge.pddl import write_domain, write_problem
+from planner_bridge.pipeline.achieve import achieve
+from tests.support.files import ROOT
+from tests.support.pddl.explanations.doors import house
+from tests.support.processes import pnm
+
+DELIVERY = (str(ROOT / "domains/delivery/domain.pddl"), str(ROOT / "problems/delivery/p01.pddl"))
+
+
+@pytest.fixture(scope="module")
+def closed(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
+    folder = tmp_path_factory.mktemp("house")
+    domain, problem = folder / "domain.pddl", folder / "problem.pddl"
+    domain.write_text(write_domain(house().domain))
+    problem.write_text(write_problem(house()))
+    return str(domain), str(problem)
+
+
+def test_why_there_is_no_plan_and_what_would_help(closed: tuple[str, str]) -> None:
+    done = pnm("why", *closed)
+    assert (done.returncode, done.stderr) == (0, "")
+    lines = done.stdout.splitlines()
+    assert lines[0] == "there is no plan: (has r1 cup) cannot be reached [proved by reachability]"
+    assert "  if (key r1 door) were true: a plan with 4 calls" in lines
+
+
+def test_the_same_as_json(closed: tuple[str, str]) -> None:
+    answers = json.loads(pnm("why", *closed, "--json").stdout)["answers"]
+    assert [(answer["known"], answer["certain"]) for answer in answers] == [("proved by reachability", True), ("proved by a plan", True)]
+    assert answers[0]["reasons"][0]["statement"].startswith("(has r1 cup) can never be true")
+
+
+def test_what_each_call_is_for_and_one_of_them() -> None:
+    assert "#8 unload(r2, parcel1, hall): for the goal (at parcel1 hall)" in pnm("why", *DELIVERY).stdout
+    one = pnm("why", *DELIVERY, "--call", "3").stdout
+    assert one.startswith("#3 move(r1, store, hall) is needed")
+    assert pnm("why", *DELIVERY, "--call", "(move r1 store hall)").stdout == one
+
+
+def test_why_not_another_one() -> None:
+    done = pnm("why", *DELIVERY, "--not", "pick_up(r2, parcel1, hall)")
+    assert done.stdout.splitlines()[0] == "pick_up(r2, parcel1, hall) can never be carried out [proved by reachability]"
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (["--not", "fly(r1)"], "--not: there is no action 'fly'; expected one of move, pass_door"),
+        (["--not", "mov(r1, hall, kitchen)"], "--not: there is no action 'mov'; did you mean 'move'?"),
+        (["--not", "move(r1, hall, kichen)"], "--not: 'kichen' is no object for ?to of move; did you mean 'kitchen'?"),
+        (["--not", "move(r1)"], "--not: move takes 3 arguments"),
+        (["--not", ""], "--not: expected a call such as"),
+        (["--call", "pass_door(r1, door1, corridor, kitchen)"], "--call: pass_door(r1, door1, corridor, kitchen) is not in the plan"),
+        (["--call", "9"], "--call: there is no call 9: the plan has 8"),
+        (["--call", "1", "--not", "move(r1, hall, kitchen)"], "expected one of --call, --not and --replan"),
+        (["--replan"], "--replan is about a run"),
+        (["--task", "1"], "--task and --to are about a journal"),
+    ],
+)
+def test_questions_that_make_no_sense_are_refused(given: list[str], message: str) -> None:
+    done = pnm("why", *DELIVERY, *given)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(message)
+
+
+def test_half_a_question_is_refused(tmp_path: Path) -> None:
+    assert "expected DOMAIN and PROBLEM, or neither" in pnm("why", DELIVERY[0]).stderr
+    assert "--not asks for other plans" in pnm("why", "--journal", str(tmp_path / "x"), "--not", "move(r1, hall, kitchen)").stderr
+    missing = pnm("why", "--journal", str(tmp_path / "none.journal"))
+    assert missing.returncode == 2
+    assert "Traceback" not in missing.stderr
+
+
+def test_a_run_is_explained_and_other_ways_in_the_middle_of_it(tmp_path: Path) -> None:
+    journal = tmp_path / "run.journal"
+    assert achieve(*DELIVERY, journal=journal).goal_reached
+    assert pnm("why", "--journal", str(journal)).stdout == "the goal of the problem is over: goal_reached: the goal holds [observed]\n"
+    assert pnm("why", "--journal", str(journal), "--replan").stdout.startswith("there was no new plan")
+    waits = pnm("why", "--journal", str(journal), "--to", "30").stdout
+    assert "#7 unload(r1, parcel2, kitchen) waits" in waits
+    now = pnm("why", *DELIVERY, "--journal", str(journal), "--to", "30").stdout
+    assert "for the goal (at parcel2 kitchen)" in now
+    assert "load(r1, parcel2, store)" not in now, "it is done"
+
+
+SHOWN = re.findall(r"```console\n\$ pnm ([^\n]+)\n(.*?)```", (ROOT / "docs" / "why.md").read_text(encoding="utf-8"), re.DOTALL)
+
+
+@pytest.mark.parametrize(("asked", "shown"), SHOWN)
+def test_the_page_shows_what_the_command_prints(asked: str, shown: str, closed: tuple[str, str]) -> None:
+    files = dict(zip(("domain.pddl", "problem.pddl"), closed, strict=True))
+    assert pnm(*(files.get(word, word) for word in shlex.split(asked))).stdout == shown

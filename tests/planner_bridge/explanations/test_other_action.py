@@ -1,0 +1,107 @@
+"""Why not another action: never possible, in no plan, or no better; and what of that is proved."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from planner_bridge.explanations.answer import Answer, Best, Known, Unsolvable
+from planner_bridge.explanations.limited_search import TimeLimit
+from planner_bridge.explanations.other_action import Forced, why_not
+from planner_bridge.model.plan import PlanningResult, PlanningStatus, PlanStep
+from planner_bridge.model.problem import Problem
+from planner_bridge.planning.solve import solve
+from planner_bridge.planning.validate import why_invalid
+from tests.support.pddl.explanations.checked_claims import Checked
+from tests.support.pddl.explanations.doors import house
+from tests.support.pddl.problems import hard, matches, rooms, tanks
+
+
+def ask(problem: Problem, action: str, *arguments: str, seconds: float = 30.0) -> Answer:
+    limit = TimeLimit.of(seconds)
+    return why_not(problem, PlanStep(action, arguments), limit.first_plan(problem), limit)
+
+
+def test_an_action_that_can_never_be_carried_out_has_its_dead_end() -> None:
+    answer = ask(house(goal="(at r1 yard)"), "pass", "r1", "door", "hall", "kitchen")
+    assert (answer.statement, answer.known) == ("pass(r1, door, hall, kitchen) can never be carried out", Known.RELAXATION)
+    assert [*answer.every()][-1].statement == "(locked door) is true, and no action changes that"
+
+
+def test_an_action_that_no_plan_uses_is_proved_to_be_so() -> None:
+    once = rooms(ways="ab bc ad dc", goal="(and (at r1 c) (at r2 c) (not (at r1 d)))", init="(at r1 b) (at r2 a)")
+    answer = ask(once, "move", "r1", "a", "d")
+    assert answer.known is Known.RELAXATION
+    answer = ask(rooms(ways="ab ac bc", goal="(and (at r1 a) (at r2 c))"), "move", "r1", "a", "b")
+    assert (answer.statement, answer.known) == ("no plan that reaches the goal uses move(r1, a, b)", Known.SEARCH)
+    assert [type(claim) for claim in answer.claims] == [Unsolvable]
+
+
+def test_a_plan_with_it_is_worse_by_so_much() -> None:
+    problem = house("(open door)", "(has r1 cup)")
+    answer = ask(problem, "move", "r1", "hall", "yard")
+    assert answer.statement.endswith("worse by 2 calls at least: 4 against 2 calls") or (
+        answer.statement == "the best plan found that uses move(r1, hall, yard) is worse by 2 calls: 4 against 2 calls"
+    )
+    proved = [claim for claim in answer.claims if isinstance(claim, Best)]
+    assert bool(proved) is (answer.known is Known.SEARCH)
+    assert (answer.reasons[-1].known is Known.NOT_PROVED) is not bool(proved)
+    assert answer.reasons[0].statement == "at first it could begin"
+
+
+def test_one_that_is_as_good_is_called_so() -> None:
+    plan = solve(rooms(goal="(at r1 c)"), improve=0.0).plan
+    assert plan
+    other = "d" if "b" in plan.steps[0].arguments else "b"
+    answer = ask(rooms(goal="(at r1 c)"), "move", "r1", "a", other)
+    assert answer.statement == f"a plan that uses move(r1, a, {other}) is as good: 2 against 2 calls"
+
+
+def test_one_that_the_plan_has_is_named() -> None:
+    assert ask(house("(open door)", "(has r1 cup)"), "take", "r1", "cup", "kitchen").statement == (
+        "the plan does use take(r1, cup, kitchen): it is call #2"
+    )
+
+
+def test_without_time_nothing_is_proved() -> None:
+    found = PlanningResult(PlanningStatus.TIMED_OUT)
+    problem = hard(4)
+    name, schema = next(iter(problem.domain.actions.items()))
+    arguments = tuple(problem.objects_by_type[variable.types[0]][0] for variable in schema.parameters)
+    answer = why_not(problem, PlanStep(name, arguments), found, TimeLimit.of(0.0))
+    assert answer.known in (Known.NOT_PROVED, Known.RELAXATION)
+
+
+@pytest.mark.parametrize(
+    "problem", [rooms(), matches(), tanks("4"), house(""), house()], ids=["rooms", "time", "numbers", "house", "closed"]
+)
+def test_a_plan_of_the_forced_problem_is_one_of_the_problem_with_the_action(problem: Problem) -> None:
+    for schema in problem.domain.actions.values():
+        arguments = tuple(problem.objects_by_type[variable.types[0]][-1] for variable in schema.parameters)
+        asked = Forced.of(problem, PlanStep(schema.name, arguments))
+        result = solve(asked.problem, timeout=5.0, improve=0.0)
+        if result.plan:
+            plan = asked.plan(result.plan)
+            assert why_invalid(problem, plan) == ""
+            assert (schema.name, arguments) in [(step.action, step.arguments) for step in plan.steps]
+        checked = Checked()
+        checked.look(ask(problem, schema.name, *arguments))
+        assert checked.false == []
+
+
+class NeverSure(TimeLimit):
+    """The planner never proves that a plan is best."""
+
+    def solve(self, problem: Problem, *, share: float = 1.0, improve: float = 0.0) -> PlanningResult:
+        found = super().solve(problem, share=share, improve=improve)
+        return replace(found, plan=found.plan and replace(found.plan, is_best=False))
+
+
+def test_a_gap_between_plans_that_are_not_proved_best_is_not_called_proved() -> None:
+    problem, limit = house("(open door)", "(has r1 cup)"), NeverSure(TimeLimit.of(30).end)
+    answer = why_not(problem, PlanStep("move", ("r1", "hall", "yard")), limit.first_plan(problem), limit)
+    assert answer.statement == "the best plan found that uses move(r1, hall, yard) is worse by 2 calls: 4 against 2 calls"
+    assert answer.known is Known.PLAN
+    assert not any(isinstance(claim, Best) for claim in answer.claims)
+    assert answer.reasons[-1].known is Known.NOT_PROVED
