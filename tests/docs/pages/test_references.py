@@ -15,8 +15,8 @@ import yaml
 from click.testing import CliRunner
 
 from planner_bridge.cli.commands import app
-from planner_bridge.loading import load
 from planner_bridge.node.options import PARAMETERS
+from planner_bridge.pipeline.loading import load
 from planner_bridge.tasks.result import code_of_failures
 from pnm.actions.bindings_file import binding_keys, read_bindings
 from pnm.actions.faults import FaultKind

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
-import shlex
 from pathlib import Path
 
 import pytest
@@ -92,12 +90,3 @@ def test_a_run_is_explained_and_other_ways_in_the_middle_of_it(tmp_path: Path) -
     now = pnm("why", *DELIVERY, "--journal", str(journal), "--to", "30").stdout
     assert "for the goal (at parcel2 kitchen)" in now
     assert "load(r1, parcel2, store)" not in now, "it is done"
-
-
-SHOWN = re.findall(r"```console\n\$ pnm ([^\n]+)\n(.*?)```", (ROOT / "docs" / "why.md").read_text(encoding="utf-8"), re.DOTALL)
-
-
-@pytest.mark.parametrize(("asked", "shown"), SHOWN)
-def test_the_page_shows_what_the_command_prints(asked: str, shown: str, closed: tuple[str, str]) -> None:
-    files = dict(zip(("domain.pddl", "problem.pddl"), closed, strict=True))
-    assert pnm(*(files.get(word, word) for word in shlex.split(asked))).stdout == shown
