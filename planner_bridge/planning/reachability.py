@@ -40,12 +40,14 @@ MAY_BE_UNSET: Final = "total-cost"
 """The number that actions may change although it has no value."""
 _LIMIT: Final = 20_000
 """Ground actions that are looked at."""
+_STEPS: Final = 500_000
+"""Parts of conditions, and what they lack, that are looked at: some seconds, whatever the problem is like."""
 _FAR: Final = range(1000, 500, -1)
 """The weights of what actions are there for, if none can bring it about: the farther from the goal, the lighter."""
 
 
 class TooLarge(Exception):
-    """There are more ground actions than can be looked at."""
+    """There are more ground actions than can be looked at, or more ways to them."""
 
 
 Lack: TypeAlias = frozenset[Condition]
@@ -87,7 +89,7 @@ _Part: TypeAlias = tuple[Condition, Environment, bool]
 
 
 class Reachability:
-    """The literals that the goal may need, each with its lack. The mutable state is these, and the number of ground actions.
+    """The literals that the goal may need, each with its lack. The mutable state is these, and how much was looked at.
 
     Args:
         problem: what cannot be solved.
@@ -104,9 +106,10 @@ class Reachability:
         self._in_tables = {fluent[0] for fluent in problem.init}
         self._ways: dict[Literal, Way] = {}
         self._count = 0
+        self._steps = 0
 
     def settle(self, goal: Condition) -> None:
-        """Work the lacks out: each only ever gets cheaper."""
+        """Work the lacks out: each only ever gets cheaper; raise `TooLarge` if that takes too long."""
         self.of(goal)
         is_settled = False
         while not is_settled:
@@ -114,6 +117,8 @@ class Reachability:
             for way in known:
                 for achiever in way.achievers:
                     lack = self.of(achiever.condition, achiever.env)
+                    if self._steps > _STEPS:
+                        raise TooLarge
                     if self.cost(lack) < self.cost(way.lack):
                         way.lack, way.by, is_settled = lack, achiever, False
             is_settled = is_settled and len(known) == len(self._ways)
@@ -123,7 +128,8 @@ class Reachability:
         if literal := literal_of(condition, env, truth):
             return self.way(literal).lack
         parts, is_every = self.parts(condition, env, truth)
-        lacks = (self.of(*part) for part in parts)
+        lacks = [self.of(*part) for part in parts]
+        self._steps += 1 + sum(map(len, lacks))
         return frozenset().union(*lacks) if is_every else min(lacks, key=self.cost, default=frozenset({condition}))
 
     def cost(self, lack: Lack) -> int:

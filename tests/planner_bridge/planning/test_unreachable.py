@@ -196,3 +196,25 @@ EITHER = """(:action one :parameters () :precondition (s) :effect (and (p) (not 
 )
 def test_what_only_a_search_rules_out_is_proved_with_whole_numbers_alone(init: str, actions: str, status: PlanningStatus) -> None:
     assert solve(small("(and (p) (q))", init, actions=EITHER + actions)).status is status
+
+
+def test_what_takes_too_long_to_explain_is_not_explained() -> None:
+    # every room needs every tool, every tool all others, and each way to them leads through all rooms
+    domain = parse_domain(
+        """(define (domain d) (:requirements :typing :adl) (:types room tool)
+        (:predicates (at ?a - room) (has ?t - tool) (key ?a - room))
+        (:action go :parameters (?a ?b - room) :precondition (and (at ?a) (key ?b) (forall (?t - tool) (or (has ?t) (key ?a))))
+          :effect (and (at ?b) (not (at ?a))))
+        (:action forge :parameters (?t - tool ?a - room)
+          :precondition (and (at ?a) (forall (?u - tool) (imply (not (= ?u ?t)) (has ?u)))) :effect (has ?t))
+        (:action cut :parameters (?a - room ?t - tool) :precondition (has ?t) :effect (key ?a)))"""
+    )
+
+    def reason(rooms: int, tools: int) -> str:
+        names = [f"r{index}" for index in range(rooms)], [f"t{index}" for index in range(tools)]
+        objects = f"(:objects {' '.join(names[0])} - room {' '.join(names[1])} - tool)"
+        text = f"(define (problem p) (:domain d) {objects} (:init (at r0)) (:goal (at {names[0][-1]})))"
+        return why_unreachable(parse_problem(text, domain))
+
+    assert reason(4, 3).startswith("(at r3) cannot be reached: go(r0, r3) would do it")
+    assert reason(60, 12) == ""
