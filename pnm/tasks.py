@@ -284,7 +284,23 @@ class TaskRefused(Exception):
     """A task cannot be paused, resumed or cancelled: there is none of this id, or it is over."""
 
 
-class Tasks(Protocol):
+class TaskCommands(Protocol):
+    """What people and programs may want of the tasks of a process. To be used on the event loop's thread."""
+
+    def begin(self, wanted: Wanted, /) -> None:
+        """Begin a task; raise `TaskRefused` if none may begin now."""
+
+    async def pause(self, task: UUID | None, /, *, at_once: bool) -> None:
+        """Pause a task, or all; see `Tasks.pause`."""
+
+    async def resume(self, task: UUID | None, /) -> None:
+        """Let a task that was paused go on, or all; see `Tasks.resume`."""
+
+    async def cancel(self, task: UUID | None, /) -> None:
+        """End a task, or all; see `Tasks.cancel`."""
+
+
+class Tasks(TaskCommands, Protocol):
     """A task manager: carries out several tasks at once. To be used on the event loop's thread."""
 
     def begin(self, wanted: Wanted, /) -> None:
@@ -342,6 +358,9 @@ class ServedWorld(Protocol):
         Returns:
             The questions with "true", "false", "unknown", a number or the name of an object.
         """
+
+    async def check_goal(self, goal: str, /) -> None:
+        """Say what is wrong with the goal of a task, if something is."""
 
     async def update(self, add: Sequence[str], remove: Sequence[str], forget: Sequence[str], /) -> int:
         """Record all of it at once or nothing; return how many of the facts were not known to be so before."""

@@ -131,11 +131,13 @@ class TaskManager:
         """
         self._order += 1
         task = Task(wanted, self._order, self._listener, self._loop.time, (observer,), stopwatch)
+        observer.managed(self)
         self._begin(task)
         return await self._result_of(task)
 
     async def go_on(self, replay: Replay, observer: TaskObserver, stopwatch: Stopwatch) -> TaskResult:
         """Carry the one task of another process on, and return its result; see `run` and `restore`."""
+        observer.managed(self)
         self.restore(replay, (observer,), stopwatch)
         (task,) = (self._tasks.of(kept.accepted.wanted.id) for kept in replay.unfinished)
         observer.restored()

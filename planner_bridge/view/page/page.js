@@ -1,6 +1,7 @@
 // The page: a model that the stream keeps, or one from the past; and what is drawn of it.
 
 import { showCall } from "./call.js";
+import { openControls } from "./controls.js";
 import { showEvents, showFacts, showServers } from "./lists.js";
 import { applied, nothing } from "./model.js";
 import { showPlan, showStates } from "./plan.js";
@@ -124,7 +125,7 @@ function drawn() {
   const has = (...parts) => parts.some((part) => dirty.has(part));
   const run = currentRun(model);
   const call = currentCall(model);
-  if (has("tasks", "troubles", "questions", "runs")) showTasks(model);
+  if (has("tasks", "troubles", "questions", "runs")) showTasks(model, !past);
   if (has("requests", "calls", "runs", "tasks", "time")) showTimeline(model, call, choose);
   if (has("runs", "tasks")) showRunChoice(model, run);
   if (has("runs", "tasks", "calls")) {
@@ -253,3 +254,4 @@ addEventListener("keydown", (key) => {
 });
 
 connect();
+openControls(() => draw(["tasks", "calls"]));

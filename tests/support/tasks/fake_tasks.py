@@ -21,7 +21,7 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import Cause
 from pnm.core.net.net import Marking
-from pnm.errors import InputError
+from pnm.errors import InputError, Position
 from pnm.tasks import (
     Code,
     MadePlan,
@@ -192,6 +192,10 @@ class FakeWorld:
 
     async def update(self, add: Sequence[str], remove: Sequence[str], forget: Sequence[str], /) -> int:
         return len(self.knowledge.update({parse_fluent(one): True for one in add} | {parse_fluent(one): False for one in remove}))
+
+    async def check_goal(self, goal: str, /) -> None:
+        if goal and goal[0] != "(" and goal.split()[0] not in {*_ENDS, *_STAYS}:
+            raise InputError(f"there is no predicate {goal!r} here", Position("goal", 1, 1))
 
     async def get(self) -> tuple[str, str]:
         return "(define (domain d))", "(define (problem p))"
