@@ -288,7 +288,7 @@ class TaskCommands(Protocol):
     """What people and programs may want of the tasks of a process. To be used on the event loop's thread."""
 
     def begin(self, wanted: Wanted, /) -> None:
-        """Begin a task; raise `TaskRefused` if none may begin now."""
+        """Begin a task, or raise `TaskRefused` if none may now. Whatever is wrong with it ends it, with a code and a reason."""
 
     async def pause(self, task: UUID | None, /, *, at_once: bool) -> None:
         """Pause a task, or all; see `Tasks.pause`."""
@@ -302,9 +302,6 @@ class TaskCommands(Protocol):
 
 class Tasks(TaskCommands, Protocol):
     """A task manager: carries out several tasks at once. To be used on the event loop's thread."""
-
-    def begin(self, wanted: Wanted, /) -> None:
-        """Begin a task. Whatever is wrong with it ends it, with a code and a reason."""
 
     async def pause(self, task: UUID | None, /, *, at_once: bool, why: str = "paused on request", is_kept: bool = True) -> None:
         """Start nothing more of a task, or of all; return when nothing of it is under way.
@@ -331,6 +328,29 @@ class Tasks(TaskCommands, Protocol):
 
         Raises:
             TaskRefused: there is no such task.
+        """
+
+    async def step(self, task: UUID, /) -> None:
+        """Let one request of a paused task leave; return when nothing of it is under way any more.
+
+        Raises:
+            TaskRefused: there is no such task, it is not paused, or nothing of it may begin now.
+        """
+
+    def settle(self, request: UUID, /, *, is_done: bool) -> None:
+        """Have a request count as succeeded or failed, because a person says so.
+
+        Its server is told to cancel it, and it counts so as soon as the server is done with it; until then nothing changes.
+
+        Raises:
+            TaskRefused: it is not under way.
+        """
+
+    def answer(self, question: UUID, value: object, /) -> None:
+        """Answer a question to a person.
+
+        Raises:
+            TaskRefused: nobody waits for that answer.
         """
 
     def status(self) -> tuple[TaskStatus, ...]:

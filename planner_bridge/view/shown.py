@@ -165,12 +165,13 @@ class ServerShown:
 
 @dataclass(frozen=True, slots=True)
 class QuestionShown:
-    """A question that is open: who is asked, what, on whose behalf, and since when."""
+    """A question that is open: who is asked, what, on whose behalf, since when, and the answers to choose from; none for any."""
 
     who: str
     text: str
     subject: str
     since: float
+    choices: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

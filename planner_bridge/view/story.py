@@ -42,6 +42,7 @@ from pnm.journal.records import (
     TimeCounted,
 )
 from pnm.journal.text import words
+from pnm.knowledge.sources.help import HELP, HelpAsked, HelpEnded
 from pnm.tasks import TaskEnding
 
 EVENTS: Final = 200
@@ -112,6 +113,8 @@ class TaskStory:
     """What was decided after the last run; None while it goes on."""
     used: TimeUsed | None = None
     ending: TaskEnding | None = None
+    help: str = ""
+    """The question to a person that it has open, who is asked for help."""
 
 
 class Story:
@@ -193,6 +196,8 @@ class Story:
                         self.tasks[id].is_held = is_held
             case TaskNoted(id, GoalNote(decision=decision)) if id in self.tasks and decision is not None:
                 self._note_decision(self.tasks[id], decision)
+            case TaskNoted(id, HelpAsked() | HelpEnded() as note) if id in self.tasks:
+                self._note_help(self.tasks[id], note)
             case TaskOver(id, ending):
                 self.tasks[id].ending, self._mark = ending, "end"
             case TimeCounted(of, used) if of in self.tasks:
@@ -242,6 +247,14 @@ class Story:
             last.cut = replace(last.cut, why=decision_words(decision))
         else:
             task.decision = decision
+
+    def _note_help(self, task: TaskStory, note: HelpAsked | HelpEnded) -> None:
+        self.questions.pop(task.help, None)
+        task.help = ""
+        if isinstance(note, HelpAsked):
+            wanted = task.accepted.wanted
+            task.help = note.question.hex
+            self.questions[task.help] = QuestionShown("a person", note.text, wanted.text or "the goal of the problem", self.time, HELP)
 
     def note_sent(self, run: RunStory, call: ActionCall, request: Request) -> None:
         """Note that a request is sent."""

@@ -61,7 +61,39 @@ class CancelTask:
     task: UUID | None
 
 
-Command: TypeAlias = CheckGoal | SendGoal | PauseTask | ResumeTask | CancelTask
+@dataclass(frozen=True, slots=True)
+class StepTask:
+    """Let one request of a paused task leave."""
+
+    task: UUID
+
+
+@dataclass(frozen=True, slots=True)
+class SettleRequest:
+    """Have a request that is under way count as done, or as failed."""
+
+    request: UUID
+    is_done: bool
+
+
+@dataclass(frozen=True, slots=True)
+class TellFacts:
+    """Record facts as so, as not so, and as unknown."""
+
+    add: tuple[str, ...]
+    remove: tuple[str, ...]
+    forget: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class AnswerQuestion:
+    """Answer a question to a person."""
+
+    question: UUID
+    text: str
+
+
+Command: TypeAlias = CheckGoal | SendGoal | PauseTask | ResumeTask | CancelTask | StepTask | SettleRequest | TellFacts | AnswerQuestion
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +126,15 @@ def _text(data: Mapping[str, object], name: str) -> str:
     return value
 
 
+def _texts(data: Mapping[str, object], name: str) -> tuple[str, ...]:
+    values = data.get(name, [])
+    if not isinstance(values, list) or not all(isinstance(value, str) and len(value) <= MAX_TEXT for value in values):
+        raise InputError(f"expected a list of texts under {name!r}")
+    return tuple(values)
+
+
 def _flag(data: Mapping[str, object], name: str) -> bool:
-    value = data.get(name, False)
+    value = data.get(name)
     if not isinstance(value, bool):
         raise InputError(f"expected true or false under {name!r}")
     return value
@@ -122,8 +161,12 @@ def _task(data: Mapping[str, object]) -> UUID | None:
 _READERS: Final[Mapping[str, Callable[[Mapping[str, object]], Command]]] = {
     "check": lambda data: CheckGoal(_text(data, "goal")),
     "goal": lambda data: SendGoal(_text(data, "goal"), _priority(data)),
-    "pause": lambda data: PauseTask(_task(data), _flag(data, "at_once")),
+    "pause": lambda data: PauseTask(_task(data), "at_once" in data and _flag(data, "at_once")),
     "resume": lambda data: ResumeTask(_task(data)),
     "cancel": lambda data: CancelTask(_task(data)),
+    "step": lambda data: StepTask(_id(data, "task")),
+    "settle": lambda data: SettleRequest(_id(data, "request"), _flag(data, "is_done")),
+    "tell": lambda data: TellFacts(_texts(data, "add"), _texts(data, "remove"), _texts(data, "forget")),
+    "answer": lambda data: AnswerQuestion(_id(data, "question"), _text(data, "text")),
 }
 """What is read under ``do``."""

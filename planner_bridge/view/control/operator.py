@@ -7,8 +7,23 @@ import logging
 from typing import Final, assert_never
 from uuid import uuid4
 
-from planner_bridge.view.control.commands import CancelTask, CheckGoal, Command, PauseTask, Reply, ResumeTask, SendGoal, read_command
+from planner_bridge.view.control.commands import (
+    AnswerQuestion,
+    CancelTask,
+    CheckGoal,
+    Command,
+    PauseTask,
+    Reply,
+    ResumeTask,
+    SendGoal,
+    SettleRequest,
+    StepTask,
+    TellFacts,
+    read_command,
+)
+from pnm.core.logic.computed_values import MISSING
 from pnm.errors import InputError, PnmError
+from pnm.knowledge.sources.person_text import read_answer
 from pnm.tasks import ServedWorld, TaskCommands, TaskRefused, Tasks, TaskState, Wanted
 
 _SOON: Final = 2.0
@@ -25,7 +40,7 @@ class Operator:
     Args:
         tasks: what is going on.
         commands: how tasks are begun, paused, resumed and cancelled here.
-        world: what goals are read in; None where there is only the one task that was begun.
+        world: what goals are read in, and facts told to; None where there is only the one task that was begun.
     """
 
     def __init__(self, tasks: Tasks, commands: TaskCommands, world: ServedWorld | None = None) -> None:
@@ -56,9 +71,9 @@ class Operator:
     async def _carry_out(self, command: Command) -> None:
         match command:
             case CheckGoal(goal):
-                await self._goals.check_goal(goal)
+                await self._served.check_goal(goal)
             case SendGoal(goal, priority):
-                await self._goals.check_goal(goal)
+                await self._served.check_goal(goal)
                 self._begin(Wanted(uuid4(), goal, priority))
             case PauseTask(task, at_once):
                 await self._commands.pause(task, at_once=at_once)
@@ -66,13 +81,21 @@ class Operator:
                 await self._commands.resume(task)
             case CancelTask(task):
                 await self._commands.cancel(task)
+            case StepTask(task):
+                await self._tasks.step(task)
+            case SettleRequest(request, is_done):
+                self._tasks.settle(request, is_done=is_done)
+            case TellFacts(add, remove, forget):
+                await self._served.update(add, remove, forget)
+            case AnswerQuestion(question, text):
+                self._tasks.answer(question, read_answer(text) if text.strip() else MISSING)
             case _:
                 assert_never(command)
 
     @property
-    def _goals(self) -> ServedWorld:
+    def _served(self) -> ServedWorld:
         if self._world is None:
-            raise InputError("this run has one goal; `pnm serve` takes others")
+            raise InputError("this run has one goal, and facts of its own; `pnm serve` takes others")
         return self._world
 
     def _begin(self, wanted: Wanted) -> None:

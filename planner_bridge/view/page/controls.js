@@ -93,10 +93,10 @@ export function taskButtons(id, task) {
 
 export function requestButtons(id, request) {
   if (!hasControls()) return "";
-  const settle = (outcome) => () => confirm(`Its server is told to cancel it. Once that says that it is over, ${request.action} counts as ${outcome}, because you say so.`)
-    && wanted({ do: "settle", request: id, outcome }, `${request.action} counts as ${outcome} as soon as its server has let go of it`);
+  const settle = (outcome, isDone) => () => confirm(`Its server is told to cancel it. Once that is done with it, ${request.action} counts as ${outcome}, because you say so.`)
+    && wanted({ do: "settle", request: id, is_done: isDone }, `${request.action} counts as ${outcome} as soon as its server is done with it`);
   return buttonsOf(`request ${id}`, `how ${request.action} ends`, [
-    ["✓ It is done", "have it count as succeeded", settle("succeeded")], ["✕ It has failed", "have it count as failed", settle("aborted")]]);
+    ["✓ It is done", "have it count as done", settle("done", true)], ["✕ It has failed", "have it count as failed", settle("failed", false)]]);
 }
 
 // --- of questions ---

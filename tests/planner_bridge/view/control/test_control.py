@@ -6,7 +6,7 @@ import asyncio
 import json
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -18,6 +18,7 @@ from planner_bridge.view.control.commands import Controlled, read_command
 from planner_bridge.view.control.operator import Operator
 from planner_bridge.view.process import PageProcess
 from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.computed_values import MISSING
 from pnm.errors import InputError
 from pnm.tasks import TaskState
 from tests.support.e2e.page.serving import asked
@@ -30,6 +31,7 @@ class ControlledPage:
 
     page: PageProcess
     tasks: FakeTasks
+    world: FakeWorld = field(default_factory=lambda: FakeWorld(KnowledgeBase()))
 
     @property
     def token(self) -> str:
@@ -49,8 +51,9 @@ async def page_with(what: Controlled, delivery: Path) -> AsyncIterator[Controlle
     page = await asyncio.to_thread(PageProcess, 0, what)
     try:
         page.follow(str(delivery))
-        page.operate(Operator(tasks, tasks, FakeWorld(KnowledgeBase()) if what is Controlled.NODE else None))
-        yield ControlledPage(page, tasks)
+        controlled = ControlledPage(page, tasks)
+        page.operate(Operator(tasks, tasks, controlled.world if what is Controlled.NODE else None))
+        yield controlled
     finally:
         await asyncio.to_thread(page.close)
 
@@ -70,6 +73,30 @@ def test_a_goal_is_sent_and_its_task_is_paused_resumed_and_cancelled(delivery: P
                 assert controlled.tasks.open[task].state is state
             assert (await controlled.send({"do": "cancel", "task": task.hex}))[0] == 200
             assert task not in controlled.tasks.open
+
+    asyncio.run(use())
+
+
+def test_what_else_an_operator_says_reaches_the_tasks_and_the_world(delivery: Path) -> None:
+    async def use() -> None:
+        async with page_with(Controlled.NODE, delivery) as controlled:
+            task, id = await begun(controlled), uuid4()
+            for command in (
+                {"do": "step", "task": str(task)},
+                {"do": "settle", "request": id.hex, "is_done": True},
+                {"do": "settle", "request": id.hex, "is_done": False},
+                {"do": "answer", "question": id.hex, "text": "5"},
+                {"do": "answer", "question": id.hex, "text": "the kitchen"},
+                {"do": "answer", "question": id.hex, "text": " "},
+                {"do": "tell", "add": ["(at r1 hall)"]},
+            ):
+                assert (await controlled.send(command))[0] == 200
+            answers = [("answer", id, 5), ("answer", id, "the kitchen"), ("answer", id, MISSING)]
+            assert controlled.tasks.said == [("step", task), ("settle", id, True), ("settle", id, False), *answers]
+            known = controlled.world.knowledge
+            assert known.facts() == {("at", "r1", "hall"): True}
+            status, reply = await controlled.send({"do": "answer", "question": id.hex, "text": "[1"})
+            assert (status, "is not JSON" in reply["refused"]) == (409, True)
 
     asyncio.run(use())
 
@@ -178,6 +205,11 @@ def test_when_the_tasks_are_over_that_is_said(delivery: Path) -> None:
         {"do": "pause", "task": "x"},
         {"do": "pause", "task": 7},
         {"do": "pause", "at_once": "yes"},
+        {"do": "step"},
+        {"do": "settle", "request": "1", "is_done": True},
+        {"do": "settle", "request": "00000000000000000000000000000001"},
+        {"do": "tell", "add": "(at r1 hall)"},
+        {"do": "tell", "add": [1]},
         {"do": "goal", "goal": 5},
         {"do": "goal", "goal": "x" * 100_001},
         {"do": "goal", "goal": "", "priority": 1.5},
