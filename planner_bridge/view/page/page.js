@@ -133,7 +133,7 @@ function drawn() {
     showPlan(model, run, choose).then(() => showStates(shown(), currentRun(shown()), currentCall(shown())));
   }
   if (has("calls", "requests", "troubles", "runs", "time")) {
-    showCall(model, call, detail?.run === model.calls.get(call)?.run && detail?.index === model.calls.get(call)?.index ? detail : null);
+    showCall(model, call, detail?.run === model.calls.get(call)?.run && detail?.index === model.calls.get(call)?.index ? detail : null, !past);
     askDetail();
   }
   if (has("facts")) showFacts(model);
@@ -158,7 +158,7 @@ async function askDetail() {
     const answer = await fetch(`/call?call=${key}&at=${model.number}`);
     if (answer.ok) {
       detail = await answer.json();
-      if (currentCall(shown()) === key) showCall(shown(), key, detail);
+      if (currentCall(shown()) === key) showCall(shown(), key, detail, !past);
     }
   } catch {
     // the stream says that the server is not there

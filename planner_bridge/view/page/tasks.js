@@ -33,7 +33,7 @@ function taskOf(model, isNow, id, task) {
   if (task.deadline !== null) facts.push(`has to be done by ${clock(task.deadline)}`);
   if (task.limit !== null) facts.push(`${seconds(task.used, 1)} of ${seconds(task.limit, 0)} used`);
   const how = task.code || task.state;
-  const word = task.code === "goal_reached" ? "✓ goal reached" : task.code ? `✕ ${words(task.code)}` : words(task.state);
+  const word = task.code === "goal_reached" ? "✓ goal reached" : task.code ? words(task.code) : words(task.state);
   return el("div", { class: "task", "data-task": id, "data-how": how },
     state(task.code && task.code !== "goal_reached" ? "failed" : how, word),
     el("span", { class: "goal" }, task.goal),
