@@ -27,8 +27,8 @@ from planner_bridge.view.process import PageProcess
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.generate import generate
 from pnm.journal.journal import Journal
-from tests.benchmarks.bench_journal import Work, answered, rounds, with_journal
 from tests.support.e2e.page.browser import browser
+from tests.support.e2e.page.busy_run import Work, answered, rounds, with_journal
 from tests.support.e2e.page.journals import GrowingJournal
 from tests.support.e2e.page.serving import page_of
 from tests.support.runs.timing import seconds

@@ -18,7 +18,6 @@ from planner_bridge.view.follow import Reader
 from planner_bridge.view.shown import View
 from planner_bridge.view.view import view_of
 from pnm.journal.records import TaskAccepted
-from tests.e2e.conftest import deployments
 from tests.support.e2e.deployment import ProblemDeployment
 from tests.support.e2e.page.journals import steps
 from tests.support.e2e.page.serving import asked
@@ -56,9 +55,8 @@ class Node:
 
 
 @pytest.fixture(scope="module")
-def node(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Node]:
-    with deployments(tmp_path_factory.mktemp("deployments")) as deploy:
-        yield serve(deploy("delivery/p01", speed="4", quick=True))
+def node(deploy_for_module: Callable[..., ProblemDeployment]) -> Node:
+    return serve(deploy_for_module("delivery/p01", speed="4", quick=True))
 
 
 def serve(deployment: ProblemDeployment) -> Node:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pnm.core.execution.events import Answered, Ask, Begin, KnowledgeChanged, Pause, Resume, Send, SingleStep, Stop, Tick
+from pnm.core.execution.events import Answered, Ask, Begin, KnowledgeChanged, Pause, Resume, Send, Stop, Tick
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.effects import Set
@@ -271,52 +271,3 @@ def test_what_the_plan_says_about_cancelled_calls_is_about_others_wishes() -> No
     assert sent(run.handle(Resume(), 3.0)) == ["act"]
     run.handle(Accepted(run.open_requests[0]), 4.0)
     assert sent(run.handle(Ended(run.open_requests[0], CANCELED), 4.0)) == ["mend"]
-
-
-# --- steps -------------------------------------------------------------------------------------
-
-
-def test_a_step_lets_one_request_leave_and_the_pause_goes_on() -> None:
-    run = Run(generate(plan(3)), Layered(KnowledgeBase()), id=RUN)
-    run.handle(Pause(at_once=True), 0.0)
-    run.handle(Begin(), 0.0)
-    for number in range(3):
-        assert sent(run.handle(SingleStep(), 1.0)) == [f"a{number}"]
-        assert not run.paused
-        assert run.handle(KnowledgeChanged(), 2.0) == []
-        (request,) = run.open_requests
-        assert cancelled(run.handle(Accepted(request), 2.0)) == []
-        assert sent(run.handle(Ended(request, SUCCEEDED), 3.0)) == []
-        assert run.paused
-    assert run.result().goal
-
-
-def test_a_step_of_what_is_not_paused_changes_nothing() -> None:
-    run = accepted(plan(2, "0e<1s"))
-    before = run.marking
-    assert run.handle(SingleStep(), 1.0) == []
-    assert (run.marking, run.pausing) == (before, None)
-    assert sent(run.handle(Ended(run.open_requests[0], SUCCEEDED), 2.0)) == ["a1"]
-
-
-def test_a_step_with_which_nothing_can_begin_is_used_up() -> None:
-    run = accepted(plan(2, "0e<1s"))
-    run.handle(Pause(), 1.0)
-    assert run.handle(SingleStep(), 2.0) == []
-    assert sent(run.handle(Ended(run.open_requests[0], SUCCEEDED), 3.0)) == []
-    assert run.paused
-    assert sent(run.handle(Resume(), 4.0)) == ["a1"]
-
-
-def test_a_step_takes_resources_for_its_call_alone_and_leaves_no_claim_in_line() -> None:
-    bindings = Bindings({f"a{number}": Binding(resources=("arm",)) for number in range(3)})
-    run = Run(generate(plan(3), bindings), Layered(KnowledgeBase()), id=RUN, bindings=bindings)
-    run.handle(Pause(), 0.0)
-    run.handle(Begin(), 0.0)
-    assert sent(run.handle(SingleStep(), 1.0)) == ["a0"]
-    assert [*run.resources.line] == []
-    assert run.handle(SingleStep(), 2.0) == []
-    assert [*run.resources.line] == []
-    assert sent(run.handle(Ended(run.open_requests[0], SUCCEEDED), 3.0)) == []
-    assert [*run.resources.held] == []
-    assert sent(run.handle(SingleStep(), 4.0)) == ["a1"]
