@@ -26,6 +26,7 @@ from pnm.core.execution.events import (
     Restarted,
     Resume,
     Send,
+    SingleStep,
     Stop,
     Store,
     Tick,
@@ -37,6 +38,7 @@ from pnm.core.execution.run import Run
 from pnm.core.logic.computed_values import MISSING, Question
 from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.core.machine.bindings import WhenLost
+from pnm.core.machine.machine import TransitionAction
 from pnm.core.machine.requests import NOT_REATTACHED, ActionClient, Ended, Outcome, OutcomeKind, ReattachingClient, Report, Request
 from pnm.errors import RunError
 from pnm.journal.journal import NO_JOURNAL, Journal
@@ -50,7 +52,7 @@ class Executor:
     """The executor of one run, with the client that carries out its actions, on one asyncio loop.
 
     The mutable state is the run, which another may succeed; the inbox of events, and which changes wait in it; the timer; the
-    subscriptions to knowledge and resources; and the open queries and updates of the source.
+    subscriptions to knowledge and resources; the open queries and updates of the source; and which requests people have settled.
 
     Args:
         run: what is driven.
@@ -73,6 +75,8 @@ class Executor:
         self._timer: asyncio.TimerHandle | None = None
         self._leaving: list[Callable[[], None]] = []
         self._waiting: set[KnowledgeChanged | ResourcesChanged] = set()
+        self._settled: dict[UUID, OutcomeKind] = {}
+        """By request, how a person says that it ends."""
         self._progress = asyncio.Event()
         self.ended = False
         """Whether the run was carried out, and is not any more."""
@@ -89,6 +93,22 @@ class Executor:
     def resume(self) -> None:
         """Go on after a pause."""
         self._inbox.put_nowait(Resume())
+
+    def step(self) -> bool:
+        """Let one request leave during a pause; return whether one has. Not to be called by observers."""
+        # At once and not through the inbox: whoever decides that it may leave does so by what is so now.
+        self._handle(SingleStep())
+        machine = self.run.machine
+        return any(machine.rules[machine.compiled.transitions[fired]].action is TransitionAction.SEND for fired in self.run.fired)
+
+    def settle(self, request: UUID, kind: OutcomeKind) -> None:
+        """Have a request that is under way end in this way, because a person says so, as soon as its server is done with it.
+
+        Until then its robot is at work, and keeps what it has.
+        """
+        self._settled[request] = kind
+        if self._journal.may_act():
+            self._client.cancel(request)
 
     @property
     def paused(self) -> bool:
@@ -152,7 +172,9 @@ class Executor:
         return self.run.result()
 
     def _hear(self, report: Report) -> None:
-        if self._source and self._leaving and isinstance(report, Ended) and self._is_doubtful(report):
+        if isinstance(report, Ended) and report.request in self._settled:
+            self._take_in(_as_said(report, self._settled.pop(report.request)))
+        elif self._source and self._leaving and isinstance(report, Ended) and self._is_doubtful(report):
             self._start(report.request, self._ask_what_has_become(report, self._source))
         else:
             self._take_in(report)
@@ -283,6 +305,13 @@ class Executor:
         if event not in self._waiting:
             self._waiting.add(event)
             self._inbox.put_nowait(event)
+
+
+def _as_said(end: Ended, kind: OutcomeKind) -> Ended:
+    """Return the end of a request as a person has said that it is, with what its server says."""
+    outcome = end.outcome
+    said = f"a person says that it {'is done' if kind is OutcomeKind.SUCCEEDED else 'has failed'}; its server said: {outcome.kind.value}"
+    return Ended(end.request, replace(outcome, kind=kind, message=f"{said}, {outcome.message}" if outcome.message else said))
 
 
 def _is_cancelled() -> bool:

@@ -284,11 +284,24 @@ class TaskRefused(Exception):
     """A task cannot be paused, resumed or cancelled: there is none of this id, or it is over."""
 
 
-class Tasks(Protocol):
-    """A task manager: carries out several tasks at once. To be used on the event loop's thread."""
+class TaskCommands(Protocol):
+    """What people and programs may want of the tasks of a process. To be used on the event loop's thread."""
 
     def begin(self, wanted: Wanted, /) -> None:
-        """Begin a task. Whatever is wrong with it ends it, with a code and a reason."""
+        """Begin a task, or raise `TaskRefused` if none may now. Whatever is wrong with it ends it, with a code and a reason."""
+
+    async def pause(self, task: UUID | None, /, *, at_once: bool) -> None:
+        """Pause a task, or all; see `Tasks.pause`."""
+
+    async def resume(self, task: UUID | None, /) -> None:
+        """Let a task that was paused go on, or all; see `Tasks.resume`."""
+
+    async def cancel(self, task: UUID | None, /) -> None:
+        """End a task, or all; see `Tasks.cancel`."""
+
+
+class Tasks(TaskCommands, Protocol):
+    """A task manager: carries out several tasks at once. To be used on the event loop's thread."""
 
     async def pause(self, task: UUID | None, /, *, at_once: bool, why: str = "paused on request", is_kept: bool = True) -> None:
         """Start nothing more of a task, or of all; return when nothing of it is under way.
@@ -317,6 +330,29 @@ class Tasks(Protocol):
             TaskRefused: there is no such task.
         """
 
+    async def step(self, task: UUID, /) -> None:
+        """Let one request of a paused task leave; return when nothing of it is under way any more.
+
+        Raises:
+            TaskRefused: there is no such task, it is not paused, or nothing of it may begin now.
+        """
+
+    def settle(self, request: UUID, /, *, is_done: bool) -> None:
+        """Have a request count as succeeded or failed, because a person says so.
+
+        Its server is told to cancel it, and it counts so as soon as the server is done with it; until then nothing changes.
+
+        Raises:
+            TaskRefused: it is not under way.
+        """
+
+    def answer(self, question: UUID, value: object, /) -> None:
+        """Answer a question to a person.
+
+        Raises:
+            TaskRefused: nobody waits for that answer.
+        """
+
     def status(self) -> tuple[TaskStatus, ...]:
         """Return the status of all tasks that are not over, in the order in which they are served, and of those that ended last."""
 
@@ -342,6 +378,9 @@ class ServedWorld(Protocol):
         Returns:
             The questions with "true", "false", "unknown", a number or the name of an object.
         """
+
+    async def check_goal(self, goal: str, /) -> None:
+        """Say what is wrong with the goal of a task, if something is."""
 
     async def update(self, add: Sequence[str], remove: Sequence[str], forget: Sequence[str], /) -> int:
         """Record all of it at once or nothing; return how many of the facts were not known to be so before."""

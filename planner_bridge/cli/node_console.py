@@ -10,10 +10,11 @@ from uuid import UUID
 from planner_bridge.cli.console import EventLines, SafeConsole
 from planner_bridge.cli.options import print_warnings
 from planner_bridge.node.node_log import NodeObserver, journal_words, standing_words
+from planner_bridge.view.control.operator import Operator
 from planner_bridge.view.process import PageProcess
 from pnm.core.machine.verification.verify import Proof
 from pnm.errors import Tolerated
-from pnm.tasks import Code, TaskEnding, TaskListener, Tasks, TraceEvent, shortened
+from pnm.tasks import Code, ServedWorld, TaskCommands, TaskEnding, TaskListener, Tasks, TraceEvent, shortened
 
 
 class NodeConsole(NodeObserver):
@@ -59,7 +60,7 @@ class NodeConsole(NodeObserver):
         """Print why servers cannot be used."""
         self._console.print(f"[bold red]wrong[/]    {error}", highlight=False, soft_wrap=True)
 
-    def configured(self, tasks: Tasks) -> None:
+    def configured(self, tasks: Tasks, commands: TaskCommands, world: ServedWorld) -> None:
         """Print the events of tasks from now on."""
         tasks.listen(TaskConsole(self._console))
 
@@ -86,6 +87,10 @@ class NodePage(NodeObserver):
     def standing_by(self, place: str, holder: str) -> None:
         """Show the journal."""
         self._page.follow(self._given or place)
+
+    def configured(self, tasks: Tasks, commands: TaskCommands, world: ServedWorld) -> None:
+        """Have the page control the tasks, if it may."""
+        self._page.operate(Operator(tasks, commands, world))
 
 
 class TaskConsole(TaskListener):

@@ -18,6 +18,7 @@ import click
 
 from planner_bridge.model.problem import Problem
 from planner_bridge.pipeline.loading import load, warning_lines
+from planner_bridge.view.control.commands import Controlled
 from pnm.errors import InputError, PnmError, Position, Tolerated
 from pnm.files.database.place import Place, place_of
 
@@ -171,7 +172,17 @@ view_option = click.option(
     type=click.IntRange(0, 65535),
     help=f"show it on a page in a browser; by default at port {VIEW_PORT}, 0 for any",
 )
+controls_option = click.option(
+    "--view-controls", "controls", is_flag=True, help="who has the URL of that page, with its token, may control tasks there"
+)
 faults_option = click.option("--faults", type=FILE, help="what goes wrong in simulation")
+
+
+def controlled_by(view: int | None, what: Controlled, *, controls: bool) -> Controlled:
+    """Return what a page may control, by the options; raise an `InputError` if there is no page."""
+    if controls and view is None:
+        raise InputError("--view-controls is about the page; expected --view as well")
+    return what if controls else Controlled.NOTHING
 
 
 def chosen_files(domain: Path | None, problem: Path | None, plan_file: Path | None) -> Path | tuple[Path, Path]:

@@ -25,6 +25,8 @@ from planner_bridge.cli.options import (
     check_output,
     chosen_files,
     command,
+    controlled_by,
+    controls_option,
     faults_for,
     faults_option,
     files_or_plan,
@@ -46,10 +48,13 @@ from planner_bridge.planning.solve import check_planner
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import Settings, TaskObserver
+from planner_bridge.view.control.commands import Controlled
+from planner_bridge.view.control.operator import Operator
 from planner_bridge.view.process import PageProcess
 from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import NO_FAULTS, read_faults
 from pnm.clock import run_async
+from pnm.core.broadcast import broadcast
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.errors import InputError
@@ -59,7 +64,7 @@ from pnm.journal.kept import Durability, JournalChoice
 from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import NO_SENSING
 from pnm.language.plan import chosen_plan, read_plans
-from pnm.tasks import Code
+from pnm.tasks import Code, Tasks
 
 
 @click.command(
@@ -94,6 +99,7 @@ from pnm.tasks import Code
 @timeline_option
 @force_option
 @view_option
+@controls_option
 @click.option("-v", "--verbose", is_flag=True, help="print how large machines are, and how much was explored to prove them")
 @quiet_option
 @as_json_option
@@ -125,6 +131,7 @@ def run(
     timeline: Path | None,
     force: bool,
     view: int | None,
+    controls: bool,
     verbose: bool,
     quiet: bool,
     as_json: bool,
@@ -148,7 +155,8 @@ def run(
     chosen = chosen_files(domain, problem, plan_file)
     if not isinstance(chosen, Path) and (name or given or answers or knowledge):
         raise InputError("--name, --set, --answer and --knowledge belong to hand-written plans; expected --plan and a file")
-    with looked_at(choice, view, timeline, force=force) as (kept, page):
+    controlled = controlled_by(view, Controlled.RUN, controls=controls)
+    with looked_at(choice, view, timeline, controlled, force=force) as (kept, page):
         others = Files(bindings, faults, knowledge, sensing, kept, page)
         if isinstance(chosen, Path):
             return run_written(chosen, name, given, answers, others, actions=actions, settings=settings, on_failure=policy, output=output)
@@ -163,7 +171,7 @@ def run_problem(domain: Path, problem: Path, files: Files, *, actions: Actions, 
         sensors = read_sensing(files.sensing, loaded.vocabulary) if files.sensing else NO_SENSING
         settings = replace(settings, bindings=bindings_for(domain, files.bindings, loaded.vocabulary), sensing=sensors)
         faults = faults_for(loaded, files.faults)
-    with observed(output, console, settings, actions) as observer:
+    with observed(output, console, settings, actions, files.page) as observer:
         result = achieve(
             None, loaded, actions=actions, faults=faults, settings=settings, observer=observer, stopwatch=stopwatch, journal=files.journal
         )
@@ -178,7 +186,7 @@ def journal_choice(place: Place, durability: str) -> JournalChoice:
 
 @contextmanager
 def looked_at(
-    journal: JournalChoice | None, view: int | None, timeline: Path | None, *, force: bool
+    journal: JournalChoice | None, view: int | None, timeline: Path | None, controlled: Controlled = Controlled.NOTHING, *, force: bool
 ) -> Iterator[tuple[JournalChoice | None, PageProcess | None]]:
     """Show a run on a page while this is entered, and draw its timeline at the end.
 
@@ -186,6 +194,7 @@ def looked_at(
         journal: that of the run, if it has one; where it is looked at it has one in any case, which is kept no longer than this.
         view: the port of the page; None without one.
         timeline: the file of the timeline; None without one.
+        controlled: what may be controlled on the page.
         force: whether that file is replaced.
 
     Yields:
@@ -200,7 +209,7 @@ def looked_at(
         kept = journal or JournalChoice(Path(stack.enter_context(TemporaryDirectory(prefix="pnm-run-"))) / "run.journal")
         page = None
         if view is not None:
-            page = stack.enter_context(PageProcess(view))
+            page = stack.enter_context(PageProcess(view, controlled))
             print(f"view     {page.url}", file=sys.stderr, flush=True)
             page.follow(str(kept.place) if isinstance(kept.place, Path) else kept.place.text)
         yield kept, page
@@ -216,11 +225,25 @@ def _draw(journal: JournalChoice, timeline: Path, *, force: bool) -> None:
     write(timeline, timeline_svg(*timelines(journal.place)[-1:]), force=force)
 
 
+class _RunOnPage(TaskObserver):
+    """Has a page control the task of a run, if it may."""
+
+    def __init__(self, page: PageProcess) -> None:
+        self._page = page
+
+    def managed(self, tasks: Tasks) -> None:
+        """Have the page control it from now on."""
+        self._page.operate(Operator(tasks, tasks))
+
+
 @contextmanager
-def observed(output: Output, console: SafeConsole, settings: Settings, actions: Actions) -> Iterator[TaskObserver]:
-    """Yield what prints the events of a task while this is entered, or listens to them without printing."""
+def observed(
+    output: Output, console: SafeConsole, settings: Settings, actions: Actions, page: PageProcess | None
+) -> Iterator[TaskObserver]:
+    """Yield what prints the events of a task while this is entered, or listens to them without printing, and has a page control it."""
+    observers: list[TaskObserver] = [_RunOnPage(page)] if page else []
     if output not in (Output.EVENTS, Output.NUMBERS):
-        yield TaskObserver()
+        yield broadcast(TaskObserver, observers)
         return
     is_simulated = actions == "simulated"
     robots = "simulated here; --actions ros2 drives real ones" if is_simulated else "the action servers of ROS 2"
@@ -229,7 +252,7 @@ def observed(output: Output, console: SafeConsole, settings: Settings, actions: 
     with closing(printer):
         if not is_simulated:
             printer.wait("ROS 2 is joined, and robots are heard, 14 s at most")
-        yield printer
+        yield broadcast(TaskObserver, [*observers, printer])
 
 
 def _stay(page: PageProcess) -> None:
@@ -282,7 +305,7 @@ def run_written(
         settings = replace(settings, bindings=read_bindings(files.bindings))
     if files.sensing:
         settings = replace(settings, sensing=read_sensing(files.sensing))
-    with observed(output, console, settings, actions) as observer:
+    with observed(output, console, settings, actions, files.page) as observer:
         result = carry_out(
             file,
             name,

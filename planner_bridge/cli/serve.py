@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import click
 
-from planner_bridge.cli.options import FILE, ViewingCommand, command, options, view_option
+from planner_bridge.cli.options import FILE, ViewingCommand, command, controlled_by, controls_option, options, view_option
 from planner_bridge.node.options import PARAMETERS
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import load_yaml
@@ -55,12 +55,13 @@ def _option(parameter: NodeParameter) -> Callable[[Any], Any]:
 @click.option("--params-file", "files", multiple=True, type=FILE, help="parameters in a file as ROS has them; may be repeated")
 @options(*(_option(parameter) for parameter in PARAMETERS if parameter.name not in ("domain", "problem")))
 @view_option
+@controls_option
 @command
-def serve(files: tuple[Path, ...], view: int | None, **given: ParameterValue | None) -> int:
+def serve(files: tuple[Path, ...], view: int | None, controls: bool, **given: ParameterValue | None) -> int:
     """Take goals over ROS 2 until interrupted.
 
     This is the node that a robot runs. It offers actions for goals of DOMAIN and PROBLEM, and for each plan of a world.
-    With --view, a page shows what its journal tells.
+    With --view, a page shows what its journal tells; with --view-controls, goals are sent and tasks controlled there as well.
     What follows --ros-args is for ROS 2; options come before parameters that are given there, and before files of parameters.
     """
     # here, because these take their time to import, which `pnm serve --help` need not wait for
@@ -69,6 +70,7 @@ def serve(files: tuple[Path, ...], view: int | None, **given: ParameterValue | N
     from planner_bridge.node.journal_place import NONE
     from planner_bridge.node.node_log import NodeObserver
     from planner_bridge.node.serve import serve
+    from planner_bridge.view.control.commands import Controlled
     from planner_bridge.view.process import PageProcess
     from pnm.core.broadcast import broadcast
 
@@ -80,12 +82,13 @@ def serve(files: tuple[Path, ...], view: int | None, **given: ParameterValue | N
     journal = str(chosen.get("journal", ""))
     if view is not None and journal == NONE:
         raise InputError(f"--view shows the journal; expected one, and not --journal {NONE}")
+    controlled = controlled_by(view, Controlled.NODE, controls=controls)
     console: NodeObserver = NodeConsole(SafeConsole())
     try:
         if view is None:
             serve(chosen, arguments, console)
         else:
-            with PageProcess(view) as page:
+            with PageProcess(view, controlled) as page:
                 print(f"view     {page.url}", file=sys.stderr, flush=True)
                 serve(chosen, arguments, broadcast(NodeObserver, (console, NodePage(page, journal))))
     except Fenced as error:

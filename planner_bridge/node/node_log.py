@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from pnm.core.machine.verification.verify import Proof
 from pnm.errors import Tolerated
-from pnm.tasks import EVENTS, Tasks
+from pnm.tasks import EVENTS, ServedWorld, TaskCommands, Tasks
 
 
 def journal_words(place: str, going_on: int) -> str:
@@ -40,8 +40,8 @@ class NodeObserver:
     def journalled(self, place: str, going_on: int) -> None:
         """Note where tasks are kept, empty if nowhere, and how many of another process go on."""
 
-    def configured(self, tasks: Tasks) -> None:
-        """Note that there will be tasks, which can be listened to."""
+    def configured(self, tasks: Tasks, commands: TaskCommands, world: ServedWorld) -> None:
+        """Note that there will be tasks, which can be listened to; how they are commanded here, and the world that they share."""
 
     def activated(self, actions: tuple[str, ...]) -> None:
         """Note that goals are accepted, by the action servers of these names."""

@@ -138,6 +138,10 @@ class ServedProblem:
             known = snapshot(self._loaded.knowledge)
             return await asyncio.to_thread(lambda: self._loaded.world_of(questions, known).query(questions))
 
+    async def check_goal(self, goal: str, /) -> None:
+        """Read a goal; raise an `InputError` if it is none."""
+        await asyncio.to_thread(self._loaded.read_goal, goal)
+
     async def update(self, add: Sequence[str], remove: Sequence[str], forget: Sequence[str], /) -> int:
         """Record all changes or none; return how many facts changed."""
         async with self._turn:

@@ -366,7 +366,7 @@ class ServingNode:
         self._restore = partial(self._restore_tasks, api, context.replay)
         look = partial(context.backend.look, runner.actions)
         await open_diagnoses(stack, self._ros, look, api.tasks, lambda: self._state, self._options)
-        self._observer.configured(api.tasks)
+        self._observer.configured(api.tasks, self._node, api.world)
         # The stack closes in reverse: first the node, which gives tasks their time to end and answers all goals; then the task manager.
         stack.push_async_callback(_close_in_time, api.close)
         stack.push_async_callback(self._node.close, context.options.cancel)

@@ -14,7 +14,7 @@ from planner_bridge.tasks.settings import TaskObserver
 from pnm.clock import TimeLimit
 from pnm.core.execution.run import Run
 from pnm.executor import Executor
-from pnm.tasks import Code, TaskState
+from pnm.tasks import Code, TaskRefused, TaskState
 
 T = TypeVar("T")
 
@@ -64,6 +64,9 @@ class Execution(Protocol):
 
     def resume(self) -> None:
         """Go on after a pause of the task."""
+
+    def why_no_step(self) -> str:
+        """Return why nothing may begin during the pause of the task; empty if it may."""
 
 
 class TaskControl:
@@ -152,12 +155,29 @@ class TaskControl:
                 executor.pause(at_once=at_once)
             if self.has_begun and self.state is not TaskState.PAUSED:
                 self.enter(TaskState.PAUSING, reason)
-            while executor and self.is_paused and not (executor.paused or executor.ended):
-                await executor.happens()
-            if self.is_paused:
-                self.enter(TaskState.PAUSED, reason)
+            await self._at_rest(executor, reason)
         if self.state is TaskState.CANCELLING:
             await self.over.wait()
+
+    async def step(self) -> None:
+        """Let one request leave during a pause, and return when nothing is under way any more; raise `TaskRefused` if none can."""
+        execution = self.execution
+        if self.state is not TaskState.PAUSED or execution is None:
+            raise TaskRefused("only a task that is paused, and whose plan has begun, can go on by one request")
+        if why_not := execution.why_no_step():
+            raise TaskRefused(why_not)
+        if not execution.executor.step():
+            raise TaskRefused("nothing can begin now: what comes next waits for other things than the end of the pause")
+        reason = self.reason
+        self.enter(TaskState.PAUSING, reason)  # so that others respect what is under way
+        await self._at_rest(execution.executor, reason)
+
+    async def _at_rest(self, executor: Executor | None, reason: str) -> None:
+        """Be paused as soon as nothing is under way."""
+        while executor and self.is_paused and not (executor.paused or executor.ended):
+            await executor.happens()
+        if self.is_paused:
+            self.enter(TaskState.PAUSED, reason)
 
     def hold(self) -> None:
         """Be paused from the beginning, as in a process that has died; `pause` follows."""

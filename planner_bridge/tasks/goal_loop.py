@@ -36,7 +36,7 @@ from pnm.core.machine.plan_graph import PlanGraph, PlanGraphError
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.resources import who_keeps
 from pnm.journal.replay import ReplayedRun
-from pnm.knowledge.sources.help import Advice, ask_for_help
+from pnm.knowledge.sources.help import Advice, HelpEnded, ask_for_help
 from pnm.knowledge.sources.source import Asker, Source
 from pnm.tasks import Code, TaskState
 
@@ -121,7 +121,7 @@ class GoalLoop:
         if self._question is None:
             trouble = f"This goal cannot be reached: {reason.removeprefix('asks for help: ')}"
             asker = Asker(task.id, task.wanted.text or str(context.problem.goal), uuid5(task.id, f"help {self._log.helped}"))
-            self._question = asyncio.ensure_future(ask_for_help(helper, asker, trouble))
+            self._question = asyncio.ensure_future(ask_for_help(helper, asker, trouble, partial(context.journal.noted, task.id)))
             context.observer.blocked(reason)
         # What was replaced too often is not replaced once more because facts keep changing.
         news = self._facts_changed if ended.by_facts else asyncio.Event()
@@ -138,6 +138,7 @@ class GoalLoop:
             await control.wait(context.settings.limits.backoff)  # facts seldom change alone, and some all the time
             return None
         advice, self._question = self._question.result(), None
+        context.journal.noted(task.id, HelpEnded(advice.why))
         if advice.try_again:
             self._log.history = History()  # what has failed may work again
             self._log.helped += 1
@@ -150,6 +151,7 @@ class GoalLoop:
         if self._question is not None:
             self._question.cancel()
             self._question = None
+            self._context.journal.noted(self._context.task.id, HelpEnded("a person need not help any more"))
 
     async def _execute(self, graph: PlanGraph) -> PlanGraph:
         """Execute a plan, and those that succeed it while calls are under way; return the one that follows when the run is over."""

@@ -199,6 +199,18 @@ class PlanExecution(Observer):
         elif not self._is_held:
             self.executor.resume()
 
+    def why_no_step(self) -> str:
+        """Return why nothing of the plan may begin now: it does not lead to its goal, or others are at work with what it needs."""
+        progress = self.progress
+        needed = read_write_sets(progress.rest, progress.plan.goal, self._context.world)
+        others = ", ".join(conflict.name for conflict in self._context.scheduler.conflicts(self._context.task, lambda: needed))
+        if self.is_blocked or others:
+            return f"the plan is in conflict with {others or 'what others have begun'}; it has to be resumed, to wait or to be planned anew"
+        if self.result.failures:
+            return f"the plan has failed: {self.result.reason}; it has to be resumed, to be planned anew"
+        obstacle = self.obstacle()
+        return f"the plan does not work any more: {obstacle}; it has to be resumed, to be planned anew" if obstacle else ""
+
     def hold(self) -> None:
         """Start nothing more until `release`."""
         self._is_held = True

@@ -102,9 +102,11 @@ class PlanTask:
     @property
     def footprint(self) -> ReadWriteSets:
         """What the plan needs and changes: all calls that it may still reach; during a pause, those that are still under way."""
+        return self._context.under_way(self.executor.run) if self._context.control.is_paused else self._needed
+
+    @property
+    def _needed(self) -> ReadWriteSets:
         run = self.executor.run
-        if self._context.control.is_paused:
-            return self._context.under_way(run)
         plan, calls = run.machine.plan, run.interim_result().calls
         is_flat = len(plan.every_step) == len(plan.calls)
         ended = {result.call.index for result in calls if result.ended is not None} if is_flat else set()
@@ -128,6 +130,11 @@ class PlanTask:
     def resume(self) -> None:
         """Go on after a pause."""
         self.executor.resume()
+
+    def why_no_step(self) -> str:
+        """Return why nothing of the plan may begin now: others are at work with what it needs."""
+        others = self._context.scheduler.conflicts(self._context.task, lambda: self._needed)
+        return f"the plan is in conflict with {', '.join(other.name for other in others)}" if others else ""
 
     # --- its end ----------------------------------------------------------------------------------
 

@@ -23,6 +23,7 @@ from pnm.core.machine.plan_graph import ActionCall, Cause
 from pnm.journal.codec import value_classes
 from pnm.journal.format import RECORDS
 from pnm.journal.replay import ReplayedRun, ReplayedTask
+from pnm.knowledge.sources.help import HelpAsked, HelpEnded
 from pnm.tasks import Code, TaskEnding
 
 _PLANNING: Final = {
@@ -326,7 +327,8 @@ class TrajectoryNote:
     violations: Mapping[int, Violation] = field(default_factory=dict)
 
 
-TASKS: Final = RECORDS.including((GoalNote, TrajectoryNote, Violation, *value_classes(replanning, forbidden_actions, trajectory)))
+_NOTES: Final = (GoalNote, TrajectoryNote, Violation, HelpAsked, HelpEnded)
+TASKS: Final = RECORDS.including((*_NOTES, *value_classes(replanning, forbidden_actions, trajectory)))
 """The codec of the journal of tasks."""
 
 

@@ -17,7 +17,7 @@ from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.verification.verify import Proof
 from pnm.errors import InputError, check_kinds, check_seconds
 from pnm.knowledge.sensor_model import NO_SENSING, Sensing
-from pnm.tasks import TaskState
+from pnm.tasks import Tasks, TaskState
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 class TaskObserver(Observer):
     """Listens to a whole task: one more empty method per moment."""
+
+    def managed(self, tasks: Tasks) -> None:
+        """Note who carries the task out, and can be told to pause it."""
 
     def began(self, now: float) -> None:
         """Note the time from which the seconds of the task count."""

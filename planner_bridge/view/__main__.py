@@ -1,13 +1,16 @@
-"""`python -m planner_bridge.view PORT` is the page in a process of its own; see `planner_bridge.view.process`."""
+"""`python -m planner_bridge.view PORT WHAT` is the page in a process of its own; see `planner_bridge.view.process`."""
 
 from __future__ import annotations
 
 import asyncio
 import json
+import secrets
 import sys
 import threading
 from contextlib import suppress
 
+from planner_bridge.view.control.channel import Channel
+from planner_bridge.view.control.commands import Controlled
 from planner_bridge.view.serving import listening, serve_page, url_of
 from pnm.errors import InputError
 from pnm.files.database.place import place_of
@@ -15,25 +18,35 @@ from pnm.files.database.place import place_of
 
 def main() -> int:
     """Say where the page is, or what is wrong; read which journal it shows; serve until whoever writes that has gone."""
+    controlled = Controlled(sys.argv[2])
     try:
         opened = listening(int(sys.argv[1]))
     except InputError as error:
         sys.stdout.write(f"{error}\n")
         return 2
-    sys.stdout.write(f"{url_of(opened)}\n")
-    sys.stdout.flush()
+    token = secrets.token_urlsafe(32)
+    _write(url_of(opened) + ("" if controlled is Controlled.NOTHING else f"/#token={token}"))
     if line := sys.stdin.readline():
-        serve_page(place_of(json.loads(line)), opened, _left_alone)
+        from planner_bridge.view.control.route import Control  # here, because what it needs is an extra, which is there by now
+
+        channel = Channel(_write)
+        serve_page(place_of(json.loads(line)), opened, lambda: _left_alone(channel), Control(controlled, token, channel))
     return 0
 
 
-async def _left_alone() -> None:
-    """Wait until the other end of the input is closed: by the process that has started this one, or by its death."""
+def _write(line: str) -> None:
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()
+
+
+async def _left_alone(channel: Channel) -> None:
+    """Take in replies until the other end of the input is closed: by the process that has started this one, or by its death."""
     loop, is_closed = asyncio.get_running_loop(), asyncio.Event()
 
     def read() -> None:
-        sys.stdin.read()
         with suppress(RuntimeError):  # the loop is over already
+            for line in sys.stdin:
+                loop.call_soon_threadsafe(channel.hear, line)
             loop.call_soon_threadsafe(is_closed.set)
 
     threading.Thread(target=read, daemon=True).start()

@@ -21,6 +21,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from planner_bridge.view.call_detail import detail
+from planner_bridge.view.control.route import Control
 from planner_bridge.view.follow import Feed, Reader
 from planner_bridge.view.frames import frame
 from planner_bridge.view.shown import View
@@ -53,9 +54,10 @@ class ViewApp:
     Args:
         feed: what happens now.
         past: reads what has happened.
+        control: what may be controlled, and by whom.
     """
 
-    def __init__(self, feed: Feed, past: Reader) -> None:
+    def __init__(self, feed: Feed, past: Reader, control: Control) -> None:
         self._feed = feed
         self._past = past
         self._key = uuid4().hex
@@ -66,6 +68,8 @@ class ViewApp:
             Route("/call", self._call),
             Route("/picture", self._picture),
             Route("/events", self._events),
+            Route("/control", control.look),
+            Route("/control", control.do, methods=["POST"]),
             Mount("/page", StaticFiles(directory=PAGE)),
         ]
         self.asgi: Final = _Guarded(Starlette(routes=routes))

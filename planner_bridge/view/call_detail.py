@@ -64,6 +64,7 @@ class CallDetail:
         parameters: names of its parameters, and the arguments.
         server: who carries it out; empty for an operation on knowledge.
         limit: the seconds that it may take from its acceptance; None if there is none.
+        accept: the seconds in which its server has to answer a request; None if there is no server.
         resources: what it needs for itself, and which request has it now; empty if none has.
         waits_for: what must have come before it starts, or ends.
         needed_by: what waits for it.
@@ -80,6 +81,7 @@ class CallDetail:
     parameters: tuple[tuple[str, str], ...]
     server: str
     limit: float | None
+    accept: float | None
     resources: tuple[tuple[str, str], ...]
     waits_for: tuple[Wait, ...]
     needed_by: tuple[Wait, ...]
@@ -106,6 +108,7 @@ def detail(story: Story, run: str, index: int) -> CallDetail | None:
         tuple(zip(action.parameters, action.arguments, strict=False)),
         "" if action.operation is not None or not found.source.bindings.names_server(action) else found.source.bindings.server(action),
         limit if limit and isfinite(limit) else None,
+        None if action.operation is not None else found.source.bindings.of(action.name).accept,
         tuple((name, _holder(story, name)) for name in found.source.bindings.resources(action)),
         tuple(_wait(found, ordering, is_before=True) for ordering in _orderings(found) if ordering.after.call == index),
         tuple(_wait(found, ordering, is_before=False) for ordering in _orderings(found) if ordering.before.call == index),

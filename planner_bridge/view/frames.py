@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from planner_bridge.view.shown import Shown, View
 
-_HEAD: Final = ("number", "time", "began", "first", "problem")
+_HEAD: Final = ("number", "time", "began", "first", "problem", "clock")
 PARTS: Final = tuple(part.name for part in fields(View) if part.name not in _HEAD)
 """The parts of a view that have things by key."""
 

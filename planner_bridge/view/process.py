@@ -7,10 +7,13 @@ import json
 import select
 import subprocess
 import sys
+import threading
 from contextlib import suppress
 from types import TracebackType
-from typing import Final
+from typing import Any, Final
 
+from planner_bridge.view.control.commands import Controlled, Reply
+from planner_bridge.view.control.operator import Operator
 from pnm.errors import InputError
 
 _READY: Final = 60.0
@@ -22,13 +25,19 @@ _ENDS: Final = 5.0
 class PageProcess:
     """The page, at a port of this computer, until it is closed or this process is dead.
 
+    The mutable state is whether it knows its journal, and who carries out what people want on it, on which event loop.
+
+    Args:
+        port: where it is; any that is free for 0.
+        controlled: what those may control who have its token, which is in its URL then.
+
     Raises:
         InputError: the port is in use, or what serves the page is not installed.
     """
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, controlled: Controlled = Controlled.NOTHING) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "planner_bridge.view", str(port)],
+            [sys.executable, "-m", "planner_bridge.view", str(port), controlled.value],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -38,28 +47,36 @@ class PageProcess:
         is_said = select.select([self._process.stdout], [], [], _READY)[0]
         self.url: Final = self._process.stdout.readline().strip() if is_said else ""
         self._is_told = False
+        self._operator: tuple[Operator, asyncio.AbstractEventLoop] | None = None
+        self._working: set[asyncio.Task[None]] = set()
+        self._writing = threading.Lock()
+        self._reader = threading.Thread(target=self._read, daemon=True)
         if not self.url.startswith("http"):
             self.close()
             raise InputError(self.url or "the page could not be started")
+        self._reader.start()
 
     def follow(self, journal: str) -> None:
         """Show a journal, which need not be there yet; the first one that is named counts."""
-        if not self._is_told and self._process.stdin is not None:
+        if not self._is_told:
             self._is_told = True
-            with suppress(BrokenPipeError):
-                self._process.stdin.write(f"{json.dumps(journal)}\n")
-                self._process.stdin.flush()
+            self._write(journal)
+
+    def operate(self, operator: Operator) -> None:
+        """Have an operator carry out, on the event loop that runs here, what people want on the page from now on."""
+        self._operator = operator, asyncio.get_running_loop()
 
     async def ended(self) -> None:
         """Return when the process has ended."""
-        over = asyncio.Event()
-        loop, out = asyncio.get_running_loop(), self._process.stdout
-        assert out is not None
-        loop.add_reader(out, over.set)  # it says nothing more, so this is the end of its output
-        try:
-            await over.wait()
-        finally:
-            loop.remove_reader(out)
+        over, loop = asyncio.Event(), asyncio.get_running_loop()
+
+        def wait() -> None:
+            self._reader.join()
+            with suppress(RuntimeError):  # the loop is over already
+                loop.call_soon_threadsafe(over.set)
+
+        threading.Thread(target=wait, daemon=True).start()
+        await over.wait()
 
     def close(self) -> None:
         """End the page."""
@@ -71,6 +88,8 @@ class PageProcess:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        if self._reader.ident is not None:
+            self._reader.join(_ENDS)
         if self._process.stdout is not None:
             self._process.stdout.close()
 
@@ -79,3 +98,35 @@ class PageProcess:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
+
+    def _read(self) -> None:
+        """Have each command that the page sends carried out, and reply to it."""
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            wanted = json.loads(line)
+            number, refused = wanted["number"], Reply("there is nothing yet that could be controlled")
+            if self._operator is not None:
+                operator, loop = self._operator
+                try:
+                    loop.call_soon_threadsafe(self._begin, operator, number, wanted["command"])
+                    continue
+                except RuntimeError:  # the loop is closed
+                    refused = Reply("it is over: nothing is left that could be controlled")
+            self._reply(number, refused)
+
+    def _begin(self, operator: Operator, number: int, command: object) -> None:
+        async def work() -> None:
+            self._reply(number, await operator.reply(command))
+
+        task = asyncio.ensure_future(work())
+        self._working.add(task)
+        task.add_done_callback(self._working.discard)
+
+    def _reply(self, number: int, reply: Reply) -> None:
+        self._write({"number": number, "reply": reply.as_json()})
+
+    def _write(self, value: Any) -> None:
+        with self._writing, suppress(BrokenPipeError, ValueError):  # it has ended, or is closed
+            if self._process.stdin is not None:
+                self._process.stdin.write(f"{json.dumps(value)}\n")
+                self._process.stdin.flush()

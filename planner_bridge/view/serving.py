@@ -6,10 +6,13 @@ import asyncio
 import socket
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from pnm.errors import InputError
 from pnm.files.database.place import Place
+
+if TYPE_CHECKING:
+    from planner_bridge.view.control.route import Control
 
 _HOST: Final = "127.0.0.1"
 
@@ -41,14 +44,17 @@ def url_of(opened: socket.socket) -> str:
     return f"http://{_HOST}:{opened.getsockname()[1]}"
 
 
-def serve_page(place: Place, opened: socket.socket, ended: Callable[[], Awaitable[object]] | None = None) -> None:
-    """Serve the page of a journal at a socket until a signal ends it, or `ended` does.
+def serve_page(
+    place: Place, opened: socket.socket, ended: Callable[[], Awaitable[object]] | None = None, control: Control | None = None
+) -> None:
+    """Serve the page of a journal at a socket until a signal ends it, or `ended` does; without `control` nothing can be controlled.
 
     A second signal, and one during a page that is slow, leave at once.
     """
     import uvicorn
 
     from planner_bridge.view.app import ViewApp
+    from planner_bridge.view.control.route import NO_CONTROL
     from planner_bridge.view.follow import Feed, Reader
 
     class Server(uvicorn.Server):
@@ -60,7 +66,7 @@ def serve_page(place: Place, opened: socket.socket, ended: Callable[[], Awaitabl
 
     reader, past = Reader(place), Reader(place)
     feed = Feed(reader)
-    app = ViewApp(feed, past)
+    app = ViewApp(feed, past, control or NO_CONTROL)
     config = uvicorn.Config(
         app.asgi, log_config=None, log_level="critical", access_log=False, lifespan="off", ws="none", server_header=False
     )

@@ -151,6 +151,8 @@ class FactShown:
     since: float
     is_initial: bool
     """Whether it has been so from the beginning of what is shown: since then at least."""
+    was: str = ""
+    """What was known last of what is unknown now; empty if that is nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,12 +167,13 @@ class ServerShown:
 
 @dataclass(frozen=True, slots=True)
 class QuestionShown:
-    """A question that is open: who is asked, what, on whose behalf, and since when."""
+    """A question that is open: who is asked, what, on whose behalf, since when, and the answers to choose from; none for any."""
 
     who: str
     text: str
     subject: str
     since: float
+    choices: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,6 +227,7 @@ class View:
         began: when what is shown began.
         first: the first record of what is shown.
         problem: why no more can be shown; empty if all is well.
+        clock: the time of day, in seconds, when that clock was 0; None if it is not known.
     """
 
     number: int = 0
@@ -231,6 +235,7 @@ class View:
     began: float = 0.0
     first: int = 0
     problem: str = ""
+    clock: float | None = None
     tasks: Mapping[str, TaskShown] = field(default_factory=dict)
     runs: Mapping[str, RunShown] = field(default_factory=dict)
     calls: Mapping[str, CallShown] = field(default_factory=dict)

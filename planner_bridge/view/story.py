@@ -19,7 +19,7 @@ from planner_bridge.tasks.result import GoalNote
 from planner_bridge.view.shown import CallShown, Cut, EventShown, FactShown, QuestionShown, RequestShown, TroubleShown
 from pnm.clock import TimeUsed
 from pnm.core.execution.call_results import CallResult, Explanation, Failure
-from pnm.core.execution.events import Answered, Ask, Observer, Withdraw
+from pnm.core.execution.events import Answered, Ask, Observer, Restarted, Withdraw
 from pnm.core.logic.computed_values import Layer
 from pnm.core.logic.expressions import Fluent, Unknown, Value, fluent_text, text_of
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Step
@@ -42,6 +42,7 @@ from pnm.journal.records import (
     TimeCounted,
 )
 from pnm.journal.text import words
+from pnm.knowledge.sources.help import HELP, HelpAsked, HelpEnded
 from pnm.tasks import TaskEnding
 
 EVENTS: Final = 200
@@ -112,6 +113,8 @@ class TaskStory:
     """What was decided after the last run; None while it goes on."""
     used: TimeUsed | None = None
     ending: TaskEnding | None = None
+    help: str = ""
+    """The question to a person that it has open, who is asked for help."""
 
 
 class Story:
@@ -131,6 +134,8 @@ class Story:
         """A new mapping whenever one of them changes."""
         self.questions: dict[str, QuestionShown] = {}
         self.events: dict[int, EventShown] = {}
+        self.clock: float | None = None
+        """The time of day when the clock of the records was 0, as long as one process writes them."""
         self.segments: list[tuple[int, float]] = []
         """The first record, and the time, of the segments that it reaches back to: two at most."""
         self._mark = ""
@@ -183,7 +188,8 @@ class Story:
                 self._hand_over(self.runs[run], self.runs[successor])
             case Happened():
                 self._note_event(step.record, step)
-            case TaskAccepted(wanted):
+            case TaskAccepted(wanted, _, wall):
+                self.clock = wall - self.time
                 if wanted.id not in self.tasks:
                     runs = [run for run in self.runs.values() if run.replayed.made.task == wanted.id]
                     self.tasks[wanted.id] = TaskStory(step.record, self.replay.is_held, runs)
@@ -193,6 +199,8 @@ class Story:
                         self.tasks[id].is_held = is_held
             case TaskNoted(id, GoalNote(decision=decision)) if id in self.tasks and decision is not None:
                 self._note_decision(self.tasks[id], decision)
+            case TaskNoted(id, HelpAsked() | HelpEnded() as note) if id in self.tasks:
+                self._note_help(self.tasks[id], note)
             case TaskOver(id, ending):
                 self.tasks[id].ending, self._mark = ending, "end"
             case TimeCounted(of, used) if of in self.tasks:
@@ -243,6 +251,14 @@ class Story:
         else:
             task.decision = decision
 
+    def _note_help(self, task: TaskStory, note: HelpAsked | HelpEnded) -> None:
+        self.questions.pop(task.help, None)
+        task.help = ""
+        if isinstance(note, HelpAsked):
+            wanted = task.accepted.wanted
+            task.help = note.question.hex
+            self.questions[task.help] = QuestionShown("a person", note.text, wanted.text or "the goal of the problem", self.time, HELP)
+
     def note_sent(self, run: RunStory, call: ActionCall, request: Request) -> None:
         """Note that a request is sent."""
         action = request.action
@@ -279,6 +295,8 @@ class Story:
                 run.requests[id.hex] = ended
                 if outcome.kind is not OutcomeKind.SUCCEEDED:
                     self._mark = self._mark or "failure"
+            case Restarted():
+                self.clock = None
             case Feedback(id, text) if id.hex in run.requests:
                 run.requests[id.hex] = replace(run.requests[id.hex], feedback=text)
             case Answered(id):
@@ -316,7 +334,9 @@ class Story:
                 text = "unknown"
             case _:
                 text = text_of(value)
-        return FactShown(text, _source(is_sensed=self.replay.world.is_sensed(fluent)), self.time, is_initial)
+        before = self.facts.get(fluent_text(fluent))
+        was = "" if before is None or not isinstance(value, Unknown) else before.was or before.value
+        return FactShown(text, _source(is_sensed=self.replay.world.is_sensed(fluent)), self.time, is_initial, was)
 
 
 class _Hearing(Observer):

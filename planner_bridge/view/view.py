@@ -22,6 +22,7 @@ def view_of(story: Story) -> View:
         story.began,
         story.first,
         "",
+        story.clock,
         {id.hex: _task(task, story.time) for id, task in story.tasks.items()},
         {id.hex: _run(run) for id, run in story.runs.items()},
         {f"{call.run}/{call.index}": call for run in story.runs.values() for call in _calls(run)},

@@ -15,6 +15,7 @@ from pnm.core.execution.events import (
     Restarted,
     Resume,
     Send,
+    SingleStep,
     Stop,
     Tick,
 )
@@ -65,7 +66,7 @@ def words(step: Step, replay: Replay) -> tuple[str, ...]:
         case TaskHeld(task, is_held):
             return (f"{'paused' if is_held else 'resumed'} {'all' if task is None else task.hex[:8]}",)
         case TaskNoted(_, note):
-            return (f"noted {type(note).__name__}",)
+            return (str(note) if type(note).__str__ is not object.__str__ else f"noted {type(note).__name__}",)
         case TimeCounted(of, used):
             return (
                 f"the time of {of.hex[:8]} {'stops' if used.since is None else 'counts'}: {used.used:.2f} s of {used.limit:g} s are used",
@@ -95,6 +96,8 @@ def event_text(event: Event, replay: Replay) -> str:
             return f"pause{' at once' if at_once else ''}"
         case Resume():
             return "resume"
+        case SingleStep():
+            return "step: one call may begin"
         case Answered(_, value, message):
             return f"answer {message or repr(value)}"
         case Accepted(request):

@@ -17,6 +17,7 @@ from pnm.actions.backend import Backend, check_ready
 from pnm.errors import InputError
 from pnm.journal.journal import Journal
 from pnm.knowledge.sources.registry import SourceChoice, Surroundings, make_source
+from pnm.knowledge.sources.router import Sources
 from pnm.tasks import Code, TaskState, Wanted
 
 
@@ -78,7 +79,7 @@ class GoalHandle:
                 cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
                 return TaskResult(Code.CANCELLED, "cancelled", 0, (), self._stopwatch.seconds)
             if self._settings.ask_for_help:
-                helper = make_source(SourceChoice("person"), Surroundings(getattr(backend, "ros", None)))
+                helper = Sources((), make_source(SourceChoice("person"), Surroundings(getattr(backend, "ros", None))))
             runner = self._journal.runner(backend, knowledge, journal)
             manager = TaskManager(self._problem, runner, self._settings, lambda _: goal, helper=helper)
             self._manager = manager

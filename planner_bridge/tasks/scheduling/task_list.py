@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from uuid import UUID
 
+from planner_bridge.tasks.control import Execution
 from planner_bridge.tasks.task import Task
 from pnm.core.knowledge_base import Layered
 from pnm.knowledge.sources.source import Asker
@@ -45,6 +46,13 @@ class TaskList:
             if run is not None and request in run.open_requests:
                 return run.knowledge, Asker(run.id, task.wanted.text)
         return None
+
+    def execution_of(self, request: UUID) -> Execution:
+        """Return the execution of the plan that has sent a request; raise `TaskRefused` unless it is open."""
+        for task in self.active.values():
+            if (execution := task.control.execution) and request in execution.executor.run.open_requests:
+                return execution
+        raise TaskRefused("no call of a task has that request under way")
 
     def remember(self, task: Task) -> None:
         """List a task that is over."""

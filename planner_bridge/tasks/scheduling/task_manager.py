@@ -28,11 +28,13 @@ from pnm.core.broadcast import broadcast
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.conditions import Condition
 from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.machine.requests import OutcomeKind
 from pnm.core.net.net import Marking
 from pnm.core.resources import who_keeps
 from pnm.errors import InputError
 from pnm.journal.kept import JournalError
 from pnm.journal.replay import Replay, ReplayedTask
+from pnm.knowledge.sources.router import Sources
 from pnm.knowledge.sources.source import Asker, Source
 from pnm.language.runner import PlanRunner
 from pnm.tasks import SHORT, Code, TaskEnding, TaskListener, TaskRefused, TaskState, TaskStatus, TaskStep, TraceKind, Wanted
@@ -67,6 +69,7 @@ class TaskManager:
         self._limits = limits or TaskLimits()
         self._resources = runner.resources
         self._journal = runner.journal
+        self._people = [source for source in (runner.source, helper) if isinstance(source, Sources)]
         self._loop = asyncio.get_running_loop()
         # state
         self._tasks = TaskList()
@@ -131,11 +134,13 @@ class TaskManager:
         """
         self._order += 1
         task = Task(wanted, self._order, self._listener, self._loop.time, (observer,), stopwatch)
+        observer.managed(self)
         self._begin(task)
         return await self._result_of(task)
 
     async def go_on(self, replay: Replay, observer: TaskObserver, stopwatch: Stopwatch) -> TaskResult:
         """Carry the one task of another process on, and return its result; see `run` and `restore`."""
+        observer.managed(self)
         self.restore(replay, (observer,), stopwatch)
         (task,) = (self._tasks.of(kept.accepted.wanted.id) for kept in replay.unfinished)
         observer.restored()
@@ -185,6 +190,23 @@ class TaskManager:
             self._stop(active_task, Code.CANCELLED, why)
         for active_task in chosen:
             await active_task.control.over.wait()
+
+    async def step(self, task: UUID, /) -> None:
+        """Let one request of a task leave that an operator has paused; return when nothing is under way any more."""
+        (chosen,) = self._tasks.chosen(task)
+        if not chosen.is_held:
+            raise TaskRefused(f"the task {task} is not paused on request")
+        await chosen.control.step()
+        self._queue.changed()
+
+    def settle(self, request: UUID, /, *, is_done: bool) -> None:
+        """Have a request that is under way count as succeeded or failed, because a person says so, once its server is done with it."""
+        self._tasks.execution_of(request).executor.settle(request, OutcomeKind.SUCCEEDED if is_done else OutcomeKind.ABORTED)
+
+    def answer(self, question: UUID, value: object, /) -> None:
+        """Answer a question to a person."""
+        if not any(source.answer(question, value) for source in self._people):
+            raise TaskRefused("nobody waits for an answer to that any more")
 
     def status(self) -> tuple[TaskStatus, ...]:
         """Return the status of all tasks that are not over, in the order in which they are served, and of those that ended last."""

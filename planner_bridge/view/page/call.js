@@ -1,9 +1,19 @@
 // The selected call: what it waits for, its conditions, its attempts, what went wrong, and where its token is.
 
+import { requestButtons } from "./controls.js";
+import { timeNow } from "./model.js";
 import { troubleOf } from "./tasks.js";
-import { SIGNS, el, seconds, state, stateOf, svg, words } from "./words.js";
+import { SIGNS, el, keepingFocus, seconds, state, stateOf, svg, words } from "./words.js";
 
-export function showCall(model, key, detail) {
+let limits = null; // what the limits that run down are shown of
+
+// Shows a call; what can be done about it, if that is now.
+export function showCall(model, key, detail, isNow) {
+  keepingFocus(() => show(model, key, detail, isNow));
+}
+
+function show(model, key, detail, isNow) {
+  limits = null;
   const place = document.getElementById("detail");
   const call = model.calls.get(key);
   if (!call) {
@@ -16,7 +26,7 @@ export function showCall(model, key, detail) {
   if (call.is_assumed) rows.push(["effects", "◌ some are believed: nothing reports them"]);
   if (detail) {
     if (detail.server) rows.push(["server", detail.server]);
-    if (detail.limit) rows.push(["limit", limitOf(model, key, detail)]);
+    if (detail.limit || detail.accept) rows.push(["limit", limitOf(model, key, detail, isNow)]);
     for (const [name, holder] of detail.resources) rows.push(["resource", holder ? `${name}: ${holder} has it` : `${name}: free`]);
   }
   const about = [el("p", {}, el("strong", {}, `${SIGNS[call.state]} ${call.action}`), el("span", { class: "soft" }, ` #${call.index}`)), definitions(rows)];
@@ -24,7 +34,7 @@ export function showCall(model, key, detail) {
   const attempts = [...model.requests.entries()].filter(([, request]) => `${request.run}/${request.call}` === key);
   const sent = el("table", { class: "attempts" },
     el("thead", {}, el("tr", {}, ...["", "sent", "accepted", "ended", "outcome"].map((text) => el("th", { scope: "col" }, text)))),
-    el("tbody", {}, ...attempts.map(([id, request]) => attemptOf(model, id, request, when))));
+    el("tbody", {}, ...attempts.map(([id, request]) => attemptOf(model, id, request, when, isNow))));
   const list = (texts) => el("ul", {}, ...texts.map((text) => el("li", {}, text)));
   const blocks = [block("", ...about), ...troubles.map((trouble) => block("", trouble)), attempts.length ? block("Attempts", sent) : ""];
   if (detail) {
@@ -42,17 +52,36 @@ function block(title, ...content) {
   return el("div", { class: "block" }, title ? el("h3", {}, title) : "", ...content);
 }
 
-function attemptOf(model, id, request, when) {
+function attemptOf(model, id, request, when, isNow) {
   const name = stateOf(request, model.runs.get(request.run)?.is_over ?? true);
   const said = request.message || request.feedback;
   return el("tr", {}, el("td", {}, String(request.attempt)), el("td", { class: "num" }, when(request.sent)), el("td", { class: "num" }, when(request.accepted)),
-    el("td", { class: "num" }, when(request.ended)), el("td", {}, `${SIGNS[name]} ${words(request.outcome || name)}`, said ? el("span", { class: "soft" }, ` ${said}`) : "", el("div", { class: "soft num" }, `request ${id.slice(-8)}`)));
+    el("td", { class: "num" }, when(request.ended)), el("td", {}, `${SIGNS[name]} ${words(request.outcome || name)}`, said ? el("span", { class: "soft" }, ` ${said}`) : "", el("div", { class: "soft num" }, `request ${id.slice(-8)}`),
+      isNow && name === "running" ? requestButtons(id, request) : ""));
 }
 
-function limitOf(model, key, detail) {
-  const running = [...model.requests.values()].find((request) => `${request.run}/${request.call}` === key && request.accepted !== null && !request.outcome);
-  return running ? `${seconds(model.time - running.accepted)} of ${seconds(detail.limit, 0)} used` : `${seconds(detail.limit, 0)} from its acceptance`;
+// The limit that is running, with what is left of it; it runs down while nothing is recorded.
+function limitOf(model, key, detail, isNow) {
+  const isOpen = (request) => `${request.run}/${request.call}` === key && !request.outcome && !(model.runs.get(request.run)?.is_over ?? true);
+  const request = [...model.requests.values()].find(isOpen);
+  const limit = request?.accepted === null ? detail.accept : detail.limit;
+  if (!request || !limit) return detail.limit ? `${seconds(detail.limit, 0)} from its acceptance` : "none";
+  const text = el("span", { class: "num" });
+  const bar = el("meter", { min: 0, max: limit, "aria-label": "used of the limit" });
+  limits = { model, isNow, limit, from: request.accepted ?? request.sent, what: request.accepted === null ? "for its acceptance" : "to be done", text, bar };
+  runDown();
+  return el("span", { id: "limit" }, bar, " ", text);
 }
+
+function runDown() {
+  if (!limits) return;
+  const { model, isNow, limit, from, what, text, bar } = limits;
+  const used = Math.min(limit, (isNow ? timeNow(model) : model.time) - from);
+  text.textContent = `${seconds(used, 1)} of ${seconds(limit, 0)} ${what}; ${seconds(limit - used, 1)} left`;
+  bar.value = used;
+}
+
+setInterval(runDown, 250);
 
 function definitions(rows) {
   return el("dl", {}, ...rows.flatMap(([name, value]) => [el("dt", {}, name), el("dd", {}, value)]));

@@ -23,10 +23,11 @@ export function showFacts(model) {
   const shown = [...model.facts.entries()]
     .filter(([name, fact]) => (all || fact.value !== "false") && wanted.every((word) => name.toLowerCase().includes(word)))
     .sort(([, a], [, b]) => b.since - a.since);
-  const rows = rowOf.all(shown, (name, fact) => el("tr", { "data-fact": name },
+  const isStale = (fact) => fact.source === "sensed" && fact.value === "unknown"; // nothing reports it any more
+  const rows = rowOf.all(shown, (name, fact) => el("tr", { "data-fact": name, class: isStale(fact) ? "stale" : "" },
     el("td", {}, name),
-    el("td", {}, fact.value),
-    el("td", { class: "num" }, fact.source === "sensed" ? "◉ sensed" : "◌ assumed"),
+    el("td", {}, fact.value, fact.was ? el("span", { class: "soft" }, ` (was ${fact.was})`) : ""),
+    el("td", { class: "num" }, isStale(fact) ? "◍ stale" : fact.source === "sensed" ? "◉ sensed" : "◌ assumed"),
     el("td", { class: "num" }, fact.is_initial ? "beginning" : seconds(fact.since - model.began))));
   const head = el("tr", {}, ...["fact", "value", "known by", "since"].map((text) => el("th", { scope: "col" }, text)));
   document.getElementById("facts").replaceChildren(el("thead", {}, head), el("tbody", {}, ...rows));

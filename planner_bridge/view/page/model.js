@@ -3,7 +3,7 @@
 const PARTS = ["tasks", "runs", "calls", "requests", "facts", "servers", "questions", "troubles", "events"];
 
 export function nothing() {
-  const model = { number: 0, time: 0, began: 0, first: 0, problem: "", journal: "" };
+  const model = { number: 0, time: 0, began: 0, first: 0, problem: "", clock: null, journal: "", heard: null };
   for (const part of PARTS) model[part] = new Map();
   return model;
 }
@@ -11,7 +11,8 @@ export function nothing() {
 // Returns the model after a frame, and the names of the parts that it has changed.
 export function applied(model, frame) {
   const next = frame.is_whole ? nothing() : model;
-  for (const name of ["number", "time", "began", "first", "problem", "journal"]) next[name] = frame[name];
+  for (const name of ["number", "time", "began", "first", "problem", "clock", "journal"]) next[name] = frame[name];
+  next.heard = { at: performance.now(), isWhole: frame.is_whole };
   for (const [part, things] of Object.entries(frame.parts)) {
     for (const [key, thing] of Object.entries(things)) {
       if (thing === null) next[part].delete(key);
@@ -19,4 +20,12 @@ export function applied(model, frame) {
     }
   }
   return [next, frame.is_whole ? PARTS : Object.keys(frame.parts)];
+}
+
+// Returns the time on the clock of the records now: it goes on while nothing is recorded.
+export function timeNow(model) {
+  if (!model.heard) return model.time;
+  const since = (performance.now() - model.heard.at) / 1000;
+  const now = model.heard.isWhole && model.clock !== null ? Date.now() / 1000 - model.clock : model.time + since;
+  return Math.max(model.time, now);
 }

@@ -1,6 +1,7 @@
 // The page: a model that the stream keeps, or one from the past; and what is drawn of it.
 
 import { showCall } from "./call.js";
+import { openControls } from "./controls.js";
 import { showEvents, showFacts, showServers } from "./lists.js";
 import { applied, nothing } from "./model.js";
 import { showPlan, showStates } from "./plan.js";
@@ -124,7 +125,7 @@ function drawn() {
   const has = (...parts) => parts.some((part) => dirty.has(part));
   const run = currentRun(model);
   const call = currentCall(model);
-  if (has("tasks", "troubles", "questions", "runs")) showTasks(model);
+  if (has("tasks", "troubles", "questions", "runs")) showTasks(model, !past);
   if (has("requests", "calls", "runs", "tasks", "time")) showTimeline(model, call, choose);
   if (has("runs", "tasks")) showRunChoice(model, run);
   if (has("runs", "tasks", "calls")) {
@@ -132,7 +133,7 @@ function drawn() {
     showPlan(model, run, choose).then(() => showStates(shown(), currentRun(shown()), currentCall(shown())));
   }
   if (has("calls", "requests", "troubles", "runs", "time")) {
-    showCall(model, call, detail?.run === model.calls.get(call)?.run && detail?.index === model.calls.get(call)?.index ? detail : null);
+    showCall(model, call, detail?.run === model.calls.get(call)?.run && detail?.index === model.calls.get(call)?.index ? detail : null, !past);
     askDetail();
   }
   if (has("facts")) showFacts(model);
@@ -157,7 +158,7 @@ async function askDetail() {
     const answer = await fetch(`/call?call=${key}&at=${model.number}`);
     if (answer.ok) {
       detail = await answer.json();
-      if (currentCall(shown()) === key) showCall(shown(), key, detail);
+      if (currentCall(shown()) === key) showCall(shown(), key, detail, !past);
     }
   } catch {
     // the stream says that the server is not there
@@ -253,3 +254,4 @@ addEventListener("keydown", (key) => {
 });
 
 connect();
+openControls(() => draw(["tasks", "calls"]));

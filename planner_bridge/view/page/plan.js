@@ -3,6 +3,7 @@
 import { SIGNS, el, svg, words } from "./words.js";
 
 let drawn = "";
+let drawing = ""; // what is fetched
 let boxes = new Map();
 const KEY = ["waiting", "running", "succeeded", "failed", "skipped"];
 
@@ -17,11 +18,17 @@ export async function showPlan(model, run, choose) {
     place.replaceChildren(el("p", { class: "soft" }, "no plan yet"));
     return;
   }
-  if (drawn !== run) {
-    const answer = await fetch(`/picture?run=${run}&at=${model.number}`);
-    if (!answer.ok) return;
-    const picture = new DOMParser().parseFromString(await answer.text(), "image/svg+xml").documentElement;
+  if (drawn === run) drawing = "";
+  else if (drawing !== run) {
+    drawing = run;
+    const text = await fetch(`/picture?run=${run}&at=${model.number}`).then((answer) => (answer.ok ? answer.text() : ""), () => "");
+    if (drawing !== run) return; // another one is wanted by now
+    drawing = "";
+    if (!text) return;
+    const picture = new DOMParser().parseFromString(text, "image/svg+xml").documentElement;
     picture.style.minWidth = `${Math.min(Number(picture.getAttribute("width")), 1000)}px`; // smaller than that, nobody can read it
+    picture.dataset.run = run;
+    picture.setAttribute("role", "group"); // its calls are buttons, which no image has
     drawn = run;
     boxes = new Map([...picture.querySelectorAll("[data-step]")].map((box) => [Number(box.dataset.step), box]));
     for (const [index, box] of boxes) {
@@ -35,11 +42,12 @@ export async function showPlan(model, run, choose) {
         }
       });
     }
-    place.replaceChildren(document.adoptNode(picture));
+    place.replaceChildren(boxes.size ? document.adoptNode(picture) : el("p", { class: "soft" }, "nothing is to be done: the plan has no calls"));
   }
 }
 
 export function showStates(model, run, chosen) {
+  if (drawn !== run) return; // its picture is still to come
   for (const [index, box] of boxes) {
     const call = model.calls.get(`${run}/${index}`);
     if (!call) continue;

@@ -1,60 +1,72 @@
 // What needs me now: what failed and why, questions to people, and the tasks.
 
-import { clock, el, seconds, state, words } from "./words.js";
+import { answerForm, taskButtons } from "./controls.js";
+import { clock, el, keepingFocus, seconds, state, words } from "./words.js";
 
-export function showTasks(model) {
+// Shows them; what can be done about them, if they are those of now.
+export function showTasks(model, isNow) {
+  keepingFocus(() => show(model, isNow));
+}
+
+function show(model, isNow) {
   const tasks = [...model.tasks.entries()].sort(([, a], [, b]) => (a.state === "over") - (b.state === "over") || b.priority - a.priority || a.order - b.order);
-  showNeeds(model, tasks);
+  showNeeds(model, tasks, isNow);
   const open = tasks.filter(([, task]) => task.state !== "over");
   const over = tasks.filter(([, task]) => task.state === "over").reverse();
   const shown = open.length ? open : over.slice(0, 1);
   const others = over.filter((entry) => !shown.includes(entry));
   const list = document.getElementById("task-list");
   const wasOpen = list.querySelector("details")?.open;
-  list.replaceChildren(...shown.map((entry) => taskOf(model, ...entry)));
+  list.replaceChildren(...shown.map((entry) => taskOf(model, isNow, ...entry)));
   if (!tasks.length) list.append(el("p", { class: "soft" }, "no tasks yet"));
   if (others.length) {
-    const more = el("details", {}, el("summary", {}, `${others.length} more that ${others.length > 1 ? "are" : "is"} over`), ...others.map((entry) => taskOf(model, ...entry)));
+    const more = el("details", {}, el("summary", {}, `${others.length} more that ${others.length > 1 ? "are" : "is"} over`), ...others.map((entry) => taskOf(model, isNow, ...entry)));
     more.open = Boolean(wasOpen);
     list.append(more);
   }
 }
 
-function taskOf(model, id, task) {
+function taskOf(model, isNow, id, task) {
   const facts = [`accepted at ${clock(task.accepted)}`];
   if (task.runs.length > 1) facts.push(`${task.runs.length} plans, ${task.runs.length - 1} ${task.runs.length > 2 ? "replans" : "replan"}`);
   if (task.priority) facts.push(`priority ${task.priority}`);
   if (task.deadline !== null) facts.push(`has to be done by ${clock(task.deadline)}`);
   if (task.limit !== null) facts.push(`${seconds(task.used, 1)} of ${seconds(task.limit, 0)} used`);
   const how = task.code || task.state;
-  const word = task.code === "goal_reached" ? "✓ goal reached" : task.code ? `✕ ${words(task.code)}` : words(task.state);
+  const word = task.code === "goal_reached" ? "✓ goal reached" : task.code ? words(task.code) : words(task.state);
   return el("div", { class: "task", "data-task": id, "data-how": how },
     state(task.code && task.code !== "goal_reached" ? "failed" : how, word),
     el("span", { class: "goal" }, task.goal),
     el("span", { class: "soft num" }, task.state === "over" ? "over" : ""),
     task.reason ? el("span", { class: "more reason" }, task.reason) : "",
-    el("span", { class: "more" }, facts.join(" · ")));
+    el("span", { class: "more" }, facts.join(" · ")),
+    isNow ? taskButtons(id, task) : "");
 }
 
 // What people may have to do something about: questions, and failures of tasks that are not over well.
-function showNeeds(model, tasks) {
+function showNeeds(model, tasks, isNow) {
   const bad = new Set(tasks.filter(([, task]) => task.code !== "goal_reached").map(([id]) => id));
-  const questions = [...model.questions.values()].map((question) => el("div", { class: "need asks" },
-    el("p", {}, el("strong", {}, `? ${question.who} is asked: `), question.text),
-    el("p", { class: "soft" }, `for ${question.subject}, since ${seconds(question.since - model.began)}; `,
-      question.who === "a person" ? "answer with: the terminal of pnm run, or the topic knowledge/answers of pnm serve" : "")));
+  const questions = [...model.questions].map(([id, question]) => questionOf(model, isNow, id, question));
   const troubles = [...model.troubles.values()].sort((a, b) => b.time - a.time);
-  const isNow = (trouble) => !trouble.followed && bad.has(model.runs.get(trouble.run)?.task);
-  const before = troubles.filter((trouble) => !isNow(trouble));
+  const isOpen = (trouble) => !trouble.followed && bad.has(model.runs.get(trouble.run)?.task);
+  const before = troubles.filter((trouble) => !isOpen(trouble));
   const place = document.getElementById("needs");
   const wasOpen = place.querySelector("details")?.open;
-  place.replaceChildren(...questions, ...troubles.filter(isNow).map((trouble) => troubleOf(model, trouble, true)));
+  place.replaceChildren(...questions, ...troubles.filter(isOpen).map((trouble) => troubleOf(model, trouble, true)));
   if (before.length) {
     const more = el("details", {}, el("summary", {}, `${before.length} ${before.length > 1 ? "troubles" : "trouble"} before, and what followed`),
       ...before.slice(0, 50).map((trouble) => troubleOf(model, trouble, true)));
     more.open = Boolean(wasOpen);
     place.append(more);
   }
+}
+
+function questionOf(model, isNow, id, question) {
+  const form = isNow && question.who === "a person" ? answerForm(id, question) : "";
+  const where = question.who === "a person" && !form ? "; answer at the terminal of pnm run, or on the topic knowledge/answers of pnm serve" : "";
+  return el("div", { class: "need asks", "data-question": id },
+    el("p", {}, el("strong", {}, `? ${question.who} is asked: `), question.text),
+    el("p", { class: "soft" }, `for ${question.subject}, since ${seconds(question.since - model.began)}${where}`), form);
 }
 
 // What a call was hindered by, or has failed with.

@@ -16,7 +16,9 @@ export function showTimeline(model, chosen, choose) {
   const busiest = Math.max(1, ...[...lanes.values()].map((lane) => lane.count));
   const narrow = place.clientWidth < 560;
   const left = narrow ? 6 : 92;
-  const width = Math.max(place.clientWidth - 2, Math.min(30000, left + busiest * (narrow ? 34 : 26)));
+  const step = 2 ** Math.max(2, Math.floor(Math.log2(busiest)) - 2); // so that not every request is another layout
+  const room = Math.ceil(busiest / step) * step;
+  const width = Math.max(place.clientWidth - 2, Math.min(30000, left + room * (narrow ? 34 : 26)));
   const planned = plannedOf(model);
   const end = scaleOf(model, [...bars, ...planned]);
   const layout = JSON.stringify([width, end, model.began, [...lanes].map(([name, lane]) => [name, lane.rows]), [...model.runs].map(([id, run]) => [id, run.origin, run.cut])]);

@@ -44,3 +44,10 @@ export function state(name, text = words(name)) {
   const sign = SIGNS[name];
   return el("span", { class: "state", "data-state": name }, sign ? `${sign} ${text}` : text);
 }
+
+// Draws something whose elements may be put in again: the one that has the focus keeps it.
+export function keepingFocus(draw) {
+  const focused = document.activeElement;
+  draw();
+  if (focused?.isConnected && focused !== document.activeElement && focused !== document.body) focused.focus({ preventScroll: true });
+}

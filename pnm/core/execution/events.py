@@ -65,6 +65,11 @@ class Resume:
 
 
 @dataclass(frozen=True, slots=True)
+class SingleStep:
+    """Let one call send its request during a pause, if one can now; the pause goes on, and does not cancel it."""
+
+
+@dataclass(frozen=True, slots=True)
 class Answered:
     """Answer to the question of an `Ask`; `MISSING` if there is none, or none in time."""
 
@@ -74,7 +79,7 @@ class Answered:
     """Why there is no value, when there is none."""
 
 
-Event: TypeAlias = Begin | Restarted | KnowledgeChanged | ResourcesChanged | Tick | Stop | Pause | Resume | Answered | Report
+Event: TypeAlias = Begin | Restarted | KnowledgeChanged | ResourcesChanged | Tick | Stop | Pause | Resume | SingleStep | Answered | Report
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,7 @@ from pnm.core.execution.events import (
     Restarted,
     Resume,
     Send,
+    SingleStep,
     Stop,
     Tick,
     Wake,
@@ -141,8 +142,6 @@ class Run(RunView):
             self.handle(old.pausing, now)
         return questions
 
-    # --- events -------------------------------------------------------------------------------
-
     def handle(self, event: Event, now: float) -> list[Command]:
         """Take one event in and return what is to be done about it."""
         state, self._fired = self._state, []
@@ -166,7 +165,7 @@ class Run(RunView):
             case Tick():
                 self._wake = NEVER  # the timer has gone off: `_settle` has to ask for the next one even if it is not earlier
                 self._agenda.extend(self._timers.due(state.now))
-            case Stop() | Pause() | Resume():
+            case Stop() | Pause() | Resume() | SingleStep():
                 state.follow(event)
                 if isinstance(event, Stop) and event.cancel:  # nothing is asked any more, so that no answer holds up the end
                     self._commands += self._questions.close("the run was stopped")
@@ -182,6 +181,10 @@ class Run(RunView):
             case _:
                 assert_never(event)
         self._settle()
+        if isinstance(event, SingleStep):  # those that could not begin leave the lines for resources
+            state.is_stepping = False
+            self._agenda.extend(self._undecided)
+            self._settle()
         while state.has_begun and self._early:  # one at a time, each with all that follows from it, as if it had come only now
             self._report(self._early.pop(0))
             self._settle()
@@ -218,8 +221,6 @@ class Run(RunView):
                 self._fire(firing, None)
                 return True
         return False
-
-    # --- δ̂ ------------------------------------------------------------------------------------
 
     def _settle(self) -> None:
         """Fire open transitions until there is none, then ask to be woken at the next moment."""
@@ -286,11 +287,10 @@ class Run(RunView):
         else:
             self._timers.set(place, needed.until)
 
-    # --- resources ----------------------------------------------------------------------------
-
     def _is_put_off(self, firing: Firing, place: int) -> bool:
         """Return whether the transition must wait: for the end of a pause, or for the resources of its call."""
-        if not self._state.pause or not (firing.takes or firing.rule.action is TransitionAction.SEND):  # what is sent goes on
+        state, begins = self._state, firing.takes or firing.rule.action is TransitionAction.SEND
+        if not state.pause or state.is_stepping or not begins:  # what is sent goes on
             return firing.takes and not self._guards.has_resources(firing, place)
         self._leave_line(place)
         return True
@@ -299,8 +299,6 @@ class Run(RunView):
         """No longer wait for resources at the place; calls behind it in line may have them now."""
         if self._claims.leave(place):
             self._agenda.extend(self._claims.served())
-
-    # --- firing -------------------------------------------------------------------------------
 
     def _fire(self, firing: Firing, place: int | None) -> None:
         """Fire a transition that was decided on at the place, or opened by a report.
@@ -381,6 +379,7 @@ class Run(RunView):
         elif action is TransitionAction.SEND:
             sent = self._calls.as_sent(call)
             self._results.sent(sent)
+            self._state.is_stepping = False
             for command in performed.commands:
                 if isinstance(command, Send):
                     self.observer.sent(sent, command.request, now)

@@ -8,7 +8,7 @@ from heapq import heappop, heappush
 from math import inf
 
 from pnm.core.execution.call_results import CallResults
-from pnm.core.execution.events import Pause, Resume, Stop
+from pnm.core.execution.events import Pause, Resume, SingleStep, Stop
 from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.machine_index import MachineIndex
 from pnm.core.machine.machine import OnFailure
@@ -57,6 +57,8 @@ class RunState:
     """The request to stop, if there was one."""
     pause: Pause | None = None
     """The request to pause, until the run is resumed."""
+    is_stepping: bool = False
+    """Whether one call may send its request although the run is paused."""
     adopted: dict[int, UnderWay] = field(default_factory=dict)
     """Requests of another run that are still to be taken over, by call."""
     marked_at: dict[int, float] = field(default_factory=dict)
@@ -72,7 +74,7 @@ class RunState:
         self.marked_at.update(dict.fromkeys(first, self.now))
         return first
 
-    def follow(self, asked: Stop | Pause | Resume) -> None:
+    def follow(self, asked: Stop | Pause | Resume | SingleStep) -> None:
         """Stop, pause or go on: a stop, and a pause, may become stricter, but never milder."""
         match asked:
             case Stop():
@@ -81,6 +83,10 @@ class RunState:
                 self.pause = Pause(at_once or self.suspends)
             case Resume():
                 self.pause = None
+            case SingleStep() if self.pause is not None:
+                self.pause, self.is_stepping = Pause(), True
+            case SingleStep():
+                pass
 
     @property
     def passed(self) -> float:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
-from uuid import uuid5
+from uuid import UUID, uuid5
 
 from pnm.core.logic.computed_values import MISSING, Layer, Question
 from pnm.knowledge.sources.source import Asker, Source, SourceError
 
 TRY_AGAIN: Final = "try again"
 GIVE_UP: Final = "give up"
+HELP: Final = (TRY_AGAIN, GIVE_UP)
+"""The answers of a person who is asked for help."""
 YES: Final = "yes"
 NO: Final = "no"
 _TIMES: Final = 3
@@ -29,11 +32,32 @@ class Advice:
     """Who or what it comes from, in words."""
 
 
-async def ask_for_help(person: Source, asker: Asker, trouble: str) -> Advice:
-    """Ask a person what to do about trouble; cancelled when that is no longer needed."""
+@dataclass(frozen=True, slots=True)
+class HelpAsked:
+    """A person is asked for help: by which question, and in which words."""
+
+    question: UUID
+    text: str
+
+    def __str__(self) -> str:
+        return f"a person is asked: {self.text}"
+
+
+@dataclass(frozen=True, slots=True)
+class HelpEnded:
+    """A person is not asked for help any more: what has come of it."""
+
+    why: str
+
+    def __str__(self) -> str:
+        return self.why
+
+
+async def ask_for_help(person: Source, asker: Asker, trouble: str, note: Callable[[HelpAsked], None] = lambda _: None) -> Advice:
+    """Ask a person what to do about trouble, and have it noted; cancelled when that is no longer needed."""
     question = f"{trouble}. Answer {TRY_AGAIN!r} when that is mended, or {GIVE_UP!r}."
     try:
-        said = await _chosen(person, asker, "help", question, (TRY_AGAIN, GIVE_UP))
+        said = await _chosen(person, asker, "help", question, HELP, note)
     except SourceError as error:
         return Advice(try_again=False, why=f"help was asked for in vain: {error}")
     if said == TRY_AGAIN:
@@ -48,14 +72,18 @@ async def was_carried_out(person: Source, asker: Asker, action: str) -> bool:
         SourceError: there is no person to be asked, or no answer means anything.
     """
     question = f"Nobody knows how {action} has ended: its action server has forgotten it. Was it carried out? Answer {YES!r} or {NO!r}."
-    return await _chosen(person, asker, "carried_out", question, (YES, NO)) == YES
+    return await _chosen(person, asker, "carried_out", question, (YES, NO), lambda _: None) == YES
 
 
-async def _chosen(person: Source, asker: Asker, name: str, question: str, choices: tuple[str, str]) -> str:
+async def _chosen(
+    person: Source, asker: Asker, name: str, question: str, choices: tuple[str, str], note: Callable[[HelpAsked], None]
+) -> str:
     """Return which of two answers a person gives, once more when it is neither; empty without an answer."""
     words, expected = question, " or ".join(map(repr, choices))
     for number in range(_TIMES):
         known_by = asker.question if number == 0 or asker.question is None else uuid5(asker.question, str(number))
+        if known_by is not None:
+            note(HelpAsked(known_by, words))
         answer = await person.query(Question(name, Layer.PERSON, json.dumps(words)), replace(asker, question=known_by))
         said = "" if answer is MISSING else " ".join(str(answer).casefold().strip(" .!'\"").split())
         if said in ("", *choices):

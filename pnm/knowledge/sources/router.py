@@ -6,6 +6,7 @@ import asyncio
 import logging
 from collections.abc import Awaitable, Sequence
 from typing import Final, TypeVar
+from uuid import UUID
 
 from pnm.core.logic.computed_values import MISSING, Question
 from pnm.errors import PnmError
@@ -30,6 +31,8 @@ class Sources:
     A query goes through the knowledge bases in order until one has a value other than null; an update goes to the first, where every
     later query finds it. Questions for people (`people.is_for_people`) go to the person. A knowledge base that fails is an error and
     never skipped: the next one might have another value. The limits are in seconds, for each knowledge base and for the person.
+
+    The mutable state is what waits for answers of people, by question: they may come by other ways than that person (`answer`).
     """
 
     def __init__(
@@ -39,6 +42,7 @@ class Sources:
         self._person = person
         self._limit = limit
         self._person_limit = person_limit
+        self._open: dict[UUID, asyncio.Future[object]] = {}
 
     def __repr__(self) -> str:
         return f"<Sources {', '.join(map(repr, self._shared)) or 'no knowledge base'}; {self._person or 'nobody'!r}>"
@@ -46,13 +50,38 @@ class Sources:
     async def query(self, question: Question, asker: Asker, /) -> object:
         """Return the first value in any of the knowledge bases, or the person's answer; or `MISSING`."""
         if people.is_for_people(question):
-            person = self._person_for(question)
-            return await self._within(self._person_limit, person.query(question, asker), f"nobody has answered {question}")
+            asked = self._ask(self._person_for(question), question, asker)
+            return await self._within(self._person_limit, asked, f"nobody has answered {question}")
         for source in self._shared:
             value = await self._within(self._limit, source.query(question, asker), f"{source!r} has not answered {question}")
             if value is not MISSING and value is not None:
                 return value
         return MISSING
+
+    def answer(self, question: UUID, value: object) -> bool:
+        """Take an answer to a question that a person is asked, who is not asked any more; return whether that is open."""
+        waiting = self._open.get(question)
+        if waiting is None or waiting.done():
+            return False
+        waiting.set_result(value)
+        return True
+
+    async def _ask(self, person: Source, question: Question, asker: Asker) -> object:
+        """Ask a person, and return what is answered first, by whichever way."""
+        if asker.question is None:
+            return await person.query(question, asker)
+        asking = asyncio.ensure_future(person.query(question, asker))
+        answered: asyncio.Future[object] = asyncio.get_running_loop().create_future()
+        self._open[asker.question] = answered
+        try:
+            await asyncio.wait((asking, answered), return_when=asyncio.FIRST_COMPLETED)
+            return answered.result() if answered.done() else await asking
+        finally:
+            del self._open[asker.question]
+            asking.add_done_callback(lambda asked: asked.cancelled() or asked.exception())  # nobody else looks at what went wrong
+            if not asking.done():
+                asking.cancel()
+                await asyncio.wait((asking,), timeout=self._limit)  # it is withdrawn where it is shown
 
     async def update(self, question: Question, value: object, asker: Asker, /) -> None:
         """Store the value in the first knowledge base, or show it to the person."""

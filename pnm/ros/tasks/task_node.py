@@ -16,7 +16,7 @@ from pnm.ros.tasks.executor_topics import TaskTopics
 from pnm.ros.tasks.goal_actions import NAMES, TaskServers
 from pnm.ros.tasks.plan_action import NAME as PLAN
 from pnm.ros.tasks.plan_action import PlanningServer
-from pnm.tasks import KeptTasks, Make, ServedWorld, TaskRefused, Tasks, TaskState
+from pnm.tasks import KeptTasks, Make, ServedWorld, TaskRefused, Tasks, TaskState, Wanted
 
 ACTIONS: Final = (*NAMES, PLAN)
 
@@ -113,22 +113,27 @@ class TaskNode:
         await self._services.close()
         await self._topics.close()
 
-    # the services
+    # what is wanted of tasks, by the services and by others, as `pnm.tasks.TaskCommands`
 
-    async def _pause(self, request: Any) -> Fields:
-        task = _id(request.task)
+    def begin(self, wanted: Wanted, /) -> None:
+        """Begin a task that is no goal of the actions."""
+        if self._closed:
+            raise TaskRefused(f"{self._closed}: it takes no goals")
+        self._tasks.begin(wanted)
+
+    async def pause(self, task: UUID | None, /, *, at_once: bool) -> None:
+        """Pause a task, or all."""
         self._refuse_inactive()
         if task is None:
             self._is_paused = True
         else:
             known = {status.id for status in self._tasks.status()}
             self._paused = known & {*self._paused, task}  # tasks that are over are forgotten
-        await self._tasks.pause(task, at_once=request.at_once)
+        await self._tasks.pause(task, at_once=at_once)
         self._topics.note()
-        return {}
 
-    async def _resume(self, request: Any) -> Fields:
-        task = _id(request.task)
+    async def resume(self, task: UUID | None, /) -> None:
+        """Let a task go on, or all."""
         self._refuse_inactive()
         if task is None:
             self._is_paused = False
@@ -137,12 +142,24 @@ class TaskNode:
             self._paused.discard(task)
         await self._tasks.resume(task)
         self._topics.note()
+
+    async def cancel(self, task: UUID | None, /) -> None:
+        """End a task, or all."""
+        self._servers.note_cancel(task)
+        await self._tasks.cancel(task)
+
+    # the services
+
+    async def _pause(self, request: Any) -> Fields:
+        await self.pause(_id(request.task), at_once=request.at_once)
+        return {}
+
+    async def _resume(self, request: Any) -> Fields:
+        await self.resume(_id(request.task))
         return {}
 
     async def _cancel(self, request: Any) -> Fields:
-        task = _id(request.task)
-        self._servers.note_cancel(task)
-        await self._tasks.cancel(task)
+        await self.cancel(_id(request.task))
         return {}
 
     async def _query(self, request: Any) -> Fields:

@@ -130,3 +130,37 @@ def test_what_json_cannot_say_is_refused(value: object) -> None:
 def test_what_is_no_json_is_refused(text: str) -> None:
     with pytest.raises(SourceError):
         read_value(text)
+
+
+# --- answers by other ways ---
+
+
+def test_an_answer_by_another_way_is_the_answer_and_the_person_is_not_asked_any_more() -> None:
+    person = DelayedSource({"a": "late"}, seconds=50)
+    sources, asker = Sources([], person), Asker(UUID(int=7), "tour", UUID(int=8))
+
+    async def ask() -> object:
+        asking = asyncio.ensure_future(sources.query(about("a", Layer.PERSON), asker))
+        await asyncio.sleep(1.0)
+        assert not sources.answer(UUID(int=9), "of another question")
+        assert sources.answer(UUID(int=8), "early")
+        assert not sources.answer(UUID(int=8), "twice")
+        return await asking
+
+    assert run_questions(ask()) == "early"
+    assert not sources.answer(UUID(int=8), "too late")
+
+
+def test_a_question_that_is_answered_or_withdrawn_is_not_open_any_more() -> None:
+    sources, asker = Sources([], DelayedSource({"a": 1}, seconds=5)), Asker(UUID(int=7), "tour", UUID(int=8))
+
+    async def ask() -> None:
+        assert await sources.query(about("a", Layer.PERSON), asker) == 1
+        assert not sources.answer(UUID(int=8), 2)
+        withdrawn = asyncio.ensure_future(sources.query(about("a", Layer.PERSON), asker))
+        await asyncio.sleep(1.0)
+        withdrawn.cancel()
+        await asyncio.wait((withdrawn,))
+        assert not sources.answer(UUID(int=8), 2)
+
+    run_questions(ask())

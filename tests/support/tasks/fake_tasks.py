@@ -21,7 +21,7 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import Cause
 from pnm.core.net.net import Marking
-from pnm.errors import InputError
+from pnm.errors import InputError, Position
 from pnm.tasks import (
     Code,
     MadePlan,
@@ -58,6 +58,8 @@ class FakeTasks:
     open: dict[UUID, TaskStatus] = field(default_factory=dict)
     listeners: list[TaskListener] = field(default_factory=list)
     paused: bool = False
+    said: list[tuple[object, ...]] = field(default_factory=list)
+    """What an operator has said besides."""
     _before: dict[UUID, TaskState] = field(default_factory=dict)
     _traces: dict[UUID, list[TraceEvent]] = field(default_factory=dict)
 
@@ -100,6 +102,15 @@ class FakeTasks:
     async def cancel(self, task: UUID | None, /, *, why: str = "") -> None:
         await asyncio.gather(*map(self._cancel, self._meant(task)))
 
+    async def step(self, task: UUID, /) -> None:
+        self._said("step", *self._meant(task))
+
+    def settle(self, request: UUID, /, *, is_done: bool) -> None:
+        self._said("settle", request, is_done)
+
+    def answer(self, question: UUID, value: object, /) -> None:
+        self._said("answer", question, value)
+
     def status(self) -> tuple[TaskStatus, ...]:
         return tuple(self.open.values())
 
@@ -123,6 +134,9 @@ class FakeTasks:
         """Have so many things happen to a task."""
         for number in range(times):
             self._happened(task, TraceKind.SENT, f"call {number}")
+
+    def _said(self, *words: object) -> None:
+        self.said.append(words)
 
     def feed(self, task: UUID, text: str) -> None:
         """Have the server of the call of a task report feedback."""
@@ -192,6 +206,10 @@ class FakeWorld:
 
     async def update(self, add: Sequence[str], remove: Sequence[str], forget: Sequence[str], /) -> int:
         return len(self.knowledge.update({parse_fluent(one): True for one in add} | {parse_fluent(one): False for one in remove}))
+
+    async def check_goal(self, goal: str, /) -> None:
+        if goal and goal[0] != "(" and goal.split()[0] not in {*_ENDS, *_STAYS}:
+            raise InputError(f"there is no predicate {goal!r} here", Position("goal", 1, 1))
 
     async def get(self) -> tuple[str, str]:
         return "(define (domain d))", "(define (problem p))"

@@ -15,20 +15,24 @@ from pnm.actions.simulated_robots import SimulatedRobots
 from pnm.actions.simulated_world import SimulatedWorld, report_changes
 from pnm.clock import run_async
 from pnm.core.execution.call_results import RunResult
-from pnm.core.execution.events import Event, Pause, Resume
+from pnm.core.execution.events import Begin, Event, KnowledgeChanged, Pause, Resume, SingleStep
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import Always, CancelAsked, PauseAsked
+from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, verify
 from pnm.executor import Executor
+from tests.support.runs.commands import accepted, cancelled, sent
 from tests.support.runs.plan_graphs import plan, plan_of
 from tests.support.runs.simulated import FiringLog, move
 from tests.support.yaml.chaos import Chaos, in_use
 from tests.support.yaml.programs import only_plan, programs
 
 RUN = UUID(int=1)
+SUCCEEDED = Outcome(OutcomeKind.SUCCEEDED)
 
 
 # --- the proof ---
@@ -93,11 +97,17 @@ def test_robots_stop_for_a_pause_and_do_the_rest_after_it() -> None:
 
 
 class Pausing(Chaos):
-    """Pauses and resumes as well, up to some time."""
+    """Pauses, steps and resumes as well, up to some time."""
 
     pauses = 12
+    has_stepped = False
+    """Whether the last event was a step."""
 
     def _next(self) -> Event:
+        self.has_stepped = bool(self.run.pausing) and self.random.random() < 0.1
+        return SingleStep() if self.has_stepped else self._other()
+
+    def _other(self) -> Event:
         if self.run.pausing and (self.random.random() < 0.2 or not (self.queues or self.wake)):
             return Resume()
         if not self.run.pausing and self.pauses and self.random.random() < 0.1:
@@ -129,7 +139,8 @@ def test_any_program_that_is_paused_and_resumed_ends_and_loses_no_token(text: st
             assert used <= found.graph.capacities.get(name, 1), f"{name} is used by {used} calls"
         assert {one for claim in run.resources.held for one in claim.names} >= in_use(chaos.requests).keys()
         if was_pausing and run.pausing:
-            assert set(run.open_requests) <= open_before, "nothing starts during a pause"
+            begun = set(run.open_requests) - open_before
+            assert len(begun) <= chaos.has_stepped, "nothing starts during a pause but what a step lets leave"
         if run.paused:
             assert (run.resources.line, run.open_requests) == ((), ())
             assert {claim.request for claim in run.resources.held} <= chaos.requests.keys()
@@ -139,3 +150,52 @@ def test_any_program_that_is_paused_and_resumed_ends_and_loses_no_token(text: st
     assert all(run.marking[place] == machine.initial[place] for place in machine.resource_places)
     ended = {place: tokens for place, tokens in run.marking.items() if place not in machine.record_places}
     assert ended == ({machine.goal_place: 1} if run.result().goal else {machine.failed_place: 1})
+
+
+# --- steps -------------------------------------------------------------------------------------
+
+
+def test_a_step_lets_one_request_leave_and_the_pause_goes_on() -> None:
+    run = Run(generate(plan(3)), Layered(KnowledgeBase()), id=RUN)
+    run.handle(Pause(at_once=True), 0.0)
+    run.handle(Begin(), 0.0)
+    for number in range(3):
+        assert sent(run.handle(SingleStep(), 1.0)) == [f"a{number}"]
+        assert not run.paused
+        assert run.handle(KnowledgeChanged(), 2.0) == []
+        (request,) = run.open_requests
+        assert cancelled(run.handle(Accepted(request), 2.0)) == []
+        assert sent(run.handle(Ended(request, SUCCEEDED), 3.0)) == []
+        assert run.paused
+    assert run.result().goal
+
+
+def test_a_step_of_what_is_not_paused_changes_nothing() -> None:
+    run = accepted(plan(2, "0e<1s"))
+    before = run.marking
+    assert run.handle(SingleStep(), 1.0) == []
+    assert (run.marking, run.pausing) == (before, None)
+    assert sent(run.handle(Ended(run.open_requests[0], SUCCEEDED), 2.0)) == ["a1"]
+
+
+def test_a_step_with_which_nothing_can_begin_is_used_up() -> None:
+    run = accepted(plan(2, "0e<1s"))
+    run.handle(Pause(), 1.0)
+    assert run.handle(SingleStep(), 2.0) == []
+    assert sent(run.handle(Ended(run.open_requests[0], SUCCEEDED), 3.0)) == []
+    assert run.paused
+    assert sent(run.handle(Resume(), 4.0)) == ["a1"]
+
+
+def test_a_step_takes_resources_for_its_call_alone_and_leaves_no_claim_in_line() -> None:
+    bindings = Bindings({f"a{number}": Binding(resources=("arm",)) for number in range(3)})
+    run = Run(generate(plan(3), bindings), Layered(KnowledgeBase()), id=RUN, bindings=bindings)
+    run.handle(Pause(), 0.0)
+    run.handle(Begin(), 0.0)
+    assert sent(run.handle(SingleStep(), 1.0)) == ["a0"]
+    assert [*run.resources.line] == []
+    assert run.handle(SingleStep(), 2.0) == []
+    assert [*run.resources.line] == []
+    assert sent(run.handle(Ended(run.open_requests[0], SUCCEEDED), 3.0)) == []
+    assert [*run.resources.held] == []
+    assert sent(run.handle(SingleStep(), 4.0)) == ["a1"]

@@ -56,11 +56,11 @@ class Stream:
         self._connection.close()
 
 
-def asked(url: str, path: str, method: str = "GET", **headers: str) -> tuple[int, Mapping[str, str], str]:
+def asked(url: str, path: str, method: str = "GET", body: str | None = None, **headers: str) -> tuple[int, Mapping[str, str], str]:
     """Return status, headers and text of an answer."""
     connection = http.client.HTTPConnection(urlsplit(url).netloc, timeout=LIMIT)
     try:
-        connection.request(method, path, headers=headers)
+        connection.request(method, path, body, headers)
         response = connection.getresponse()
         return response.status, {name.lower(): value for name, value in response.getheaders()}, response.read().decode()
     finally:

@@ -1,0 +1,74 @@
+"""The route for commands: for those who have the token, and for nobody else."""
+
+from __future__ import annotations
+
+import hmac
+import json
+from dataclasses import dataclass
+from typing import Final
+
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+
+from planner_bridge.view.control.channel import Channel
+from planner_bridge.view.control.commands import MAX_TEXT, Controlled
+
+_MAX_BODY: Final = 4 * MAX_TEXT
+_TYPE: Final = "application/json"
+"""Of bodies: no form of another page can have it."""
+
+
+@dataclass(frozen=True)
+class Control:
+    """What may be controlled, by whom, and the way there.
+
+    Args:
+        what: may be controlled.
+        token: whoever has it may do so.
+        channel: the way to the process that has the tasks.
+    """
+
+    what: Controlled
+    token: str
+    channel: Channel
+
+    async def look(self, request: Request) -> Response:
+        """Answer with what may be controlled."""
+        return self._refusal(request) or JSONResponse({"what": self.what.value})
+
+    async def do(self, request: Request) -> Response:
+        """Have a command carried out, and answer with the reply."""
+        if refusal := self._refusal(request):
+            return refusal
+        if request.headers.get("content-type", "").partition(";")[0].strip() != _TYPE:
+            return _refused(f"expected a command as {_TYPE}", 415)
+        body = bytearray()
+        async for part in request.stream():
+            body += part
+            if len(body) > _MAX_BODY:
+                return _refused(f"expected {_MAX_BODY} bytes at most", 413)
+        try:
+            command = json.loads(body)
+        except ValueError:
+            return _refused("expected a command as JSON", 400)
+        reply = await self.channel.ask(command)
+        return JSONResponse(reply.as_json(), 409 if reply.refused else 200)
+
+    def _refusal(self, request: Request) -> Response | None:
+        if self.what is Controlled.NOTHING:
+            return _refused("this page controls nothing: start it with --view-controls", 403)
+        kind, _, given = request.headers.get("authorization", "").partition(" ")
+        if kind != "Bearer" or not hmac.compare_digest(given.encode("latin-1", "replace"), self.token.encode()):
+            return _refused("only who has the token of this page may do that: it is in the URL that was printed when it was started", 403)
+        return None
+
+
+def _nowhere(_: str) -> None:
+    """Write to nobody."""
+
+
+NO_CONTROL: Final = Control(Controlled.NOTHING, "", Channel(_nowhere))
+
+
+def _refused(why: str, status: int) -> Response:
+    return JSONResponse({"refused": why}, status)

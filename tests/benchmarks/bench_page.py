@@ -1,0 +1,146 @@
+"""What the page costs: the browser's time at 1000 calls, and what an executor has left while somebody watches. Not a test.
+
+usage: python tests/benchmarks/bench_page.py
+
+The first paint: from the moment when the page has the state until all calls are drawn. A frame: all scripts of the page between two
+paints, while a journal with 1000 calls grows as one of busy robots does. The throughput: a run whose requests are answered at once,
+with every event committed, alone and with a browser that watches it; in turn, several times, on the same machine.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from statistics import median
+from typing import Final
+from uuid import UUID
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT))
+
+from playwright.sync_api import Browser, Page
+
+from planner_bridge.view.process import PageProcess
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.machine.generate import generate
+from pnm.journal.journal import Journal
+from tests.support.e2e.page.browser import browser
+from tests.support.e2e.page.busy_run import Work, answered, rounds, with_journal
+from tests.support.e2e.page.journals import GrowingJournal
+from tests.support.e2e.page.serving import page_of
+from tests.support.runs.timing import seconds
+
+CALLS: Final = 1000
+TURNS: Final = 5
+_PACE: Final = 0.05
+"""Seconds between two commits of the journal that grows, and the records of each: some 40 calls a second."""
+_RECORDS: Final = 6
+_GROWS: Final = 12.0
+_MEASURE: Final = """
+window.frames_ = []; window.first = null;
+let spent = 0;
+const timed = (work) => (...args) => {
+  const began = performance.now();
+  try { return work(...args); } finally { spent += performance.now() - began; }
+};
+const add = EventSource.prototype.addEventListener;
+EventSource.prototype.addEventListener = function (name, work) {
+  return add.call(this, name, timed((event) => {
+    if (name === "message") window.first ??= performance.now();
+    return work(event);
+  }));
+};
+const raf = window.requestAnimationFrame.bind(window);
+window.requestAnimationFrame = (work) => raf(timed(work));
+const tick = () => { if (spent) window.frames_.push(spent); spent = 0; raf(tick); };
+raf(tick);
+"""
+"""Adds up the time of the page's scripts from paint to paint."""
+
+
+def opened(chromium: Browser, url: str) -> Page:
+    """A page that measures itself, with all its calls drawn."""
+    page = chromium.new_page(viewport={"width": 1280, "height": 900}, bypass_csp=True)  # which would keep it from being measured
+    page.add_init_script(_MEASURE)
+    page.goto(url)
+    return page
+
+
+def kept(work: Work, file: Path) -> None:
+    """Do some work with a journal, on a thread: on this one the browser has its event loop."""
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(with_journal, work, file).result()
+
+
+def browser_time(chromium: Browser, journal: Path, folder: Path) -> None:
+    """Measure the first paint, and the frames of a journal that grows."""
+    paints = []
+    with page_of(journal) as url:
+        for _ in range(3):
+            page = opened(chromium, url)
+            page.wait_for_function(f"document.querySelectorAll('#picture [data-state]').length >= {CALLS}", polling="raf")
+            paints.append(page.evaluate("performance.now() - window.first"))
+            page.close()
+    print(f"first paint of {CALLS} calls: {median(paints) / 1000:.2f} s after the page has the state (at most 2)")
+    growing = GrowingJournal(journal, folder / "growing")
+    growing.grow(20)
+    with page_of(growing.place) as url:
+        page = opened(chromium, url)
+        page.wait_for_function("document.querySelectorAll('#picture [data-state]').length > 0")
+        page.evaluate("window.frames_ = []")
+        ends = time.monotonic() + _GROWS
+        while time.monotonic() < ends and growing.length + _RECORDS <= growing.longest:
+            growing.grow(growing.length + _RECORDS)
+            page.wait_for_timeout(1000 * _PACE)
+        frames = sorted(page.evaluate("window.frames_"))
+        page.close()
+    growing.close()
+    worst = frames[int(0.99 * len(frames))]
+    print(f"script per frame: {median(frames):.0f} ms, 99 % below {worst:.0f}, at most {frames[-1]:.0f} (at most 50); {len(frames)} frames")
+
+
+def throughput(chromium: Browser, folder: Path) -> None:
+    """Measure what an executor does while its journal is watched, and while it is not."""
+    machine = generate(rounds(CALLS))
+    machine.compiled  # noqa: B018
+    took: dict[bool, list[float]] = {False: [], True: []}
+    worked: dict[bool, list[float]] = {False: [], True: []}
+    """Seconds of the processor, which do not count what else runs on a busy machine."""
+
+    def work(journal: Journal, world: KnowledgeBase, is_watched: bool) -> int:
+        began = time.process_time()
+        took[is_watched].append(seconds(lambda: answered(machine, journal, world, UUID(int=1)), 1))
+        worked[is_watched].append(time.process_time() - began)
+        return CALLS
+
+    for turn in range(2 * TURNS):
+        is_watched, file = bool(turn % 2), folder / f"run{turn}"
+        if not is_watched:
+            kept(lambda journal, world: work(journal, world, False), file)
+            continue
+        with PageProcess(0) as served:
+            served.follow(str(file))
+            page = opened(chromium, served.url)
+            kept(lambda journal, world: work(journal, world, True), file)
+            page.close()
+    ratio, usual = (of(took[False]) / of(took[True]) for of in (min, median))
+    times = f"{CALLS / min(took[True]):.0f} and {CALLS / min(took[False]):.0f} calls a second"
+    print(f"executor with the page open / without: {ratio:.2f}, of medians {usual:.2f} (at least 0.9); {times}")
+    print(f"the same by the time of its processor: {min(worked[False]) / min(worked[True]):.2f}")
+
+
+def main() -> None:
+    """Measure all of it, in one run."""
+    with tempfile.TemporaryDirectory() as name, browser() as chromium:
+        folder = Path(name)
+        machine = generate(rounds(CALLS))
+        kept(lambda journal, world: answered(machine, journal, world), folder / "thousand")
+        browser_time(chromium, folder / "thousand", folder)
+        throughput(chromium, folder)
+
+
+if __name__ == "__main__":
+    main()

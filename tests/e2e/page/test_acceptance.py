@@ -1,0 +1,236 @@
+"""The page of a node over ROS 2, as people use it: a goal is sent, fails, is planned anew and reached; a person is asked and answers."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise, takewhile
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Browser, Page, expect
+
+from planner_bridge.view.follow import Reader
+from planner_bridge.view.shown import View
+from planner_bridge.view.view import view_of
+from pnm.journal.records import TaskAccepted
+from tests.support.e2e.deployment import ProblemDeployment
+from tests.support.e2e.page.journals import steps
+from tests.support.e2e.page.serving import asked
+from tests.support.e2e.plan_deployment import Serving
+from tests.support.files import ROOT
+
+FAULTS = (ROOT / "problems" / "delivery" / "faults.yaml").read_text(encoding="utf-8")
+SIZES = {"wide": (1280, 900), "narrow": (400, 800)}
+WATCH = """
+window.seen = [];
+const note = (changes) => {
+  const batch = [];
+  for (const { target, oldValue } of changes) {
+    const { step, state } = target.dataset;
+    if (step && state && state !== oldValue) batch.push([target.closest("svg").dataset.run, Number(step), state]);
+  }
+  if (batch.length) window.seen.push(batch);
+};
+const what = { subtree: true, attributeFilter: ["data-state"], attributeOldValue: true };
+addEventListener("DOMContentLoaded", () => new MutationObserver(note).observe(document.getElementById("picture"), what));
+"""
+"""Notes which boxes of the plan change their states, all that do so at the same time together."""
+
+
+@dataclass(frozen=True)
+class Node:
+    """A node whose page controls it, in whose world robots are at work."""
+
+    url: str
+    journal: Path
+
+    @property
+    def address(self) -> str:
+        return self.url.partition("#")[0]
+
+
+@pytest.fixture(scope="module")
+def node(deploy_for_module: Callable[..., ProblemDeployment]) -> Node:
+    return serve(deploy_for_module("delivery/p01", speed="4", quick=True))
+
+
+def serve(deployment: ProblemDeployment) -> Node:
+    deployment.simulate().ready()
+    journal = deployment.folder / "node.journal"
+    options = ["--view=0", "--view-controls", "--ask-for-help", "--journal", str(journal)]
+    serving = deployment.start(Serving(["-m", "planner_bridge", "serve", *deployment.files, *options], deployment.environment)).ready()
+    return Node(next(line.split()[1] for line in serving.err if line.startswith("view ")), journal)
+
+
+@pytest.fixture
+def page(chromium: Browser) -> Iterator[Page]:
+    """A page that must say nothing on its console but what it asks for in vain."""
+    opened, said = chromium.new_page(), list[str]()
+    opened.add_init_script(WATCH)
+    opened.on("console", lambda message: said.append(message.text) if "409 (Conflict)" not in message.text else None)
+    opened.on("pageerror", lambda error: said.append(str(error)))
+    yield opened
+    opened.close()
+    assert not said
+
+
+def at(node: Node, record: int) -> View:
+    view = Reader(node.journal).at(record, view_of)
+    assert view is not None
+    return view
+
+
+def told(journal: Path) -> list[tuple[str, int, str]]:
+    """Every state that a call has had, in the order of the journal."""
+    reader, last, changes = Reader(journal), dict[str, str](), list[tuple[str, int, str]]()
+    for step in steps(journal):
+        view = reader.at(step.number, view_of)
+        for key, call in view.calls.items() if view else ():
+            if last.get(key) != call.state:
+                changes.append((call.run, call.index, call.state))
+                last[key] = call.state
+    return changes
+
+
+def send(page: Page, goal: str) -> None:
+    page.get_by_label("a goal").fill(goal)
+    expect(page.locator("#goal-said")).to_have_text("✓ this can be a goal")
+    page.get_by_role("button", name="Send").click()
+    expect(page.locator("#command-said")).to_have_text(f"✓ sent: {goal}")
+
+
+def test_a_goal_is_checked_sent_fails_is_planned_anew_and_reached(page: Page, deploy: Callable[..., ProblemDeployment]) -> None:
+    node = serve(deploy("delivery/p01", speed="4", quick=True, faults=FAULTS))
+    page.goto(node.url)
+    expect(page.locator("#status")).to_have_text("● live")
+    assert "token" not in page.url, "it is out of sight"
+    field = page.get_by_label("a goal")
+    field.fill("(and (at parcel1 kitchn))")
+    expect(page.locator("#goal-said")).to_contain_text("✕ column 18: unknown object 'kitchn'; did you mean 'kitchen'?")
+    expect(field).to_have_attribute("aria-invalid", "true")
+    send(page, "(and (at parcel1 hall) (at parcel2 kitchen))")
+    task = page.locator(".task").first
+    expect(task).to_contain_text("goal reached")
+    expect(page.locator("#cuts li")).to_have_count(2)
+    expect(page.locator("#cuts li").last).to_contain_text("not again: move(r1, hall, kitchen)")
+    expect(page.locator("#cuts li").last).to_contain_text("dropped: ")
+    page.get_by_text("troubles before").click()
+    trouble = page.locator("#needs details .need", has_text="move(r1, hall, kitchen) failed: aborted").first
+    expect(trouble.locator(".expected")).to_have_text("success")
+    expect(trouble.locator(".observed")).to_have_text("the way is blocked")
+    expect(trouble).to_contain_text("a new plan is needed")
+    in_order(page.evaluate("window.seen"), told(node.journal))
+    (accepted,) = [step.record for step in steps(node.journal) if isinstance(step.record, TaskAccepted)]
+    assert accepted.wanted.text == "(and (at parcel1 hall) (at parcel2 kitchen))"
+    goes_back(page, node)
+
+
+def in_order(seen: list[list[tuple[str, int, str]]], kept: list[tuple[str, int, str]]) -> None:
+    """What has lit up is in the journal, and in its order: all that was seen at one time is before what was seen later."""
+    places = defaultdict[tuple[str, int, str], list[int]](list)
+    for number, change in enumerate(kept):
+        places[change].append(number)
+    batches = [[places[run, step, state] for run, step, state in batch] for batch in seen]
+    assert all(all(batch) for batch in batches), "nothing is shown that is not so"
+    for before, after in pairwise(batches):
+        assert max(map(min, before)) < min(map(max, after))
+    assert {state for batch in seen for _, _, state in batch} >= {"running", "succeeded"}
+    lit = [change for batch in seen for change in batch if change[2] == "running"]
+    assert len(lit) >= 8
+
+
+def goes_back(page: Page, node: Node) -> None:
+    """The scrubber shows what was so at the first failure."""
+    mark = page.locator("#marks [data-mark=failure]").first
+    record = int(str(mark.get_attribute("data-record")))
+    page.get_by_label("record", exact=True).fill(str(record))
+    expect(page.locator("body")).to_have_attribute("data-record", str(record))
+    expect(page.locator("#status")).to_contain_text("history")
+    expect(page.locator("#commands")).to_be_hidden()
+    run = next(iter(at(node, record).tasks.values())).runs[-1]
+    calls = [call for call in at(node, record).calls.values() if call.run == run]
+    for call in calls:
+        expect(page.locator(f'#picture [data-step="{call.index}"]')).to_have_attribute("data-state", call.state)
+    page.get_by_role("button", name="Live").click()
+    expect(page.locator("#status")).to_have_text("● live")
+    expect(page.locator("#commands")).to_be_visible()
+
+
+def test_a_person_is_asked_and_answers_on_the_page(page: Page, node: Node) -> None:
+    page.goto(node.url)
+    send(page, "(at parcel1 yard)")
+    question = page.locator(".need.asks")
+    expect(question).to_contain_text("a person is asked: This goal cannot be reached")
+    question.get_by_role("button", name="give up").click()
+    expect(page.locator("#command-said")).to_have_text("✓ answered: give up")
+    expect(question).to_have_count(0)
+    expect(page.locator(".task").first).to_contain_text("a person was asked for help, and says to give up")
+
+
+def test_a_task_is_paused_makes_a_step_and_is_cancelled(page: Page, node: Node) -> None:
+    page.on("dialog", lambda dialog: dialog.accept())
+    page.goto(node.url)
+    send(page, "(and (at parcel1 hall) (at parcel2 kitchen))")
+    task = page.locator(".task", has_text="(at parcel2 kitchen)")
+    expect(page.locator("#picture [data-state=running]").first).to_be_visible()
+    task.get_by_role("button", name="Pause at once").click()
+    expect(task.locator(".state")).to_have_text("paused")
+    sent = page.locator("#lanes .bar").count()
+    task.get_by_role("button", name="Step").click()
+    expect(page.locator("#command-said")).to_have_text("✓ one request has left")
+    expect(task.locator(".state")).to_have_text("paused")
+    assert page.locator("#lanes .bar").count() == sent + 1
+    task.get_by_role("button", name="Cancel").click()
+    expect(task.locator(".state")).to_have_text("✕ cancelled")
+    expect(task.get_by_role("button")).to_have_count(0)
+
+
+def test_without_the_token_nothing_is_controlled(chromium: Browser, node: Node) -> None:
+    context = chromium.new_context()
+    page = context.new_page()
+    page.goto(node.address)
+    expect(page.locator("#status")).to_have_text("● live")
+    expect(page.locator("#commands")).to_be_hidden()
+    expect(page.get_by_role("button", name="Pause")).to_have_count(0)
+    page.goto(f"{node.address}#token=wrong")
+    page.reload()
+    expect(page.locator("#control-note")).to_contain_text("only who has the token")
+    expect(page.locator("#commands")).to_be_hidden()
+    context.close()
+    headers = {"Content-Type": "application/json", "Authorization": "Bearer wrong"}
+    status, _, text = asked(node.address, "/control", "POST", json.dumps({"do": "pause"}), **headers)
+    assert (status, "token" in json.loads(text)["refused"]) == (403, True)
+    assert urlsplit(node.url).fragment not in text
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", SIZES)
+def test_everybody_can_use_it(page: Page, node: Node, tmp_path: Path, size: str, scheme: str) -> None:
+    width, height = SIZES[size]
+    page.set_viewport_size({"width": width, "height": height})
+    page.emulate_media(color_scheme="dark" if scheme == "dark" else "light", reduced_motion="reduce")
+    page.goto(node.url)
+    expect(page.locator("#status")).to_have_text("● live")
+    expect(page.locator("#picture svg")).to_be_visible()
+    expect(page.locator("#net svg")).to_be_visible()
+    expect(page.locator("#commands")).to_be_visible()
+    reached = list(takewhile("live".__ne__, (reach(page) for _ in range(500))))  # the last of the page; every event before is a link
+    for wanted in ("goal", "pause-all", "lanes", "run-choice", "call-choice", "fact-filter", "event-list", "way"):
+        assert wanted in reached, f"{wanted} cannot be reached by keys"
+    page.get_by_label("a goal").fill("(at parcel1 kitchn)")
+    expect(page.locator("#goal-said")).to_contain_text("column 13")
+    page.screenshot(path=tmp_path / f"page-{size}-{scheme}.png", full_page=True)
+    found = Axe().run(page)
+    assert not found.response["violations"], found.generate_report()
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def reach(page: Page) -> str:
+    """Go on to what the next Tab reaches; return what it is known by."""
+    page.keyboard.press("Tab")
+    return str(page.evaluate("document.activeElement.id"))

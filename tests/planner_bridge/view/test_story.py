@@ -1,0 +1,66 @@
+"""The story: what a state alone does not say, told record by record."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from uuid import UUID
+
+from planner_bridge.pipeline.achieve import achieve
+from planner_bridge.tasks.settings import Settings
+from planner_bridge.view.follow import Reader
+from planner_bridge.view.story import Story
+from planner_bridge.view.view import view_of
+from pnm.core.logic.expressions import UNKNOWN
+from pnm.journal.records import WORLD, KnowledgeBegan, KnowledgeDelta, SharedBegan, TaskAccepted, TaskNoted
+from pnm.journal.replay import Replay
+from pnm.knowledge.sources.help import HelpAsked
+from pnm.tasks import Wanted
+from tests.support.e2e.page.journals import steps
+from tests.support.files import ROOT, written
+
+DOMAIN, PROBLEM = ROOT / "domains" / "delivery" / "domain.pddl", ROOT / "problems" / "delivery" / "p01.pddl"
+AT = ("at", "r1", "hall")
+
+
+def told(*records: object) -> Story:
+    """A story of the world, and of records that follow one second after the other."""
+    story = Story(Replay())
+    for number, record in enumerate((SharedBegan({}), KnowledgeBegan(WORLD, {AT: True}, sensed={"at": 0.5}), *records), 1):
+        story.apply(number, float(number), record)
+    return story
+
+
+def test_what_is_not_reported_any_more_says_what_it_was() -> None:
+    stale = told(KnowledgeDelta(WORLD, {AT: UNKNOWN})).facts["(at r1 hall)"]
+    assert (stale.value, stale.was, stale.source, stale.since) == ("unknown", "true", "sensed", 3.0)
+    still = told(KnowledgeDelta(WORLD, {AT: UNKNOWN}), KnowledgeDelta(WORLD, {AT: UNKNOWN})).facts["(at r1 hall)"]
+    assert (still.value, still.was) == ("unknown", "true")
+    again = told(KnowledgeDelta(WORLD, {AT: UNKNOWN}), KnowledgeDelta(WORLD, {AT: False})).facts["(at r1 hall)"]
+    assert (again.value, again.was) == ("false", "")
+
+
+def test_the_clock_is_known_from_a_task_on() -> None:
+    assert told().clock is None
+    accepted = TaskAccepted(Wanted(UUID(int=1), "(at r1 hall)"), 1, 1000.0)
+    assert told(accepted).clock == 997.0
+    assert view_of(told(accepted)).clock == 997.0
+
+
+def test_help_that_is_asked_for_is_a_question_until_it_is_over(tmp_path: Path) -> None:
+    journal = tmp_path / "run.journal"
+    text = PROBLEM.read_text(encoding="utf-8").replace("(at parcel1 hall)", "(at parcel1 yard)")
+    problem = written(tmp_path / "problem.pddl", text)
+    result = achieve(DOMAIN, problem, settings=replace(Settings(), ask_for_help=True), journal=journal)
+    assert "help was asked for in vain" in result.reason
+    asked = next(step for step in steps(journal) if isinstance(step.record, TaskNoted) and isinstance(step.record.note, HelpAsked))
+    view = Reader(journal).at(asked.number, view_of)
+    assert view
+    (question,) = view.questions.values()
+    assert question.text.startswith("This goal cannot be reached")
+    assert (question.who, question.subject, question.choices) == ("a person", "the goal of the problem", ("try again", "give up"))
+    assert view.events[str(asked.number)].lines[0].startswith("a person is asked: This goal")
+    after = Reader(journal).at(asked.number + 1, view_of)
+    assert after
+    assert not after.questions
+    assert "in vain" in after.events[str(asked.number + 1)].lines[0]
