@@ -18,6 +18,7 @@ from pnm.core.machine.machine import (
     After,
     AlreadyTrue,
     Always,
+    CallOutcome,
     CancelAsked,
     ConditionFalse,
     ConditionTrue,
@@ -76,16 +77,18 @@ class Firing:
     """Whether it gives resources back."""
     counts: bool
     """Whether it takes more than one token, and is therefore enabled only if the engine misses none."""
-    is_free: bool
-    """Whether its guard is always open."""
+    guarded: type
+    """The kind of its guard."""
     is_moment: bool
     """Whether time alone opens it."""
-    ends: bool
-    """Whether the run may be ending after it."""
-    notes: bool
-    """Whether it says something about the result of its call."""
-    moves_only: bool
-    """Whether it does nothing but move tokens."""
+    turns: bool
+    """Whether the run may be ending after it, or not be ending any more."""
+    outcome: CallOutcome | None
+    """What it means for the result of its call."""
+    tells: bool
+    """Whether it says more about its call than that: what hinders it, or that it is not needed or given up."""
+    acts: bool
+    """Whether it does more than to move tokens and to set the outcome of its call."""
     condition: CompiledCondition | None
     """The condition of its guard, where that is the same for every run."""
 
@@ -98,8 +101,12 @@ class Decision:
     """The transitions that are decided on there, in their order."""
     staying: tuple[Firing, ...]
     """Those that may open although the run is not ending, stopped or paused."""
+    passage: Firing | None
+    """The only transition, if it only has to be enabled and does nothing but pass on tokens."""
     awaits: bool
     """Whether a report is waited for there."""
+    stays: bool
+    """Whether a report is waited for there, or the end of the run."""
     listens: bool
     """Whether the decision may change when facts change."""
 
@@ -159,10 +166,11 @@ class MachineIndex:
     def _decision(self, place: int) -> Decision:
         by_guard = [one for one, _ in self._consumers[place] if not isinstance(self.rules[one].guard, Accepts | Ends)]
         knows = any(isinstance(self.rules[one].guard, _KNOWING) for one in by_guard)
-        awaits = len(by_guard) < len(self._consumers[place])
         firings = tuple(self.firings[one] for one in by_guard)
         staying = tuple(firing for firing in firings if not isinstance(firing.rule.guard, _LEAVING))
-        return Decision(firings, staying if len(staying) < len(firings) else firings, awaits, knows)
+        is_passage = len(self._consumers[place]) == len(staying) == 1 and staying[0].guarded is Always and not staying[0].acts
+        passage, count = staying[0] if is_passage else None, len(self._consumers[place])
+        return Decision(firings, staying, passage, len(firings) < count, len(staying) < count, knows)
 
     def _opened(self, key: tuple[int, OutcomeKind | None]) -> tuple[Firing, ...]:
         call, kind = key
@@ -174,8 +182,8 @@ class MachineIndex:
         fails = tuple(place for place in outputs if place in self.failures)
         is_call = rule.call is not None and rule.call < len(self._calls)
         takes = not self.resources.isdisjoint(inputs) and rule.action is not TransitionAction.ADOPT
-        gives, ends = not self.resources.isdisjoint(outputs), bool(fails) or not self.restarts.isdisjoint(outputs)
-        notes = rule.outcome is not None or rule.cause is not None or rule.gives_up
+        gives, turns = not self.resources.isdisjoint(outputs), bool(fails) or not self.restarts.isdisjoint((*inputs, *outputs))
+        tells = rule.cause is not None or rule.gives_up or rule.outcome is CallOutcome.ALREADY_TRUE
         return Firing(
             transition,
             self._names[transition],
@@ -188,11 +196,12 @@ class MachineIndex:
             takes=takes,
             gives=gives,
             counts=len(taken) != 1 or taken[0][1] != 1,
-            is_free=isinstance(rule.guard, Always),
+            guarded=type(rule.guard),
             is_moment=isinstance(rule.guard, _MOMENTS),
-            ends=ends,
-            notes=notes,
-            moves_only=not (takes or gives or ends or notes or rule.action),
+            turns=turns,
+            outcome=rule.outcome if is_call else None,
+            tells=tells,
+            acts=bool(takes or gives or turns or tells or rule.action or rule.outcome is CallOutcome.SUCCEEDED),
             condition=self._condition(rule, is_call=is_call),
         )
 

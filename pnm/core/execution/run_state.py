@@ -1,8 +1,8 @@
-"""State of a run besides its marking: the time, stop and pause, timers."""
+"""State of a run besides its marking: the time, stop and pause, and what is to be asked."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import deque
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from math import inf
@@ -16,30 +16,56 @@ from pnm.core.net.firing_engine import Engine
 from pnm.errors import RunError
 
 
-class Timers:
-    """Times at which undecided places are asked again. The mutable state is the queue and, by place, the time set last."""
+class Agenda:
+    """Places to be asked, in their order, and those that are *undecided*: nothing is open there yet, so they are asked again.
+
+    The mutable state is what the constructor sets.
+    """
 
     def __init__(self) -> None:
-        self._queue: list[tuple[float, int]] = []
+        self.places: deque[int] = deque()
+        """Those to be asked."""
+        self.undecided: dict[int, bool] = {}
+        """Those to be asked again, and whether they are when facts change."""
+        self._timers: list[tuple[float, int]] = []
+        """A queue of the times at which places are asked again."""
         self._set: dict[int, float] = {}
+        """By place, the time set last."""
+        self._wake = inf
+        """The time that was asked for last."""
 
-    def set(self, place: int, time: float) -> None:
+    def set_timer(self, place: int, time: float) -> None:
         """Set the time at which the place is asked again; earlier entries stay, for asking once too often does no harm."""
         if self._set.get(place) != time:
             self._set[place] = time
-            heappush(self._queue, (time, place))
+            heappush(self._timers, (time, place))
 
-    @property
-    def next(self) -> float:
-        """The next of the times; infinite if there is none."""
-        return self._queue[0][0] if self._queue else inf
+    def ask_undecided(self) -> None:
+        """Ask all undecided places again."""
+        self.places.extend(self.undecided)
 
-    def due(self, now: float) -> Iterator[int]:
-        """Yield, and forget, the places whose time has come."""
-        while self._queue and self._queue[0][0] <= now:
-            _, place = heappop(self._queue)
+    def ask_about_knowledge(self) -> None:
+        """Ask those places again whose decision may change when facts change."""
+        self.places.extend([place for place, listens in self.undecided.items() if listens])
+
+    def ask_due(self, now: float) -> None:
+        """Ask the places again whose time has come."""
+        self.ask_for_timer_anew()
+        while self._timers and self._timers[0][0] <= now:
+            _, place = heappop(self._timers)
             self._set.pop(place, None)
-            yield place
+            self.places.append(place)
+
+    def ask_for_timer_anew(self) -> None:
+        """Note that no timer is set outside any more: the next one has to be asked for even if it is not earlier."""
+        self._wake = inf
+
+    def next_timer(self) -> float | None:
+        """Return the time of a timer that has to be asked for. A later one than the last needs none: after that it is asked for anew."""
+        if self._timers and self._timers[0][0] < self._wake:
+            self._wake = self._timers[0][0]
+            return self._wake
+        return None
 
 
 @dataclass
@@ -57,6 +83,8 @@ class RunState:
     """The request to stop, if there was one."""
     pause: Pause | None = None
     """The request to pause, until the run is resumed."""
+    ending: bool = False
+    """Whether nothing more is started."""
     adopted: dict[int, UnderWay] = field(default_factory=dict)
     """Requests of another run that are still to be taken over, by call."""
     marked_at: dict[int, float] = field(default_factory=dict)
@@ -81,6 +109,13 @@ class RunState:
                 self.pause = Pause(at_once or self.suspends)
             case Resume():
                 self.pause = None
+        self.turn()
+
+    def turn(self) -> bool:
+        """Find out whether the run is ending now; return whether that is news."""
+        was_ending, restarts, tokens = self.ending, self.index.restarts, self.engine.tokens
+        self.ending = self.failing or any(tokens[place] for place in restarts)
+        return self.ending and not was_ending
 
     @property
     def passed(self) -> float:
@@ -96,13 +131,6 @@ class RunState:
     def failing(self) -> bool:
         """Whether the run can no longer succeed."""
         return bool(self.results.failures) or self.stop is not None
-
-    @property
-    def ending(self) -> bool:
-        """Whether nothing more is started."""
-        if self.results.failures or self.stop is not None:
-            return True
-        return bool(self.index.restarts) and any(self.engine.tokens[place] for place in self.index.restarts)
 
     @property
     def cancels(self) -> bool:
