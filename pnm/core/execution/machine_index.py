@@ -12,7 +12,10 @@ from weakref import WeakKeyDictionary
 
 from pnm.core.execution.closed_call import ClosedCall, closed_call
 from pnm.core.logic.compiled_condition import TruthIn, compiled
-from pnm.core.logic.conditions import data_in
+from pnm.core.logic.conditions import All, data_in
+from pnm.core.logic.effects import Set, every_effect
+from pnm.core.logic.expressions import Fluent
+from pnm.core.logic.rules import NO_RULES, Reads, read_by, reads_of
 from pnm.core.machine.machine import (
     Accepts,
     After,
@@ -36,6 +39,7 @@ from pnm.core.machine.machine import (
     PetriNetMachine,
     Rule,
     TransitionAction,
+    Withheld,
 )
 from pnm.core.machine.requests import OutcomeKind
 from pnm.core.net.firing_engine import CompiledNet
@@ -153,11 +157,15 @@ class MachineIndex:
         for transition, rule in enumerate(self.rules):
             if isinstance(rule.guard, Accepts | Ends):
                 self._reported.setdefault(rule.guard.call, []).append(transition)
+        self.rules_of_facts = machine.plan.rules
+        """What derives the facts that its conditions mention."""
         # worked out so far
         self.firings: Final = WhenAsked(self._firing)
         """The transitions."""
         self.places: Final = WhenAsked(self._decision)
         """What is decided at places."""
+        self.reads: Final = WhenAsked(self._reads_at)
+        """What knowledge is read to decide at places."""
         self.opened: Final = WhenAsked(self._opened)
         """The transitions of a call that are opened by the end of its request in a way, or by its acceptance."""
         self.closed: Final[WhenAsked[int, ClosedCall | None]] = WhenAsked(lambda call: closed_call(calls[call]))
@@ -171,6 +179,34 @@ class MachineIndex:
         is_passage = len(self._consumers[place]) == len(staying) == 1 and staying[0].guarded is Always and not staying[0].acts
         passage, count = staying[0] if is_passage else None, len(self._consumers[place])
         return Decision(firings, staying, passage, len(firings) < count, len(staying) < count, knows)
+
+    def _reads_at(self, place: int) -> Reads:
+        read: set[Fluent | str] = set()
+        for firing in self.places[place].firings:
+            reads = self._reads_for(firing)
+            if reads is None:
+                return None
+            read |= reads
+        return frozenset(read)
+
+    def _reads_for(self, firing: Firing) -> Reads:
+        """Return what the guard of a transition reads."""
+        action = None if firing.call is None else self._calls[firing.call].action
+        # Other runs may give back resources, and servers say which goal fields they have, without anything being heard of it; and
+        # what the parameters are of a call that is not closed depends on anything.
+        if firing.takes or (firing.call is not None and self.closed[firing.call] is None):
+            return None
+        match firing.rule.guard:
+            case ConditionTrue(condition) | ConditionFalse(condition) | ConditionUnknown(condition) | InvariantFalse(condition):
+                return read_by(condition, self.rules_of_facts)
+            case AlreadyTrue() | DataMissing() | Withheld():
+                return None
+            case EffectsSeen() | EffectsMissing() if action is not None:
+                checked = read_by(All((action.end_condition, action.expected)), self.rules_of_facts)
+                fluents = [one.fluent for one in every_effect((*action.start_effects, *action.end_effects)) if isinstance(one, Set)]
+                return None if checked is None else checked.union(*(reads_of(fluent, NO_RULES) for fluent in fluents))
+            case _:
+                return frozenset()
 
     def _opened(self, key: tuple[int, OutcomeKind | None]) -> tuple[Firing, ...]:
         call, kind = key

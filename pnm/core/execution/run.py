@@ -97,7 +97,7 @@ class Run(RunView):
         self._index = index_of(machine)
         # state
         self._engine = Engine(machine.compiled, machine.initial)
-        self._agenda = Agenda()
+        self._agenda = Agenda(self._index, knowledge)
         self._fired: list[int] = []
         self._commands: list[Command] = []
         self._reports: deque[Accepted | Ended] = deque()
@@ -153,7 +153,7 @@ class Run(RunView):
                 self._commands += (*self._questions.again(), *self._calls.again())
                 self._agenda.ask_undecided()
             case KnowledgeChanged():
-                self._agenda.ask_about_knowledge()
+                self._agenda.ask_about_knowledge(state.now)
             case ResourcesChanged():
                 self._agenda.places.extend(self._claims.served())
             case Tick():
@@ -268,7 +268,7 @@ class Run(RunView):
             if firing.takes:  # it is not open, so it must not keep others from the resources while it waits for something else
                 self._leave_line(place)
         if waiting:  # a place where nothing was even enabled is asked again when a token arrives, which puts it on the agenda anyway
-            self._agenda.undecided[place] = decision.listens
+            self._agenda.wait(place)
         if again < NEVER:
             self._agenda.set_timer(place, again)
 
@@ -351,7 +351,7 @@ class Run(RunView):
         undecided, noted, waiting, at = self._agenda.undecided, self._questions.noted, self._claims.waiting, self._state.marked_at
         for left in firing.inputs:
             if left in undecided:
-                del undecided[left]
+                self._agenda.leave(left)
             if left in waiting:
                 self._leave_line(left)
             if left in noted:
@@ -388,7 +388,7 @@ class Run(RunView):
         # Results of the request may have been stored just before, even if the action itself writes nothing.
         if performed.changes_knowledge or self._has_changed_knowledge:
             self._has_changed_knowledge = False
-            self._agenda.ask_about_knowledge()
+            self._agenda.ask_about_knowledge(now)
 
     def _give(self, rule: Rule, call: int) -> None:
         """Give back the resources of the call; a request that was given up keeps them."""

@@ -11,28 +11,55 @@ from pnm.core.execution.call_results import CallResults
 from pnm.core.execution.events import Pause, Resume, Stop
 from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.machine_index import MachineIndex
+from pnm.core.knowledge_base import Layered
 from pnm.core.machine.machine import OnFailure
 from pnm.core.net.firing_engine import Engine
+from pnm.core.readers import Readers
 from pnm.errors import RunError
 
 
 class Agenda:
     """Places to be asked, in their order, and those that are *undecided*: nothing is open there yet, so they are asked again.
 
-    The mutable state is what the constructor sets.
+    The mutable state is what the constructor sets under "state".
+
+    Args:
+        index: of the machine.
+        knowledge: what is decided by.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, index: MachineIndex, knowledge: Layered) -> None:
+        self._index = index
+        self._world, self._local = knowledge.world, knowledge.local
+        # state
         self.places: deque[int] = deque()
         """Those to be asked."""
-        self.undecided: dict[int, bool] = {}
-        """Those to be asked again, and whether they are when facts change."""
+        self.undecided: dict[int, int] = {}
+        """Those to be asked again, in this order, which they are numbered by."""
+        self._count = 0
+        self._readers = Readers[int]()
+        """Those of them that are asked again when facts change."""
+        self._asked = (knowledge.world.changes, knowledge.local.changes)
+        """How many changes there were when they were asked last."""
         self._timers: list[tuple[float, int]] = []
         """A queue of the times at which places are asked again."""
         self._set: dict[int, float] = {}
         """By place, the time set last."""
         self._wake = inf
         """The time that was asked for last."""
+
+    def wait(self, place: int) -> None:
+        """Have a place asked again: it is undecided."""
+        if place not in self.undecided:
+            self.undecided[place] = self._count
+            self._count += 1
+            if self._index.places[place].listens:
+                self._readers.add(place, self._index.reads[place])
+
+    def leave(self, place: int) -> None:
+        """Do not ask a place again that was undecided."""
+        del self.undecided[place]
+        self._readers.remove(place)
 
     def set_timer(self, place: int, time: float) -> None:
         """Set the time at which the place is asked again; earlier entries stay, for asking once too often does no harm."""
@@ -44,9 +71,15 @@ class Agenda:
         """Ask all undecided places again."""
         self.places.extend(self.undecided)
 
-    def ask_about_knowledge(self) -> None:
-        """Ask those places again whose decision may change when facts change."""
-        self.places.extend([place for place, listens in self.undecided.items() if listens])
+    def ask_about_knowledge(self, now: float) -> None:
+        """Ask those places again, in their order, whose decision may be another one since they were asked last."""
+        world, local = self._world.changed_since(self._asked[0]), self._local.changed_since(self._asked[1])
+        self._asked = self._world.changes, self._local.changes
+        is_due = self._timers and self._timers[0][0] <= now  # then time may have decided as well, whatever has changed
+        if world is None or local is None or is_due or self._world.rules is not self._index.rules_of_facts:
+            self.places.extend([place for place in self.undecided if self._index.places[place].listens])
+        elif concerned := self._readers.concerned(world):
+            self.places.extend(sorted(concerned, key=self.undecided.__getitem__))
 
     def ask_due(self, now: float) -> None:
         """Ask the places again whose time has come."""
