@@ -179,18 +179,18 @@ class Guards:
     def postpone(self, call: int | None) -> None:
         """Have the limit for the acceptance of a call's request begin anew."""
         state = self._state
-        for firing in () if call is None else state.index.opened[call, None]:
-            if state.engine.is_enabled(firing.number):
-                state.marked_at.update(dict.fromkeys(firing.inputs, state.now))
+        for number, place in () if call is None else state.index.opened[call, None]:
+            if state.engine.is_enabled(number):
+                state.marked_at[place] = state.now
 
     def forget(self, place: int) -> Iterator[UUID]:
         """Forget since when guards at the place have been waiting; yield its questions, whose answers are no longer needed."""
         self._questions.noted.discard(place)
         # The next token at this place is a new decision, with delays that begin anew.
-        for consumer in self._state.index.places[place].firings:
-            self._false_since.pop(consumer.number, None)
-            self._withheld_since.pop(consumer.number, None)
-            self._held.pop(consumer.number, None)
+        for number in self._state.index.places[place].numbers:
+            self._false_since.pop(number, None)
+            self._withheld_since.pop(number, None)
+            self._held.pop(number, None)
         return self._questions.left(place)
 
     def context(self, call: int | None, place: int | None) -> EvaluationContext:

@@ -5,8 +5,9 @@ Whatever a run asks about a place, a transition or a call is worked out when it 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final, TypeVar
 from weakref import WeakKeyDictionary
 
@@ -97,12 +98,14 @@ class Firing:
     """The condition of its guard, where that is the same for every run."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Decision:
     """What is decided at a place."""
 
-    firings: tuple[Firing, ...]
-    """The transitions that are decided on there, in their order."""
+    numbers: tuple[int, ...]
+    """The transitions that are decided on there, in their order, by number."""
+    made: Mapping[int, Firing]
+    """All transitions, by number, each made when it is asked for."""
     staying: tuple[Firing, ...]
     """Those that may open although the run is not ending, stopped or paused."""
     passage: Firing | None
@@ -113,6 +116,11 @@ class Decision:
     """Whether a report is waited for there, or the end of the run."""
     listens: bool
     """Whether the decision may change when facts change."""
+
+    @cached_property
+    def firings(self) -> tuple[Firing, ...]:
+        """The transitions that are decided on there; most are of no use before a run comes to its end."""
+        return tuple([self.made[number] for number in self.numbers])
 
 
 K = TypeVar("K")
@@ -167,18 +175,17 @@ class MachineIndex:
         self.reads: Final = WhenAsked(self._reads_at)
         """What knowledge is read to decide at places."""
         self.opened: Final = WhenAsked(self._opened)
-        """The transitions of a call that are opened by the end of its request in a way, or by its acceptance."""
+        """The transitions of a call that are opened by the end of its request in a way, or by its acceptance, each with its place."""
         self.closed: Final[WhenAsked[int, ClosedCall | None]] = WhenAsked(lambda call: closed_call(calls[call]))
         """What of calls does not depend on knowledge."""
 
     def _decision(self, place: int) -> Decision:
         by_guard = [one for one, _ in self._consumers[place] if not isinstance(self.rules[one].guard, Accepts | Ends)]
         knows = any(isinstance(self.rules[one].guard, _KNOWING) for one in by_guard)
-        firings = tuple(self.firings[one] for one in by_guard)
-        staying = tuple(firing for firing in firings if not isinstance(firing.rule.guard, _LEAVING))
+        staying = tuple([self.firings[one] for one in by_guard if not isinstance(self.rules[one].guard, _LEAVING)])
         is_passage = len(self._consumers[place]) == len(staying) == 1 and staying[0].guarded is Always and not staying[0].acts
         passage, count = staying[0] if is_passage else None, len(self._consumers[place])
-        return Decision(firings, staying, passage, len(firings) < count, len(staying) < count, knows)
+        return Decision(tuple(by_guard), self.firings, staying, passage, len(by_guard) < count, len(staying) < count, knows)
 
     def _reads_at(self, place: int) -> Reads:
         read: set[Fluent | str] = set()
@@ -208,9 +215,9 @@ class MachineIndex:
             case _:
                 return frozenset()
 
-    def _opened(self, key: tuple[int, OutcomeKind | None]) -> tuple[Firing, ...]:
+    def _opened(self, key: tuple[int, OutcomeKind | None]) -> tuple[tuple[int, int], ...]:
         call, kind = key
-        return tuple(self.firings[one] for one in self._reported[call] if _admits(self.rules[one], kind))
+        return tuple([(one, self._inputs[one][0][0]) for one in self._reported[call] if _admits(self.rules[one], kind)])
 
     def _firing(self, transition: int) -> Firing:
         rule, taken = self.rules[transition], self._inputs[transition]

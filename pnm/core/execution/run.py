@@ -208,9 +208,9 @@ class Run(RunView):
     def _take(self, call: int, kind: OutcomeKind | None) -> bool:
         """Fire the transition of the call that the end of its request in this way opens, or its acceptance, if there is one."""
         tokens = self._engine.tokens
-        for firing in self._index.opened[call, kind]:
-            if tokens[firing.inputs[0]] and not self._engine.missing[firing.number]:
-                self._fire(firing, None)  # one at most: the request is waited for at one place at a time
+        for number, place in self._index.opened[call, kind]:
+            if tokens[place] and not self._engine.missing[number]:
+                self._fire(self._index.firings[number], None)  # one at most: the request is waited for at one place at a time
                 return True
         return False
 
