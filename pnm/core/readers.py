@@ -19,6 +19,9 @@ class Readers(Generic[Reader]):
         self._of: dict[Fluent | str, set[Reader]] = {}
         self._of_all: set[Reader] = set()
 
+    def __len__(self) -> int:
+        return len(self._reads)
+
     def add(self, reader: Reader, reads: Reads) -> None:
         """Have changes of what it reads concern a reader; of everything, if it is not known what that is. Only the first time counts."""
         if reader in self._reads:

@@ -73,6 +73,8 @@ class Agenda:
 
     def ask_about_knowledge(self, now: float) -> None:
         """Ask those places again, in their order, whose decision may be another one since they were asked last."""
+        if not self._readers:
+            return
         world, local = self._world.changed_since(self._asked[0]), self._local.changed_since(self._asked[1])
         self._asked = self._world.changes, self._local.changes
         is_due = self._timers and self._timers[0][0] <= now  # then time may have decided as well, whatever has changed
