@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
+from heapq import heappop, heappush
 from math import inf
 from typing import Final
 
@@ -18,9 +20,13 @@ from planner_bridge.tasks.result import ConstraintResult, KeptGoal, PreferenceRe
 from pnm.actions.backend import schedule
 from pnm.clock import TimeLimit
 from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.conditions import All
 from pnm.core.logic.domain import Preference
+from pnm.core.logic.evaluation import TOLERANCE
 from pnm.core.logic.expressions import NOTHING, Environment, choices
+from pnm.core.logic.rules import read_by
 from pnm.core.logic.trajectory import Constraint, ConstraintProgress, instances, is_fulfilled, names_in, observed_of, shifted
+from pnm.core.readers import Readers
 from pnm.tasks import Code
 
 SETTLING: Final = 0.01
@@ -47,8 +53,10 @@ class ConstraintMonitor:
     """Monitors every instance of the constraints and preferences of a problem; it has no clock.
 
     A preference has an instance for every choice for its own variables, with all the ground constraints
-    it then stands for; a wish for the goal is one for what holds at the end. The mutable state is what
-    is known of the ground constraints, and whether there was a look yet.
+    it then stands for; a wish for the goal is one for what holds at the end. A look is at those ground constraints alone whose
+    conditions read what has changed, or whose time has come: of any other, nothing else would be known after it.
+
+    The mutable state is what is known of the ground constraints, and what stands below "state".
     """
 
     def __init__(self, problem: Problem, knowledge: Layered) -> None:
@@ -64,7 +72,24 @@ class ConstraintMonitor:
             self._preferences.append((preference, ground))
         self._hard = [watched for _, instance in self._constraints for watched in instance]
         self._soft = [watched for _, ground in self._preferences for instance in ground for watched in instance]
+        self._ground = (*self._hard, *self._soft)
+        self._readers = Readers[int]()
+        """Ground constraints, by position, and what their conditions read."""
+        self._rules = knowledge.world.rules
+        for position, watched in enumerate(self._ground):
+            # what is to hold during a time is over at its end, at which nobody has to look
+            is_over = watched.constraint.operator == "hold-during"
+            self._readers.add(position, None if is_over else read_by(All(watched.constraint.conditions), self._rules))
+        # state
         self._looked = False
+        self._changes: int | None = None
+        """How many changes of the world there were at the last look; None if all have to be looked at."""
+        self._times: dict[int, float] = {}
+        """For ground constraints by position, when to look at them again even if nothing changes."""
+        self._queue: list[tuple[float, int]] = []
+        """These times in order, with some that do not count any more."""
+        self.has_news = True
+        """Whether something else is known since the last note."""
 
     def _instance(self, constraint: Constraint, env: Environment = NOTHING) -> list[_MonitoredConstraint]:
         return [
@@ -75,13 +100,14 @@ class ConstraintMonitor:
     @property
     def note(self) -> tuple[tuple[ConstraintProgress, ...], dict[int, Violation]]:
         """What is known of the ground constraints, in their order, and the violations of some, by position."""
-        ground = (*self._hard, *self._soft)
-        violations = {position: watched.violation for position, watched in enumerate(ground) if watched.violation}
-        return tuple(watched.progress for watched in ground), violations
+        self.has_news = False
+        violations = {position: watched.violation for position, watched in enumerate(self._ground) if watched.violation}
+        return tuple(watched.progress for watched in self._ground), violations
 
     def restore(self, note: TrajectoryNote) -> None:
         """Go on with what another process knew; the problem is the same."""
-        for position, (watched, progress) in enumerate(zip((*self._hard, *self._soft), note.progress, strict=True)):
+        self._changes, self.has_news = None, False
+        for position, (watched, progress) in enumerate(zip(self._ground, note.progress, strict=True)):
             watched.progress, watched.violation = progress, note.violations.get(position)
 
     @property
@@ -99,13 +125,32 @@ class ConstraintMonitor:
     def look(self, now: float) -> tuple[Violation, ...]:
         """Look at what is known now; return the constraints that turn out to be violated, preferences left out."""
         self._looked = True
-        for watched in self._soft:
-            self._see(watched, now)
-        return tuple(violation for watched in self._hard if (violation := self._see(watched, now)))
+        seen = [(position, self._see(position, now)) for position in self._to_see(now)]
+        return tuple(violation for position, violation in seen if violation and position < len(self._hard))
 
-    def _see(self, watched: _MonitoredConstraint, now: float) -> Violation | None:
-        before = watched.progress
-        watched.progress = before.seen(self._knowledge, now, self._lag(watched))
+    def _to_see(self, now: float) -> Iterable[int]:
+        """Return the ground constraints of which something else may be known by now."""
+        world, before = self._knowledge.world, self._changes
+        changed = None if before is None or world.rules is not self._rules else world.changed_since(before)
+        self._changes = world.changes
+        if changed is None:
+            return range(len(self._ground))
+        concerned = self._readers.concerned(changed)
+        while self._queue and self._queue[0][0] <= now + TOLERANCE:
+            _, position = heappop(self._queue)
+            self._times.pop(position, None)
+            concerned.add(position)
+        return sorted(concerned)
+
+    def _see(self, position: int, now: float) -> Violation | None:
+        watched = self._ground[position]
+        before, lag = watched.progress, self._lag(watched)
+        after = before.seen(self._knowledge, now, lag)
+        if after != before:
+            watched.progress, self.has_news = after, True
+        if self._times.get(position) != (time := watched.progress.next_look(now, lag)):
+            self._times[position] = time
+            heappush(self._queue, (time, position))
         if before.violated or not watched.progress.violated:
             return None
         time = now if before.doubtful_since is None else before.doubtful_since
@@ -117,11 +162,15 @@ class ConstraintMonitor:
 
     def next_look(self, now: float) -> float:
         """Return when to look again even if nothing changes; infinity if that is not needed."""
-        return min((watched.progress.next_look(now, self._lag(watched)) for watched in (*self._hard, *self._soft)), default=inf)
+        if self._changes is None:
+            return min((watched.progress.next_look(now, self._lag(watched)) for watched in self._ground), default=inf)
+        while self._queue and self._times.get(self._queue[0][1]) != self._queue[0][0]:
+            heappop(self._queue)
+        return self._queue[0][0] if self._queue else inf
 
     def doubtful_until(self) -> float:
         """Return when, at the latest, it will be known of everything that looks violated now whether it is; 0 if nothing does."""
-        since = ((watched, watched.progress.doubtful_since) for watched in (*self._hard, *self._soft))
+        since = ((watched, watched.progress.doubtful_since) for watched in self._ground)
         return max((doubtful + self._lag(watched) for watched, doubtful in since if doubtful is not None), default=0.0)
 
     def missing(self, now: float) -> tuple[Constraint, ...]:
@@ -198,7 +247,6 @@ class TaskMonitor:
         self.began = 0.0
         self._since = 0.0
         """When the world was as the problem of the context has it."""
-        self._noted: TrajectoryNote | None = None
         self.limit = TimeLimit(
             context.settings.limits.allowed(),
             lambda seconds: context.control.stop(Code.TIMED_OUT, f"the limit of {seconds:g} s is reached"),
@@ -217,8 +265,8 @@ class TaskMonitor:
         self.began = now = asyncio.get_running_loop().time()
         self._since = now if self._context.since is None else self._context.since
         if self._kept and self._kept.trajectory:
-            self.began, self._noted = self._kept.trajectory.began, self._kept.trajectory
-            self.constraints.restore(self._noted)
+            self.began = self._kept.trajectory.began
+            self.constraints.restore(self._kept.trajectory)
         if self._kept and self._kept.used:
             self.limit.continue_from(self._kept.used, self._kept.left_at)
         self._context.observer.began(self.began)
@@ -244,10 +292,8 @@ class TaskMonitor:
         for violation in self.constraints.look(now):
             self._context.observer.violated(violation, asyncio.get_running_loop().time())
             self._context.control.stop(Code.CONSTRAINT_VIOLATED, str(violation))
-        note = TrajectoryNote(self.began, *self.constraints.note)
-        if note != self._noted:  # in the transaction of what was looked at: it counts for both or for none
-            self._noted = note
-            self._context.journal.noted(self._context.task.id, note)
+        if self.constraints.has_news:  # in the transaction of what was looked at: it counts for both or for none
+            self._context.journal.noted(self._context.task.id, TrajectoryNote(self.began, *self.constraints.note))
         if self._next_look:
             self._next_look.cancel()
         time = self.constraints.next_look(now)

@@ -14,8 +14,9 @@ and *assumed* otherwise: then an action's effect is written when the action succ
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Final
 
 from pnm.core.logic.computed_values import MISSING
 from pnm.core.logic.derived_facts import DerivedFacts
@@ -24,13 +25,16 @@ from pnm.core.logic.expressions import UNKNOWN, Constant, Fluent, Unknown, Value
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.errors import InputError, check_seconds
 
+_REMEMBERED: Final = 20_000
+"""Changes that are remembered at most."""
+
 Listener = Callable[[Mapping[Fluent, Value | Unknown]], None]
 
 
 class KnowledgeBase:
     """One store of facts, numbers and variables that notifies its listeners of changes.
 
-    The mutable state is the four dictionaries set in the constructor, the list of listeners, and the
+    The mutable state is the four dictionaries set in the constructor, the list of listeners, the last changes, and the
     cache of derived facts. Given facts that rules derive raise `InputError`.
     """
 
@@ -52,6 +56,10 @@ class KnowledgeBase:
         self._objects: dict[str, tuple[str, ...]] = dict(objects or {})
         self._sensed: dict[str, float] = dict(sensed or {})
         self._listeners: list[Listener] = []
+        self._changed: list[Fluent] = []
+        """The fluents that have changed last, in order."""
+        self._forgotten = 0
+        """How many changes came before these."""
         self._derived_facts = DerivedFacts(rules, self._facts, self.objects)
 
     def __repr__(self) -> str:
@@ -109,6 +117,9 @@ class KnowledgeBase:
         real = {fluent: value for fluent, value in changes.items() if not same_value(self._facts.get(fluent), value)}
         self._facts.update(real)
         if real:
+            self._changed += real
+            if len(self._changed) > _REMEMBERED:
+                self._forget_changes(_REMEMBERED // 2)
             if self._derived:
                 self._derived_facts.forget({fluent[0] for fluent in real})
             for listener in tuple(self._listeners):
@@ -150,6 +161,7 @@ class KnowledgeBase:
         self._facts.update(facts)
         self._objects = dict(objects)
         self._derived_facts = DerivedFacts(rules, self._facts, self.objects)
+        self._forget_changes()
         for listener in tuple(self._listeners):
             listener(changes)
 
@@ -165,6 +177,23 @@ class KnowledgeBase:
         self._listeners.append(listener)
         return lambda: self._listeners.remove(listener)
 
+    # changes
+
+    @property
+    def changes(self) -> int:
+        """How many changes there were so far."""
+        return self._forgotten + len(self._changed)
+
+    def changed_since(self, changes: int) -> Sequence[Fluent] | None:
+        """Return the fluents that have changed since there were so many changes; None if anything may have, also variables."""
+        known = changes - self._forgotten
+        return None if known < 0 else self._changed[known:]
+
+    def _forget_changes(self, count: int | None = None) -> None:
+        """Forget the oldest changes; or all, with one more that may be of anything."""
+        self._forgotten += len(self._changed) + 1 if count is None else count
+        del self._changed[:count]
+
     # sensing
 
     def sense(self, names: Iterable[str], *, lag: float = 0.0) -> None:
@@ -172,6 +201,8 @@ class KnowledgeBase:
         check_seconds("a report", lag)
         news = {name: lag for name in names if name not in self._derived and self._sensed.get(name) != lag}
         self._sensed.update(news)
+        if news:
+            self._forget_changes()
         for listener in tuple(self._listeners) if news else ():
             listener({})
 
@@ -204,6 +235,7 @@ class KnowledgeBase:
         self._variables.update(variables)
         for name in [name for name, value in variables.items() if value is None]:
             del self._variables[name]
+        self._forget_changes()
         for listener in tuple(self._listeners):
             listener({})
 

@@ -12,13 +12,19 @@ the end of the request, or is gone; so waits for it have a limit.
 
 from __future__ import annotations
 
+from bisect import bisect_left, insort
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Final
+from math import inf
+from operator import itemgetter
+from typing import Final, TypeAlias
 from uuid import UUID
 
 from pnm.errors import PnmError, RunError
+
+_Rank: TypeAlias = tuple[int, float]
+"""How a claim stands in line, the least in front: higher priorities, then earlier claims."""
 
 _ONE_EACH: Final[Mapping[str, int]] = {}
 
@@ -65,7 +71,12 @@ class Resources:
         self._withheld: dict[UUID, str] = {}
         """Of those that have some, the requests that were given up, and what people know them by."""
         self._used: Counter[str] = Counter()
-        self._line: list[Claim] = []
+        self._line: dict[UUID, tuple[_Rank, Claim]] = {}
+        """By request, the claims that wait, and how each stands in line."""
+        self._lines: dict[str, list[_Rank]] = {}
+        """For every resource, how those stand in line that wait for it, in order."""
+        self._joined = 0
+        """How many claims have come into line so far."""
         self._listeners: list[Callable[[], None]] = []
 
     @property
@@ -76,7 +87,7 @@ class Resources:
     @property
     def line(self) -> tuple[Claim, ...]:
         """The claims that wait, those that are served first in front."""
-        return tuple(self._line)
+        return tuple(claim for _, claim in sorted(self._line.values(), key=itemgetter(0)))
 
     def capacity(self, name: str) -> int:
         """Return how many requests may have the resource at the same time."""
@@ -99,30 +110,34 @@ class Resources:
 
     def is_free(self, claim: Claim) -> bool:
         """Return whether the claim would be granted now."""
-        taken = self._used.copy()
         # A claim that is not in line yet is judged as if it had joined: behind its equals, before lower priorities.
-        stands = claim in self._line
-        for other in self._line:
-            if other == claim or (not stands and other.priority < claim.priority):
-                break
+        rank = behind_equals = (-claim.priority, inf)
+        standing, earlier = self._line.get(claim.request, (behind_equals, None))
+        if earlier == claim:
+            rank = standing
+        for name in claim.names:
+            line = self._lines.get(name, ())
             # What those ahead wait for counts as taken, even if it is free now: or small claims would overtake a large one for ever.
-            if other.request != claim.request:
-                taken.update(other.names)
-        return self._fits(claim, taken)
+            ahead = bisect_left(line, rank)
+            if earlier is not None and standing < rank and name in earlier.names:  # an earlier claim of the request itself
+                ahead -= 1
+            if self._used[name] + ahead >= self.capacity(name):
+                return False
+        return True
 
     def take(self, claim: Claim) -> bool:
         """Grant the claim and return True, or keep it in line, once."""
         if claim.request in self._held:
             return True
         is_free = self.is_free(claim)
-        if not is_free and claim in self._line:
+        if not is_free and claim.request in self._line and self._line[claim.request][1] == claim:
             return False
         # An earlier claim of the same request may have had other names, if the values of its parameters have changed since.
-        self._line = [waiting for waiting in self._line if waiting.request != claim.request]
+        self._leave(claim.request)
         if is_free:
             self._hold(claim)
         else:
-            self._line.insert(sum(other.priority >= claim.priority for other in self._line), claim)
+            self._join(claim)
             if self.outranked():  # nothing has become free, but the task manager may preempt those who hold what this one needs
                 self._notify()
         return is_free
@@ -150,7 +165,7 @@ class Resources:
         if request in self._held:
             self._withheld[request] = name
             # Those in line have been waiting for a call to end; from now on their limit for withheld resources counts.
-            if any(self.withheld_from(claim.names) for claim in self._line):
+            if any(self.withheld_from(claim.names) for _, claim in self._line.values()):
                 self._notify()
 
     def confirm(self, request: UUID) -> None:
@@ -180,15 +195,14 @@ class Resources:
 
     def withdraw(self, request: UUID) -> None:
         """Take the claim of the request out of the line."""
-        left = [waiting for waiting in self._line if waiting.request != request]
-        if len(left) < len(self._line):
-            self._line = left
+        if self._leave(request):
             self._notify_if_servable()
 
     def outranked(self) -> frozenset[UUID]:
         """Return the tasks that have what a claim of higher priority waits for."""
         tasks: set[UUID] = set()
-        for claim in self._line:
+        lowest = min((held.priority for held in self._held.values()), default=0)
+        for claim in [claim for _, claim in self._line.values() if claim.priority > lowest]:
             short = {name for name in claim.names if self._used[name] >= self.capacity(name)}
             lower = (held for held in self._held.values() if held.task != claim.task and held.priority < claim.priority)
             tasks |= {held.task for held in lower if not short.isdisjoint(held.names) and self.gives(held)}
@@ -200,7 +214,14 @@ class Resources:
 
     def servable(self) -> frozenset[UUID]:
         """Return the requests in line whose claims would be granted if they were made again."""
-        return frozenset(claim.request for claim in self._servable())
+        return frozenset(request for request, (_, claim) in self._line.items() if self.is_free(claim))
+
+    def is_concerned(self, request: UUID) -> bool:
+        """Return whether the request stands in line and its claim would be granted now, or has come to wait for what is withheld."""
+        if request not in self._line:
+            return False
+        _, claim = self._line[request]
+        return self.is_free(claim) or bool(self.withheld_from(claim.names))
 
     def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
         """Call the listener when a claim in line would be granted if it were made again, when one comes that outranks who has it,
@@ -215,28 +236,38 @@ class Resources:
         names = sorted(name for name, used in self._used.items() if used)
         return f"<Resources, in use: {', '.join(names) or 'none'}; {len(self._line)} in line>"
 
-    def _fits(self, claim: Claim, taken: Mapping[str, int]) -> bool:
-        return all(taken[name] < self.capacity(name) for name in claim.names)
-
     def _hold(self, claim: Claim) -> None:
         self._held[claim.request] = claim
         self._used.update(claim.names)
 
     def _notify_if_servable(self) -> None:
         """Notify the listeners if a claim in line could be granted."""
-        if any(True for _ in self._servable()):
+        if any(self.is_free(claim) for _, claim in self._line.values()):
             self._notify()
 
     def _notify(self) -> None:
         for listener in tuple(self._listeners):  # a copy, because listeners may come and go while they are called
             listener()
 
-    def _servable(self) -> Iterator[Claim]:
-        taken = self._used.copy()
-        for claim in self._line:
-            if self._fits(claim, taken):
-                yield claim
-            taken.update(claim.names)  # also when it does not fit: those behind it may not take what it waits for
+    def _join(self, claim: Claim) -> None:
+        """Put a claim in line: behind its equals."""
+        self._joined += 1
+        rank = -claim.priority, self._joined
+        self._line[claim.request] = rank, claim
+        for name in claim.names:
+            insort(self._lines.setdefault(name, []), rank)
+
+    def _leave(self, request: UUID) -> bool:
+        """Take the claim of a request out of line; return whether there was one."""
+        if request not in self._line:
+            return False
+        rank, claim = self._line.pop(request)
+        for name in claim.names:
+            line = self._lines[name]
+            del line[bisect_left(line, rank)]
+            if not line:
+                del self._lines[name]
+        return True
 
 
 def who_keeps(withheld: Mapping[str, str]) -> str:
@@ -313,8 +344,7 @@ class RunClaims:
         """Return the places that wait and where the claim may be granted now, or has come to wait for what is withheld."""
         if not self.waiting:
             return []
-        ready = self.resources.servable() | {claim.request for claim in self.resources.line if self.resources.withheld_from(claim.names)}
-        return [place for place, request in self.waiting.items() if request in ready]
+        return [place for place, request in self.waiting.items() if self.resources.is_concerned(request)]
 
     def end(self, kept: Collection[UUID], open_calls: Mapping[UUID, str]) -> None:
         """Wait for nothing, and give everything back but what these requests have; those that are open keep what they have."""

@@ -12,10 +12,12 @@ from uuid import UUID
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from pnm.core.execution.events import Begin, Send
+from pnm.core.execution.events import Begin, Command, Send
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.logic.conditions import TRUE
+from pnm.core.logic.conditions import TRUE, All, Holds
+from pnm.core.logic.effects import Set
+from pnm.core.logic.expressions import Constant, Fluent
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import (
@@ -158,7 +160,63 @@ def main() -> None:
             f"{made:.2f} + {proved:.2f} + {ran:.2f} s"
         )
 
+    checked_calls(unit)
     proofs()
+
+
+def checked(calls: int) -> tuple[PlanGraph, dict[Fluent, bool]]:
+    """Calls in a row that need two facts and bring about one; and the facts that hold at first."""
+    place = ("free", "kitchen")
+    actions = (
+        GroundAction(
+            "clean",
+            (f"r{index}", "kitchen"),
+            ("robot", "room"),
+            All((Holds(("ready", f"r{index}")), Holds(place))),
+            end_effects=(Set(("done", f"r{index}"), Constant(True)),),
+        )
+        for index in range(calls)
+    )
+    found = tuple(ActionCall(index, action) for index, action in enumerate(actions))
+    return replace(in_a_row(calls), steps=found), {place: True, **{("ready", f"r{index}"): True for index in range(calls)}}
+
+
+def checked_calls(unit: float) -> None:
+    """A checked call that is answered at once, with a machine that is executed for the first time, and again; alone and among others."""
+    for calls in (100, 1_000, 10_000):
+        plan, known = checked(calls)
+        took: list[list[float]] = [[], []]
+        for _ in range(max(1, 3_000 // calls)):
+            machine = generate(plan)
+            machine.compiled  # noqa: B018
+            for times in took:
+                run = Run(machine, Layered(KnowledgeBase(known)), id=UUID(int=1))
+                times.append(seconds(lambda run=run: inline(run), 1))  # type: ignore[misc]
+        first, again = (min(times) / calls for times in took)
+        print(
+            f"{calls} checked calls in a row, inline: "
+            f"{first / unit:.0f} units a call for a new machine, {again / unit:.0f} for one that is known; "
+            f"{first * 1e6:.0f}, {again * 1e6:.0f} us"
+        )
+    plan, known = checked(100)
+    machine = generate(plan)
+    inline(Run(machine, Layered(KnowledgeBase(known)), id=UUID(int=1)))
+    alone = seconds(lambda: inline(Run(machine, Layered(KnowledgeBase(known)), id=UUID(int=1))))
+    others = [Run(machine, Layered(KnowledgeBase(known)), id=UUID(int=number << 96)) for number in range(1, 1_001)]
+    beside = seconds(lambda: side_by_side_inline(others), 1) / len(others)
+    print(f"1000 runs of 100 calls side by side / one alone, a call = {beside / alone:.2f} (at most 1.5)")
+
+
+def side_by_side_inline(runs: list[Run]) -> None:
+    """Answer the requests of all runs in turn."""
+    waiting = [(run, command) for run in runs for command in run.handle(Begin(), 0.0)]
+    while waiting:
+        then: list[tuple[Run, Command]] = []
+        for run, command in waiting:
+            if isinstance(command, Send):
+                for event in (Accepted(command.request.id), Ended(command.request.id, Outcome(OutcomeKind.SUCCEEDED))):
+                    then += [(run, new) for new in run.handle(event, 0.0)]
+        waiting = then
 
 
 def proofs() -> None:

@@ -111,7 +111,8 @@ class Preemption(TaskListener):
 
     def preempt_holders(self) -> None:
         """Preempt the tasks that have what a claim of higher priority waits for."""
-        outranked = self._resources.outranked()
+        if not (outranked := self._resources.outranked()):
+            return
         # Only holders of something that this very claim needs: others of lower priority stay undisturbed.
         for claim in self._resources.line:
             for held in self._resources.held:

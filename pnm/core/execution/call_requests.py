@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from hashlib import sha1
 from typing import Final, assert_never
 from uuid import UUID
 
@@ -38,12 +37,11 @@ from pnm.core.logic.operators import CHANGING, Uncomputable
 from pnm.core.machine.bindings import Binding, Bindings, goal_data, open_parameters, placeholders
 from pnm.core.machine.machine import PetriNetMachine, TransitionAction
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
-from pnm.core.machine.requests import Ended, Feedback, Outcome, OutcomeKind, Request
+from pnm.core.machine.requests import Ended, Feedback, Outcome, OutcomeKind, Request, identities
 from pnm.core.message_fields import Unreadable, parse_field, value_in
 
 _NOTHING: Final = Performed()
 _CHANGED: Final = Performed(changes_knowledge=True)
-
 
 GoalFields = Callable[[GroundAction], tuple[str, ...] | None]
 
@@ -57,7 +55,7 @@ class Calls:
     def __init__(
         self, run: UUID, machine: PetriNetMachine, knowledge: Layered, bindings: Bindings, goal_fields: GoalFields, *, asks: bool
     ) -> None:
-        self._identified, self._prefix = sha1(run.bytes), run.bytes[:4]
+        self.identity = identities(run)
         self._plan = machine.plan
         self._closed = index_of(machine).closed
         self._knowledge = knowledge
@@ -84,7 +82,8 @@ class Calls:
 
     def as_sent(self, call: int) -> ActionCall:
         """Return the call with what its parameters had for values when it was sent last."""
-        return self._with(call, self.action(call))
+        attempt = self._attempts.get(call)
+        return self._plan.calls[call] if attempt is None else self._with(call, attempt.action)
 
     def _with(self, call: int, action: GroundAction) -> ActionCall:
         planned = self._plan.calls[call]
@@ -184,18 +183,22 @@ class Calls:
         """Return what the action has for itself while it is under way."""
         return self._bindings.resources(action)
 
+    def shows_nothing(self, call: int) -> bool:
+        """Return whether nothing of the call's effects can be seen, whatever is so."""
+        attempt, closed = self._attempts[call], self._closed[call]
+        return closed is not None and not (closed.is_checked or attempt.denied or attempt.intended.expected)
+
     def unseen(self, call: int, context: EvaluationContext) -> tuple[Condition, ...]:
         """Return what of the call's effects is not seen."""
-        attempt, closed = self._attempts[call], self._closed[call]
-        if closed is not None and not (closed.is_checked or attempt.denied or attempt.intended.expected):
-            return ()
+        attempt = self._attempts[call]
         return tuple(dict.fromkeys((*attempt.denied, *unseen(attempt.intended.expected, attempt.action, context))))
 
     def is_assumed(self, call: int) -> bool:
         """Return whether nothing reports some of what the call changes."""
-        closed, action = self._closed[call], self.action(call)
-        changed = names_written((*action.start_effects, *action.end_effects)) if closed is None else closed.names
-        return is_assumed(changed, self.world)
+        if (closed := self._closed[call]) is not None:
+            return is_assumed(closed.names, self.world)
+        action = self.action(call)
+        return is_assumed(names_written((*action.start_effects, *action.end_effects)), self.world)
 
     def explain_unseen(self, call: int, context: EvaluationContext) -> tuple[str, str]:
         """Return what of the call's effects is not seen, and what is seen instead, as texts."""
@@ -227,30 +230,30 @@ class Calls:
 
     def perform(self, action: TransitionAction, call: int, count: int, context: Callable[[], EvaluationContext], now: float) -> Performed:
         """Carry out the action of a transition that fires; `count` is that of the requests since the call was reached."""
+        if action is TransitionAction.SEND:
+            return self._send(call, count, context())
         attempt = self._attempts.get(call)
+        if attempt is None:  # nothing was sent that anything could be done about
+            return _NOTHING
         match action:
-            case TransitionAction.SEND:
-                return self._send(call, count, context())
-            case TransitionAction.ADOPT:
-                return _NOTHING  # the request is known since the run was made
-            case TransitionAction.CANCEL:
-                # A request that is being cancelled is not handed over: the successor would take it for one that goes on.
-                self._attempts[call].accepted = self._attempts[call].unanswered = None
-                return Performed((Cancel(self._attempts[call].request),))
             case TransitionAction.BEGIN:
-                attempt = self._attempts[call]
                 # Read before they are written, for a rollback if the call ends without success.
                 attempt.accepted, attempt.unanswered, attempt.begun = now, None, values_before(attempt.intended.start, self.world)
                 return self._write(attempt.intended.start)
             case TransitionAction.FINISH:
-                attempt = self._attempts[call]
                 closed = self._closed[call]
                 is_constant = closed is not None and closed.effects is not None
                 end = attempt.intended.end if is_constant else finished(attempt.action, attempt.intended, context())
                 attempt.ended, attempt.begun = end, values_before(end, self.world) | (attempt.begun or {})
                 return self._write(end)
+            case TransitionAction.CANCEL:
+                # A request that is being cancelled is not handed over: the successor would take it for one that goes on.
+                attempt.accepted = attempt.unanswered = None
+                return Performed((Cancel(attempt.request),))
+            case TransitionAction.ADOPT:
+                return _NOTHING  # the request is known since the run was made
             case TransitionAction.UNDO:
-                if attempt is None or attempt.begun is None:  # it was never accepted, so nothing was written at its start
+                if attempt.begun is None:  # it was never accepted, so nothing was written at its start
                     return _NOTHING
                 before, after = attempt.begun, {**attempt.intended.start, **attempt.ended}
                 attempt.begun, attempt.ended = None, {}
@@ -342,21 +345,17 @@ class Calls:
 
     def _next(self, call: int) -> tuple[int, UUID]:
         """Return the number and the identity of the next request."""
-        number = self._attempts[call].number + 1 if call in self._attempts else 1
+        attempt = self._attempts.get(call)
+        number = 1 if attempt is None else attempt.number + 1
         return number, self.identity(f"{call}/{number}")
-
-    def identity(self, what: str) -> UUID:
-        """Return an identity that follows from the run's and what it is for; the first four bytes are the run's, to be found by."""
-        identified = self._identified.copy()
-        identified.update(what.encode())
-        return UUID(bytes=self._prefix + identified.digest()[4:16], version=5)
 
     def _write(self, changes: Changes) -> Performed:
         """Write the assumed effects; sensors report all others."""
         if not changes:
             return _NOTHING
         # What sensors report is not overwritten with what the model expects: the check of the effects would see its own expectation.
-        assumed = {fluent: value for fluent, value in changes.items() if not self.world.is_sensed(fluent)}
+        is_sensed = self.world.is_sensed
+        assumed = {fluent: value for fluent, value in changes.items() if not is_sensed(fluent)}
         return _CHANGED if self.world.record(assumed) else _NOTHING
 
     # --- operations on knowledge --------------------------------------------------------------

@@ -108,7 +108,7 @@ class CallResults:
     """Results of the calls of a run, and its failures.
 
     The mutable state is `current`, what became of calls the last time they were reached, `rounds`, the same of all times
-    before, `failures`, `last_check` and, per call, the last message and the last cause.
+    before, `failures`, `last_check` and, per call, how its last request ended and the last cause.
     """
 
     def __init__(self, plan: PlanGraph) -> None:
@@ -121,7 +121,7 @@ class CallResults:
         self.failures: list[Failure] = []
         self.last_check: Explanation | None = None
         """What the check of the transition that fired last has found, if it was a check."""
-        self._messages: dict[int, str] = {}
+        self._answers: dict[int, Outcome] = {}
         self._causes: dict[int, Explanation] = {}
 
     def calls(self, handed: Collection[int] = ()) -> tuple[CallResult, ...]:
@@ -144,56 +144,53 @@ class CallResults:
         return (*reached, *others)
 
     def answered(self, call: int, outcome: Outcome) -> None:
-        """Keep the message of a request of the call that has ended."""
-        self._messages[call] = outcome.message or outcome.kind.value
+        """Keep how a request of the call has ended."""
+        self._answers[call] = outcome
 
-    def fired(
-        self, rule: Rule, call: int, now: float, check: Explanation | None, *, unseen: tuple[str, str] | None, assumed: bool
-    ) -> Explanation | None:
-        """Record the firing of a transition: it sets the outcome of its call and the cause of a recovery or failure, which is returned.
-
-        Args:
-            rule: of the transition.
-            call: its number.
-            now: when it fires.
-            check: the explanation if a check has led to a recovery.
-            unseen: the effects that are not seen, and what is seen instead.
-            assumed: whether some of the call's effects are reported by nothing.
-        """
+    def turned(self, outcome: CallOutcome, call: int, now: float, *, assumed: bool = False) -> None:
+        """Record an outcome of a call, so far or for good; `assumed`: whether some of its effects are reported by nothing."""
         result = self.current[call]
-        match rule.outcome:
-            case None:
-                pass
+        match outcome:
             case CallOutcome.WAITING:
                 if result.kind is not CallOutcome.WAITING:
                     self.rounds.append(result)
                     self.current[call] = CallResult(self._calls[call])
                     self._causes.pop(call, None)
+            case CallOutcome.PASSED_OVER:
+                if result.ended is None:
+                    self.current[call] = replace(result, kind=outcome, cause=self._causes[call].cause, ended=now)
             case CallOutcome.RUNNING:
                 started = now if result.started is None else result.started
-                self.current[call] = CallResult(
-                    result.call, rule.outcome, result.attempts + 1, started, result.ended, result.assumed, result.cause
-                )
+                more = result.attempts + 1
+                self.current[call] = CallResult(result.call, outcome, more, started, result.ended, result.assumed, result.cause)
             case CallOutcome.SUSPENDED:
-                self.current[call] = replace(result, kind=rule.outcome)
+                self.current[call] = replace(result, kind=outcome)
             case CallOutcome.SKIPPED if result.kind is CallOutcome.SUSPENDED:
                 self.current[call] = replace(result, kind=CallOutcome.CANCELED, ended=now)
             case CallOutcome.CANCELED if result.kind is CallOutcome.FAILED:
                 pass  # how its request ended changes nothing about that
-            case CallOutcome.PASSED_OVER:
-                if result.ended is None:
-                    self.current[call] = replace(result, kind=rule.outcome, cause=self._causes[call].cause, ended=now)
             case _:
-                self.current[call] = CallResult(result.call, rule.outcome, result.attempts, result.started, now, assumed)
+                self.current[call] = CallResult(result.call, outcome, result.attempts, result.started, now, assumed)
+
+    def hindered(self, rule: Rule, call: int, check: Explanation | None, unseen: tuple[str, str] | None) -> Explanation | None:
+        """Record, and return, the cause of a recovery or failure of a call that the firing of a transition tells.
+
+        Args:
+            rule: of the transition.
+            call: its number.
+            check: the explanation if a check has led to a recovery.
+            unseen: the effects that are not seen, and what is seen instead.
+        """
         if check is not None:
             self._causes[call] = check
-            return check
-        if rule.cause is not None and not is_check(rule.guard):
-            message = self._messages.get(call, "")
+        elif rule.cause is not None and not is_check(rule.guard):
+            answer = self._answers.get(call)
+            message = (answer.message or answer.kind.value) if answer else ""
             expected, seen = unseen or (rule.expected or SUCCESS, rule.observed.format(message=message) or message)
             self._causes[call] = Explanation(rule.cause, expected, seen)
-            return self._causes[call]
-        return None
+        else:
+            return None
+        return self._causes[call]
 
     def adopted(self, call: ActionCall, before: CallResult) -> None:
         """Record the result so far of a call that another run has sent."""

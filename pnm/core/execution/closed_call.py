@@ -45,12 +45,16 @@ class ConstantEffects:
 
     def intended(self, world: KnowledgeBase) -> Intention:
         """Return the intention of the call, as `effect_checks.intention` would."""
-        seen = {fluent: value for fluent, value in self.visible.items() if world.is_sensed(fluent)}
+        is_sensed = world.is_sensed
+        seen = {fluent: value for fluent, value in self.visible.items() if is_sensed(fluent)}
         return replace(self.intention, expected=seen) if seen else self.intention
 
     def are_done(self, world: KnowledgeBase) -> bool:
         """Return whether there is nothing to do, as `effect_checks.already_true` would."""
-        return bool(self.done) and all(same_value(world.value(fluent), value) for fluent, value in self.done)
+        for fluent, value in self.done:
+            if not same_value(world.value(fluent), value):
+                return False
+        return bool(self.done)
 
 
 @dataclass(frozen=True, slots=True)

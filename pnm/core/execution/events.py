@@ -16,7 +16,7 @@ from pnm.core.execution.call_results import Explanation, Failure
 from pnm.core.logic.computed_values import Question
 from pnm.core.machine.machine import Rule
 from pnm.core.machine.plan_graph import ActionCall
-from pnm.core.machine.requests import Outcome, Report, Request
+from pnm.core.machine.requests import Ended, Outcome, Report, Request
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +147,7 @@ class Performed:
     """What a transition's action leads to: commands, ends of requests that concerned knowledge alone, and whether knowledge changed."""
 
     commands: tuple[Command, ...] = ()
-    reports: tuple[Report, ...] = ()
+    reports: tuple[Ended, ...] = ()
     changes_knowledge: bool = False
 
 

@@ -69,7 +69,7 @@ class Guards:
         Raises:
             Unanswered: a question has to be asked first.
         """
-        return _OPENS[type(firing.rule.guard)](self, firing.rule.guard, firing, place)
+        return OPENS[firing.guarded](self, firing.rule.guard, firing, place)
 
     # each with its guard, the transition and its place
 
@@ -92,7 +92,7 @@ class Guards:
         return _now_if(self._state.suspends)
 
     def _true(self, guard: ConditionTrue, firing: Firing, place: int) -> float:
-        return _now_if(self._truth(guard.condition, firing, place) is True)
+        return -NEVER if self._truth(guard.condition, firing, place) is True else NEVER
 
     def _false(self, guard: ConditionFalse, firing: Firing, place: int) -> float:
         # Not false until the report delay has passed: sensors may be about to report what has just happened.
@@ -110,7 +110,7 @@ class Guards:
     def _already_true(self, guard: AlreadyTrue, firing: Firing, place: int) -> float:
         closed = self._state.index.closed[guard.call]
         if closed is not None and closed.effects is not None:
-            return _now_if(closed.effects.are_done(self._calls.world))
+            return -NEVER if closed.effects.are_done(self._calls.world) else NEVER
         context = self.context(guard.call, place)
         return _now_if(already_true(self._calls.ready(guard.call, context), context))
 
@@ -125,7 +125,7 @@ class Guards:
         return self._after(self._withheld_since, firing.number, place, is_withheld, guard.seconds)
 
     def _effects_seen(self, guard: EffectsSeen, firing: Firing, place: int) -> float:
-        return _now_if(not self.unseen(guard.call, place))
+        return _now_if(self._calls.shows_nothing(guard.call) or not self.unseen(guard.call, place))
 
     def _effects_missing(self, guard: EffectsMissing, firing: Firing, place: int) -> float:
         # As above: an effect counts as missing only when reports about it can no longer be on their way.
@@ -179,18 +179,18 @@ class Guards:
     def postpone(self, call: int | None) -> None:
         """Have the limit for the acceptance of a call's request begin anew."""
         state = self._state
-        for firing in () if call is None else state.index.opened[call, None]:
-            if state.engine.is_enabled(firing.number):
-                state.marked_at.update(dict.fromkeys(firing.inputs, state.now))
+        for number, place in () if call is None else state.index.opened[call, None]:
+            if state.engine.is_enabled(number):
+                state.marked_at[place] = state.now
 
     def forget(self, place: int) -> Iterator[UUID]:
         """Forget since when guards at the place have been waiting; yield its questions, whose answers are no longer needed."""
         self._questions.noted.discard(place)
         # The next token at this place is a new decision, with delays that begin anew.
-        for consumer in self._state.index.places[place].firings:
-            self._false_since.pop(consumer.number, None)
-            self._withheld_since.pop(consumer.number, None)
-            self._held.pop(consumer.number, None)
+        for number in self._state.index.places[place].numbers:
+            self._false_since.pop(number, None)
+            self._withheld_since.pop(number, None)
+            self._held.pop(number, None)
         return self._questions.left(place)
 
     def context(self, call: int | None, place: int | None) -> EvaluationContext:
@@ -269,7 +269,7 @@ def _now_if(is_open: bool) -> float:
     return -NEVER if is_open else NEVER
 
 
-_OPENS: Final[Mapping[type, Callable[[Guards, Any, Firing, int], float]]] = {
+OPENS: Final[Mapping[type, Callable[[Guards, Any, Firing, int], float]]] = {
     Always: Guards._always,
     After: Guards._wait,
     Ending: Guards._ending,

@@ -5,19 +5,24 @@ Whatever a run asks about a place, a transition or a call is worked out when it 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final, TypeVar
 from weakref import WeakKeyDictionary
 
 from pnm.core.execution.closed_call import ClosedCall, closed_call
 from pnm.core.logic.compiled_condition import TruthIn, compiled
-from pnm.core.logic.conditions import data_in
+from pnm.core.logic.conditions import All, data_in
+from pnm.core.logic.effects import Set, every_effect
+from pnm.core.logic.expressions import Fluent
+from pnm.core.logic.rules import NO_RULES, Reads, read_by, reads_of
 from pnm.core.machine.machine import (
     Accepts,
     After,
     AlreadyTrue,
     Always,
+    CallOutcome,
     CancelAsked,
     ConditionFalse,
     ConditionTrue,
@@ -35,6 +40,7 @@ from pnm.core.machine.machine import (
     PetriNetMachine,
     Rule,
     TransitionAction,
+    Withheld,
 )
 from pnm.core.machine.requests import OutcomeKind
 from pnm.core.net.firing_engine import CompiledNet
@@ -76,32 +82,45 @@ class Firing:
     """Whether it gives resources back."""
     counts: bool
     """Whether it takes more than one token, and is therefore enabled only if the engine misses none."""
-    is_free: bool
-    """Whether its guard is always open."""
+    guarded: type
+    """The kind of its guard."""
     is_moment: bool
     """Whether time alone opens it."""
-    ends: bool
-    """Whether the run may be ending after it."""
-    notes: bool
-    """Whether it says something about the result of its call."""
-    moves_only: bool
-    """Whether it does nothing but move tokens."""
+    turns: bool
+    """Whether the run may be ending after it, or not be ending any more."""
+    outcome: CallOutcome | None
+    """What it means for the result of its call."""
+    tells: bool
+    """Whether it says more about its call than that: what hinders it, or that it is not needed or given up."""
+    acts: bool
+    """Whether it does more than to move tokens and to set the outcome of its call."""
     condition: CompiledCondition | None
     """The condition of its guard, where that is the same for every run."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Decision:
     """What is decided at a place."""
 
-    firings: tuple[Firing, ...]
-    """The transitions that are decided on there, in their order."""
+    numbers: tuple[int, ...]
+    """The transitions that are decided on there, in their order, by number."""
+    made: Mapping[int, Firing]
+    """All transitions, by number, each made when it is asked for."""
     staying: tuple[Firing, ...]
     """Those that may open although the run is not ending, stopped or paused."""
+    passage: Firing | None
+    """The only transition, if it only has to be enabled and does nothing but pass on tokens."""
     awaits: bool
     """Whether a report is waited for there."""
+    stays: bool
+    """Whether a report is waited for there, or the end of the run."""
     listens: bool
     """Whether the decision may change when facts change."""
+
+    @cached_property
+    def firings(self) -> tuple[Firing, ...]:
+        """The transitions that are decided on there; most are of no use before a run comes to its end."""
+        return tuple([self.made[number] for number in self.numbers])
 
 
 K = TypeVar("K")
@@ -146,27 +165,59 @@ class MachineIndex:
         for transition, rule in enumerate(self.rules):
             if isinstance(rule.guard, Accepts | Ends):
                 self._reported.setdefault(rule.guard.call, []).append(transition)
+        self.rules_of_facts = machine.plan.rules
+        """What derives the facts that its conditions mention."""
         # worked out so far
         self.firings: Final = WhenAsked(self._firing)
         """The transitions."""
         self.places: Final = WhenAsked(self._decision)
         """What is decided at places."""
+        self.reads: Final = WhenAsked(self._reads_at)
+        """What knowledge is read to decide at places."""
         self.opened: Final = WhenAsked(self._opened)
-        """The transitions of a call that are opened by the end of its request in a way, or by its acceptance."""
+        """The transitions of a call that are opened by the end of its request in a way, or by its acceptance, each with its place."""
         self.closed: Final[WhenAsked[int, ClosedCall | None]] = WhenAsked(lambda call: closed_call(calls[call]))
         """What of calls does not depend on knowledge."""
 
     def _decision(self, place: int) -> Decision:
         by_guard = [one for one, _ in self._consumers[place] if not isinstance(self.rules[one].guard, Accepts | Ends)]
         knows = any(isinstance(self.rules[one].guard, _KNOWING) for one in by_guard)
-        awaits = len(by_guard) < len(self._consumers[place])
-        firings = tuple(self.firings[one] for one in by_guard)
-        staying = tuple(firing for firing in firings if not isinstance(firing.rule.guard, _LEAVING))
-        return Decision(firings, staying if len(staying) < len(firings) else firings, awaits, knows)
+        staying = tuple([self.firings[one] for one in by_guard if not isinstance(self.rules[one].guard, _LEAVING)])
+        is_passage = len(self._consumers[place]) == len(staying) == 1 and staying[0].guarded is Always and not staying[0].acts
+        passage, count = staying[0] if is_passage else None, len(self._consumers[place])
+        return Decision(tuple(by_guard), self.firings, staying, passage, len(by_guard) < count, len(staying) < count, knows)
 
-    def _opened(self, key: tuple[int, OutcomeKind | None]) -> tuple[Firing, ...]:
+    def _reads_at(self, place: int) -> Reads:
+        read: set[Fluent | str] = set()
+        for firing in self.places[place].firings:
+            reads = self._reads_for(firing)
+            if reads is None:
+                return None
+            read |= reads
+        return frozenset(read)
+
+    def _reads_for(self, firing: Firing) -> Reads:
+        """Return what the guard of a transition reads."""
+        action = None if firing.call is None else self._calls[firing.call].action
+        # Other runs may give back resources, and servers say which goal fields they have, without anything being heard of it; and
+        # what the parameters are of a call that is not closed depends on anything.
+        if firing.takes or (firing.call is not None and self.closed[firing.call] is None):
+            return None
+        match firing.rule.guard:
+            case ConditionTrue(condition) | ConditionFalse(condition) | ConditionUnknown(condition) | InvariantFalse(condition):
+                return read_by(condition, self.rules_of_facts)
+            case AlreadyTrue() | DataMissing() | Withheld():
+                return None
+            case EffectsSeen() | EffectsMissing() if action is not None:
+                checked = read_by(All((action.end_condition, action.expected)), self.rules_of_facts)
+                fluents = [one.fluent for one in every_effect((*action.start_effects, *action.end_effects)) if isinstance(one, Set)]
+                return None if checked is None else checked.union(*(reads_of(fluent, NO_RULES) for fluent in fluents))
+            case _:
+                return frozenset()
+
+    def _opened(self, key: tuple[int, OutcomeKind | None]) -> tuple[tuple[int, int], ...]:
         call, kind = key
-        return tuple(self.firings[one] for one in self._reported[call] if _admits(self.rules[one], kind))
+        return tuple([(one, self._inputs[one][0][0]) for one in self._reported[call] if _admits(self.rules[one], kind)])
 
     def _firing(self, transition: int) -> Firing:
         rule, taken = self.rules[transition], self._inputs[transition]
@@ -174,8 +225,8 @@ class MachineIndex:
         fails = tuple(place for place in outputs if place in self.failures)
         is_call = rule.call is not None and rule.call < len(self._calls)
         takes = not self.resources.isdisjoint(inputs) and rule.action is not TransitionAction.ADOPT
-        gives, ends = not self.resources.isdisjoint(outputs), bool(fails) or not self.restarts.isdisjoint(outputs)
-        notes = rule.outcome is not None or rule.cause is not None or rule.gives_up
+        gives, turns = not self.resources.isdisjoint(outputs), bool(fails) or not self.restarts.isdisjoint((*inputs, *outputs))
+        tells = rule.cause is not None or rule.gives_up or rule.outcome is CallOutcome.ALREADY_TRUE
         return Firing(
             transition,
             self._names[transition],
@@ -188,11 +239,12 @@ class MachineIndex:
             takes=takes,
             gives=gives,
             counts=len(taken) != 1 or taken[0][1] != 1,
-            is_free=isinstance(rule.guard, Always),
+            guarded=type(rule.guard),
             is_moment=isinstance(rule.guard, _MOMENTS),
-            ends=ends,
-            notes=notes,
-            moves_only=not (takes or gives or ends or notes or rule.action),
+            turns=turns,
+            outcome=rule.outcome if is_call else None,
+            tells=tells,
+            acts=bool(takes or gives or turns or tells or rule.action or rule.outcome is CallOutcome.SUCCEEDED),
             condition=self._condition(rule, is_call=is_call),
         )
 

@@ -34,18 +34,18 @@ from pnm.core.execution.events import (
     Wake,
     Withdraw,
 )
-from pnm.core.execution.guards import NEVER, Guards
+from pnm.core.execution.guards import NEVER, OPENS, Guards
 from pnm.core.execution.handover import UnderWay, check_adoption
 from pnm.core.execution.machine_index import Firing, index_of
 from pnm.core.execution.questions import Questions, subject_of
-from pnm.core.execution.run_state import RunState, Timers
+from pnm.core.execution.run_state import Agenda, RunState
 from pnm.core.execution.run_view import RunView
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import Question, Unanswered
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import CallOutcome, EffectsMissing, PetriNetMachine, Rule, TransitionAction, Withheld
 from pnm.core.machine.plan_graph import Cause
-from pnm.core.machine.requests import BEFORE_ACCEPTANCE, Accepted, Ended, Feedback, OutcomeKind, Postponed, Report
+from pnm.core.machine.requests import BEFORE_ACCEPTANCE, Accepted, Ended, Feedback, OutcomeKind, Postponed
 from pnm.core.net.firing_engine import Engine
 from pnm.core.resources import Resources, RunClaims
 
@@ -91,30 +91,22 @@ class Run(RunView):
         priority: int = 0,
         adopted: Mapping[int, UnderWay] = _NONE,
     ) -> None:
-        self.machine = machine
-        self.knowledge = knowledge
-        self.id = id
+        self.machine, self.knowledge, self.id = machine, knowledge, id
         self.resources = Resources(machine.capacities) if resources is None else resources
         self.task = id if task is None else task
         self.observer = observer or Observer()
         self._index = index_of(machine)
         # state
         self._engine = Engine(machine.compiled, machine.initial)
-        self._agenda: deque[int] = deque()
-        """Places to be asked, in this order."""
-        self._undecided: dict[int, bool] = {}
-        """Places to be asked again, and whether they are when facts change."""
-        self._timers = Timers()
-        self._wake = NEVER
+        self._agenda = Agenda(self._index, knowledge)
         self._fired: list[int] = []
         self._commands: list[Command] = []
-        self._reports: deque[Report] = deque()
+        self._reports: deque[Accepted | Ended] = deque()
         """Ends of requests that concerned knowledge alone."""
-        self._early: list[Report] = []
+        self._early: list[Accepted | Ended] = []
         """Reports about requests taken over that came before the beginning."""
         self._has_changed_knowledge = False
-        self._questions = Questions()
-        self._waits = False
+        self._questions, self._waits = Questions(), False
         self._calls = Calls(id, machine, knowledge, bindings or Bindings(), goal_fields, asks=asks)
         self._results = CallResults(machine.plan)
         self._state = RunState(self._engine, self._index, self._results, origin, adopted=dict(adopted))
@@ -145,34 +137,34 @@ class Run(RunView):
     def handle(self, event: Event, now: float) -> list[Command]:
         """Take one event in and return what is to be done about it."""
         state, self._fired = self._state, []
-        state.now = max(now, state.now)  # guards compare times with each other, so the run's clock never goes back
+        if now > state.now:  # guards compare times with each other, so the run's clock never goes back
+            state.now = now
         match event:
             case Accepted() | Ended():
                 # a request taken over may end before the run has begun: its place is not marked yet
                 (self._report if state.has_begun else self._early.append)(event)
             case Begin():
-                self._agenda.extend(state.begin())
+                self._agenda.places.extend(state.begin())
             case Restarted():
-                self._wake = NEVER
+                self._agenda.ask_for_timer_anew()
                 for sent in self._calls.open.values():  # the answer to a dead process is not heard: the limit for the next one begins anew
                     self._guards.postpone(sent)
                 self._commands += (*self._questions.again(), *self._calls.again())
-                self._agenda.extend(self._undecided)
+                self._agenda.ask_undecided()
             case KnowledgeChanged():
-                self._ask_again_about_knowledge()
+                self._agenda.ask_about_knowledge(state.now)
             case ResourcesChanged():
-                self._agenda.extend(self._claims.served())
+                self._agenda.places.extend(self._claims.served())
             case Tick():
-                self._wake = NEVER  # the timer has gone off: `_settle` has to ask for the next one even if it is not earlier
-                self._agenda.extend(self._timers.due(state.now))
+                self._agenda.ask_due(state.now)
             case Stop() | Pause() | Resume() | SingleStep():
                 state.follow(event)
                 if isinstance(event, Stop) and event.cancel:  # nothing is asked any more, so that no answer holds up the end
                     self._commands += self._questions.close("the run was stopped")
-                self._agenda.extend(self._undecided)  # guards that were put off report no change by themselves
+                self._agenda.ask_undecided()  # guards that were put off report no change by themselves
             case Answered(identity, value, message):
                 place = self._questions.answered(identity, value, message)
-                self._agenda.extend([] if place is None else [place])
+                self._agenda.places.extend([] if place is None else [place])
             case Postponed(request):
                 self._guards.postpone(self._calls.open.get(request))
             case Feedback():  # it moves no token
@@ -183,71 +175,71 @@ class Run(RunView):
         self._settle()
         if isinstance(event, SingleStep):  # those that could not begin leave the lines for resources
             state.is_stepping = False
-            self._agenda.extend(self._undecided)
+            self._agenda.ask_undecided()
             self._settle()
         while state.has_begun and self._early:  # one at a time, each with all that follows from it, as if it had come only now
             self._report(self._early.pop(0))
             self._settle()
-        if self._waits != self.awaits_answers:  # compared at the end of the event, so that waiting for a moment in between is not reported
+        # compared at the end of the event, so that waiting for a moment in between is not reported
+        if self._waits != (self._questions.wait_for_people and self.awaits_answers):
             self._waits = not self._waits
             self.observer.waiting(self._waits, now)
         commands, self._commands = self._commands, []
         return commands
 
-    def _report(self, report: Report) -> None:
+    def _report(self, report: Accepted | Ended) -> None:
         call = self._calls.open.get(report.request)
         if call is None:
             self.observer.orphaned(report, self._state.now)
             if isinstance(report, Ended):
                 self.resources.confirm(report.request)
-                self._agenda.extend(self._claims.served())
+                self._agenda.places.extend(self._claims.served())
             return
+        kind = None
         if isinstance(report, Ended):
-            if report.outcome.kind not in BEFORE_ACCEPTANCE and not self._calls.is_accepted(call):
-                self._take(call, Accepted(report.request))  # a client may leave out what goes without saying
+            outcome, kind, now = report.outcome, report.outcome.kind, self._state.now
+            if not self._calls.is_accepted(call) and kind not in BEFORE_ACCEPTANCE:
+                self._take(call, None)  # a client may leave out what goes without saying
             del self._calls.open[report.request]  # before the firing, so that observers and guards see the request as over
-            if report.outcome.kind is OutcomeKind.SUCCEEDED:  # stored before the firing: effects and checks after it may read results
-                self._has_changed_knowledge |= self._calls.succeeded(call, report.outcome, self._state.now)
-            self._results.answered(call, report.outcome)  # before the firing as well: the explanation of a failure quotes the message
-            self.observer.ended(self._calls.as_sent(call), report.outcome, self._state.now)
-        if not self._take(call, report):
+            if kind is OutcomeKind.SUCCEEDED and self._calls.succeeded(call, outcome, now):
+                self._has_changed_knowledge = True  # stored before the firing: effects and checks after it may read results
+            self._results.answered(call, outcome)  # before the firing as well: the explanation of a failure quotes the message
+            self.observer.ended(self._calls.as_sent(call), outcome, now)
+        if not self._take(call, kind):
             self.observer.orphaned(report, self._state.now)
 
-    def _take(self, call: int, report: Report) -> bool:
-        """Fire the transition of the call that the report opens, if there is one."""
-        kind = report.outcome.kind if isinstance(report, Ended) else None
-        for firing in self._index.opened[call, kind]:
-            if self._engine.is_enabled(firing.number):  # one at most: the request is waited for at one place at a time
-                self._fire(firing, None)
+    def _take(self, call: int, kind: OutcomeKind | None) -> bool:
+        """Fire the transition of the call that the end of its request in this way opens, or its acceptance, if there is one."""
+        tokens = self._engine.tokens
+        for number, place in self._index.opened[call, kind]:
+            if tokens[place] and not self._engine.missing[number]:
+                self._fire(self._index.firings[number], None)  # one at most: the request is waited for at one place at a time
                 return True
         return False
 
     def _settle(self) -> None:
         """Fire open transitions until there is none, then ask to be woken at the next moment."""
-        while self._agenda or self._reports:
+        places, reports, tokens = self._agenda.places, self._reports, self._engine.tokens
+        while places or reports:
             # ends of operations on knowledge first: no other call sees the operation done and its own call not
-            if self._reports:
-                self._report(self._reports.popleft())
-            else:
-                self._decide(self._agenda.popleft())
-        # A later time than the one asked for needs no command: after that tick it is asked for anew.
-        if self._timers.next < self._wake and not self.over:
-            self._wake = self._timers.next
-            self._commands.append(Wake(self._wake))
-
-    def _ask_again_about_knowledge(self) -> None:
-        self._agenda.extend([place for place, listens in self._undecided.items() if listens])
+            if reports:
+                self._report(reports.popleft())
+            elif tokens[place := places.popleft()]:  # otherwise the token has gone since it was put on the agenda
+                self._decide(place)
+        if not self.over and (time := self._agenda.next_timer()) is not None:
+            self._commands.append(Wake(time))
 
     def _decide(self, place: int) -> None:
         """Fire the first open transition that takes from the place; if there is none, note when to ask again."""
-        if not self._engine.tokens[place]:
-            return  # the token has gone since the place was put on the agenda
         decision, missing, state, guards = self._index.places[place], self._engine.missing, self._state, self._guards
-        now, goes_on = state.now, not (state.pause or state.ending)
-        again, waiting, asking = NEVER, decision.awaits, False
-        if goes_on and decision.staying is not decision.firings:
-            waiting = True
+        if decision.passage is not None:
+            if not missing[decision.passage.number]:
+                self._fire(decision.passage, place)
+            return
+        goes_on = not (state.ending or state.pause)
+        now, again, waiting, asking = state.now, NEVER, decision.stays if goes_on else decision.awaits, False
         for firing in decision.staying if goes_on else decision.firings:
+            call = firing.rule.call
             # a transition that lacks nothing but resources is asked all the same: its call has to stand in line for them
             if firing.counts and missing[firing.number] and not (firing.takes and guards.lacks_resources(firing.number)):
                 continue
@@ -257,35 +249,37 @@ class Run(RunView):
                 if (firing.takes or state.pause) and self._is_put_off(firing, place):
                     waiting = True
                     break  # the rules after this one are asked when it may be asked itself
-                opens = -NEVER if firing.is_free else guards.opens(firing, place)
+                opens = OPENS[firing.guarded](guards, firing.rule.guard, firing, place)
                 # what effects depend on is asked before the firing, which cannot wait for answers
-                if opens <= now and self._calls.asks and firing.rule.call is not None:
-                    self._calls.compute_intention(firing.rule.action, firing.rule.call, guards.context(firing.rule.call, place))
+                if self._calls.asks and opens <= now and call is not None:
+                    self._calls.compute_intention(firing.rule.action, call, guards.context(call, place))
             except Unanswered as needed:
                 # an earlier rule goes first as soon as its question is answered, so no later one may fire meanwhile but timers, which
                 # no question stops; and nothing is claimed during that time, for answers of people may take long
-                self._ask(place, firing.rule.call, needed.question)
+                self._ask(place, call, needed.question)
                 self._leave_line(place)
                 waiting = asking = True
                 continue
             if opens <= now:
                 self._fire(firing, place)
                 return
-            again, waiting = min(again, opens), True
+            waiting = True
+            if opens < again:
+                again = opens
             if firing.takes:  # it is not open, so it must not keep others from the resources while it waits for something else
                 self._leave_line(place)
         if waiting:  # a place where nothing was even enabled is asked again when a token arrives, which puts it on the agenda anyway
-            self._undecided[place] = decision.listens
+            self._agenda.wait(place)
         if again < NEVER:
-            self._timers.set(place, again)
+            self._agenda.set_timer(place, again)
 
     def _ask(self, place: int, call: int | None, question: Question) -> None:
         needed = self._questions.need(place, subject_of(self.machine.plan, call), question, self._state.now, self._calls.identity)
         self._commands += needed.commands
         if needed.until is None:  # it is answered, if only with nothing
-            self._agenda.append(place)
+            self._agenda.places.append(place)
         else:
-            self._timers.set(place, needed.until)
+            self._agenda.set_timer(place, needed.until)
 
     def _is_put_off(self, firing: Firing, place: int) -> bool:
         """Return whether the transition must wait: for the end of a pause, or for the resources of its call."""
@@ -298,7 +292,7 @@ class Run(RunView):
     def _leave_line(self, place: int) -> None:
         """No longer wait for resources at the place; calls behind it in line may have them now."""
         if self._claims.leave(place):
-            self._agenda.extend(self._claims.served())
+            self._agenda.places.extend(self._claims.served())
 
     def _fire(self, firing: Firing, place: int | None) -> None:
         """Fire a transition that was decided on at the place, or opened by a report.
@@ -307,73 +301,78 @@ class Run(RunView):
         resources are claimed and requests made for where the call then is. After: resources are given back, and failures noted,
         which change whether the run is ending; then the places marked are put on the agenda, and the undecided ones if it is.
         """
-        rule, state = firing.rule, self._state
-        if firing.moves_only:
+        now = self._state.now
+        if firing.acts:
+            self._act(firing, place)
+        else:
+            if firing.outcome is not None and firing.call is not None:
+                self._results.turned(firing.outcome, firing.call, now)
             self._results.last_check = None
             self._engine.fire(firing.number)
-            self._leave_and_mark(firing, state.now)
-        else:
-            self._act(firing, place)
+            self._leave_and_mark(firing, now)
         self._fired.append(firing.number)
-        self.observer.fired(firing.name, rule, state.now)
+        self.observer.fired(firing.name, firing.rule, now)
 
     def _act(self, firing: Firing, place: int | None) -> None:
-        rule, call, state = firing.rule, firing.call, self._state
+        rule, call, state, marked_at = firing.rule, firing.call, self._state, self._state.now
         check = None if rule.cause is None else self._guards.explain_check(rule, place)
         if firing.takes and rule.call is not None:
             self._claims.take(rule.call, self._guards.claim(firing, place))
         if call is not None:
-            if firing.notes:
-                self._note(rule, call, place, None if firing.fails else check)
+            if (outcome := firing.outcome) is not None:
+                assumed = outcome is CallOutcome.SUCCEEDED and self._calls.is_assumed(call)
+                self._results.turned(outcome, call, state.now, assumed=assumed)
+            if firing.tells:
+                self._tell(rule, call, place, None if firing.fails else check)
             if check and check.cause is Cause.INVARIANT_FALSE:
                 self._calls.interrupt(call, state.now)
             if rule.action is not None:
                 self._perform(rule.action, call, place)
         self._results.last_check = check
-        was_ending, marked_at = firing.ends and state.ending, state.now
         if rule.action is TransitionAction.ADOPT and call is not None:
             marked_at = state.adopted.pop(call).accepted  # its limits count from there
         self._engine.fire(firing.number)
         # After the firing: only now are the tokens of the resources back on their places, for other calls to take.
         if firing.gives and rule.call is not None:
             self._give(rule, rule.call)
-        for failure_place in firing.fails:
-            lacking = tuple(self._guards.withheld(rule.guard, place)) if isinstance(rule.guard, Withheld) else ()
-            failure = self._results.failed(self._index.failures[failure_place], state.now, check, rule, lacking)
+        lacking = tuple(self._guards.withheld(rule.guard, place)) if firing.fails and isinstance(rule.guard, Withheld) else ()
+        failures = [self._results.failed(self._index.failures[place], state.now, check, rule, lacking) for place in firing.fails]
+        begins_to_end = firing.turns and state.turn()
+        for failure in failures:
             self.observer.failed(failure, state.now)
         self._leave_and_mark(firing, marked_at)
-        if firing.ends and state.ending and not was_ending:  # everything that waits has an exit for that, which has just opened
-            self._agenda.extend(self._undecided)
+        if begins_to_end:  # everything that waits has an exit for that, which has just opened
+            self._agenda.ask_undecided()
 
     def _leave_and_mark(self, firing: Firing, marked_at: float) -> None:
         """Wait for nothing more at the places that tokens have left; put those that they have reached on the agenda."""
-        noted, waiting, at = self._questions.noted, self._claims.waiting, self._state.marked_at
+        undecided, noted, waiting, at = self._agenda.undecided, self._questions.noted, self._claims.waiting, self._state.marked_at
         for left in firing.inputs:
-            self._undecided.pop(left, None)
+            if left in undecided:
+                self._agenda.leave(left)
             if left in waiting:
                 self._leave_line(left)
             if left in noted:
                 self._commands.extend(map(Withdraw, self._guards.forget(left)))
         for marked in firing.outputs:
             at[marked] = marked_at
-        self._agenda += firing.decided
+        self._agenda.places += firing.decided
 
-    def _note(self, rule: Rule, call: int, place: int | None, check: Explanation | None) -> None:
+    def _tell(self, rule: Rule, call: int, place: int | None, check: Explanation | None) -> None:
+        """Note what hinders the call, or that it is not needed or given up, and tell the observer."""
+        sent, now = self._calls.as_sent(call), self._state.now
         unseen = self._calls.explain_unseen(call, self._guards.context(call, place)) if isinstance(rule.guard, EffectsMissing) else None
-        assumed = rule.outcome is CallOutcome.SUCCEEDED and self._calls.is_assumed(call)
-        cause = self._results.fired(rule, call, self._state.now, check, unseen=unseen, assumed=assumed)
-        if cause is not None:
-            self.observer.hindered(self._calls.as_sent(call), cause, self._state.now)
+        if cause := self._results.hindered(rule, call, check, unseen):
+            self.observer.hindered(sent, cause, now)
         if rule.outcome is CallOutcome.ALREADY_TRUE:
-            self.observer.spared(self._calls.as_sent(call), self._state.now)
+            self.observer.spared(sent, now)
         if rule.gives_up:
             self._calls.forget(call)
 
     def _perform(self, action: TransitionAction, call: int, place: int | None) -> None:
         """Carry out the action of a transition."""
-        now = self._state.now
-        count, context = self._results.current[call].attempts, partial(self._guards.context, call, place)
-        performed = self._calls.perform(action, call, count, context, now)
+        now, count = self._state.now, self._results.current[call].attempts
+        performed = self._calls.perform(action, call, count, partial(self._guards.context, call, place), now)
         if action is TransitionAction.ADOPT:
             self._results.adopted(self._calls.as_sent(call), self._state.adopted[call].result)
         elif action is TransitionAction.SEND:
@@ -383,12 +382,12 @@ class Run(RunView):
             for command in performed.commands:
                 if isinstance(command, Send):
                     self.observer.sent(sent, command.request, now)
+            self._reports += performed.reports
         self._commands += performed.commands
-        self._reports += performed.reports
         # Results of the request may have been stored just before, even if the action itself writes nothing.
         if performed.changes_knowledge or self._has_changed_knowledge:
             self._has_changed_knowledge = False
-            self._ask_again_about_knowledge()
+            self._agenda.ask_about_knowledge(now)
 
     def _give(self, rule: Rule, call: int) -> None:
         """Give back the resources of the call; a request that was given up keeps them."""
@@ -397,4 +396,4 @@ class Run(RunView):
             self.observer.withheld(self._calls.as_sent(call), names, self._state.now)
         else:
             self._claims.give(call)
-        self._agenda.extend(self._claims.served())  # of this run: the listener on the executor only notices with the next event
+        self._agenda.places.extend(self._claims.served())  # of this run: the listener on the executor only notices with the next event

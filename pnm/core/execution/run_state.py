@@ -1,8 +1,8 @@
-"""State of a run besides its marking: the time, stop and pause, timers."""
+"""State of a run besides its marking: the time, stop and pause, and what is to be asked."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import deque
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from math import inf
@@ -11,35 +11,96 @@ from pnm.core.execution.call_results import CallResults
 from pnm.core.execution.events import Pause, Resume, SingleStep, Stop
 from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.machine_index import MachineIndex
+from pnm.core.knowledge_base import Layered
 from pnm.core.machine.machine import OnFailure
 from pnm.core.net.firing_engine import Engine
+from pnm.core.readers import Readers
 from pnm.errors import RunError
 
 
-class Timers:
-    """Times at which undecided places are asked again. The mutable state is the queue and, by place, the time set last."""
+class Agenda:
+    """Places to be asked, in their order, and those that are *undecided*: nothing is open there yet, so they are asked again.
 
-    def __init__(self) -> None:
-        self._queue: list[tuple[float, int]] = []
+    The mutable state is what the constructor sets under "state".
+
+    Args:
+        index: of the machine.
+        knowledge: what is decided by.
+    """
+
+    def __init__(self, index: MachineIndex, knowledge: Layered) -> None:
+        self._index = index
+        self._world, self._local = knowledge.world, knowledge.local
+        # state
+        self.places: deque[int] = deque()
+        """Those to be asked."""
+        self.undecided: dict[int, int] = {}
+        """Those to be asked again, in this order, which they are numbered by."""
+        self._count = 0
+        self._readers = Readers[int]()
+        """Those of them that are asked again when facts change."""
+        self._asked = (knowledge.world.changes, knowledge.local.changes)
+        """How many changes there were when they were asked last."""
+        self._timers: list[tuple[float, int]] = []
+        """A queue of the times at which places are asked again."""
         self._set: dict[int, float] = {}
+        """By place, the time set last."""
+        self._wake = inf
+        """The time that was asked for last."""
 
-    def set(self, place: int, time: float) -> None:
+    def wait(self, place: int) -> None:
+        """Have a place asked again: it is undecided."""
+        if place not in self.undecided:
+            self.undecided[place] = self._count
+            self._count += 1
+            if self._index.places[place].listens:
+                self._readers.add(place, self._index.reads[place])
+
+    def leave(self, place: int) -> None:
+        """Do not ask a place again that was undecided."""
+        del self.undecided[place]
+        self._readers.remove(place)
+
+    def set_timer(self, place: int, time: float) -> None:
         """Set the time at which the place is asked again; earlier entries stay, for asking once too often does no harm."""
         if self._set.get(place) != time:
             self._set[place] = time
-            heappush(self._queue, (time, place))
+            heappush(self._timers, (time, place))
 
-    @property
-    def next(self) -> float:
-        """The next of the times; infinite if there is none."""
-        return self._queue[0][0] if self._queue else inf
+    def ask_undecided(self) -> None:
+        """Ask all undecided places again."""
+        self.places.extend(self.undecided)
 
-    def due(self, now: float) -> Iterator[int]:
-        """Yield, and forget, the places whose time has come."""
-        while self._queue and self._queue[0][0] <= now:
-            _, place = heappop(self._queue)
+    def ask_about_knowledge(self, now: float) -> None:
+        """Ask those places again, in their order, whose decision may be another one since they were asked last."""
+        if not self._readers:
+            return
+        world, local = self._world.changed_since(self._asked[0]), self._local.changed_since(self._asked[1])
+        self._asked = self._world.changes, self._local.changes
+        is_due = self._timers and self._timers[0][0] <= now  # then time may have decided as well, whatever has changed
+        if world is None or local is None or is_due or self._world.rules is not self._index.rules_of_facts:
+            self.places.extend([place for place in self.undecided if self._index.places[place].listens])
+        elif concerned := self._readers.concerned(world):
+            self.places.extend(sorted(concerned, key=self.undecided.__getitem__))
+
+    def ask_due(self, now: float) -> None:
+        """Ask the places again whose time has come."""
+        self.ask_for_timer_anew()
+        while self._timers and self._timers[0][0] <= now:
+            _, place = heappop(self._timers)
             self._set.pop(place, None)
-            yield place
+            self.places.append(place)
+
+    def ask_for_timer_anew(self) -> None:
+        """Note that no timer is set outside any more: the next one has to be asked for even if it is not earlier."""
+        self._wake = inf
+
+    def next_timer(self) -> float | None:
+        """Return the time of a timer that has to be asked for. A later one than the last needs none: after that it is asked for anew."""
+        if self._timers and self._timers[0][0] < self._wake:
+            self._wake = self._timers[0][0]
+            return self._wake
+        return None
 
 
 @dataclass
@@ -59,6 +120,8 @@ class RunState:
     """The request to pause, until the run is resumed."""
     is_stepping: bool = False
     """Whether one call may send its request although the run is paused."""
+    ending: bool = False
+    """Whether nothing more is started."""
     adopted: dict[int, UnderWay] = field(default_factory=dict)
     """Requests of another run that are still to be taken over, by call."""
     marked_at: dict[int, float] = field(default_factory=dict)
@@ -87,6 +150,13 @@ class RunState:
                 self.pause, self.is_stepping = Pause(), True
             case SingleStep():
                 pass
+        self.turn()
+
+    def turn(self) -> bool:
+        """Find out whether the run is ending now; return whether that is news."""
+        was_ending, restarts, tokens = self.ending, self.index.restarts, self.engine.tokens
+        self.ending = self.failing or any(tokens[place] for place in restarts)
+        return self.ending and not was_ending
 
     @property
     def passed(self) -> float:
@@ -102,13 +172,6 @@ class RunState:
     def failing(self) -> bool:
         """Whether the run can no longer succeed."""
         return bool(self.results.failures) or self.stop is not None
-
-    @property
-    def ending(self) -> bool:
-        """Whether nothing more is started."""
-        if self.results.failures or self.stop is not None:
-            return True
-        return bool(self.index.restarts) and any(self.engine.tokens[place] for place in self.index.restarts)
 
     @property
     def cancels(self) -> bool:

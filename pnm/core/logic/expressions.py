@@ -129,8 +129,10 @@ def value_of(expression: Expression, state: State, env: Environment = NOTHING) -
 
 def same_value(left: Value | Unknown | None, right: Value | Unknown | None) -> bool:
     """Return whether two recorded values are the same; an absent one is the same as false and as no object, but not as 0."""
-    if left is None or right is None:
-        left, right = (False if value is None or value == UNDEFINED else value for value in (left, right))
+    if left is None:
+        return right is None or right is False or right == UNDEFINED
+    if right is None:
+        return left is False or left == UNDEFINED
     return isinstance(left, bool) is isinstance(right, bool) and left == right
 
 

@@ -18,8 +18,21 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, TypeAlias
 
-from pnm.core.logic.conditions import All, Any, Condition, Exists, Holds, free_variables, ground, names, polarities
-from pnm.core.logic.expressions import Variable
+from pnm.core.logic.conditions import (
+    All,
+    Any,
+    Compare,
+    Computed,
+    Condition,
+    Exists,
+    Holds,
+    every_part,
+    free_variables,
+    ground,
+    names,
+    polarities,
+)
+from pnm.core.logic.expressions import Fluent, Variable, expression_fluents, variables_in
 from pnm.errors import PnmError
 
 
@@ -151,6 +164,30 @@ class Rules:
 
 
 NO_RULES: Final = Rules()
+
+Reads: TypeAlias = frozenset[Fluent | str] | None
+"""Recorded fluents, and names that stand for all fluents of that name; None for anything, also variables."""
+
+
+def read_by(condition: Condition, rules: Rules) -> Reads:
+    """Return what decides whether a condition holds: only if it changes, or objects or rules do, the truth may change."""
+    found: set[Fluent | str] = set()
+    for part in every_part(condition):
+        if isinstance(part, Computed):
+            return None
+        if isinstance(part, Holds):
+            found |= reads_of(part.fluent, rules)
+        elif isinstance(part, Compare):
+            for fluent in (*expression_fluents(part.left), *expression_fluents(part.right)):
+                found |= reads_of(fluent, rules)
+    return frozenset(found)
+
+
+def reads_of(fluent: Fluent, rules: Rules) -> frozenset[Fluent | str]:
+    """Return what decides about the value of a fluent: itself, if it is ground and recorded."""
+    if fluent[0] in rules.derived:
+        return rules.base((fluent[0],))
+    return frozenset((fluent[0],) if variables_in(fluent) else (fluent,))
 
 
 # --- bodies --------------------------------------------------------------------------------

@@ -11,10 +11,30 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from hashlib import sha1
 from typing import Final, Protocol, TypeAlias, runtime_checkable
 from uuid import UUID
 
 from pnm.core.machine.plan_graph import GroundAction
+
+_FREE: Final = (1 << 96) - 1 & ~(0xF000 << 64 | 0xC000 << 48)
+"""The bits of an identity that tell neither its run nor how it was made."""
+_VERSION_5: Final = 5 << 76 | 0x8000 << 48
+
+
+def identities(run: UUID) -> Callable[[str], UUID]:
+    """Return what makes the identities of requests and questions of a run.
+
+    They follow from the identity of the run and what they are for; the first four bytes are the run's, to be found by.
+    """
+    beginning, prefix = sha1(run.bytes), run.int >> 96 << 96 | _VERSION_5
+
+    def identity(what: str) -> UUID:
+        hashed = beginning.copy()
+        hashed.update(what.encode())
+        return UUID(int=prefix | int.from_bytes(hashed.digest()[4:16]) & _FREE)
+
+    return identity
 
 
 class OutcomeKind(Enum):

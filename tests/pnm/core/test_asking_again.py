@@ -1,0 +1,158 @@
+"""A change of facts has those places asked again that read them: the run does what it would do if all were asked."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pnm.core.execution.events import Begin, Cancel, Event, KnowledgeChanged, Pause, Resume, Tick
+from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.computed_values import Literal, Query
+from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Not
+from pnm.core.logic.effects import Set
+from pnm.core.logic.expressions import Constant, ValueOf, Variable
+from pnm.core.logic.rules import DerivationRule, Rules
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.generate import generate
+from pnm.core.machine.plan_graph import ActionCall, Choice, Flow, GroundAction, Loop, PlanGraph, Step
+from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
+from tests.support.runs.commands import RUN
+
+ROOMS = ("hall", "kitchen")
+OPEN, WARM, DONE = (tuple((name, room) for room in ROOMS) for name in ("open", "warm", "done"))
+RULES = Rules((DerivationRule("fit", (Variable("?r", ("room",)),), All((Holds(("open", "?r")), Not(Holds(("warm", "?r")))))),))
+FLUENTS = (*OPEN, *WARM, *DONE)
+PLAIN = st.one_of(  # all of them hold at first
+    st.sampled_from(OPEN).map(Holds),
+    st.sampled_from((*WARM, *DONE)).map(lambda fluent: Not(Holds(fluent))),
+    st.sampled_from(ROOMS).map(lambda room: Holds(("fit", room))),
+    st.sampled_from(ROOMS).map(lambda room: Compare(">=", ValueOf(("level", room)), Constant(2.0))),
+    st.sampled_from(["open", "fit"]).map(lambda name: ForAll((Variable("?r", ("room",)),), Holds((name, "?r")))),
+    st.sampled_from(["open", "fit"]).map(lambda name: Exists((Variable("?r", ("room",)),), Holds((name, "?r")))),
+    st.just(Computed(Query(Literal.of("go")))),
+)
+CONDITIONS: st.SearchStrategy[Condition] = st.one_of(
+    st.just(TRUE), PLAIN, st.lists(PLAIN, max_size=2).map(tuple).map(All), st.lists(PLAIN, min_size=2, max_size=2).map(tuple).map(Any)
+)
+
+
+@st.composite
+def calls(draw: st.DrawFn, index: int) -> ActionCall:
+    effects = tuple(Set(fluent, Constant(True)) for fluent in draw(st.lists(st.sampled_from(DONE), max_size=1)))
+    action = GroundAction(
+        f"a{index}",
+        (draw(st.sampled_from(["hall", "hall", "hall", "?r"])),),
+        ("r",),
+        precondition=draw(CONDITIONS),
+        invariant=draw(CONDITIONS),
+        end_condition=draw(CONDITIONS),
+        end_effects=effects,
+    )
+    return ActionCall(index, action)
+
+
+@st.composite
+def plans(draw: st.DrawFn) -> PlanGraph:
+    made = [draw(calls(index)) for index in range(4)]
+    steps: list[Step] = [*made[:2]]
+    steps.append(Loop(4, draw(CONDITIONS), Flow((made[2],)), 2))
+    steps.append(Choice(5, draw(CONDITIONS), Flow((made[3],)), Flow()))
+    return PlanGraph(tuple(steps), rules=RULES)
+
+
+CHANGES = st.one_of(
+    st.tuples(st.sampled_from(FLUENTS), st.booleans()),
+    st.tuples(st.sampled_from([("level", room) for room in ROOMS]), st.sampled_from([1.0, 3.0])),
+    st.tuples(st.just("go"), st.booleans()),
+)
+
+
+class Scene:
+    """A run, and the world that it is in."""
+
+    def __init__(self, plan: PlanGraph, known: dict, sensed: dict[str, float]) -> None:
+        self.world = KnowledgeBase(known, objects={"room": ROOMS}, sensed=sensed, rules=RULES, variables={"r": "hall", "go": True})
+        bindings = Bindings({f"a{index}": Binding(retries=1, resources=("arm",) if index == 0 else ()) for index in range(4)})
+        self.run = Run(generate(plan, bindings), Layered(self.world), id=RUN, bindings=bindings)
+
+    def change(self, what: object, value: object) -> None:
+        if isinstance(what, str):
+            self.world.store({what: value})
+        else:
+            self.world.update({what: value})
+
+    def handle(self, event: Event, now: float) -> object:
+        return self.run.handle(event, now), self.run.fired, self.run.marking
+
+
+@settings(deadline=None, max_examples=100)
+@given(st.data())
+def test_only_places_that_read_what_has_changed_need_to_be_asked_again(data: st.DataObject) -> None:
+    plan = data.draw(plans())
+    known = {fluent: fluent in OPEN for fluent in FLUENTS} | {("level", room): 3.0 for room in ROOMS}
+    sensed = {name: data.draw(st.sampled_from([0.0, 1.0])) for name in data.draw(st.sets(st.sampled_from(["open", "warm", "done"])))}
+    fast, readable = Scene(plan, known, sensed), Scene(plan, known, sensed)
+    agenda, index = readable.run._agenda, readable.run._index
+
+    def ask_all(now: float) -> None:
+        agenda.places.extend([place for place in agenda.undecided if index.places[place].listens])
+
+    agenda.ask_about_knowledge = ask_all  # type: ignore[method-assign]
+    now = 0.0
+    event: Event
+    assert fast.handle(Begin(), now) == readable.handle(Begin(), now)
+    for _ in range(data.draw(st.integers(5, 25))):
+        now += data.draw(st.sampled_from([0.0, 0.0, 0.5, 1.0]))
+        open_requests = fast.run.open_requests
+        match data.draw(st.sampled_from(["change", "changed", "changed", "tick", "accepted", "accepted", "ended", "pause"])):
+            case "change" | "changed" as kind:
+                what, value = data.draw(CHANGES)
+                for scene in (fast, readable):
+                    scene.change(what, value)
+                if kind == "change":  # it is heard of only with the next one
+                    continue
+                event = KnowledgeChanged()
+            case "tick":
+                event = Tick()
+            case "pause":
+                event = data.draw(st.sampled_from([Pause(), Pause(at_once=True), Resume()]))
+            case kind if open_requests:
+                request = data.draw(st.sampled_from(open_requests))
+                ends = st.sampled_from([OutcomeKind.SUCCEEDED, OutcomeKind.SUCCEEDED, OutcomeKind.SUCCEEDED, OutcomeKind.ABORTED])
+                event = Accepted(request) if kind == "accepted" else Ended(request, Outcome(data.draw(ends)))
+            case _:
+                continue
+        assert fast.handle(event, now) == readable.handle(event, now)
+
+
+ROOM = (Variable("?r", ("room",)),)
+BREAKS: list[tuple[Condition, object, object]] = [
+    (Holds(OPEN[0]), OPEN[0], False),
+    (Not(Holds(WARM[1])), WARM[1], True),
+    (Any((Holds(OPEN[0]), Holds(WARM[0]))), OPEN[0], False),
+    (Holds(("fit", "hall")), WARM[0], True),
+    (Compare(">=", ValueOf(("level", "hall")), Constant(2.0)), ("level", "hall"), 1.0),
+    (ForAll(ROOM, Holds(("open", "?r"))), OPEN[1], False),
+    (Not(Exists(ROOM, Not(Holds(("fit", "?r"))))), OPEN[1], False),
+    (Computed(Query(Literal.of("go"))), "go", False),
+]
+
+
+@pytest.mark.parametrize(("condition", "what", "value"), BREAKS)
+def test_a_condition_over_all_is_looked_at_when_something_changes_that_it_reads(condition: Condition, what: object, value: object) -> None:
+    calls = tuple(ActionCall(index, GroundAction(f"a{index}", invariant=invariant)) for index, invariant in ((0, TRUE), (1, condition)))
+    known = {fluent: fluent in OPEN for fluent in FLUENTS} | {("level", room): 3.0 for room in ROOMS}
+    scene = Scene(PlanGraph(calls, rules=RULES), known, {})
+    scene.run.handle(Begin(), 0.0)
+    for request in scene.run.open_requests:
+        scene.run.handle(Accepted(request), 0.0)
+    scene.change(DONE[0], True)
+    asked: list[int] = []
+    scene.run._decide = asked.append  # type: ignore[method-assign]
+    scene.run.handle(KnowledgeChanged(), 0.0)
+    assert len(asked) == isinstance(condition, Computed), "nothing reads what has changed; of a computed value nobody knows"
+    del scene.run._decide
+    scene.change(what, value)
+    assert any(isinstance(command, Cancel) for command in scene.run.handle(KnowledgeChanged(), 0.0))
