@@ -215,7 +215,7 @@ class Ros2ActionClient:
 
     def _lose_all(self) -> None:
         for goal, _ in tuple(self._goals.values()):
-            goal.end(OutcomeKind.LOST if goal.handle else OutcomeKind.UNAVAILABLE, _CLOSED)
+            goal.end(OutcomeKind.LOST if goal.is_accepted else OutcomeKind.UNAVAILABLE, _CLOSED)
 
     def _end(self) -> None:
         if self._timer is not None:

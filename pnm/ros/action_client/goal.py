@@ -6,11 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from math import inf
-from typing import Any, Final
+from typing import Final
 
 from pnm.core.machine.bindings import Binding, Foreign, WhenLost
-from pnm.core.machine.requests import Ended, Feedback, Outcome, OutcomeKind, Postponed, Report, Request
-from pnm.ros.action_client.feedback_line import feedback_line
+from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Postponed, Report, Request
 from pnm.ros.action_client.liveness import Liveness
 
 # action_msgs/msg/GoalStatus
@@ -49,13 +48,15 @@ class Goal:
     """When it was sent, or when the server answered an earlier goal since then: until then this one could not be answered."""
     postponed: float = 0.0
     """When its run was told last that it waits for others."""
-    handle: Any = None
+    is_accepted: bool = False
+    status: int = UNKNOWN
+    """What the status topic has said of it."""
     liveness: Liveness = field(default_factory=lambda: Liveness(frozenset()))
     cancel_asked: bool = False
     cancel_sent: float | None = None
     cancel_answered: bool = False
-    results: list[Any] = field(default_factory=list)
-    """The futures of the requests for the result."""
+    results_asked: int = 0
+    """Requests for the result without an answer."""
     unknown_since: float | None = None
     """When the server answered first that it does not know the goal: it was restarted, or has not taken it up yet."""
     is_resent: bool = False
@@ -65,14 +66,6 @@ class Goal:
     waits_since: float | None = None
     """Since when it waits for the server to be done with goals of other programs."""
     ended: bool = False
-    feedback: Any = None
-    """The latest message about it that was not reported yet."""
-
-    def report_feedback(self) -> None:
-        """Report the feedback that has come since the last report, if there is some."""
-        if self.feedback is not None:
-            self.report(Feedback(self.request.id, feedback_line(self.feedback)))
-            self.feedback = None
 
     def postpone(self, now: float) -> None:
         """Report that the limit for its acceptance begins anew."""
@@ -115,7 +108,7 @@ class Goal:
     @property
     def over(self) -> bool:
         """Whether the status topic says that the goal is over."""
-        return self.handle is not None and self.handle.status in OVER
+        return self.status in OVER
 
     @property
     def wants_cancel(self) -> bool:
