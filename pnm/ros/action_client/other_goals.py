@@ -188,7 +188,8 @@ def statuses(message: bytes) -> dict[bytes, int]:
     """Return the status of each goal of a serialized ``GoalStatusArray``, a hundred times as fast as `rclpy` does.
 
     A server may remember thousands of goals, and repeats them all whenever one of them changes. In CDR, four bytes say how the message is
-    encoded, four how many goals there are, and each of them is its id, a time and its status, padded to 28 bytes, the last one not.
+    encoded and four how many goals there are; each is an id of 16 bytes, a time of 8 that begins at a multiple of 4, and the status.
     """
     count = int.from_bytes(message[4:8], "little" if message[1] & 1 else "big")
-    return dict(struct.iter_unpack("16s8xb3x", (message[8:] + bytes(3))[: 28 * count]))
+    aligned = message[8:24] + bytes(3) + message[24:]  # all ids but the first one end at an odd place, with three bytes up to the time
+    return dict(struct.iter_unpack("16s11xb", aligned[: 28 * count]))
