@@ -47,7 +47,7 @@ class Goal:
     sent: float = 0.0
     """When it was sent, or when the server answered an earlier goal since then: until then this one could not be answered."""
     postponed: float = 0.0
-    """When its run was told last that it waits for others."""
+    """When the limit for its acceptance began, as its run knows it."""
     is_accepted: bool = False
     status: int = UNKNOWN
     """What the status topic has said of it."""
@@ -67,10 +67,11 @@ class Goal:
     """Since when it waits for the server to be done with goals of other programs."""
     ended: bool = False
 
-    def postpone(self, now: float) -> None:
-        """Report that the limit for its acceptance begins anew."""
-        self.postponed = now
-        self.report(Postponed(self.request.id))
+    def postpone(self, now: float, lag: float) -> None:
+        """Report that the limit for its acceptance begins anew, unless it began `lag` seconds ago at most."""
+        if now - self.postponed > lag:
+            self.postponed = now
+            self.report(Postponed(self.request.id))
 
     def finish(self, status: int, result: Mapping[str, object]) -> None:
         """Report the end that its server has reported, as the binding judges it."""

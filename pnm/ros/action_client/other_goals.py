@@ -109,7 +109,12 @@ class OtherGoals:
 
     def others(self, server: str, present: frozenset[bytes] | None = None) -> frozenset[UUID]:
         """Return the goals of other programs and the forgotten ones that a server is at work on; see `watch`."""
-        return self.watch(server, present) - self._own.keys()
+        return frozenset(goal for goal in self.watch(server, present) if goal not in self._own)
+
+    @property
+    def may_forget(self) -> bool:
+        """Whether goals that this node has forgotten can be recognized."""
+        return bool(self._prefix)
 
     def is_heard(self, server: str) -> bool:
         """Return whether there was time to hear what a server is at work on; one that never had a goal says nothing."""
@@ -143,13 +148,12 @@ class OtherGoals:
         self._topics.clear()
 
     def _is_forgotten(self, other: UUID) -> bool:
-        return bool(self._prefix) and other.bytes.startswith(self._prefix)
+        return self.may_forget and other.bytes.startswith(self._prefix)
 
     def _hear(self, topic: _StatusTopic, message: bytes) -> None:
         topic.statuses = statuses(message)
         topic.goals = frozenset(UUID(bytes=goal) for goal, status in topic.statuses.items() if status in _AT_WORK)
-        others = topic.goals - self._own.keys()
-        forgotten = {goal for goal in others if self._is_forgotten(goal)}
+        forgotten = {goal for goal in topic.goals if goal not in self._own and self._is_forgotten(goal)}
         for goal in forgotten - topic.cancelled if self._may_act() else ():
             _log.warning("%s is at work on a goal (%s) of this node that it knows nothing of; it is cancelled", topic.server, goal.hex[:8])
         if forgotten:

@@ -111,6 +111,7 @@ class ServerLink:
 
     def send(self, goal: Goal) -> None:
         """Send the goal as soon as the server is there, the handshake is done, and few enough goals are unanswered."""
+        goal.postponed = monotonic()
         self._others.sent(goal.request.id)
         self._queued.append(goal)
         self._pump()
@@ -125,6 +126,8 @@ class ServerLink:
     def _waits(self, goal: Goal) -> bool:
         """Return whether a goal must wait until the server is done with what this process has not sent."""
         if goal.kept:
+            return False
+        if goal.foreign is Foreign.SHARE and not self._others.may_forget:
             return False
         others = self._others.others(self.name, self._connection.processes())
         if goal.foreign is Foreign.SHARE:
@@ -171,8 +174,7 @@ class ServerLink:
             goal.end(OutcomeKind.REJECTED, f"goal for {self.name} cannot be sent: {error}")
             return
         goal.sent = monotonic()
-        if goal.postponed:
-            goal.postpone(goal.sent)
+        goal.postpone(goal.sent, goal.accept / 4.0)
         # The processes of this moment: one that appears later cannot have this goal.
         goal.liveness = Liveness(self._connection.processes())
         self._unanswered.add(goal)
@@ -183,7 +185,7 @@ class ServerLink:
         for later in self._unanswered:  # which a server that takes its time for each goal could not answer before
             if later.sent >= goal.sent:
                 later.sent = now
-                later.postpone(now)
+                later.postpone(now, later.accept / 4.0)  # if the answers come in quick succession, the next look does
         if not response.accepted:  # first of all, since a refusal ends the goal whatever else has happened to it
             goal.end(OutcomeKind.REJECTED, f"{self.name} rejected the goal")
         elif goal.ended:
@@ -278,14 +280,14 @@ class ServerLink:
             present = self._connection.processes()  # one look at the graph for all goals, so that their verdicts agree
             self._stop_for_rivals(present)
             for goal in tuple(self._unanswered):
+                goal.postpone(goal.sent, 0.0)
                 self._look_at_unanswered(goal, present, now)
             self._report_feedback()
             self._look_at_accepted(present, now)
         self._pump()
         if self._queued and self._may_send():  # then only the answers to others are waited for
             for goal in self._queued:
-                if now - goal.postponed >= goal.accept / 4.0:
-                    goal.postpone(now)
+                goal.postpone(now, goal.accept / 4.0)
 
     def _look_at_queue(self, now: float) -> None:
         is_ready = self.ready()
