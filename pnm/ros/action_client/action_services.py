@@ -11,6 +11,7 @@ Everything here runs on the ROS thread.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -28,6 +29,8 @@ _QOS: Final = QoSProfile(depth=1000)
 """Unread answers that are kept; by default it is ten, and more goals than that may end between two turns of the executor."""
 _REMEMBERED: Final = 1000
 """Requests of a service whose second answer is noticed."""
+
+_log = logging.getLogger(__name__)
 
 Answered = Callable[[Any], object]
 """Called with the response to a request."""
@@ -157,7 +160,10 @@ class ActionServices(Waitable):  # type: ignore[misc]
                 service.answered[number] = goal
                 if len(service.answered) > _REMEMBERED:
                     del service.answered[next(iter(service.answered))]
-                answered(response)
+                try:
+                    answered(response)
+                except Exception:  # the others are taken as well, and would be lost
+                    _log.exception("an answer about goal %s cannot be used", goal)
             elif number in service.answered:
                 self._answered_twice(service.answered[number] if service is self._goals else None)
 

@@ -25,8 +25,8 @@ START: Final = 10.0
 """Seconds after the start of the node in which servers that are started together with it are expected."""
 FRESH: Final = 0.05
 """Seconds for which one look at the processes in the graph counts: goals by the hundred are sent in less."""
-_DEPTH: Final = 1000
-"""Unread messages of feedback that are kept."""
+_UNREAD: Final = 100
+"""Messages of feedback that wait to be looked at: in a quarter of a second there are fewer, or the last ones do."""
 
 _log = logging.getLogger(__name__)
 
@@ -118,7 +118,7 @@ class Connection:
 
         twice, kind = self._note_second_answer, self.type.Impl.FeedbackMessage
         self.services = ActionServices(self._node, self.type, self.name, answered_twice=twice, may_act=self._may_act)
-        self._feedback = UnheardTopic(self._node, kind, f"{self.name}/_action/feedback", _DEPTH)
+        self._feedback = UnheardTopic(self._node, kind, f"{self.name}/_action/feedback", _UNREAD)
         self.handshake = Handshake(self.services, self._changed)
 
     def feedback(self) -> dict[UUID, Any]:

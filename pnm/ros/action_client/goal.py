@@ -6,10 +6,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from math import inf
-from typing import Final
+from typing import Any, Final
 
 from pnm.core.machine.bindings import Binding, Foreign, WhenLost
-from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Postponed, Report, Request
+from pnm.core.machine.requests import Ended, Feedback, Outcome, OutcomeKind, Postponed, Report, Request
+from pnm.ros.action_client.feedback_line import feedback_line
 from pnm.ros.action_client.liveness import Liveness
 
 # action_msgs/msg/GoalStatus
@@ -66,6 +67,14 @@ class Goal:
     waits_since: float | None = None
     """Since when it waits for the server to be done with goals of other programs."""
     ended: bool = False
+    feedback: Any = None
+    """The latest message about it that was not reported yet."""
+
+    def report_feedback(self) -> None:
+        """Report the feedback that has come since the last report, if there is some."""
+        if self.feedback is not None:
+            self.report(Feedback(self.request.id, feedback_line(self.feedback)))
+            self.feedback = None
 
     def postpone(self, now: float, lag: float) -> None:
         """Report that the limit for its acceptance begins anew, unless it began `lag` seconds ago at most."""

@@ -141,6 +141,7 @@ class OtherGoals:
         """Listen no longer."""
         if self._timer is not None:
             self._timer.destroy()
+            self._timer = None
         for topic in self._topics.values():
             self._unsubscribe(topic)
             if topic.client is not None:

@@ -21,10 +21,9 @@ from typing import TYPE_CHECKING, Any, Final
 from uuid import UUID
 
 from pnm.core.machine.bindings import Foreign
-from pnm.core.machine.requests import Accepted, Feedback, OutcomeKind
+from pnm.core.machine.requests import Accepted, OutcomeKind
 from pnm.errors import PnmError
 from pnm.ros.action_client.connection import Connection
-from pnm.ros.action_client.feedback_line import feedback_line
 from pnm.ros.action_client.fitted_binding import fitted_binding
 from pnm.ros.action_client.goal import OVER, UNKNOWN, Goal
 from pnm.ros.action_client.liveness import AGAIN, ASKS, GRACE, Liveness, Verdict
@@ -347,9 +346,10 @@ class ServerLink:
 
     def _report_feedback(self) -> None:
         latest = self._connection.feedback()
-        for goal in self._accepted:
-            if (feedback := latest.get(goal.request.id)) is not None:
-                goal.report(Feedback(goal.request.id, feedback_line(feedback)))
+        for goal in (*self._unanswered, *self._accepted):
+            goal.feedback = latest.get(goal.request.id, goal.feedback)
+            if goal.is_accepted:
+                goal.report_feedback()
 
     def _look_at_accepted(self, present: frozenset[bytes], now: float) -> None:
         requests, at_work = 0, self._at_work()
