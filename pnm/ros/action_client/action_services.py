@@ -3,8 +3,8 @@
 An action is three services and two topics. The action client of `rclpy` subscribes to both topics, and reads the status of every goal
 that the server remembers whenever one of them changes, which is many times the work of the services.
 
-All answers that are there are taken in one turn of the executor, and passed on at once. Two answers to one request mean that two servers
-of one name are alive.
+The executor of `rclpy` takes one answer a turn, by way of a future and a task. Here all answers that are there are taken in one turn, and
+passed on at once. Two answers to one request mean that two servers of one name are alive.
 
 Everything here runs on the ROS thread.
 """
@@ -19,11 +19,11 @@ from uuid import UUID
 
 from action_msgs.msg import GoalInfo
 from action_msgs.srv import CancelGoal
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import QoSProfile
-from rclpy.type_support import check_for_type_support
 from rclpy.waitable import NumberOfEntities, Waitable
 from unique_identifier_msgs import msg
+
+from pnm.ros.action_client.unheard_topic import Unheard
 
 _QOS: Final = QoSProfile(depth=1000)
 """Unread answers that are kept; by default it is ten, and more goals than that may end between two turns of the executor."""
@@ -40,21 +40,20 @@ Answered = Callable[[Any], object]
 class _Service:
     """One of the services. The mutable state is its place in the wait set, the requests without an answer, and those answered last."""
 
-    handle: Any
-    response: Any
+    client: Any
     place: int = 0
     requests: dict[int, tuple[UUID, Answered]] = field(default_factory=dict)
     answered: dict[int, UUID] = field(default_factory=dict)
     """The goals of these requests."""
 
     def send(self, goal: UUID, request: Any, answered: Answered) -> None:
-        self.requests[self.handle.send_request(request)] = goal, answered
+        self.requests[self.client.handle.send_request(request)] = goal, answered
 
     def take(self) -> list[tuple[int, Any]]:
         """Return the answers that are there, with the numbers of their requests."""
         taken: list[tuple[int, Any]] = []
         while True:
-            header, response = self.handle.take_response(self.response)
+            header, response = self.client.handle.take_response(self.client.srv_type.Response)
             if header is None:
                 return taken
             taken.append((header.request_id.sequence_number, response))
@@ -85,10 +84,7 @@ class ActionServices(Waitable):  # type: ignore[misc]
         self._result_request = action_type.Impl.GetResultService.Request
 
         def connect(kind: Any, name: str) -> _Service:
-            check_for_type_support(kind)
-            with node.handle:
-                handle = rclpy_implementation.Client(node.handle, kind, f"{server}/_action/{name}", _QOS.get_c_qos_profile())
-            return _Service(handle, kind.Response)
+            return _Service(node.create_client(kind, f"{server}/_action/{name}", qos_profile=_QOS, callback_group=Unheard()))
 
         self._goals = connect(action_type.Impl.SendGoalService, "send_goal")
         self._cancels = connect(CancelGoal, "cancel_goal")
@@ -98,7 +94,7 @@ class ActionServices(Waitable):  # type: ignore[misc]
 
     def is_served(self) -> bool:
         """Return whether a server has been discovered by all of its services."""
-        return all(service.handle.service_server_is_available() for service in self._services)
+        return all(service.client.service_is_ready() for service in self._services)
 
     def send_goal(self, goal: UUID, message: Any, answered: Answered) -> None:
         """Send a goal."""
@@ -123,17 +119,17 @@ class ActionServices(Waitable):  # type: ignore[misc]
         """Destroy the client."""
         self._node.remove_waitable(self)
         for service in self._services:
-            service.handle.destroy_when_not_in_use()
+            self._node.destroy_client(service.client)
 
     # for the executor
 
     def __enter__(self) -> None:
         for service in self._services:
-            service.handle.__enter__()
+            service.client.handle.__enter__()
 
     def __exit__(self, *exception: object) -> None:
         for service in self._services:
-            service.handle.__exit__(*exception)
+            service.client.handle.__exit__(*exception)
 
     def get_num_entities(self) -> NumberOfEntities:
         """Return what the wait set needs room for."""
@@ -142,7 +138,7 @@ class ActionServices(Waitable):  # type: ignore[misc]
     def add_to_wait_set(self, wait_set: Any) -> None:
         """Add the services to the wait set."""
         for service in self._services:
-            service.place = wait_set.add_client(service.handle)
+            service.place = wait_set.add_client(service.client.handle)
 
     def is_ready(self, wait_set: Any) -> bool:
         """Return whether there is an answer."""

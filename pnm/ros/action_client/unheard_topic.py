@@ -12,13 +12,15 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 
 
-class _Nothing(CallbackGroup):  # type: ignore[misc]
-    """A callback group of which the executor executes nothing."""
+class Unheard(CallbackGroup):  # type: ignore[misc]
+    """A callback group of which the executor executes nothing, and waits for nothing."""
 
     def can_execute(self, entity: object) -> bool:
+        """Return False."""
         return False
 
     def beginning_execution(self, entity: object) -> bool:
+        """Return False."""
         return False
 
 
@@ -33,7 +35,7 @@ class UnheardTopic:
         self._node = node
         quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
         self._subscription = node.create_subscription(
-            kind, topic, lambda message: None, qos, raw=raw, callback_group=_Nothing(), event_callbacks=quiet
+            kind, topic, lambda message: None, qos, raw=raw, callback_group=Unheard(), event_callbacks=quiet
         )
 
     def __repr__(self) -> str:
