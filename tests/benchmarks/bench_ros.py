@@ -41,7 +41,8 @@ WARM = 50
 """Goals before the clock starts: first contact, discovery."""
 DEEP: dict[str, Any] = {f"{service}_service_qos_profile": QoSProfile(depth=1000) for service in ("goal", "result", "cancel")}
 """So that a hundred goals at once are not lost; by default services keep ten requests."""
-PREFIX = b"\x01\x02\x03\x04"
+PREFIX = b"node"
+"""Of the ids of all goals of a node with a journal, which listens for those that it has forgotten."""
 
 
 class Meter:
@@ -100,9 +101,9 @@ def bare(server: str, in_flight: int, meter: Meter) -> None:
     os._exit(0)
 
 
-async def ours(server: str, in_flight: int, meter: Meter, prefix: bytes = b"") -> None:
+async def ours(server: str, in_flight: int, meter: Meter) -> None:
     async with RosThread("ours") as ros:
-        others = OtherGoals(ros, prefix)
+        others = OtherGoals(ros, PREFIX)
         client, over = (
             Ros2ActionClient(ros, Bindings({"act": Binding(server=server)}), asyncio.get_running_loop(), others=others),
             asyncio.Event(),
