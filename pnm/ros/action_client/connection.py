@@ -23,7 +23,7 @@ DISCOVERY: Final = 5.0
 """Seconds in which a server that is running is discovered."""
 START: Final = 10.0
 """Seconds after the start of the node in which servers that are started together with it are expected."""
-FRESH: Final = 0.05
+FRESH: Final = 0.02
 """Seconds for which one look at the processes in the graph counts: goals by the hundred are sent in less."""
 _UNREAD: Final = 100
 """Messages of feedback that wait to be looked at: in a quarter of a second there are fewer, or the last ones do."""

@@ -3,8 +3,8 @@
 A goal moves *queued* → *unanswered* → *accepted* → ended. One that is not answered in time is cancelled by its id, for its server may
 be at work on it all the same; it ends when the server says so, does not know it for as long again, or is gone.
 
-Everything here runs on the ROS thread, which also spins: `rclpy` sends a request before it registers its future, so a response that
-another thread reads meanwhile is lost (ros2/rclpy#1123).
+Everything here runs on the ROS thread, which also spins: the number of a request is known only when it has been sent, so a response that
+another thread reads meanwhile would be lost (as in ros2/rclpy#1123).
 
 At most `IN_FLIGHT` goals are unanswered at a time: a server keeps the last 10 requests it has not yet read and silently
 drops older ones, for which no answer ever comes. Goals are sent only after the handshake, see `pnm.ros.action_client.handshake`.
