@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.text import Text
 
-from planner_bridge.cli.options import searching
+from planner_bridge.cli.options import planner_words, waiting
 from planner_bridge.model.plan import Plan, PlanningResult
 from planner_bridge.tasks.replanning import PlanAgain, ResumePlan
 from planner_bridge.tasks.result import ConstraintResult, TaskResult, Violation
@@ -108,6 +108,7 @@ class ConsoleObserver(TaskObserver):
     Args:
         limit: seconds that the planner may take.
         robots: who performs the actions; printed before the first event, if it is not empty.
+        awaited: what is waited for between a plan and its machine, with the limit; empty for nothing.
         is_verbose: whether it prints how large machines are, and how they were proved.
 
     The mutable state is whether that was printed, the time from which seconds count, the spinner, by the numbers of calls their
@@ -115,10 +116,11 @@ class ConsoleObserver(TaskObserver):
     not printed again but at the end.
     """
 
-    def __init__(self, console: SafeConsole, limit: float, *, robots: str = "", is_verbose: bool = False) -> None:
+    def __init__(self, console: SafeConsole, limit: float, *, robots: str = "", awaited: str = "", is_verbose: bool = False) -> None:
         self._console = console
         self._limit = limit
         self._robots = robots
+        self._awaited = awaited
         self._is_verbose = is_verbose
         self._lines = EventLines(console)
         self._waiting = ExitStack()
@@ -126,6 +128,15 @@ class ConsoleObserver(TaskObserver):
         self._causes: dict[int, Failure] = {}
         self._news: dict[int, _News] = {}
         self._printed: set[tuple[str, str]] = set()
+
+    def wait(self, text: str) -> None:
+        """Show what is waited for, with its limit, until something happens."""
+        self._waiting.close()
+        self._waiting.enter_context(waiting(text, self._console))
+
+    def close(self) -> None:
+        """Show nothing any more."""
+        self._waiting.close()
 
     def began(self, now: float) -> None:
         """Count seconds from the beginning of the task; a plan that goes on under a planner keeps its own."""
@@ -135,10 +146,11 @@ class ConsoleObserver(TaskObserver):
     def planning(self, planner: str) -> None:
         """Show that a planner is being asked."""
         self._print_robots()
-        self._waiting.enter_context(searching(planner, self._limit, self._console))
+        self.wait(planner_words(planner, self._limit))
 
     def restored(self) -> None:
         """Print that the task goes on."""
+        self._waiting.close()
         self._print_robots()
         self._console.print("[bold]resumed[/]  goes on where another process has left it", highlight=False, soft_wrap=True)
 
@@ -151,6 +163,8 @@ class ConsoleObserver(TaskObserver):
             begins = _STEP.match(step)
             when = begins[0] if begins else ""
             self._console.print_text(step.removeprefix(when), when)
+        if self._awaited:
+            self.wait(self._awaited)
 
     def unplanned(self, result: PlanningResult) -> None:
         """Stop showing that a planner is being asked; the result is printed at the end."""
@@ -164,6 +178,7 @@ class ConsoleObserver(TaskObserver):
         """Print that the machine is proved, in which calls have numbers of their own."""
         self._attempts.clear()
         self._causes.clear()
+        self._waiting.close()
         self._print_robots()
         self._console.print_text("proved: whatever happens, it ends in the goal or in a named failure", "[bold]machine[/]  ")
         if self._is_verbose:
@@ -228,6 +243,7 @@ class ConsoleObserver(TaskObserver):
             self._lines.print(now, word, f"{action}: {cause}{self._new(action, details)}")
 
     def _print_robots(self) -> None:
+        self._waiting.close()
         if self._robots:
             self._console.print_text(self._robots, "[bold]robots[/]   ")
             self._robots = ""
@@ -266,7 +282,7 @@ def print_result(console: SafeConsole, result: TaskResult) -> None:
         console.print_reason("[bold red]goal[/]     not reached:", result.reason)
     sent = sum(call.attempts for call in result.calls)
     assumed = sum(call.assumed for call in result.calls)
-    unreported = f"; {_count(assumed, 'result')} believed, which no sensor confirms (docs/sensing.md)" if assumed else ""
+    unreported = f"; {_count(assumed, 'result')} believed, which no sensor confirms (docs/guides/sensing.md)" if assumed else ""
     planned = ((result.plans, "plan"), (result.replans, "replan")) if result.plans or not result.episodes else ()
     counts = ", ".join(_count(number, word) for number, word in (*planned, (sent, "request"), (len(result.failures), "failure")))
     lines = [f"{counts}{unreported}", *map(_constraint, result.constraints)]

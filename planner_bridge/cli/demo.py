@@ -104,7 +104,7 @@ def show_mall(console: SafeConsole) -> int:
 
 async def _play(console: SafeConsole) -> int:
     console.print_text("A robot in a mall, over ROS 2. Every request is a task of its own; all share the robot's voice and arm.")
-    story = Story(console)
+    story = StoryPrinter(console)
     try:
         async with asyncio.timeout(LIMIT), AsyncExitStack() as stack:
             folder = stack.enter_context(tempfile.TemporaryDirectory())
@@ -173,7 +173,7 @@ async def _each(process: Process, hear: Any) -> None:
 
 
 @dataclass
-class Story:
+class StoryPrinter:
     """Prints who speaks, and the states of tasks. All fields but the first change."""
 
     console: SafeConsole

@@ -185,21 +185,30 @@ def chosen_files(domain: Path | None, problem: Path | None, plan_file: Path | No
     return domain, problem
 
 
-def searching(planner: str, limit: float, console: Console | None = None) -> AbstractContextManager[object]:
-    """Return what shows, while it is entered, that a planner is being asked, for how long already, and its limit; on terminals only.
+def searching(planner: str, limit: float) -> AbstractContextManager[object]:
+    """Return what shows on stderr, while it is entered, that a planner is being asked; see `waiting`."""
+    return waiting(planner_words(planner, limit)) if sys.stderr.isatty() else nullcontext()
+
+
+def planner_words(planner: str, limit: float) -> str:
+    """Return what is being waited for while a planner is asked."""
+    return f"{planner} is looking for a plan, {limit:g} s at most"
+
+
+def waiting(text: str, console: Console | None = None) -> AbstractContextManager[object]:
+    """Return what shows, while it is entered, what is being waited for with its limit, and for how long already; on terminals only.
 
     Args:
-        planner: its name.
-        limit: seconds that it may take.
+        text: what is waited for, with its limit.
         console: that of the output; by default stderr.
     """
-    if not (console.is_terminal if console else sys.stderr.isatty()):
-        return nullcontext()
     from rich.console import Console  # here, because most commands have no use for it
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    text = TextColumn(f"{planner} is looking for a plan, {limit:g} s at most:", markup=False)
-    progress = Progress(SpinnerColumn(), text, TimeElapsedColumn(), console=console or Console(stderr=True), transient=True)
+    console = console or Console(stderr=True)
+    if not console.is_terminal:
+        return nullcontext()
+    progress = Progress(SpinnerColumn(), TextColumn(f"{text}:", markup=False), TimeElapsedColumn(), console=console, transient=True)
     progress.add_task("")
     return progress
 

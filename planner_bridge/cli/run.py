@@ -6,7 +6,7 @@ import json
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -163,10 +163,10 @@ def run_problem(domain: Path, problem: Path, files: Files, *, actions: Actions, 
         sensors = read_sensing(files.sensing, loaded.vocabulary) if files.sensing else NO_SENSING
         settings = replace(settings, bindings=bindings_for(domain, files.bindings, loaded.vocabulary), sensing=sensors)
         faults = faults_for(loaded, files.faults)
-    observer = observer_for(output, console, settings, actions)
-    result = achieve(
-        None, loaded, actions=actions, faults=faults, settings=settings, observer=observer, stopwatch=stopwatch, journal=files.journal
-    )
+    with observed(output, console, settings, actions) as observer:
+        result = achieve(
+            None, loaded, actions=actions, faults=faults, settings=settings, observer=observer, stopwatch=stopwatch, journal=files.journal
+        )
     return print_ending(result, console, output, files.page)
 
 
@@ -216,12 +216,20 @@ def _draw(journal: JournalChoice, timeline: Path, *, force: bool) -> None:
     write(timeline, timeline_svg(*timelines(journal.place)[-1:]), force=force)
 
 
-def observer_for(output: Output, console: SafeConsole, settings: Settings, actions: Actions) -> TaskObserver:
-    """Return what prints the events of a task, or listens to them without printing."""
+@contextmanager
+def observed(output: Output, console: SafeConsole, settings: Settings, actions: Actions) -> Iterator[TaskObserver]:
+    """Yield what prints the events of a task while this is entered, or listens to them without printing."""
     if output not in (Output.EVENTS, Output.NUMBERS):
-        return TaskObserver()
-    robots = "simulated here; --actions ros2 drives real ones" if actions == "simulated" else "the action servers of ROS 2"
-    return ConsoleObserver(console, settings.planner_timeout, robots=robots, is_verbose=output is Output.NUMBERS)
+        yield TaskObserver()
+        return
+    is_simulated = actions == "simulated"
+    robots = "simulated here; --actions ros2 drives real ones" if is_simulated else "the action servers of ROS 2"
+    awaited = "" if is_simulated else "missing action servers are waited for, 10 s at most"
+    printer = ConsoleObserver(console, settings.planner_timeout, robots=robots, awaited=awaited, is_verbose=output is Output.NUMBERS)
+    with closing(printer):
+        if not is_simulated:
+            printer.wait("ROS 2 is joined, and robots are heard, 14 s at most")
+        yield printer
 
 
 def _stay(page: PageProcess) -> None:
@@ -274,20 +282,21 @@ def run_written(
         settings = replace(settings, bindings=read_bindings(files.bindings))
     if files.sensing:
         settings = replace(settings, sensing=read_sensing(files.sensing))
-    result = carry_out(
-        file,
-        name,
-        dict(named_values(given, "--set")),
-        actions=actions,
-        faults=read_faults(files.faults, None) if files.faults else NO_FAULTS,
-        settings=settings,
-        on_failure=on_failure,
-        observer=observer_for(output, console, settings, actions),
-        knowledge=files.knowledge,
-        answers=named_values(answers, "--answer"),
-        warn=print_warnings,
-        journal=files.journal,
-    )
+    with observed(output, console, settings, actions) as observer:
+        result = carry_out(
+            file,
+            name,
+            dict(named_values(given, "--set")),
+            actions=actions,
+            faults=read_faults(files.faults, None) if files.faults else NO_FAULTS,
+            settings=settings,
+            on_failure=on_failure,
+            observer=observer,
+            knowledge=files.knowledge,
+            answers=named_values(answers, "--answer"),
+            warn=print_warnings,
+            journal=files.journal,
+        )
     return print_ending(result, console, output, files.page)
 
 

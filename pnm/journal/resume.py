@@ -145,6 +145,8 @@ def steps_after(kept: KeptJournal, codec: Codec, apply: Apply, after: int) -> It
         for number, row in kept.rows(after):
             yield apply(number, row.time, codec.value(row.text))
             after = number
+    except Undecodable as error:
+        raise Undecodable(f"the journal {kept.place} cannot be read behind record {after}: {error}") from error
     except PnmError:
         raise
     except Exception as error:  # whatever it is that a damaged file, or records that do not fit each other, lead to

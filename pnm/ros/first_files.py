@@ -203,9 +203,8 @@ def sensors_in(graph: GraphSnapshot, robots: list[str]) -> tuple[str, dict[str, 
     text = "# What topics and services say of the world. Facts that nothing reports are assumed to come true as actions say.\n\n"
     text += f"sensors:\n{''.join(lines.values())}" if lines else "sensors: []\n"
     if others:
-        text += (
-            f"\n# decide: which of these say something that goals or actions are about; docs/sensing.md has the entries\n{''.join(others)}"
-        )
+        text += "\n# decide: which of these say something that goals or actions are about; docs/guides/sensing.md has the entries\n"
+        text += "".join(others)
     return text, declared
 
 

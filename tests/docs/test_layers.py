@@ -15,7 +15,7 @@ import pytest
 
 from tests.support.files import ROOT
 
-ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+ARCHITECTURE = (ROOT / "docs" / "project" / "architecture.md").read_text(encoding="utf-8")
 ONLY = {
     "rclpy": "pnm/ros/",
     "unified_planning": "planner_bridge/planning/unified_planning/",

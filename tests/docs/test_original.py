@@ -1,4 +1,4 @@
-"""What the first implementation of Petri Net Machines does: docs/original.md."""
+"""What the first implementation of Petri Net Machines does: docs/project/original.md."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.support.files import ROOT
 from tests.support.runs.direct import answering_with
 from tests.support.yaml.original import COUNTING, RunOriginal, causes, counted, variables
 
-PAGE = (ROOT / "docs" / "original.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "project" / "original.md").read_text(encoding="utf-8")
 
 
 # --- golden results ---

@@ -1,4 +1,4 @@
-"""Faults of the first implementation that are not repeated: docs/original.md."""
+"""Faults of the first implementation that are not repeated: docs/project/original.md."""
 
 from __future__ import annotations
 

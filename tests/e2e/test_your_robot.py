@@ -1,4 +1,4 @@
-"""A newcomer's way from two action servers of somebody else to goals all day: everything that docs/your-robot.md shows, as it shows it."""
+"""A newcomer's way from two action servers of somebody else to goals all day: everything that the tutorial shows, as it shows it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from tests.support.docs.your_robot import PAGE, Step, follow, newcomer
+from tests.support.docs.page import Step, follow
+from tests.support.docs.your_robot import PAGE, newcomer
 
 WET, DONE = 1, 0
 COMMANDS = {"init", "check", "plan", "simulate", "run", "serve", "facts", "goal", "watch", "status"}

@@ -15,8 +15,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
-import pytest
-
 from pnm.errors import InputError
 
 ROOT: Final = Path(__file__).parents[2]
@@ -45,11 +43,15 @@ MARKS = {".pddl": (";! ", ";;;"), ".yaml": ("#! ", "###")}
 
 def refused(*files: Path) -> list[Any]:
     """Return the cases of files as parameters: text and message."""
+    import pytest  # here, because a newcomer who follows the tutorial runs its robot without the tests' packages
+
     return [pytest.param(text, message, id=f"{file.stem}: {message}") for file in files for text, message in cases(file)]
 
 
 def refused_by_file(folder: Path) -> list[Any]:
     """Return the cases of all files of a folder as parameters: name of the file, text and message."""
+    import pytest
+
     files = sorted(file for file in folder.iterdir() if file.suffix in MARKS)
     return [pytest.param(file.stem, text, message, id=f"{file.stem}: {message}") for file in files for text, message in cases(file)]
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
 from planner_bridge.tasks.result import TASKS
+from pnm.errors import PnmError
+from pnm.journal.codec import Undecodable
 from pnm.journal.resume import replayed
+from pnm.journal.store import JournalError
 from tests.support.tasks.scenarios.random_scenarios import run_scenario
 
 
@@ -19,3 +24,19 @@ def test_a_replay_does_what_tasks_have_done(number: int, tmp_path: Path) -> None
     ended = [task.ending.code for task in replay.tasks.values() if task.ending]
     assert len(ended) == len(replay.tasks)
     assert not codes or sorted(ended) == sorted(codes.elements()) or len(ended) < codes.total()  # what was refused was never accepted
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "reason"),
+    [
+        ('{"@": "Stranger"}', Undecodable, "cannot be read behind record 4: there is no Stranger in this version"),
+        ("[", Undecodable, r"cannot be read behind record 4: not a value of this version: \["),
+        ("null", JournalError, "is damaged behind record 4: "),
+    ],
+)
+def test_a_record_that_cannot_be_replayed_is_named_with_its_place(text: str, error: type[PnmError], reason: str, tmp_path: Path) -> None:
+    run_scenario(3, journal=tmp_path / "journal")
+    with closing(sqlite3.connect(tmp_path / "journal")) as file, file:
+        file.execute("UPDATE records SET text = ? WHERE sequence = 5", (text,))
+    with pytest.raises(error, match=f"the journal {tmp_path / 'journal'} {reason}"):
+        replayed(tmp_path / "journal", TASKS)

@@ -116,7 +116,7 @@ def test_numbers_that_conditions_take_for_equal_are_equal():
 
 
 def test_the_example_of_the_documentation_says_what_it_shows(tmp_path):
-    (example,) = re.findall(r"```yaml\n(.*?)```", (ROOT / "docs" / "sensing.md").read_text(encoding="utf-8"), re.DOTALL)
+    (example,) = re.findall(r"```yaml\n(.*?)```", (ROOT / "docs" / "guides" / "sensing.md").read_text(encoding="utf-8"), re.DOTALL)
     problem = load(ROOT / "domains" / "delivery" / "domain.pddl", ROOT / "problems" / "delivery" / "p01.pddl")
     world = initial_knowledge(problem)
     by_name = {one.name: one for one in instances(read_sensing(written(tmp_path, example), problem.vocabulary), world.objects)}

@@ -1,7 +1,6 @@
-"""Do what docs/your-robot.md shows, with the robot that it is about: write its files, run its commands in its terminals.
+"""The robot of docs/start/tutorial.md, and the terminals in which a newcomer does what the page shows.
 
-A block ``console terminal 2`` is what a person sees in that terminal; commands that go on until Ctrl-C do so until the next command
-of the same terminal, and a block without a command is what has come since. Times and ids of tasks differ from run to run.
+Commands that go on until Ctrl-C do so until the next command of the same terminal.
 
 usage: python -m tests.support.docs.your_robot      (puts what is really printed into the page, where it differs)
 """
@@ -9,7 +8,6 @@ usage: python -m tests.support.docs.your_robot      (puts what is really printed
 from __future__ import annotations
 
 import os
-import re
 import shlex
 import signal
 import subprocess
@@ -20,56 +18,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tests.support.docs.language_reference import Shown
+from tests.support.docs.page import DOCS, Step, as_it_is, follow
 from tests.support.e2e.deployment import RosDomain
 from tests.support.files import ROOT
 from tests.support.processes import LIMIT, Program, ros_domain
 
-PAGE = ROOT / "docs" / "your-robot.md"
-BLOCK = re.compile(r"```(?P<kind>console|pddl|yaml) ?(?P<name>[^\n]*)\n(?P<body>.*?)```", re.DOTALL)
+PAGE = DOCS / "start" / "tutorial.md"
 GOING_ON = ("simulate", "serve", "watch")
 """Commands that go on until they are interrupted."""
-TRAILING = re.compile(r" +$", re.MULTILINE)
-VARYING = (
-    (re.compile(r" *\d+\.\d+ s\b"), " TIME"),
-    (re.compile(r"\b[0-9a-f]{8}\b"), "TASK"),
-    (TRAILING, ""),
-    (re.compile(r"^machine .*", re.MULTILINE), "MACHINE"),
-    (re.compile(r"^journal: .*", re.MULTILINE), "JOURNAL"),
-)
-
-
-@dataclass(frozen=True)
-class Step(Shown):
-    """A command of the page and what it prints; without a command, what one that goes on has printed since."""
-
-    terminal: str = ""
-
-    def agrees(self, printed: str) -> bool:
-        """Tell whether it is printed, but for what differs from run to run."""
-        return Shown(self.command, normal(self.output)).agrees(normal(printed))
-
-    def as_printed(self, printed: str) -> str:
-        """Return the lines for the page: those that it has, if they agree with what is really printed."""
-        command = f"$ {self.command}\n" if self.command else ""
-        return command + (self.output if self.agrees(printed) else TRAILING.sub("", printed))
-
-
-def normal(text: str) -> str:
-    """Return a text without what differs from run to run."""
-    for pattern, word in VARYING:
-        text = pattern.sub(word, text)
-    return text
-
-
-def steps_of(terminal: str, body: str) -> Iterator[Step]:
-    """Yield the steps of a block."""
-    first, *rest = re.split(r"^\$ ", body, flags=re.MULTILINE)
-    if first:
-        yield Step("", first, terminal)
-    for part in rest:
-        command, _, output = part.partition("\n")
-        yield Step(command, output, terminal)
 
 
 @dataclass
@@ -172,22 +128,10 @@ def newcomer(folder: Path) -> Iterator[tuple[Walk, Program]]:
             robot.close()
 
 
-def follow(page: str, walk: Walk) -> Iterator[tuple[re.Match[str], list[tuple[Step, str]]]]:
-    """Follow the page; yield its blocks, each with its steps and what they have printed."""
-    for block in BLOCK.finditer(page):
-        if block["kind"] == "console":
-            yield block, [(step, walk.printed(step)) for step in steps_of(block["name"], block["body"])]
-        elif block["name"]:
-            (walk.folder / block["name"]).write_text(block["body"], encoding="utf-8")
-
-
 def main() -> None:
     page = PAGE.read_text(encoding="utf-8")
-    real = page
     with TemporaryDirectory() as folder, newcomer(Path(folder)) as (walk, _):
-        for block, steps in follow(page, walk):
-            body = "".join(step.as_printed(text) for step, text in steps)
-            real = real.replace(block[0], f"```{block['kind']} {block['name']}".rstrip() + f"\n{body}```", 1)
+        real = as_it_is(page, follow(page, walk))
     PAGE.write_text(real, encoding="utf-8")
 
 

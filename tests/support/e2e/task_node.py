@@ -8,7 +8,7 @@ from tests.support.files import ROOT
 DOMAIN, PROBLEM = str(ROOT / "domains/delivery/domain.pddl"), str(ROOT / "problems/delivery/p01.pddl")
 
 
-PAGE = (ROOT / "docs" / "serving.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "guides" / "serving.md").read_text(encoding="utf-8")
 
 
 def serve(deployment: PlanDeployment, *arguments: str) -> Serving:

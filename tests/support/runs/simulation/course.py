@@ -137,7 +137,7 @@ class Course:
                     await self._live(life)
                     if self._done.is_set():
                         break
-            story.beliefs = next(node.knowledge for node in self._nodes if node.is_done)
+            story.beliefs = next(node.beliefs for node in self._nodes if node.beliefs is not None)
         except TimeoutError:
             story.failures.append(f"not over within {LIMIT:g} s")
         story.truth = KnowledgeBase(self._fleet.robots.world.truth.facts())

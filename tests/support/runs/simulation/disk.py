@@ -81,13 +81,19 @@ class Folder:
         if left > 0.0 if self.is_leased else not holder.is_dead:
             raise Held(f"{holder.name} holds the journal", holder.name, left)
 
-    def tear(self, written: int, share: float) -> None:
-        """Go on with what is left of the file: all of its log up to this size, and a share of what comes after."""
-        before, log = self.journal, Path(f"{self.journal}-wal")
-        content = log.read_bytes()
+    def tear(self, before: bytes, share: float) -> None:
+        """Go on with a copy of the file whose log is as it was before, but for a share of what was written last.
+
+        The log may have been written over from its beginning, so that what is old stands behind what is new.
+        """
+        whole, log = self.journal, Path(f"{self.journal}-wal")
+        after = log.read_bytes()
+        old = before[: len(after)].ljust(len(after), b"\0")
+        differing = [index for index, (one, other) in enumerate(zip(old, after, strict=True)) if one != other]
+        end = differing[int(share * len(differing))]  # the last byte that differs is never written
         self.copies += 1
-        copyfile(before, self.journal)
-        Path(f"{self.journal}-wal").write_bytes(content[: written + int(share * (len(content) - written))])
+        copyfile(whole, self.journal)
+        Path(f"{self.journal}-wal").write_bytes(after[:end] + before[end : len(after)])
 
 
 class SimulatedLease(Lease):
@@ -143,7 +149,7 @@ class Disk(JournalFile):
         if fate is Fate.SLEEPS_BEFORE:
             self._sleep(fate)
         log = Path(f"{self.place}-wal")
-        written = log.stat().st_size if log.exists() else 0
+        before = log.read_bytes() if fate is Fate.DIES_DURING and log.exists() else b""
         try:
             super().append(rows, parts)
         except Fenced:
@@ -151,7 +157,7 @@ class Disk(JournalFile):
             raise
         if fate is Fate.DIES_DURING:
             self._suffer(fate.value)
-            self._folder.tear(written, plan.torn)
+            self._folder.tear(before, plan.torn)
             process.die()
         self._story.moments.append(Committed(process.loop.time(), process.name, self.epoch, tuple(row.text for row in rows)))
         if fate is Fate.DIES_AFTER:

@@ -40,7 +40,7 @@ def machines(number: int) -> tuple[PetriNetMachine, ...]:
 class Node:
     """A process that does all tasks of a scenario.
 
-    The mutable state is the disk, the executors of tasks that go on, the knowledge, and whether everything is done.
+    The mutable state is the disk, the executors of tasks that go on, the knowledge, and what was known when everything was done.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class Node:
         self.process = process
         self.executors: dict[UUID, Executor] = {}
         self.knowledge: KnowledgeBase | None = None
-        self.is_done = False
+        self.beliefs: KnowledgeBase | None = None
         self.disk: Disk | None = None
         self._done = done
         self.replaced = asyncio.Event()
@@ -66,7 +66,8 @@ class Node:
         """Do everything that is left to do."""
         try:
             await self._carry_out()
-            self.is_done = True
+            assert self.knowledge is not None
+            self.beliefs = KnowledgeBase(self.knowledge.facts())  # it ends here: what is reported from now on it does not hear
             self._done.set()
         finally:
             self.close()

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-import re
 import subprocess
 import sys
 
 import pytest
 
+from tests.support.docs.page import DOCS, Block, blocks_of
 from tests.support.files import ROOT
 
-EXAMPLES = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "python.md").read_text(encoding="utf-8"), re.DOTALL)
+
+def is_output(block: Block | None) -> bool:
+    return block is not None and block.kind == "output"  # what it prints is compared as that of all pages is
+
+
+BLOCKS = blocks_of((DOCS / "guides" / "python.md").read_text(encoding="utf-8"), "python", "output")
+FOLLOWED = zip(BLOCKS, [*BLOCKS[1:], None], strict=True)
+EXAMPLES = [block.body for block, following in FOLLOWED if block.kind == "python" and not is_output(following)]
 PRINTED = [
     ["True the goal holds", "load(r1, parcel2, store) succeeded 1"],
     ["PAUSED", "cancelled"],
