@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable, Mapping
+from typing import Any
 from uuid import uuid4
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from pnm_interfaces.action import GroundAction as GroundActionType
+from pnm_interfaces.action import GroundAction
+from rclpy.action import ActionClient
 
 from pnm.core.machine.bindings import Binding
 from pnm.core.machine.requests import Accepted, Ended, Feedback, OutcomeKind
 from pnm.ros.action_client.action_services import ActionServices
+from pnm.ros.action_client.goal import OVER
+from pnm.ros.node.ros_thread import RosThread, call_on_loop
 from tests.support.processes import LIMIT
-from tests.support.ros.stock_client import StockClient
 
 GOALS = st.one_of(
     st.tuples(st.sampled_from(["succeed", "abort", "reject", "raise", "oddly"]), st.just(("0.2",)), st.booleans()),
@@ -23,6 +27,38 @@ GOALS = st.one_of(
     st.tuples(st.sampled_from(["hang", "hesitate"]), st.just(("0.1",)), st.just(True)),
 )
 """What a goal has its server do, and whether it is cancelled. Only those are that end alike whenever the server hears of it."""
+
+
+class StockClient:
+    """The action client of `rclpy`, of one server of GroundAction goals."""
+
+    def __init__(self, ros: RosThread, server: str) -> None:
+        self._ros = ros
+        self._client: Any = ros.wait(lambda: ActionClient(ros.node, GroundAction, server))
+
+    async def there(self) -> None:
+        async with asyncio.timeout(LIMIT):
+            while not await self._ros.ask(self._client.server_is_ready):  # noqa: ASYNC110 - the graph has no event
+                await asyncio.sleep(0.02)
+
+    async def outcome(self, goal: Mapping[str, Any], *, cancel: bool) -> tuple[bool, OutcomeKind, str]:
+        """Send a goal, and cancel it when it is accepted; return whether it was accepted, and how it ended."""
+        handle = await self._heard(lambda: self._client.send_goal_async(GroundAction.Goal(**goal)))
+        if not handle.accepted:
+            return False, OutcomeKind.REJECTED, ""
+        if cancel:
+            await self._heard(handle.cancel_goal_async)
+        response = await self._heard(handle.get_result_async)
+        return True, OVER[response.status], response.result.message
+
+    async def _heard(self, ask: Callable[[], Any]) -> Any:
+        loop = asyncio.get_running_loop()
+        heard: asyncio.Future[Any] = loop.create_future()
+        await self._ros.ask(lambda: ask().add_done_callback(lambda future: call_on_loop(loop, heard.set_result, future.result())))
+        return await asyncio.wait_for(heard, LIMIT)
+
+    def destroy(self) -> None:
+        self._ros.wait(self._client.destroy)
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +107,7 @@ def test_what_a_server_does_is_reported_as_by_rclpy(with_client, stock, shared, 
 def test_an_answer_that_cannot_be_used_keeps_no_others_away(ros, shared, caplog):
     async def scenario():
         loop, answered = asyncio.get_running_loop(), asyncio.Event()
-        services = await ros.ask(lambda: ActionServices(ros.node, GroundActionType, f"/{shared}", answered_twice=print))
+        services = await ros.ask(lambda: ActionServices(ros.node, GroundAction, f"/{shared}", answered_twice=print))
 
         def ask():
             services.ask_result(uuid4(), lambda response: 1 / 0)
