@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections import deque
 from collections.abc import Awaitable, Callable, Iterable
 from functools import partial
 from time import monotonic
@@ -52,7 +53,7 @@ class Ros2ActionClient:
         grace: seconds for which a server may be missing from the graph before the goals that it has accepted are lost.
 
     The mutable state is on the ROS thread (the links, the open goals, and the requests whose cancelling has to wait), except `_closed`, and
-    the ends that are to be reported.
+    the ends that are to be reported; the reports on their way to the event loop are on both.
     """
 
     def __init__(
@@ -77,6 +78,7 @@ class Ros2ActionClient:
         self._others = others or OtherGoals(ros, may_act=may_act)
         self._links: dict[_Key, ServerLink] = {}
         self._goals: dict[UUID, tuple[Goal, ServerLink]] = {}
+        self._reports: deque[tuple[Reporter, Report]] = deque()
         self._closed = False
         self._ends: set[asyncio.Future[None]] = set()
         self._timer: Any = None
@@ -133,6 +135,13 @@ class Ros2ActionClient:
             self._closed = True
             self._ros.call(self._end)
 
+    def _pass_on(self) -> None:
+        """Pass on the reports that are there, of all that the ROS thread has heard since the loop was woken."""
+        while self._reports:
+            report, what = self._reports.popleft()
+            if not self._closed:  # one by one, since a reporter may fail
+                self._loop.call_soon(partial(self._report_end, report) if isinstance(what, Ended) else report, what)
+
     def _report_end(self, report: Reporter, end: Ended) -> None:
         asked, at_once = self._ended(end.request), end.outcome.kind in _AT_ONCE
 
@@ -171,7 +180,7 @@ class Ros2ActionClient:
         binding = self._bindings.of(request.action.name)
         foreign = binding.foreign or (Foreign.WAIT if self._bindings.resources(request.action) else Foreign.SHARE)
         timeout = self._bindings.timeout(request.action)
-        goal = Goal(request, binding, partial(self._pass_on, report), kept, foreign, timeout, is_blind)
+        goal = Goal(request, binding, partial(self._hear, report), kept, foreign, timeout, is_blind)
         try:
             link = self._link(self._key(request.action))
             self._goals[request.id] = goal, link
@@ -190,11 +199,12 @@ class Ros2ActionClient:
             goal, link = self._goals[request]
             link.cancel(goal)
 
-    def _pass_on(self, report: Reporter, what: Report) -> None:
+    def _hear(self, report: Reporter, what: Report) -> None:
         if isinstance(what, Ended):
             self._goals.pop(what.request, None)
-        if not self._closed:
-            call_on_loop(self._loop, partial(self._report_end, report) if isinstance(what, Ended) else report, what)
+        self._reports.append((report, what))
+        if len(self._reports) == 1:  # else the loop has been woken, and has yet to look
+            call_on_loop(self._loop, self._pass_on)
 
     def _keep_looking(self) -> None:
         """Have the timer run while, and only while, a goal is under way or a link has something to look after."""
@@ -215,7 +225,7 @@ class Ros2ActionClient:
 
     def _lose_all(self) -> None:
         for goal, _ in tuple(self._goals.values()):
-            goal.end(OutcomeKind.LOST if goal.handle else OutcomeKind.UNAVAILABLE, _CLOSED)
+            goal.end(OutcomeKind.LOST if goal.is_accepted else OutcomeKind.UNAVAILABLE, _CLOSED)
 
     def _end(self) -> None:
         if self._timer is not None:

@@ -23,8 +23,10 @@ DISCOVERY: Final = 5.0
 """Seconds in which a server that is running is discovered."""
 START: Final = 10.0
 """Seconds after the start of the node in which servers that are started together with it are expected."""
-_DEPTH: Final = 1000
-"""Unread responses that our client keeps; they come in bursts when many goals end together."""
+FRESH: Final = 0.02
+"""Seconds for which one look at the processes in the graph counts: goals by the hundred are sent in less."""
+_UNREAD: Final = 100
+"""Messages of feedback that wait to be looked at: in a quarter of a second there are fewer, or the last ones do."""
 
 _log = logging.getLogger(__name__)
 
@@ -32,8 +34,8 @@ _log = logging.getLogger(__name__)
 class Connection:
     """The connection to one action server, of a type that is given or found in the graph.
 
-    The mutable state is the client and its handshake, once the type is known, until when a missing server is expected, and when
-    something was answered twice last.
+    The mutable state is our client, that of the services and the feedback, and its handshake, once the type is known, the last look at
+    the processes, until when a missing server is expected, and when something was answered twice last.
 
     Args:
         several: whether there may be several servers of this name, all of which carry out every goal.
@@ -64,8 +66,11 @@ class Connection:
         self._doubled = doubled
         self._may_act = may_act
         self._doubled_at = -math.inf
-        self.client: Any = None
+        self.services: Any = None
         self.handshake: Any = None
+        self._feedback: Any = None
+        self._processes: frozenset[bytes] = frozenset()
+        self._looked = -math.inf
         self._expected_until = max(joined + START, monotonic() + DISCOVERY)
         if self.type is not None:
             self._connect()
@@ -96,7 +101,7 @@ class Connection:
         return is_there
 
     def _is_reached(self) -> bool:
-        if self.client is None and (known := types(self._node, self.name)):
+        if self.services is None and (known := types(self._node, self.name)):
             try:
                 self.type = import_type(known[0])
             except InputError as error:
@@ -105,25 +110,21 @@ class Connection:
             self._connect()  # only now, because a client needs the type, which the graph shows once the server is there
             # The server is in the graph, but the new client has yet to be matched with it.
             self._expected_until = max(self._expected_until, monotonic() + DISCOVERY)
-        return self.client is not None and bool(self.client.server_is_ready())
+        return self.services is not None and self.services.is_served() and bool(self.processes())
 
     def _connect(self) -> None:
-        from rclpy.qos import QoSProfile  # here, because rclpy is an extra
+        from pnm.ros.action_client.action_services import ActionServices  # here, because rclpy is an extra
+        from pnm.ros.action_client.unheard_topic import UnheardTopic
 
-        from pnm.ros.action_client.attentive_client import AttentiveClient
+        twice, kind = self._note_second_answer, self.type.Impl.FeedbackMessage
+        self.services = ActionServices(self._node, self.type, self.name, answered_twice=twice, may_act=self._may_act)
+        self._feedback = UnheardTopic(self._node, kind, f"{self.name}/_action/feedback", _UNREAD)
+        self.handshake = Handshake(self.services, self._changed)
 
-        deep = QoSProfile(depth=_DEPTH)  # the default keeps ten responses; more goals than that may end between two turns of the executor
-        self.client = AttentiveClient(
-            self._node,
-            self.type,
-            self.name,
-            goal_service_qos_profile=deep,
-            result_service_qos_profile=deep,
-            cancel_service_qos_profile=deep,
-            answered_twice=self._note_second_answer,
-            may_act=self._may_act,
-        )
-        self.handshake = Handshake(self.client, self._changed)
+    def feedback(self) -> dict[UUID, Any]:
+        """Return the latest feedback about each goal of which there is some since the last time."""
+        messages = self._feedback.take() if self._feedback else ()
+        return {UUID(bytes=bytes(message.goal_id.uuid)): message.feedback for message in messages}
 
     def absence(self, now: float) -> str:
         """Return why the server, which is not ready, is not expected any more; empty while it is."""
@@ -131,7 +132,9 @@ class Connection:
 
     def processes(self) -> frozenset[bytes]:
         """Return the processes that serve the action."""
-        return processes(self._node, self.name)
+        if (now := monotonic()) - self._looked >= FRESH:
+            self._processes, self._looked = processes(self._node, self.name), now
+        return self._processes
 
     def may_send(self) -> bool:
         """Return True if the handshake with the server, which is ready, is done, and it is the only one of its name."""
@@ -145,8 +148,9 @@ class Connection:
 
     def close(self) -> None:
         """Destroy the client."""
-        if self.client is not None:
-            self.client.destroy()
+        if self.services is not None:
+            self.services.destroy()
+            self._feedback.destroy()
 
     # several servers of one name
 

@@ -48,14 +48,16 @@ class Goal:
     sent: float = 0.0
     """When it was sent, or when the server answered an earlier goal since then: until then this one could not be answered."""
     postponed: float = 0.0
-    """When its run was told last that it waits for others."""
-    handle: Any = None
+    """When the limit for its acceptance began, as its run knows it."""
+    is_accepted: bool = False
+    status: int = UNKNOWN
+    """What the status topic has said of it."""
     liveness: Liveness = field(default_factory=lambda: Liveness(frozenset()))
     cancel_asked: bool = False
     cancel_sent: float | None = None
     cancel_answered: bool = False
-    results: list[Any] = field(default_factory=list)
-    """The futures of the requests for the result."""
+    results_asked: int = 0
+    """Requests for the result without an answer."""
     unknown_since: float | None = None
     """When the server answered first that it does not know the goal: it was restarted, or has not taken it up yet."""
     is_resent: bool = False
@@ -74,10 +76,11 @@ class Goal:
             self.report(Feedback(self.request.id, feedback_line(self.feedback)))
             self.feedback = None
 
-    def postpone(self, now: float) -> None:
-        """Report that the limit for its acceptance begins anew."""
-        self.postponed = now
-        self.report(Postponed(self.request.id))
+    def postpone(self, now: float, lag: float) -> None:
+        """Report that the limit for its acceptance begins anew, unless it began `lag` seconds ago at most."""
+        if now - self.postponed > lag:
+            self.postponed = now
+            self.report(Postponed(self.request.id))
 
     def finish(self, status: int, result: Mapping[str, object]) -> None:
         """Report the end that its server has reported, as the binding judges it."""
@@ -115,7 +118,7 @@ class Goal:
     @property
     def over(self) -> bool:
         """Whether the status topic says that the goal is over."""
-        return self.handle is not None and self.handle.status in OVER
+        return self.status in OVER
 
     @property
     def wants_cancel(self) -> bool:

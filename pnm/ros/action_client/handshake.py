@@ -43,17 +43,18 @@ class Handshake:
     last probe was sent, the abandoned goals, and when they were last recalled.
 
     Args:
+        services: `pnm.ros.action_client.action_services.ActionServices`, of our client.
         changed: called when an answer has arrived, after which goals may be sent.
     """
 
-    def __init__(self, client: Any, changed: Callable[[], None]) -> None:
-        self._client = client
+    def __init__(self, services: Any, changed: Callable[[], None]) -> None:
+        self._services = services
         self._changed = changed
         self._met: frozenset[bytes] | None = None
         self._met_at = -math.inf
         self._looked = -math.inf
         self._probed = -math.inf
-        self._abandoned: dict[UUID, Any] = {}
+        self._abandoned: set[UUID] = set()
         self._recalled = -math.inf
 
     def __repr__(self) -> str:
@@ -88,40 +89,29 @@ class Handshake:
         if not is_met or (len(present) > 1 and now - self._probed >= SUSPICION):
             if now - self._probed >= AGAIN:  # probes are lost silently until the server has discovered us, so they are repeated
                 self._probed = now
-                self.handle(uuid4()).get_result_async().add_done_callback(partial(self._on_answer, present))
+                self._services.ask_result(uuid4(), partial(self._on_answer, present))
         elif not is_done and now - self._recalled >= AGAIN:
             # only now: before the probes are answered, an answer about a goal would be lost
             self._recalled = now
-            for goal, handle in tuple(self._abandoned.items()):
-                handle.cancel_goal_async()
-                handle.get_result_async().add_done_callback(partial(self._on_recalled, goal))
+            for goal in self._abandoned:
+                self._services.cancel_goal(goal)
+                self._services.ask_result(goal, partial(self._on_recalled, goal))
 
-    def abandon(self, goal: UUID, handle: Any) -> None:
-        """Note an abandoned goal, with its handle if it was ever accepted."""
-        self._abandoned[goal] = handle or self.handle(goal)
+    def abandon(self, goal: UUID) -> None:
+        """Note an abandoned goal, which may never have been accepted."""
+        self._abandoned.add(goal)
 
-    def _on_answer(self, present: frozenset[bytes], future: Any) -> None:
-        if not future.cancelled():  # the processes present when the probe was sent: one that came later may not have discovered us yet
-            if self._met is None or not present <= self._met:
-                self._met_at = monotonic()
-            self._met = present
-            self._changed()
+    def _on_answer(self, present: frozenset[bytes], response: object) -> None:
+        # The processes present when the probe was sent: one that came later may not have discovered us yet.
+        if self._met is None or not present <= self._met:
+            self._met_at = monotonic()
+        self._met = present
+        self._changed()
 
-    def _on_recalled(self, goal: UUID, future: Any) -> None:
+    def _on_recalled(self, goal: UUID, response: object) -> None:
         """Any answer ends an abandoned goal: it is over, or the server does not know it."""
         # Several recalls of the same goal may be answered; only the last abandoned goal opens the way.
-        if not future.cancelled() and self._abandoned.pop(goal, None) is not None and not self._abandoned:
-            self._changed()
-
-    def handle(self, goal: UUID) -> Any:
-        """Return a handle of a goal that was never accepted: the only way to ask `rclpy` about it."""
-        from rclpy.action.client import ClientGoalHandle  # here, because rclpy is an extra
-
-        return ClientGoalHandle(self._client, ros_uuid(goal), self._client._action_type.Impl.SendGoalService.Response())
-
-
-def ros_uuid(uuid: UUID) -> Any:
-    """Return the id as a message."""
-    from unique_identifier_msgs import msg  # here, because it comes with ROS 2
-
-    return msg.UUID(uuid=list(uuid.bytes))
+        if goal in self._abandoned:
+            self._abandoned.discard(goal)
+            if not self._abandoned:
+                self._changed()

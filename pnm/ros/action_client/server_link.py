@@ -3,8 +3,8 @@
 A goal moves *queued* → *unanswered* → *accepted* → ended. One that is not answered in time is cancelled by its id, for its server may
 be at work on it all the same; it ends when the server says so, does not know it for as long again, or is gone.
 
-Everything here runs on the ROS thread, which also spins: `rclpy` sends a request before it registers its future, so a response that
-another thread reads meanwhile is lost (ros2/rclpy#1123).
+Everything here runs on the ROS thread, which also spins: the number of a request is known only when it has been sent, so a response that
+another thread reads meanwhile would be lost (as in ros2/rclpy#1123).
 
 At most `IN_FLIGHT` goals are unanswered at a time: a server keeps the last 10 requests it has not yet read and silently
 drops older ones, for which no answer ever comes. Goals are sent only after the handshake, see `pnm.ros.action_client.handshake`.
@@ -26,7 +26,6 @@ from pnm.errors import PnmError
 from pnm.ros.action_client.connection import Connection
 from pnm.ros.action_client.fitted_binding import fitted_binding
 from pnm.ros.action_client.goal import OVER, UNKNOWN, Goal
-from pnm.ros.action_client.handshake import ros_uuid
 from pnm.ros.action_client.liveness import AGAIN, ASKS, GRACE, Liveness, Verdict
 from pnm.ros.node.messages import fields, to_data, to_message
 
@@ -75,7 +74,7 @@ class ServerLink:
             node, server, type_name, joined, several=several, changed=self._pump, doubled=self._stop_doubled, may_act=may_act
         )
         self.name = self._connection.name
-        others.watch(self.name)
+        self._at_work()
 
     def __repr__(self) -> str:
         return f"<ServerLink {self.name} {len(self._queued)} queued, {len(self._unanswered)} unanswered, {len(self._accepted)} accepted>"
@@ -111,6 +110,7 @@ class ServerLink:
 
     def send(self, goal: Goal) -> None:
         """Send the goal as soon as the server is there, the handshake is done, and few enough goals are unanswered."""
+        goal.postponed = monotonic()
         self._others.sent(goal.request.id)
         self._queued.append(goal)
         self._pump()
@@ -126,7 +126,9 @@ class ServerLink:
         """Return whether a goal must wait until the server is done with what this process has not sent."""
         if goal.kept:
             return False
-        others = self._others.others(self.name)
+        if goal.foreign is Foreign.SHARE and not self._others.may_forget:
+            return False
+        others = self._others.others(self.name, self._connection.processes())
         if goal.foreign is Foreign.SHARE:
             return self._others.are_forgotten(others)
         if others and goal.foreign is Foreign.CANCEL:
@@ -144,10 +146,9 @@ class ServerLink:
 
     def _find(self, goal: Goal) -> None:
         """Ask for the result of a goal that another process has sent; a server that does not know it says so, all others are at work."""
-        goal.binding, goal.handle = fitted_binding(goal.binding, self.type), self._connection.handshake.handle(goal.request.id)
+        goal.binding, goal.is_accepted = fitted_binding(goal.binding, self.type), True
         goal.sent = monotonic()
         goal.liveness = Liveness(self._connection.processes(), asked=goal.sent, grace=self._grace)
-        self._connection.client.follow(goal)
         self._accepted.add(goal)
         self._ask_result(goal)
         if goal.cancel_asked:  # before anything could be sent
@@ -163,7 +164,7 @@ class ServerLink:
         try:
             goal.binding = fitted_binding(goal.binding, self.type)
             message = to_message(self.type.Goal, goal.data(known))
-            future = self._connection.client.send_goal_async(message, goal_uuid=ros_uuid(goal.request.id))
+            self._connection.services.send_goal(goal.request.id, message, partial(self._answered, goal))
         except PnmError as error:
             goal.end(OutcomeKind.REJECTED, f"goal for {self.name}: {error}")
             return
@@ -172,55 +173,46 @@ class ServerLink:
             goal.end(OutcomeKind.REJECTED, f"goal for {self.name} cannot be sent: {error}")
             return
         goal.sent = monotonic()
-        if goal.postponed:
-            goal.postpone(goal.sent)
+        goal.postpone(goal.sent, goal.accept / 4.0)
         # The processes of this moment: one that appears later cannot have this goal.
         goal.liveness = Liveness(self._connection.processes())
-        self._connection.client.follow(goal)
         self._unanswered.add(goal)
-        future.add_done_callback(partial(self._answered, goal))
 
-    def _answered(self, goal: Goal, future: Any) -> None:
+    def _answered(self, goal: Goal, response: Any) -> None:
         self._unanswered.discard(goal)
         now = monotonic()
         for later in self._unanswered:  # which a server that takes its time for each goal could not answer before
             if later.sent >= goal.sent:
                 later.sent = now
-                later.postpone(now)
-        handle = future.result()
-        if not handle.accepted:  # first of all, since a refusal ends the goal whatever else has happened to it
+                later.postpone(now, later.accept / 4.0)  # if the answers come in quick succession, the next look does
+        if not response.accepted:  # first of all, since a refusal ends the goal whatever else has happened to it
             goal.end(OutcomeKind.REJECTED, f"{self.name} rejected the goal")
         elif goal.ended:
             # It was accepted after its time limit, when the run had already gone on without it.
-            handle.cancel_goal_async()
+            self._connection.services.cancel_goal(goal.request.id)
         elif goal not in self._accepted:
-            self._take_as_accepted(goal, handle)
+            self._take_as_accepted(goal)
         self._pump()  # a goal fewer is unanswered, so the next one may go
 
-    def _take_as_accepted(self, goal: Goal, handle: Any) -> None:
-        goal.handle, goal.unknown_since = handle, None  # kept by us, because `rclpy` refers to handles only weakly
+    def _take_as_accepted(self, goal: Goal) -> None:
+        goal.is_accepted, goal.unknown_since = True, None
         goal.liveness = Liveness(self._connection.processes(), asked=monotonic(), grace=self._grace)
         self._accepted.add(goal)
         goal.report(Accepted(goal.request.id))
         self._ask_result(goal)
-        if goal.cancel_asked:  # it was asked for before there was a handle to cancel with
+        if goal.cancel_asked:  # the server may not have known it then
             self._send_cancel(goal)
 
     # the end
 
-    def _handle(self, goal: Goal) -> Any:
-        """Return a handle of the goal, by its id alone if it was not accepted."""
-        return goal.handle or self._connection.handshake.handle(goal.request.id)
-
     def _ask_result(self, goal: Goal) -> None:
-        future = self._handle(goal).get_result_async()
-        goal.results.append(future)
-        future.add_done_callback(partial(self._result, goal))
+        goal.results_asked += 1
+        self._connection.services.ask_result(goal.request.id, partial(self._result, goal))
 
-    def _result(self, goal: Goal, future: Any) -> None:
-        if goal.ended or future.cancelled():  # several requests for the same result may be out; the first answer counts
+    def _result(self, goal: Goal, answer: Any) -> None:
+        goal.results_asked -= 1
+        if goal.ended:  # several requests for the same result may be out; the first answer counts
             return
-        answer = future.result()
         if answer.status == UNKNOWN:
             # Not over at once: the delay lets sensors report the new state first (`RESENSED`), or the server take the goal up.
             if goal.unknown_since is None and not self._connection.are_several(self._connection.processes()):
@@ -234,10 +226,9 @@ class ServerLink:
     def _lose(self, goal: Goal, message: str) -> None:
         self._accepted.discard(goal)
         if not goal.unknown_since:  # a server that does not know the goal is not executing it
-            self._connection.handshake.abandon(goal.request.id, goal.handle)
+            self._connection.handshake.abandon(goal.request.id)
         goal.end(OutcomeKind.LOST, message)
-        for future in goal.results:  # their answers may still come when a link heals, for a goal that is over for us
-            future.cancel()
+        self._connection.services.forget_result(goal.request.id)
 
     # cancelling
 
@@ -253,13 +244,13 @@ class ServerLink:
 
     def _send_cancel(self, goal: Goal) -> None:
         goal.cancel_sent = monotonic()
-        self._handle(goal).cancel_goal_async().add_done_callback(partial(self._cancel_answered, goal))
-        if goal in self._unanswered and all(future.done() for future in goal.results):
+        self._connection.services.cancel_goal(goal.request.id, partial(self._cancel_answered, goal))
+        if goal in self._unanswered and not goal.results_asked:
             self._ask_result(goal)
 
-    def _cancel_answered(self, goal: Goal, future: Any) -> None:
+    def _cancel_answered(self, goal: Goal, response: Any) -> None:
         goal.cancel_answered = goal not in self._unanswered  # which the server may not have taken up yet
-        if not future.result().goals_canceling and not goal.ended:
+        if not response.goals_canceling and not goal.ended:
             _log.info("%s does not cancel %s", self.name, goal.request.action)
 
     # several servers of one name
@@ -268,7 +259,7 @@ class ServerLink:
         """Have all servers cancel a goal that several of them have answered."""
         self._stop_for_rivals(self._connection.processes())
         if all(goal.request.id != identity for goal in (*self._unanswered, *self._accepted)):  # one of them has ended it, or rejected it
-            self._connection.handshake.handle(identity).cancel_goal_async()
+            self._connection.services.cancel_goal(identity)
 
     def _stop_for_rivals(self, present: frozenset[bytes]) -> None:
         """Cancel all goals if there are several servers that all would carry them out, but are not to."""
@@ -288,15 +279,14 @@ class ServerLink:
             present = self._connection.processes()  # one look at the graph for all goals, so that their verdicts agree
             self._stop_for_rivals(present)
             for goal in tuple(self._unanswered):
+                goal.postpone(goal.sent, 0.0)
                 self._look_at_unanswered(goal, present, now)
-            for goal in self._accepted:
-                goal.report_feedback()
+            self._report_feedback()
             self._look_at_accepted(present, now)
         self._pump()
         if self._queued and self._may_send():  # then only the answers to others are waited for
             for goal in self._queued:
-                if now - goal.postponed >= goal.accept / 4.0:
-                    goal.postpone(now)
+                goal.postpone(now, goal.accept / 4.0)
 
     def _look_at_queue(self, now: float) -> None:
         is_ready = self.ready()
@@ -307,7 +297,7 @@ class ServerLink:
             while self._queued:
                 goal = self._queued.popleft()
                 if goal.kept and self._connection.handshake:  # it may be at work on it, where it cannot be reached
-                    self._connection.handshake.abandon(goal.request.id, None)
+                    self._connection.handshake.abandon(goal.request.id)
                 goal.end(OutcomeKind.LOST if goal.kept else OutcomeKind.UNAVAILABLE, reason)
         elif is_ready and not self._connection.may_send():
             abandoned = self._connection.abandoned
@@ -320,7 +310,7 @@ class ServerLink:
 
         elif is_ready and self._waits(self._queued[0]):
             for goal in [goal for goal in self._queued if not goal.kept]:
-                if goal.waits_since is None and self._others.others(self.name):
+                if goal.waits_since is None and self._others.others(self.name, self._connection.processes()):
                     goal.waits_since = now
                     _log.warning("%s waits: %s is at work on goals of other programs", goal.request.action, self.name)
                 elif goal.waits_since is not None and now - goal.waits_since >= goal.timeout:
@@ -330,9 +320,9 @@ class ServerLink:
 
     def _look_at_unanswered(self, goal: Goal, present: frozenset[bytes], now: float) -> None:
         verdict = goal.liveness.check(present, False, now)
-        if verdict is not Verdict.FINE and goal.request.id in self._others.watch(self.name):  # its process died before it could answer,
+        if verdict is not Verdict.FINE and goal.request.id in self._at_work():  # its process died before it could answer,
             self._unanswered.discard(goal)  # but had kept it: another one goes on with it
-            self._take_as_accepted(goal, self._handle(goal))
+            self._take_as_accepted(goal)
             return
         if verdict is Verdict.LOST:
             reason = "went away before it answered"
@@ -347,17 +337,29 @@ class ServerLink:
         self._unanswered.discard(goal)
         # Gone from the graph, it may only be cut off and have the goal: it is recalled before the next one is sent.
         if verdict is Verdict.LOST:
-            self._connection.handshake.abandon(goal.request.id, None)
+            self._connection.handshake.abandon(goal.request.id)
         goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {reason}")
 
+    def _at_work(self) -> frozenset[UUID]:
+        """Return the goals that the server is at work on, as far as it was heard."""
+        return self._others.watch(self.name, self._connection.processes())
+
+    def _report_feedback(self) -> None:
+        latest = self._connection.feedback()
+        for goal in (*self._unanswered, *self._accepted):
+            goal.feedback = latest.get(goal.request.id, goal.feedback)
+            if goal.is_accepted:
+                goal.report_feedback()
+
     def _look_at_accepted(self, present: frozenset[bytes], now: float) -> None:
-        requests, at_work = 0, self._others.watch(self.name)
+        requests, at_work = 0, self._at_work()
         for goal in tuple(self._accepted):
             if goal.kept and goal.unknown_since is None and now - goal.sent >= FOUND:
                 goal.kept = None
                 goal.report(Accepted(goal.request.id))
             if requests == IN_FLIGHT:
                 return  # like goals, requests for results must not overflow the server's queue; the rest has the next turn
+            goal.status = self._others.status(self.name, goal.request.id) or goal.status
             if goal.request.id in at_work:  # if another process says so, it goes on with what one that died has accepted
                 goal.liveness.processes |= present
             match goal.liveness.check(present, goal.over, now):
@@ -368,16 +370,15 @@ class ServerLink:
                     self._lose(goal, f"{self.name} went away")
                 case Verdict.SILENT:
                     self._accepted.discard(goal)
-                    goal.end(OVER[goal.handle.status], "its result never came")
+                    goal.end(OVER[goal.status], "its result never came")
                 case Verdict.FINE:
                     pass
             if goal.unknown_since and self._connection.are_several(present):
                 goal.unknown_since = None  # it was another server that does not know it
             elif goal.unknown_since and now - goal.unknown_since >= RESENSED and goal.may_be_resent:
                 self._accepted.discard(goal)
-                goal.kept = goal.handle = goal.unknown_since = None
-                self._connection.client.forget(goal)
-                goal.is_resent = True
+                goal.kept = goal.unknown_since = None
+                goal.is_accepted, goal.status, goal.is_resent = False, UNKNOWN, True
                 if goal.cancel_asked:
                     goal.end(OutcomeKind.CANCELED, "cancelled before it was sent")
                 else:

@@ -165,7 +165,8 @@ class RosThread:
         with self._lock:
             if not self._closing:
                 self._functions.append(function)
-                self._guard.trigger()
+                if len(self._functions) == 1:  # else the thread has been woken, and has yet to look
+                    self._guard.trigger()
             return not self._closing
 
     def submit(self, function: Callable[[], T]) -> Future[T]:

@@ -5,15 +5,31 @@ from __future__ import annotations
 import asyncio
 from uuid import UUID, uuid4
 
+from action_msgs.msg import GoalInfo, GoalStatus, GoalStatusArray
+from builtin_interfaces.msg import Time
+from hypothesis import given
+from hypothesis import strategies as st
+from rclpy.serialization import serialize_message
+
 from pnm.core.machine.bindings import Binding, Foreign, WhenLost
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Request
-from pnm.ros.action_client.other_goals import OtherGoals
+from pnm.ros.action_client.action_services import ros_uuid
+from pnm.ros.action_client.other_goals import OtherGoals, statuses
 from tests.support.processes import LIMIT
 from tests.support.ros.child_process import bounded
 from tests.support.ros.recording_client import RecordingClient, Sent
 
 PREFIX = b"node"
+
+
+@given(st.dictionaries(st.binary(min_size=16, max_size=16), st.integers(0, 6), max_size=20), st.integers(0, 3))
+def test_the_status_of_goals_is_read_as_rclpy_does(known, padding):
+    listed = [
+        GoalStatus(goal_info=GoalInfo(goal_id=ros_uuid(UUID(bytes=goal)), stamp=Time(sec=2**31 - 1, nanosec=2**32 - 1)), status=status)
+        for goal, status in known.items()
+    ]
+    assert statuses(serialize_message(GoalStatusArray(status_list=listed)) + bytes(padding)) == known
 
 
 async def until_logged(caplog, text: str) -> None:

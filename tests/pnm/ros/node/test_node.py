@@ -22,6 +22,22 @@ def test_functions_run_on_the_thread_in_order(ros):
     assert ros.wait(lambda: ros.wait(lambda: 3)) == 3
 
 
+def test_the_thread_is_woken_for_every_function_that_it_has_not_seen(ros):
+    """Several threads, each of which goes on when its function was run: a wake-up that is left out would leave one waiting."""
+    seen = []
+
+    def call_on(name):
+        for number in range(200):
+            ros.wait(lambda number=number: seen.append((name, number)))
+
+    threads = [threading.Thread(target=call_on, args=(name,)) for name in "abc"]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(LIMIT)
+    assert sorted(seen) == [(name, number) for name in "abc" for number in range(200)]
+
+
 def test_errors_come_back_and_do_not_end_the_thread(ros, caplog):
     with pytest.raises(ZeroDivisionError):
         ros.wait(lambda: 1 / 0)
