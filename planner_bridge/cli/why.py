@@ -38,7 +38,7 @@ _NARROW: Final = 40
 """Columns that a statement gets at least, however deep it stands."""
 
 
-@click.command(epilog="Examples: pnm why domain.pddl problem.pddl --not 'move(r1, hall, kitchen)'; pnm why --journal run.journal --call 3")
+@click.command(epilog="Examples: pnm why domain.pddl problem.pddl --not 'move(r1, hall, kitchen)'; pnm why --journal run.journal --call 2")
 @click.argument("domain", type=FILE, required=False)
 @click.argument("problem", type=FILE, required=False)
 @click.option("--call", "called", metavar="CALL", help="why this call: its number, or the call itself, such as 'move(r1, a, b)'")
@@ -134,9 +134,9 @@ def _number(plan: Plan, called: str, wanted: PlanStep | None) -> int:
     """Return the number from 0 of the call that is meant."""
     if wanted is None:
         number = int(called.strip("# "))
-        if not 1 <= number <= len(plan.steps):
-            raise InputError(f"--call: there is no call {number}: the plan has {len(plan.steps)}; expected a number from 1")
-        return number - 1
+        if number >= len(plan.steps):
+            raise InputError(f"--call: there is no call {number}: the plan has {len(plan.steps)}; expected a number from 0")
+        return number
     steps = [str(step) for step in plan.steps]
     if str(wanted) not in steps:
         hint = suggestion(str(wanted), steps) or "without --call, all are listed"

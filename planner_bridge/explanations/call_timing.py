@@ -38,7 +38,7 @@ def why_now(history: JournalHistory, task: TaskHistory, run: RunHistory, call: i
 
 
 def _name(run: RunHistory, call: int) -> str:
-    return f"#{call + 1} {run.source.plan.calls[call].action}"
+    return f"#{call} {run.source.plan.calls[call].action}"
 
 
 def _orderings(run: RunHistory, call: int) -> Iterator[Ordering]:

@@ -127,8 +127,8 @@ class Course:
         return tuple(condition for need in self.needs(call) if need.by is None for condition in need.conditions)
 
     def name(self, call: int) -> str:
-        """Return a call with its number, as people count."""
-        return f"#{call + 1} {self.calls[call].action}"
+        """Return a call with its number, as everywhere."""
+        return f"#{call} {self.calls[call].action}"
 
 
 def _advance(

@@ -42,7 +42,7 @@ def why_failed(history: JournalHistory, run: RunHistory) -> Iterator[Answer]:
     for trouble in run.troubles:
         if trouble.failure is not None:
             step = trouble.failure.call
-            name = f"#{step.index + 1} {step.action}" if isinstance(step, ActionCall) else str(step)
+            name = f"#{step.index} {step.action}" if isinstance(step, ActionCall) else str(step)
             text = f"{name} failed at {trouble.time - history.replay.began:.2f} s: {_cause(trouble)}"
             yield Answer(text, Known.JOURNAL, tuple(_attempts(history, run, trouble)))
 

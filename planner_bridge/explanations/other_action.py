@@ -85,7 +85,7 @@ def why_not(problem: Problem, action: PlanStep, found: PlanningResult, limit: Ti
         limit: until when to look.
     """
     same = (action.action, action.arguments)
-    if found.plan and (numbers := [number for number, step in enumerate(found.plan.steps, 1) if (step.action, step.arguments) == same]):
+    if found.plan and (numbers := [number for number, step in enumerate(found.plan.steps) if (step.action, step.arguments) == same]):
         return Answer(f"the plan does use {action}: it is call #{numbers[0]}", Known.PLAN, (), (Solves(problem, found.plan),))
     asked = Forced.of(problem, action)
     if never := why_unreachable(asked.problem, Holds(asked.fact)):

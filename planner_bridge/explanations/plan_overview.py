@@ -29,7 +29,7 @@ def _line(course: Course, call: int) -> Answer:
         if need.by is None:
             parts.append(f"for the goal {conditions}")
         else:
-            for_calls.setdefault(conditions, []).append(f"#{need.by + 1}")
+            for_calls.setdefault(conditions, []).append(f"#{need.by}")
     for conditions, calls in for_calls.items():
         parts.append(f"for {listed(calls)}, which need{'s' if len(calls) == 1 else ''} {conditions}")
     return Answer(f"{course.name(call)}: {'; '.join(parts)}", Known.SIMULATION)

@@ -37,9 +37,9 @@ def call_meant(task: TaskHistory, text: str) -> tuple[RunHistory, int]:
         raise InputError(f"{task.name} has no plan yet")
     if text.strip("# ").isdecimal():
         number, calls = int(text.strip("# ")), task.runs[-1].source.plan.calls
-        if not 1 <= number <= len(calls):
-            raise InputError(f"there is no call {number}: the last run has {counted(len(calls), 'call')}; expected a number from 1")
-        return task.runs[-1], number - 1
+        if number >= len(calls):
+            raise InputError(f"there is no call {number}: the last run has {counted(len(calls), 'call')}; expected a number from 0")
+        return task.runs[-1], number
     wanted = "".join(text.split())
     for run in reversed(task.runs):
         for call in run.source.plan.calls:
@@ -108,4 +108,4 @@ def _doing(history: JournalHistory, task: TaskHistory, run: RunHistory, call: in
     """Return what a call that is not done is doing."""
     if run.results[call].kind is CallOutcome.WAITING:
         return why_now(history, task, run, call)
-    return Answer(f"#{call + 1} {run.source.plan.calls[call].action}: {run.results[call].outcome}", Known.JOURNAL)
+    return Answer(f"#{call} {run.source.plan.calls[call].action}: {run.results[call].outcome}", Known.JOURNAL)

@@ -6,12 +6,14 @@ have named this computer itself (DNS rebinding): so only requests to a name of t
 
 from __future__ import annotations
 
+import asyncio
 import json
+import re
 from collections.abc import AsyncIterator, Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final, TypeVar
-from uuid import uuid4
+from typing import Any, Final, NamedTuple, TypeVar
+from uuid import UUID, uuid4
 
 from starlette.applications import Starlette
 from starlette.requests import Request
@@ -29,6 +31,7 @@ from planner_bridge.view.story import Story
 from planner_bridge.view.view import view_of
 from pnm.core.pictures.plan_picture import plan_svg
 from pnm.errors import PnmError
+from pnm.files.database.place import Place
 
 PAGE: Final = Path(__file__).parent / "page"
 NAMES: Final = ("127.0.0.1", "localhost")
@@ -48,16 +51,26 @@ HEADERS: Final = {
 T = TypeVar("T")
 
 
+class _Asked(NamedTuple):
+    """What is asked about: a task, a call by its run and its number, as they were after a record."""
+
+    task: UUID
+    call: tuple[UUID, int]
+    number: int
+
+
 class ViewApp:
     """The application.
 
     Args:
+        place: the journal.
         feed: what happens now.
         past: reads what has happened.
         control: what may be controlled, and by whom.
     """
 
-    def __init__(self, feed: Feed, past: Reader, control: Control) -> None:
+    def __init__(self, place: Place, feed: Feed, past: Reader, control: Control) -> None:
+        self._place = place
         self._feed = feed
         self._past = past
         self._key = uuid4().hex
@@ -66,6 +79,7 @@ class ViewApp:
             Route("/", self._page),
             Route("/state", self._state),
             Route("/call", self._call),
+            Route("/why", self._why),
             Route("/picture", self._picture),
             Route("/events", self._events),
             Route("/control", control.look),
@@ -83,15 +97,37 @@ class ViewApp:
 
     async def _call(self, request: Request) -> Response:
         """Answer with all that is known of a call after a record."""
-        run, _, index = request.query_params.get("call", "").partition("/")
-        if not index.isdecimal():
-            return _refused(f"expected call=RUN/NUMBER, found {request.query_params.get('call', 'nothing')!r}", 400)
 
-        def told(story: Story) -> dict[str, Any] | None:
-            found = detail(story, run, int(index))
+        def told(story: Story, run: UUID, index: int) -> dict[str, Any] | None:
+            found = detail(story, run.hex, index)
             return None if found is None else asdict(found)
 
-        return await self._told(request, told)
+        return await self._told_of_call(request, told)
+
+    async def _why(self, request: Request) -> Response:
+        """Answer with why a call is in its plan, and why it began when it did or what it waits for, as it was after a record.
+
+        The journal is read anew for that: this is asked by people, now and then.
+        """
+        from planner_bridge.explanations.run_questions import explained  # here, because it takes its time to import
+
+        def asked(story: Story, run: UUID, index: int) -> _Asked | None:
+            task = story.runs[run].replayed.made.task if run in story.runs else None
+            return None if task is None else _Asked(task, (run, index), story.number)
+
+        def answered(about: _Asked) -> Response:
+            return JSONResponse([answer.as_json() for answer in explained(self._place, about.task, about.call, about.number)])
+
+        return await self._told_of_call(request, asked, answered)
+
+    async def _told_of_call(
+        self, request: Request, tell: Callable[[Story, UUID, int], T | None], response: Callable[[T], Response] = JSONResponse
+    ) -> Response:
+        """Answer with what is told of the call that the request names."""
+        run, _, index = request.query_params.get("call", "").partition("/")
+        if not (index.isdecimal() and re.fullmatch("[0-9a-f]{32}", run)):
+            return _refused(f"expected call=RUN/NUMBER, found {request.query_params.get('call', 'nothing')!r}", 400)
+        return await self._told(request, lambda story: tell(story, UUID(run), int(index)), response)
 
     async def _picture(self, request: Request) -> Response:
         """Answer with the plan of a run that has begun by a record."""
@@ -112,9 +148,11 @@ class ViewApp:
             return _refused(f"expected at=NUMBER, found {given or 'nothing'!r}", 400)
         try:
             told = await self._feed.asked(int(given), tell, self._past)
+            if told is None:
+                return _refused(f"there is nothing of that after record {given}", 404)
+            return await asyncio.to_thread(response, told)  # nobody else waits for that
         except PnmError as error:
             return _refused(str(error), 409)
-        return _refused(f"there is nothing of that after record {given}", 404) if told is None else response(told)
 
     async def _events(self, request: Request) -> Response:
         """Stream frames, from what the browser has seen last."""

@@ -66,7 +66,7 @@ def serve_page(
 
     reader, past = Reader(place), Reader(place)
     feed = Feed(reader)
-    app = ViewApp(feed, past, control or NO_CONTROL)
+    app = ViewApp(place, feed, past, control or NO_CONTROL)
     config = uvicorn.Config(
         app.asgi, log_config=None, log_level="critical", access_log=False, lifespan="off", ws="none", server_header=False
     )

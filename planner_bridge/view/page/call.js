@@ -6,6 +6,7 @@ import { troubleOf } from "./tasks.js";
 import { SIGNS, el, keepingFocus, seconds, state, stateOf, svg, words } from "./words.js";
 
 let limits = null; // what the limits that run down are shown of
+let why = null; // the last answer to the question why, with the call and the record that it is about
 
 // Shows a call; what can be done about it, if that is now.
 export function showCall(model, key, detail, isNow) {
@@ -43,9 +44,35 @@ function show(model, key, detail, isNow) {
     if (detail.effects.length) blocks.push(block("Effects", list(detail.effects)));
     if (detail.needed_by.length) blocks.push(block("Needed by", waits(detail.needed_by, false)));
     if (detail.recoveries.length) blocks.push(block("Recoveries", list(detail.recoveries)));
-    blocks.push(block("Where its token is", netOf(detail)));
+    blocks.push(block("Where its token is", netOf(detail)), whyOf(model, key));
   }
   place.replaceChildren(...blocks.filter((each) => each !== ""));
+}
+
+// Why the call is in its plan, and why it began when it did or what it waits for: asked when somebody wants to know.
+function whyOf(model, key) {
+  const button = el("button", { type: "button", id: "why" }, "Why this call, why now?");
+  button.addEventListener("click", async () => {
+    const number = model.number;
+    button.disabled = true;
+    try {
+      const answer = await fetch(`/why?call=${key}&at=${number}`);
+      const told = await answer.json();
+      why = { key, number, answers: answer.ok ? told : [{ statement: told.error, known: "", reasons: [] }] };
+    } catch {
+      why = { key, number, answers: [{ statement: "the page is not there any more", known: "", reasons: [] }] };
+    }
+    const place = document.getElementById("why-block");
+    if (place) place.replaceWith(whyOf(model, key));
+  });
+  const isAnswered = why?.key === key;
+  return el("div", { class: "block", id: "why-block" }, button,
+    isAnswered ? el("p", { class: "soft" }, `after record ${why.number}:`) : "", isAnswered ? reasons(why.answers) : "");
+}
+
+function reasons(answers) {
+  return el("ul", { class: "why" }, ...answers.map((answer) => el("li", {}, answer.statement,
+    answer.known && answer.known !== "given" ? el("span", { class: "soft" }, ` [${answer.known}]`) : "", answer.reasons.length ? reasons(answer.reasons) : "")));
 }
 
 function block(title, ...content) {

@@ -34,10 +34,10 @@ def test_a_call_is_needed_by_a_later_one_on_the_way_to_the_goal() -> None:
     problem = house("")
     answer = why_call_of_plan(problem, plan_of(problem), 0)
     assert str(answer).splitlines() == [
-        "#1 open_door(r1, door, hall, kitchen) is needed: without it, the rest of the plan does not work [proved by simulation]",
-        "  #2 pass(r1, door, hall, kitchen) needs it: (open door) [proved by simulation]",
-        "    which is needed by #3 take(r1, cup, kitchen): for the goal (has r1 cup) [proved by simulation]",
-        "  #4 pass(r1, door, kitchen, hall) needs it: (open door) [proved by simulation]",
+        "#0 open_door(r1, door, hall, kitchen) is needed: without it, the rest of the plan does not work [proved by simulation]",
+        "  #1 pass(r1, door, hall, kitchen) needs it: (open door) [proved by simulation]",
+        "    which is needed by #2 take(r1, cup, kitchen): for the goal (has r1 cup) [proved by simulation]",
+        "  #3 pass(r1, door, kitchen, hall) needs it: (open door) [proved by simulation]",
         "    it is for the goal (at r1 hall) [proved by simulation]",
     ]
     assert [type(claim) for claim in answer.claims] == [Fails]
@@ -47,7 +47,7 @@ def test_a_call_that_nothing_needs_is_said_to_be_so_and_the_plan_without_it_is_v
     problem = house("(open door)", "(has r1 cup)")
     plan = read_plan("(open_door r1 door hall kitchen) (pass r1 door hall kitchen) (take r1 cup kitchen)".replace(") ", ")\n"), problem)
     answer = why_call_of_plan(problem, replace(plan, temporal=False), 0)
-    assert (answer.known, answer.statement.partition(":")[0]) == (Known.PLAN, "nothing needs #1 open_door(r1, door, hall, kitchen)")
+    assert (answer.known, answer.statement.partition(":")[0]) == (Known.PLAN, "nothing needs #0 open_door(r1, door, hall, kitchen)")
     (claim,) = answer.claims
     assert isinstance(claim, Solves)
     assert why_invalid(claim.problem, claim.plan) == ""
@@ -57,7 +57,7 @@ def test_a_detour_is_needed_only_for_the_way_back() -> None:
     problem = house("(open door)", "(at r1 hall)")
     plan = read_plan("(move r1 hall yard)\n(move r1 yard hall)", problem)
     texts = [str(why_call_of_plan(problem, plan, number)) for number in range(2)]
-    assert "#2 move(r1, yard, hall) needs it: (at r1 yard)" in texts[0]
+    assert "#1 move(r1, yard, hall) needs it: (at r1 yard)" in texts[0]
     assert "the goal needs it: (at r1 hall)" in texts[1]
 
 
@@ -84,6 +84,6 @@ def test_a_call_is_superfluous_exactly_if_the_plan_without_it_is_valid(problem: 
 def test_the_overview_names_what_each_call_is_for() -> None:
     problem = house("")
     lines = [reason.statement for reason in why_plan(problem, plan_of(problem)).reasons]
-    assert lines[2] == "#3 take(r1, cup, kitchen): for the goal (has r1 cup)"
+    assert lines[2] == "#2 take(r1, cup, kitchen): for the goal (has r1 cup)"
     nothing = house("", "(at r1 hall)")
     assert why_plan(nothing, plan_of(nothing)).statement == "there is nothing to do: the goal holds, or comes by itself"

@@ -60,7 +60,7 @@ def test_one_that_is_as_good_is_called_so() -> None:
 
 def test_one_that_the_plan_has_is_named() -> None:
     assert ask(house("(open door)", "(has r1 cup)"), "take", "r1", "cup", "kitchen").statement == (
-        "the plan does use take(r1, cup, kitchen): it is call #2"
+        "the plan does use take(r1, cup, kitchen): it is call #1"
     )
 
 

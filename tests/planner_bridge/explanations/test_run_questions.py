@@ -65,7 +65,7 @@ def test_what_a_call_waits_for_is_what_has_not_come_after_every_record(journal: 
                         _, now, *_ = why_call_of_run(history, task, run, call.index)
                         said = {reason.statement.split()[0] for reason in now.reasons if " has to " in reason.statement}
                         missing = {
-                            f"#{ordering.before.call + 1}"
+                            f"#{ordering.before.call}"
                             for ordering in run.source.plan.orderings
                             if ordering.after.call == call.index != ordering.before.call
                             and ordering.after.moment is Moment.START
@@ -81,8 +81,8 @@ def test_a_call_that_has_begun_names_what_ended_last_before_it(journal: Path) ->
     task = task_meant(history, "1")
     needed, now = why_call_of_run(history, task, *call_meant(task, "move(r1,hall,kitchen)"))
     assert needed.known is Known.SIMULATION
-    assert needed.reasons[0].statement == "#7 unload(r1, parcel2, kitchen) needs it: (at r1 kitchen)"
-    assert "the last that it waited for was: #3 move(r1, store, hall) ended at 8.00 s, which brings about (at r1 hall)" in now.statement
+    assert needed.reasons[0].statement == "#6 unload(r1, parcel2, kitchen) needs it: (at r1 kitchen)"
+    assert "the last that it waited for was: #2 move(r1, store, hall) ended at 8.00 s, which brings about (at r1 hall)" in now.statement
 
 
 def test_what_is_over_is_told_with_how_it_ended(journal: Path) -> None:
@@ -96,7 +96,7 @@ def test_what_goes_on_is_told_call_by_call(journal: Path) -> None:
     history = JournalHistory.read(journal, 40)
     doing, *failures = why_so(history, task_meant(history, None))
     assert doing.statement == "the goal of the problem: 4 of 8 calls of its plan are done"
-    assert [reason.statement for reason in doing.reasons][:2] == [f"#5 {FAILING}: running", "#6 move(r2, store, hall): running"]
+    assert [reason.statement for reason in doing.reasons][:2] == [f"#4 {FAILING}: running", "#5 move(r2, store, hall): running"]
     assert not failures
 
 
@@ -106,7 +106,7 @@ def test_what_goes_on_is_told_call_by_call(journal: Path) -> None:
         ("7", "1", "no task is called '7'; expected one of 1 ("),
         ("zzz", "1", "no task is called 'zzz'"),
         (None, "99", "there is no call 99: the last run has 5 calls"),
-        (None, "0", "there is no call 0"),
+        (None, "8", "there is no call 8"),
         (None, "move(r1,hall,kitchn)", "did you mean 'move(r1, hall, kitchen)'?"),
         (None, "fly(x)", "has fly(x); expected one of move(r2, hall, kitchen)"),
     ],
@@ -133,7 +133,7 @@ def test_who_knows_the_ids_gets_the_same_answers(journal: Path) -> None:
     ((id, task),) = history.tasks.items()
     run = task.runs[-1].replayed.run.id
     assert explained(journal, id, last=40) == why_so(history, task)
-    assert explained(journal, id, (run, 4), 40) == why_call_of_run(history, task, *call_meant(task, "5"))
+    assert explained(journal, id, (run, 4), 40) == why_call_of_run(history, task, *call_meant(task, "4"))
     for wrong in ((uuid4(), None), (id, (run, 99)), (id, (uuid4(), 0))):
         with pytest.raises(InputError):
             explained(journal, *wrong)

@@ -13,6 +13,7 @@ import pytest
 
 from planner_bridge.view.app import PAGE
 from tests.support.e2e.page.serving import asked, page_of
+from tests.support.processes import pnm
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +78,10 @@ def test_nothing_can_be_done_to_it(url: str, method: str) -> None:
         ("/state?at=99999999999999999999999999", 404),
         ("/call?at=5", 400),
         ("/call?call=0/x&at=5", 400),
-        ("/call?call=0/0&at=5", 404),
+        ("/call?call=0/0&at=5", 400),
+        (f"/call?call={'0' * 32}/0&at=5", 404),
+        ("/why?at=5", 400),
+        (f"/why?call={'0' * 32}/0&at=5", 404),
         ("/picture?run=0&at=5", 404),
     ],
 )
@@ -99,3 +103,15 @@ def test_the_state_a_call_and_a_picture_after_a_record(url: str) -> None:
         calls = {call["index"] for call in state["parts"]["calls"].values() if call["run"] == run}
         assert {int(box.get("data-step", "")) for box in picture.iter() if box.get("data-step")} == calls
         assert not [part for part in picture.iter() if part.get("style") or part.tag.endswith("style")], "the page has its own looks"
+
+
+def test_why_a_call_is_there_is_told_as_pnm_why_tells_it(url: str, delivery: Path) -> None:
+    parts = json.loads(asked(url, "/state?at=60")[2])["parts"]
+    last = next(iter(parts["tasks"].values()))["runs"][-1]
+    key, call = next((key, call) for key, call in parts["calls"].items() if call["run"] == last)
+    told = json.loads(asked(url, f"/why?call={key}&at=60")[2])
+    command = pnm("why", "--journal", str(delivery), "--to", "60", "--call", str(call["index"]), "--json")
+    assert told == json.loads(command.stdout)["answers"]
+    assert call["action"] in told[0]["statement"]
+    status, _, text = asked(url, f"/why?call={key.partition('/')[0]}/999&at=60")
+    assert (status, "has no call 999" in text) == (409, True)

@@ -98,6 +98,18 @@ def test_a_failure_can_be_read_and_what_followed(page: Page, delivery: Path) -> 
         page.close()
 
 
+def test_why_a_call_is_there_is_answered_when_it_is_asked(page: Page, delivery: Path) -> None:
+    with page_of(delivery) as url:
+        page.goto(url)
+        page.locator("#call-choice").select_option(index=1)
+        page.get_by_role("button", name="Why this call, why now?").click()
+        answers = page.locator("#why-block .why > li")
+        expect(answers.first).to_contain_text("is needed")
+        expect(answers.first.locator("li").first).to_be_visible()
+        expect(page.locator("#why-block")).to_contain_text("after record")
+        page.close()
+
+
 def _marked(journal: Path, record: int) -> str:
     view = Reader(journal).at(record, view_of)
     assert view is not None
