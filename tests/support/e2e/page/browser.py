@@ -44,8 +44,10 @@ def _program() -> str | None:
             return found
         if _succeeds([sys.executable, "-m", "playwright", "install", "chromium-headless-shell"]):
             return None
-        if os.geteuid() == 0 and shutil.which("apt-get") and _succeeds(["apt-get", "install", "-y", "chromium"]):
-            return shutil.which("chromium")
+        if os.geteuid() == 0 and shutil.which("apt-get") and _succeeds(["apt-get", "update"]):
+            _succeeds(["apt-get", "install", "-y", "--no-install-recommends", "chromium"])
+            if found := shutil.which("chromium"):
+                return found
     raise AssertionError(
         f"there is no browser: install one of {', '.join(_NAMES)}, or `python -m playwright install chromium-headless-shell`"
     )
