@@ -308,10 +308,11 @@ class Executor:
 
 
 def _as_said(end: Ended, kind: OutcomeKind) -> Ended:
-    """Return the end of a request as a person has said that it is, with what its server says."""
+    """Return the end of a request as a person has said that it is, with the words of its server; its result only if that is one."""
     outcome = end.outcome
+    result = outcome.result if outcome.kind is OutcomeKind.SUCCEEDED else {}  # of a goal that was cancelled it is what fields begin with
     said = f"a person says that it {'is done' if kind is OutcomeKind.SUCCEEDED else 'has failed'}; its server said: {outcome.kind.value}"
-    return Ended(end.request, replace(outcome, kind=kind, message=f"{said}, {outcome.message}" if outcome.message else said))
+    return Ended(end.request, Outcome(kind, result, f"{said}, {outcome.message}" if outcome.message else said))
 
 
 def _is_cancelled() -> bool:

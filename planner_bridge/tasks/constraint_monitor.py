@@ -150,7 +150,8 @@ class ConstraintMonitor:
             watched.progress, self.has_news = after, True
         if self._times.get(position) != (time := watched.progress.next_look(now, lag)):
             self._times[position] = time
-            heappush(self._queue, (time, position))
+            if time < inf:
+                heappush(self._queue, (time, position))
         if before.violated or not watched.progress.violated:
             return None
         time = now if before.doubtful_since is None else before.doubtful_since

@@ -145,7 +145,7 @@ class Feed:
         """Yield the view after the last record, and again when it has changed: whoever takes long misses those in between."""
         self._watching += 1
         try:
-            self.view = await asyncio.to_thread(self._reader.newest)
+            self._set(await asyncio.to_thread(self._reader.newest))
             if self._reading is None or self._reading.done():
                 self._reading = asyncio.create_task(self._read())
             seen = None
@@ -173,11 +173,16 @@ class Feed:
     async def _read(self) -> None:
         while True:
             view = await asyncio.to_thread(self._reader.newest)
-            is_news = view is not self.view
-            if is_news:
-                self.view = view
-                self._tell()
+            is_news = self._set(view)
             await asyncio.sleep(PERIOD if is_news else _IDLE)
+
+    def _set(self, view: View) -> bool:
+        """Have everybody see a view; return whether it is another one."""
+        is_news = view is not self.view
+        if is_news:
+            self.view = view
+            self._tell()
+        return is_news
 
     def _tell(self) -> None:
         changed, self._changed = self._changed, asyncio.Event()

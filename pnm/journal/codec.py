@@ -24,6 +24,7 @@ from pnm.core.logic.computed_values import MISSING
 from pnm.errors import PnmError
 
 _TAG: Final = "@"
+_SURROGATE: Final = re.compile("[\ud800-\udfff]")
 _PLAIN: Final[frozenset[type]] = frozenset({str, int, float, bool, type(None)})
 _PLAIN_NAMES: Final = frozenset(kind.__name__ for kind in _PLAIN)
 _ARRAY_OF: Final = re.compile(r"tuple\[(\w+), \.\.\.\]")
@@ -68,7 +69,9 @@ class Codec:
 
     def text(self, value: object) -> str:
         """Return the value as JSON text; raise `Undecodable` for one of another class."""
-        return self._encoder.encode(self.plain(value))
+        text = self._encoder.encode(self.plain(value))
+        # half of a surrogate pair, such as a terminal gives for a byte that is no UTF-8, is a text for Python, but not for a database
+        return text if text.isascii() else _SURROGATE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
     def value(self, text: str) -> Any:
         """Return the value of a text; raise `Undecodable` if it is none that the codec knows."""

@@ -50,7 +50,9 @@ class TaskList:
     def execution_of(self, request: UUID) -> Execution:
         """Return the execution of the plan that has sent a request; raise `TaskRefused` unless it is open."""
         for task in self.active.values():
-            if (execution := task.control.execution) and request in execution.executor.run.open_requests:
+            if (execution := task.control.execution) and (call := execution.executor.run.open_calls.get(request)):
+                if call.action.operation is not None:
+                    raise TaskRefused(f"{call.action.operation} is about knowledge: no server does it")
                 return execution
         raise TaskRefused("no call of a task has that request under way")
 

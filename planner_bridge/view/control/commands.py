@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from typing import Any, Final, TypeAlias
 from uuid import UUID
@@ -12,6 +12,8 @@ from pnm.errors import InputError
 
 MAX_TEXT: Final = 100_000
 """Characters of a goal, a fact or an answer."""
+_LONG: Final = 1_000
+"""Characters of a refusal."""
 
 
 class Controlled(Enum):
@@ -105,8 +107,9 @@ class Reply:
     column: int = 0
 
     def as_json(self) -> dict[str, Any]:
-        """Return it as it is sent."""
-        return asdict(self)
+        """Return it as it is sent: what is long quotes what was wanted."""
+        cut = self.refused if len(self.refused) <= _LONG else f"{self.refused[: _LONG - 1]}…"
+        return asdict(replace(self, refused=cut.encode("utf-8", "replace").decode()))
 
 
 def read_command(data: object) -> Command:
@@ -123,14 +126,18 @@ def _text(data: Mapping[str, object], name: str) -> str:
     value = data.get(name, "")
     if not isinstance(value, str) or len(value) > MAX_TEXT:
         raise InputError(f"expected a text of {MAX_TEXT} characters at most under {name!r}")
+    try:
+        value.encode()
+    except UnicodeEncodeError as error:
+        raise InputError(f"expected a text under {name!r}, found half of a character") from error
     return value
 
 
 def _texts(data: Mapping[str, object], name: str) -> tuple[str, ...]:
     values = data.get(name, [])
-    if not isinstance(values, list) or not all(isinstance(value, str) and len(value) <= MAX_TEXT for value in values):
+    if not isinstance(values, list):
         raise InputError(f"expected a list of texts under {name!r}")
-    return tuple(values)
+    return tuple(_text({name: value}, name) for value in values)
 
 
 def _flag(data: Mapping[str, object], name: str) -> bool:

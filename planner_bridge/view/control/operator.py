@@ -27,7 +27,7 @@ from pnm.knowledge.sources.person_text import read_answer
 from pnm.tasks import ServedWorld, TaskCommands, TaskRefused, Tasks, TaskState, Wanted
 
 _SOON: Final = 2.0
-"""Seconds for a command to be refused; what takes longer goes on, and the page shows what comes of it."""
+"""Seconds for what robots have to confirm; what takes longer goes on, and the page shows what comes of it."""
 
 _log = logging.getLogger(__name__)
 
@@ -52,12 +52,16 @@ class Operator:
     async def reply(self, data: object) -> Reply:
         """Carry out a command, and return the reply to it, at the latest when it has begun."""
         try:
-            work = asyncio.ensure_future(self._carry_out(read_command(data)))
+            command = read_command(data)
+            work = asyncio.ensure_future(self._carry_out(command))
             self._going_on.add(work)
             work.add_done_callback(self._going_on.discard)
-            done, _ = await asyncio.wait((work,), timeout=_SOON)
+            has_to_be_confirmed = isinstance(command, PauseTask | ResumeTask | CancelTask | StepTask)
+            done, _ = await asyncio.wait((work,), timeout=_SOON if has_to_be_confirmed else None)
             if done:
                 work.result()
+            else:
+                work.add_done_callback(_log_refusal)
         except InputError as error:
             position = error.position
             return Reply(error.message, position.line, position.column) if position else Reply(error.message)
@@ -103,3 +107,8 @@ class Operator:
         ended = next((status for status in self._tasks.status() if status.id == wanted.id), None)
         if ended is not None and ended.state is TaskState.OVER:  # which is kept nowhere if it was never accepted
             raise TaskRefused(ended.reason)
+
+
+def _log_refusal(work: asyncio.Task[None]) -> None:
+    if not work.cancelled() and (error := work.exception()):
+        _log.warning("what was wanted on the page is refused after all: %s", error)

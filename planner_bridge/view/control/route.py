@@ -49,7 +49,7 @@ class Control:
                 return _refused(f"expected {_MAX_BODY} bytes at most", 413)
         try:
             command = json.loads(body)
-        except ValueError:
+        except (ValueError, RecursionError):
             return _refused("expected a command as JSON", 400)
         reply = await self.channel.ask(command)
         return JSONResponse(reply.as_json(), 409 if reply.refused else 200)

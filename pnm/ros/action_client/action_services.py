@@ -12,7 +12,7 @@ Everything here runs on the ROS thread.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Final
 from uuid import UUID
@@ -29,6 +29,8 @@ _QOS: Final = QoSProfile(depth=1000)
 """Unread answers that are kept; by default it is ten, and more goals than that may end between two turns of the executor."""
 _REMEMBERED: Final = 1000
 """Requests of a service whose second answer is noticed."""
+_UNANSWERED: Final = 20_000
+"""Requests of a service that wait for answers: a server that hangs gets some every second, and answers none."""
 
 _log = logging.getLogger(__name__)
 
@@ -48,15 +50,19 @@ class _Service:
 
     def send(self, goal: UUID, request: Any, answered: Answered) -> None:
         self.requests[self.client.handle.send_request(request)] = goal, answered
+        if len(self.requests) > _UNANSWERED:
+            del self.requests[next(iter(self.requests))]
 
-    def take(self) -> list[tuple[int, Any]]:
-        """Return the answers that are there, with the numbers of their requests."""
-        taken: list[tuple[int, Any]] = []
-        while True:
-            header, response = self.client.handle.take_response(self.client.srv_type.Response)
-            if header is None:
-                return taken
-            taken.append((header.request_id.sequence_number, response))
+    def take(self) -> Iterator[tuple[int, Any]]:
+        """Yield the answers that are there, with the numbers of their requests."""
+        try:
+            while True:
+                header, response = self.client.handle.take_response(self.client.srv_type.Response)
+                if header is None:
+                    return
+                yield header.request_id.sequence_number, response
+        except Exception:  # those that were taken are passed on all the same
+            _log.exception("answers of %s cannot be taken", self.client.srv_name)
 
 
 class ActionServices(Waitable):  # type: ignore[misc]
@@ -151,17 +157,17 @@ class ActionServices(Waitable):  # type: ignore[misc]
     async def execute(self, taken_data: list[tuple[_Service, int, Any]]) -> None:
         """Pass on the answers."""
         for service, number, response in taken_data:
-            if number in service.requests:
-                goal, answered = service.requests.pop(number)
-                service.answered[number] = goal
-                if len(service.answered) > _REMEMBERED:
-                    del service.answered[next(iter(service.answered))]
-                try:
+            request, before = service.requests.pop(number, None), service.answered.get(number)
+            try:
+                if request is not None:
+                    service.answered[number], answered = request
+                    if len(service.answered) > _REMEMBERED:
+                        del service.answered[next(iter(service.answered))]
                     answered(response)
-                except Exception:  # the others are taken as well, and would be lost
-                    _log.exception("an answer about goal %s cannot be used", goal)
-            elif number in service.answered:
-                self._answered_twice(service.answered[number] if service is self._goals else None)
+                elif before is not None:
+                    self._answered_twice(before if service is self._goals else None)
+            except Exception:  # the others are taken as well, and would be lost
+                _log.exception("an answer about goal %s cannot be used", request[0] if request else before)
 
 
 def ros_uuid(uuid: UUID) -> msg.UUID:

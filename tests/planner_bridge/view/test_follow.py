@@ -178,3 +178,22 @@ def test_frames_come_as_the_journal_grows(growing: GrowingJournal) -> None:
         number, change = stream.next()
         assert (number, change["is_whole"]) == ("30", False)
         stream.close()
+
+
+def test_a_second_browser_takes_nothing_away_from_the_first(growing: GrowingJournal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(follow, "PERIOD", 1000.0)
+    monkeypatch.setattr(follow, "_IDLE", 1000.0)
+
+    async def course() -> list[int]:
+        growing.grow(2)
+        feed = Feed(Reader(growing.place))
+        first, second = feed.views(), feed.views()
+        seen = [(await anext(first)).number]
+        waiting = asyncio.ensure_future(anext(first))
+        await asyncio.sleep(0)
+        growing.grow(7)
+        seen += [(await anext(second)).number, (await waiting).number]
+        await feed.close()
+        return seen
+
+    assert asyncio.run(asyncio.wait_for(course(), LIMIT)) == [2, 7, 7]

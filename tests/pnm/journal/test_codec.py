@@ -77,3 +77,10 @@ def test_a_foreign_class_is_refused_in_both_directions() -> None:
         RECORDS.value('{"@": "Process", "arguments": []}')
     with pytest.raises(Undecodable):
         RECORDS.value('{"@": "ActionCall", "index": 0, "colour": 1}')
+
+
+@pytest.mark.parametrize("text", ["\ud800", "tea \udcff and \U0001f375", "\x00", "é"])
+def test_every_text_of_python_is_one_of_a_database(text: str) -> None:
+    written = RECORDS.text({"answer": text})
+    written.encode()  # as databases do
+    assert RECORDS.value(written) == {"answer": text}

@@ -14,7 +14,8 @@ from uuid import UUID, uuid4
 
 import pytest
 
-from planner_bridge.view.control.commands import Controlled, read_command
+from planner_bridge.view.control import operator
+from planner_bridge.view.control.commands import Controlled, Reply, read_command
 from planner_bridge.view.control.operator import Operator
 from planner_bridge.view.process import PageProcess
 from pnm.core.knowledge_base import KnowledgeBase
@@ -219,3 +220,26 @@ def test_when_the_tasks_are_over_that_is_said(delivery: Path) -> None:
 def test_what_is_no_command_is_refused(command: object) -> None:
     with pytest.raises(InputError, match="expected"):
         read_command(command)
+
+
+@pytest.mark.parametrize("command", [{"do": "goal", "goal": "\ud800"}, {"do": "tell", "add": ["\udcff"]}])
+def test_half_a_character_is_no_text(command: object) -> None:
+    with pytest.raises(InputError, match="half of a character"):
+        read_command(command)
+
+
+def test_a_refusal_that_takes_its_time_is_no_consent(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(operator, "_SOON", 0.0)
+
+    class SlowWorld(FakeWorld):
+        async def check_goal(self, text: str, /) -> None:
+            await asyncio.sleep(0.01)
+            raise InputError(f"there is no {text}")
+
+    async def course() -> Reply:
+        tasks = FakeTasks()
+        return await Operator(tasks, tasks, SlowWorld(KnowledgeBase())).reply({"do": "goal", "goal": "x" * 2000})
+
+    reply = asyncio.run(course())
+    assert reply.refused.startswith("there is no xxx")
+    assert len(json.dumps(reply.as_json())) < 1500, "many of them fit into a pipe"
