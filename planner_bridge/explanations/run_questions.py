@@ -1,7 +1,8 @@
-"""Questions about a run, answered from its journal: what to call for whoever has a task and the number of a call."""
+"""Questions about a run, answered from its journal: which function answers which one, for a task and a call of it."""
 
 from __future__ import annotations
 
+from typing import Final
 from uuid import UUID
 
 from planner_bridge.explanations.answer import Answer, Known, counted, listed
@@ -14,6 +15,9 @@ from pnm.core.machine.machine import CallOutcome
 from pnm.errors import InputError, suggestion
 from pnm.files.database.place import Place
 
+_BEGINNING: Final = 4
+"""Characters of an id that are enough to mean its task; fewer are a number, or a mistake."""
+
 
 def task_meant(history: JournalHistory, text: str | None) -> TaskHistory:
     """Return the task that is meant by its number in the journal, or by the beginning of its id; without one, the last that goes on."""
@@ -24,7 +28,8 @@ def task_meant(history: JournalHistory, text: str | None) -> TaskHistory:
         return next((task for task in reversed(tasks) if task.ending is None), tasks[-1])
     if text.isdecimal() and 1 <= int(text) <= len(tasks):
         return tasks[int(text) - 1]
-    meant = [task for task in tasks if task.accepted.wanted.id.hex.startswith(text.replace("-", "").lower())]
+    beginning = text.replace("-", "").lower()
+    meant = [task for task in tasks if len(beginning) >= _BEGINNING and task.accepted.wanted.id.hex.startswith(beginning)]
     if len(meant) != 1:
         known = listed([f"{number} ({task.accepted.wanted.id.hex[:8]})" for number, task in enumerate(tasks, 1)], most=8)
         raise InputError(f"{'no task' if not meant else 'more than one task'} is called {text!r}; expected one of {known}")

@@ -10,8 +10,8 @@ import pytest
 from planner_bridge.node.options import PARAMETERS
 from tests.support.e2e.plan_deployment import ABORTED, CANCELED, SUCCEEDED, PlanDeployment
 from tests.support.e2e.plan_files import FILES
-from tests.support.e2e.task_node import DOMAIN, PAGE, PROBLEM, goals, serve, transitions
-from tests.support.files import written
+from tests.support.e2e.task_node import DOMAIN, PROBLEM, goals, serve, transitions
+from tests.support.files import ROOT, written
 
 # --- what is refused -------------------------------------------------------------------------
 
@@ -150,5 +150,6 @@ def test_a_configuration_that_fails_can_be_mended(deployment):
 
 
 def test_the_page_lists_the_parameters():
-    rows = dict(re.findall(r"^\| `(\w+)` \| (?:`(.*)`)? ?\| ", PAGE, re.MULTILINE))
+    page = (ROOT / "docs" / "reference" / "parameters.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| `(\w+)` \| (?:`(.*)`)? ?\| ", page, re.MULTILINE))
     assert {one.name: str(one.default).lower() for one in PARAMETERS}.items() <= rows.items()
