@@ -43,7 +43,7 @@ from pnm.core.machine.requests import NOT_REATTACHED, ActionClient, Ended, Outco
 from pnm.errors import RunError
 from pnm.journal.journal import NO_JOURNAL, Journal
 from pnm.knowledge.sources import Asker, Source, SourceError
-from pnm.knowledge.sources.help import was_carried_out
+from pnm.knowledge.sources.help import HelpAsked, HelpEnded, note_nothing, was_carried_out
 
 _log = logging.getLogger(__name__)
 
@@ -60,13 +60,23 @@ class Executor:
         source: answers queries and takes updates of what the run does not know itself.
         name: of the run, for people who are asked.
         journal: keeps what happens before anything is done about it; the run was made by it.
+        note: is told what a person is asked about a request that was lost, and what has come of it.
     """
 
-    def __init__(self, run: Run, client: ActionClient, source: Source | None = None, name: str = "", journal: Journal = NO_JOURNAL) -> None:
+    def __init__(
+        self,
+        run: Run,
+        client: ActionClient,
+        source: Source | None = None,
+        name: str = "",
+        journal: Journal = NO_JOURNAL,
+        note: Callable[[HelpAsked | HelpEnded], None] = note_nothing,
+    ) -> None:
         self.run = run
         self._client = client
         self._source = source
         self._journal = journal
+        self._note = note
         self._asker = Asker(run.id, name)
         self._source_tasks: dict[UUID, asyncio.Task[None]] = {}
         self._inbox: asyncio.Queue[Event] = asyncio.Queue()
@@ -283,7 +293,7 @@ class Executor:
         """Ask a person about a request that was lost; until then it counts as under way."""
         outcome, action = end.outcome, self.run.open_calls[end.request].action
         try:
-            if await was_carried_out(source, replace(self._asker, question=end.request), str(action)):
+            if await was_carried_out(source, self._asker, end.request, str(action), self._note):
                 outcome = Outcome(OutcomeKind.SUCCEEDED, message="a person says that it was carried out")
             else:
                 outcome = replace(outcome, message=f"{outcome.message}; no person says that it was carried out")
@@ -291,6 +301,7 @@ class Executor:
             outcome = replace(outcome, message=f"{outcome.message}; a person was asked about it in vain: {error}")
         finally:  # also when the run has ended meanwhile: no robot is at work on it
             self._take_in(Ended(end.request, outcome))
+            self._note(HelpEnded(outcome.message, end.request))
 
     def _wake_at(self, at: float | None) -> None:
         if self._timer:

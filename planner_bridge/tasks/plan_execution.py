@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping
+from functools import partial
 from types import TracebackType
 from typing import TypeAlias
 
@@ -62,7 +63,8 @@ class PlanExecution(Observer):
         """Whether others have begun, during a pause, with what the rest of the plan is in conflict with; its run ends then, even
         if they are over before it is."""
         run = self._go_on_with(begin_with) if isinstance(begin_with, ReplayedRun) else self._run_of(begin_with, {})
-        self.executor = Executor(run, context.backend.client, context.source, context.task.wanted.text, context.journal)
+        note = partial(context.journal.noted, context.task.id)
+        self.executor = Executor(run, context.backend.client, context.source, context.task.wanted.text, context.journal, note)
         self._future: asyncio.Future[RunResult] = asyncio.get_running_loop().create_future()
 
     async def __aenter__(self) -> PlanExecution:

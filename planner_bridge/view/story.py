@@ -42,7 +42,7 @@ from pnm.journal.records import (
     TimeCounted,
 )
 from pnm.journal.text import words
-from pnm.knowledge.sources.help import HELP, HelpAsked, HelpEnded
+from pnm.knowledge.sources.help import HelpAsked, HelpEnded
 from pnm.tasks import TaskEnding
 
 EVENTS: Final = 200
@@ -113,8 +113,8 @@ class TaskStory:
     """What was decided after the last run; None while it goes on."""
     used: TimeUsed | None = None
     ending: TaskEnding | None = None
-    help: str = ""
-    """The question to a person that it has open, who is asked for help."""
+    helps: dict[UUID | None, str] = field(default_factory=dict)
+    """The questions to a person that it has open, by the lost request that they are about, None for one how to go on."""
 
 
 class Story:
@@ -252,12 +252,11 @@ class Story:
             task.decision = decision
 
     def _note_help(self, task: TaskStory, note: HelpAsked | HelpEnded) -> None:
-        self.questions.pop(task.help, None)
-        task.help = ""
+        self.questions.pop(task.helps.pop(note.request, ""), None)
         if isinstance(note, HelpAsked):
             wanted = task.accepted.wanted
-            task.help = note.question.hex
-            self.questions[task.help] = QuestionShown("a person", note.text, wanted.text or "the goal of the problem", self.time, HELP)
+            name = task.helps[note.request] = note.question.hex
+            self.questions[name] = QuestionShown("a person", note.text, wanted.text or "the goal of the problem", self.time, note.choices)
 
     def note_sent(self, run: RunStory, call: ActionCall, request: Request) -> None:
         """Note that a request is sent."""

@@ -257,13 +257,15 @@ class PlanRunner:
             task=task or identity,
             priority=priority,
         )
-        return PlanRun(program, Executor(run, client, self.source, name, self.journal), client)
+        note = partial(self.journal.noted, task or identity)
+        return PlanRun(program, Executor(run, client, self.source, name, self.journal, note), client)
 
     def go_on_with(self, replayed: ReplayedRun, name: str, observer: Observer | None) -> PlanRun:
         """Return a run of the plan that goes on where another process has left it; the arguments are those of `prepare_run`."""
         client = PlansClient(self, observer, replayed.made.task, replayed.made.priority)
         run = self.journal.go_on(replayed, observer, client.goal_fields)
-        plan_run = PlanRun(self.programs[name], Executor(run, client, self.source, name, self.journal), client)
+        note = partial(self.journal.noted, replayed.made.task)
+        plan_run = PlanRun(self.programs[name], Executor(run, client, self.source, name, self.journal, note), client)
         if replayed.used:
             plan_run.limit.continue_from(replayed.used, replayed.left_at)
         return plan_run

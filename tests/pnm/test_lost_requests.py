@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.logic.computed_values import Layer
 from pnm.core.machine.bindings import Binding, Bindings, WhenLost
+from pnm.journal.records import TaskNoted
+from pnm.knowledge.sources.help import HelpAsked, HelpEnded
 from pnm.knowledge.sources.source import SourceError
 from pnm.tasks import Code
+from tests.support.e2e.page.journals import steps
 from tests.support.pddl.problems import rooms
 from tests.support.people import DelayedSource, Person
 from tests.support.tasks.node import USUAL, carry, simulated
 from tests.support.tasks.replanning import pursued
-from tests.support.tasks.simulation import TaskSimulation
+from tests.support.tasks.simulation import TaskSimulation, simulate_tasks
 
 WAY = rooms(init="(at r1 a)", goal="(at r1 b)", ways="ab")
 LOST = Faults((Fault("move", FaultKind.LOSE_SERVER),))
@@ -56,6 +60,32 @@ def test_a_person_says_whether_it_was_carried_out(answer: str, code: Code) -> No
             assert "no person says that it was carried out" in str(simulation.moments)
 
     scenario()
+
+
+def test_what_a_person_is_asked_and_what_comes_of_it_are_in_the_journal(tmp_path: Path) -> None:
+    person, journal = Person(layer=Layer.PERSON), tmp_path / "tasks.journal"
+
+    async def scenario(simulation: TaskSimulation) -> None:
+        task = simulation.want("(at r1 b)")
+        for answer in ("perhaps", "yes"):
+            assert await person.asked.get() == "carried_out"
+            carry(simulation, "r1", "a", "b")
+            person.answer("carried_out", answer)
+        assert await simulation.ended_with(task) == [Code.GOAL_REACHED]
+
+    chosen = replace(USUAL, bindings=when_lost(WhenLost.ASK))
+    simulate_tasks(scenario, WAY, faults=LOST, chosen=chosen, source=person, journal=journal)
+    first, again, over = [step.record.note for step in steps(journal) if is_about_help(step.record)]
+    assert isinstance(first, HelpAsked)
+    assert first.text.startswith("Nobody knows how move(r1, a, b) has ended")
+    assert (first.choices, first.request) == (("yes", "no"), first.question)
+    assert again.text.startswith("Expected 'yes' or 'no', found 'perhaps'. Nobody knows")
+    assert again.question != first.question
+    assert over == HelpEnded("a person says that it was carried out", first.request)
+
+
+def is_about_help(record: object) -> bool:
+    return isinstance(record, TaskNoted) and isinstance(record.note, HelpAsked | HelpEnded)
 
 
 def test_a_person_who_cannot_be_asked_does_not_keep_the_task_waiting() -> None:

@@ -34,10 +34,12 @@ class Advice:
 
 @dataclass(frozen=True, slots=True)
 class HelpAsked:
-    """A person is asked for help: by which question, and in which words."""
+    """A person is asked for help: by which question, in which words, and with which answers; about a request that was lost, if any."""
 
     question: UUID
     text: str
+    choices: tuple[str, str] = HELP
+    request: UUID | None = None
 
     def __str__(self) -> str:
         return f"a person is asked: {self.text}"
@@ -45,19 +47,24 @@ class HelpAsked:
 
 @dataclass(frozen=True, slots=True)
 class HelpEnded:
-    """A person is not asked for help any more: what has come of it."""
+    """A person is not asked for help any more: what has come of it; about a request that was lost, if any."""
 
     why: str
+    request: UUID | None = None
 
     def __str__(self) -> str:
         return self.why
 
 
-async def ask_for_help(person: Source, asker: Asker, trouble: str, note: Callable[[HelpAsked], None] = lambda _: None) -> Advice:
+def note_nothing(_: HelpAsked | HelpEnded, /) -> None:
+    """Note of a question to a person that nobody keeps."""
+
+
+async def ask_for_help(person: Source, asker: Asker, trouble: str, note: Callable[[HelpAsked], None] = note_nothing) -> Advice:
     """Ask a person what to do about trouble, and have it noted; cancelled when that is no longer needed."""
     question = f"{trouble}. Answer {TRY_AGAIN!r} when that is mended, or {GIVE_UP!r}."
     try:
-        said = await _chosen(person, asker, "help", question, HELP, note)
+        said = await _chosen(person, asker, "help", HelpAsked(asker.question or asker.run, question), note)
     except SourceError as error:
         return Advice(try_again=False, why=f"help was asked for in vain: {error}")
     if said == TRY_AGAIN:
@@ -65,28 +72,25 @@ async def ask_for_help(person: Source, asker: Asker, trouble: str, note: Callabl
     return Advice(try_again=False, why=f"a person was asked for help, and {'says to give up' if said else 'does not know any'}")
 
 
-async def was_carried_out(person: Source, asker: Asker, action: str) -> bool:
-    """Ask a person whether an action was carried out of which nobody else knows; without an answer it was not.
+async def was_carried_out(person: Source, asker: Asker, request: UUID, action: str, note: Callable[[HelpAsked], None]) -> bool:
+    """Ask a person whether an action was carried out of which nobody else knows, and have it noted; without an answer it was not.
 
     Raises:
         SourceError: there is no person to be asked, or no answer means anything.
     """
     question = f"Nobody knows how {action} has ended: its action server has forgotten it. Was it carried out? Answer {YES!r} or {NO!r}."
-    return await _chosen(person, asker, "carried_out", question, (YES, NO), lambda _: None) == YES
+    return await _chosen(person, asker, "carried_out", HelpAsked(request, question, (YES, NO), request), note) == YES
 
 
-async def _chosen(
-    person: Source, asker: Asker, name: str, question: str, choices: tuple[str, str], note: Callable[[HelpAsked], None]
-) -> str:
+async def _chosen(person: Source, asker: Asker, name: str, first: HelpAsked, note: Callable[[HelpAsked], None]) -> str:
     """Return which of two answers a person gives, once more when it is neither; empty without an answer."""
-    words, expected = question, " or ".join(map(repr, choices))
-    for number in range(_TIMES):
-        known_by = asker.question if number == 0 or asker.question is None else uuid5(asker.question, str(number))
-        if known_by is not None:
-            note(HelpAsked(known_by, words))
-        answer = await person.query(Question(name, Layer.PERSON, json.dumps(words)), replace(asker, question=known_by))
+    expected, asked = " or ".join(map(repr, first.choices)), first
+    for number in range(1, _TIMES + 1):
+        note(asked)
+        answer = await person.query(Question(name, Layer.PERSON, json.dumps(asked.text)), replace(asker, question=asked.question))
         said = "" if answer is MISSING else " ".join(str(answer).casefold().strip(" .!'\"").split())
-        if said in ("", *choices):
+        if said in ("", *first.choices):
             return said
-        words = f"Expected {expected}, found {str(answer)[:_SHOWN]!r}. {question}"
+        wrong = f"Expected {expected}, found {str(answer)[:_SHOWN]!r}. {first.text}"
+        asked = replace(first, question=uuid5(first.question, str(number)), text=wrong)
     raise SourceError(f"no answer was {expected}")

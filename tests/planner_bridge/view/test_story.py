@@ -14,7 +14,7 @@ from planner_bridge.view.view import view_of
 from pnm.core.logic.expressions import UNKNOWN
 from pnm.journal.records import WORLD, KnowledgeBegan, KnowledgeDelta, SharedBegan, TaskAccepted, TaskNoted
 from pnm.journal.replay import Replay
-from pnm.knowledge.sources.help import HelpAsked
+from pnm.knowledge.sources.help import HelpAsked, HelpEnded
 from pnm.tasks import Wanted
 from tests.support.e2e.page.journals import steps
 from tests.support.files import ROOT, written
@@ -45,6 +45,21 @@ def test_the_clock_is_known_from_a_task_on() -> None:
     accepted = TaskAccepted(Wanted(UUID(int=1), "(at r1 hall)"), 1, 1000.0)
     assert told(accepted).clock == 997.0
     assert view_of(told(accepted)).clock == 997.0
+
+
+def test_questions_about_lost_requests_stand_beside_those_how_to_go_on() -> None:
+    task, one, other = UUID(int=1), UUID(int=8), UUID(int=9)
+    records = [
+        TaskAccepted(Wanted(task, "(at r1 hall)"), 1, 1000.0),
+        TaskNoted(task, HelpAsked(one, "Was it carried out?", ("yes", "no"), one)),
+        TaskNoted(task, HelpAsked(other, "How does it go on?")),
+        TaskNoted(task, HelpEnded("a person says so", one)),
+        TaskNoted(task, HelpEnded("a person says that it is to be tried again")),
+    ]
+    asked = [{name: question.choices for name, question in told(*records[:count]).questions.items()} for count in range(2, 6)]
+    assert asked[1] == {one.hex: ("yes", "no"), other.hex: ("try again", "give up")}
+    assert asked[0] == {one.hex: ("yes", "no")}
+    assert asked[2:] == [{other.hex: ("try again", "give up")}, {}]
 
 
 def test_help_that_is_asked_for_is_a_question_until_it_is_over(tmp_path: Path) -> None:
