@@ -120,6 +120,7 @@ class WrittenJournal(Journal):
         self.blocked = ""
         self._is_lost = False
         """Whether another process has the journal."""
+        self._is_closed = False
         self._resources = replay.resources if replay else Resources()
         self._shared = replay.shared if replay else None
         self._segment_began, self._length = (replay.segment_began, replay.length) if replay else (0.0, 0)
@@ -251,6 +252,7 @@ class WrittenJournal(Journal):
         self._write()
         if self._due is not None:
             self._due.cancel()
+        self._is_closed = True
         self._hold.release()
         self._file.close()
 
@@ -323,7 +325,9 @@ class WrittenJournal(Journal):
         return key
 
     def _record(self, record: Record, now: float | None = None, begins: float | None = None, task: TaskRow | None = None) -> None:
-        """Note a record; it is written with the next event, or a moment later."""
+        """Note a record; it is written with the next event, or a moment later. What is heard after the end is another process's to keep."""
+        if self._is_closed:
+            return
         self._rows.append(Row(self._loop.time() if now is None else now, self._codec.text(record), begins, task))
         self._length += 1
         if self._due is None:

@@ -132,3 +132,18 @@ def test_records_of_the_past_are_dropped_and_its_tasks_are_listed(tmp_path: Path
     assert len(steps) < 200 < steps[0].number
     assert [summary.ending and summary.ending.code for summary in summaries(tmp_path / "j", TASKS)] == [Code.GOAL_REACHED] * 30
     assert len(replayed(tmp_path / "j", TASKS).tasks) == 20  # which clients may still ask for
+
+
+def test_what_is_heard_after_the_end_is_left_to_the_next_process(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    async def main() -> None:
+        journal, world = WrittenJournal(JournalFile(tmp_path / "j", Durability.PROCESS_CRASH, 0.0), TASKS), KnowledgeBase()
+        journal.begin(world, Resources())
+        world.update({("at", "r1", "a"): True})
+        journal.close()
+        world.update({("at", "r1", "b"): True})
+        await asyncio.sleep(0.1)
+        assert not journal.blocked
+
+    run_async(main(), virtual=True)
+    assert not caplog.records
+    assert replayed(tmp_path / "j", TASKS).world.facts() == {("at", "r1", "a"): True}
