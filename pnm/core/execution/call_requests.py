@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Final, assert_never
+from typing import Final, TypeAlias, assert_never
 from uuid import UUID
 
 from pnm.core.execution.call_results import CallResult
@@ -44,6 +44,8 @@ _NOTHING: Final = Performed()
 _CHANGED: Final = Performed(changes_knowledge=True)
 
 GoalFields = Callable[[GroundAction], tuple[str, ...] | None]
+Answers: TypeAlias = Mapping[Question, object] | None
+"""What is known for a decision; None where no questions are asked."""
 
 
 class Calls:
@@ -118,7 +120,7 @@ class Calls:
         """Return the binding of the call's action."""
         return self._bindings.of(self._plan.calls[call].action.name)
 
-    def context_of(self, call: int | None, answers: Mapping[Question, object] | None) -> EvaluationContext:
+    def context_of(self, call: int | None, answers: Answers) -> EvaluationContext:
         """Return the evaluation context of the call; no questions are asked when there are no answers."""
         asks = self.asks and answers is not None
         if answers:
@@ -228,30 +230,47 @@ class Calls:
             case _:
                 pass
 
-    def perform(self, action: TransitionAction, call: int, count: int, context: Callable[[], EvaluationContext], now: float) -> Performed:
-        """Carry out the action of a transition that fires; `count` is that of the requests since the call was reached."""
-        if action is TransitionAction.SEND:
-            return self._send(call, count, context())
+    def send(self, call: int, count: int, answers: Answers) -> Performed:
+        """Send a request, the `count`-th since the call was reached; or carry out an operation on knowledge."""
+        (number, identity), closed = self._next(call), self._closed[call]
+        # Computed now: once the robot moves, sensors report some of the effects, and conditions would read the new state.
+        if closed is not None and closed.effects is not None:
+            action, intended = self._plan.calls[call].action, closed.effects.intended(self.world)
+        else:
+            context = self.context_of(call, answers)
+            action = self.ready(call, context)
+            intended = intention(self._with(call, action), context)
+        self.open[identity] = call
+        if action.operation is not None:
+            self._attempts[call] = CallAttempt(number, identity, action, intended)
+            return self._operate(identity, action.operation, self.context_of(call, answers))
+        goal = self.own_goal(call)
+        request = Request(identity, action, self.goal(call, self.context_of(call, answers))[0] if goal is None else goal, count)
+        self._attempts[call] = CallAttempt(number, identity, action, intended, unanswered=request)
+        return Performed((Send(request),))
+
+    def perform(self, action: TransitionAction, call: int, answers: Answers, now: float) -> Performed:
+        """Carry out the action of a transition that fires, about the request that was sent last; nothing if there is none."""
         attempt = self._attempts.get(call)
-        if attempt is None:  # nothing was sent that anything could be done about
+        if attempt is None:
             return _NOTHING
         match action:
             case TransitionAction.BEGIN:
+                attempt.accepted, attempt.unanswered, start = now, None, attempt.intended.start
                 # Read before they are written, for a rollback if the call ends without success.
-                attempt.accepted, attempt.unanswered, attempt.begun = now, None, values_before(attempt.intended.start, self.world)
-                return self._write(attempt.intended.start)
+                attempt.begun = values_before(start, self.world) if start else {}
+                return self._write(start)
             case TransitionAction.FINISH:
                 closed = self._closed[call]
                 is_constant = closed is not None and closed.effects is not None
-                end = attempt.intended.end if is_constant else finished(attempt.action, attempt.intended, context())
-                attempt.ended, attempt.begun = end, values_before(end, self.world) | (attempt.begun or {})
+                end = attempt.intended.end if is_constant else finished(attempt.action, attempt.intended, self.context_of(call, answers))
+                attempt.ended, before = end, values_before(end, self.world)
+                attempt.begun = before | attempt.begun if attempt.begun else before
                 return self._write(end)
             case TransitionAction.CANCEL:
                 # A request that is being cancelled is not handed over: the successor would take it for one that goes on.
                 attempt.accepted = attempt.unanswered = None
                 return Performed((Cancel(attempt.request),))
-            case TransitionAction.ADOPT:
-                return _NOTHING  # the request is known since the run was made
             case TransitionAction.UNDO:
                 if attempt.begun is None:  # it was never accepted, so nothing was written at its start
                     return _NOTHING
@@ -259,7 +278,7 @@ class Calls:
                 attempt.begun, attempt.ended = None, {}
                 return self._write(undo(before, after, self.world))
             case _:
-                assert_never(action)
+                raise AssertionError(f"{action} is about no request that was sent")
 
     def again(self) -> tuple[Command, ...]:
         """Return what another process does about requests that are out.
@@ -326,22 +345,6 @@ class Calls:
         broken = {part: observed(part, context) for part in unmet(self.action(call).invariant, context)}
         attempt = self._attempts[call]
         attempt.denied, attempt.interrupted = broken, now
-
-    def _send(self, call: int, count: int, context: EvaluationContext) -> Performed:
-        (number, identity), closed = self._next(call), self._closed[call]
-        # Computed now: once the robot moves, sensors report some of the effects, and conditions would read the new state.
-        if closed is not None and closed.effects is not None:
-            action, intended = self._plan.calls[call].action, closed.effects.intended(self.world)
-        else:
-            action = self.ready(call, context)
-            intended = intention(self._with(call, action), context)
-        self.open[identity] = call
-        if action.operation is not None:
-            self._attempts[call] = CallAttempt(number, identity, action, intended)
-            return self._operate(identity, action.operation, context)
-        request = Request(identity, action, self.goal(call, context)[0], count)
-        self._attempts[call] = CallAttempt(number, identity, action, intended, unanswered=request)
-        return Performed((Send(request),))
 
     def _next(self, call: int) -> tuple[int, UUID]:
         """Return the number and the identity of the next request."""

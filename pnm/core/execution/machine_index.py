@@ -94,6 +94,8 @@ class Firing:
     """Whether it says more about its call than that: what hinders it, or that it is not needed or given up."""
     acts: bool
     """Whether it does more than to move tokens and to set the outcome of its call."""
+    matters: bool
+    """Whether it matters to more than its call: to resources, to whether the run is ending, to those who are told."""
     condition: CompiledCondition | None
     """The condition of its guard, where that is the same for every run."""
 
@@ -245,6 +247,7 @@ class MachineIndex:
             outcome=rule.outcome if is_call else None,
             tells=tells,
             acts=bool(takes or gives or turns or tells or rule.action or rule.outcome is CallOutcome.SUCCEEDED),
+            matters=takes or gives or turns or tells or rule.action is TransitionAction.ADOPT,
             condition=self._condition(rule, is_call=is_call),
         )
 
