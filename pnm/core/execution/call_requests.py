@@ -5,14 +5,14 @@ Decides nothing: `pnm.core.execution.run` decides when, and gets the commands th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from typing import Final, TypeAlias, assert_never
 from uuid import UUID
 
 from pnm.core.execution.call_results import CallResult
-from pnm.core.execution.effect_checks import denied_at_end, finished, intention, is_assumed, lag_of_effects, unseen
+from pnm.core.execution.effect_checks import denied_at_end, finished, intention, lag_of_effects, unseen
 from pnm.core.execution.events import Cancel, Command, Performed, Reattach, Send, Store
 from pnm.core.execution.handover import CallAttempt, UnderWay
 from pnm.core.execution.machine_index import index_of
@@ -84,8 +84,8 @@ class Calls:
 
     def as_sent(self, call: int) -> ActionCall:
         """Return the call with what its parameters had for values when it was sent last."""
-        attempt = self._attempts.get(call)
-        return self._plan.calls[call] if attempt is None else self._with(call, attempt.action)
+        planned, attempt = self._plan.calls[call], self._attempts.get(call)
+        return planned if attempt is None or attempt.action is planned.action else replace(planned, action=attempt.action)
 
     def _with(self, call: int, action: GroundAction) -> ActionCall:
         planned = self._plan.calls[call]
@@ -152,10 +152,10 @@ class Calls:
 
     def own_goal(self, call: int) -> Mapping[str, object] | None:
         """Return the fields of the goal where the call by itself has values for all of them."""
-        closed = self._closed[call]
-        if closed is None or self.binding(call).goal is not None:
+        closed, action = self._closed[call], self._plan.calls[call].action
+        if closed is None or self._bindings.of(action.name).goal is not None:
             return None
-        names = self._goal_fields(self._plan.calls[call].action)
+        names = self._goal_fields(action)
         if names is None:
             return closed.own
         return {name: closed.own[name] for name in names} if closed.own.keys() >= {*names} else None
@@ -198,9 +198,9 @@ class Calls:
     def is_assumed(self, call: int) -> bool:
         """Return whether nothing reports some of what the call changes."""
         if (closed := self._closed[call]) is not None:
-            return is_assumed(closed.names, self.world)
+            return not self.world.senses(closed.names)
         action = self.action(call)
-        return is_assumed(names_written((*action.start_effects, *action.end_effects)), self.world)
+        return not self.world.senses(names_written((*action.start_effects, *action.end_effects)))
 
     def explain_unseen(self, call: int, context: EvaluationContext) -> tuple[str, str]:
         """Return what of the call's effects is not seen, and what is seen instead, as texts."""
@@ -302,10 +302,10 @@ class Calls:
         self.open[taken.request] = call
         self._attempts[call] = CallAttempt(0, taken.request, taken.call.action, taken.intended, taken.accepted, begun=taken.begun)
 
-    def under_way(self, results: Sequence[CallResult]) -> tuple[UnderWay, ...]:
-        """Return the requests that another run may take over; `results` are the interim results of the calls."""
+    def under_way(self, result: Callable[[int], CallResult]) -> tuple[UnderWay, ...]:
+        """Return the requests that another run may take over; `result` returns the interim result of a call."""
         return tuple(
-            UnderWay(self.as_sent(call), request, last.accepted, results[call], last.intended, last.begun, self.resources(last.action))
+            UnderWay(self.as_sent(call), request, last.accepted, result(call), last.intended, last.begun, self.resources(last.action))
             for request, call in self.open.items()
             if (last := self._attempts[call]).accepted is not None
         )

@@ -112,6 +112,9 @@ class Run(RunView):
         self._state = RunState(self._engine, self._index, self._results, origin, adopted=dict(adopted))
         self._claims = RunClaims(self.resources, self.task, priority)
         self._guards = Guards(self._state, self._calls, self._claims, self._questions)
+        # parts of these, for what every firing looks at
+        self._tokens, self._marked_at = self._engine.tokens, self._state.marked_at
+        self._places, self._undecided, self._noted = self._agenda.places, self._agenda.undecided, self._questions.noted
         # last, because it may be refused; until then nothing of the shared resources is touched
         self.resources.check_capacities(machine.capacities)
         check_adoption(machine, adopted, self._calls.resources)
@@ -212,7 +215,7 @@ class Run(RunView):
 
     def _take(self, call: int, kind: OutcomeKind | None) -> bool:
         """Fire the transition of the call that the end of its request in this way opens, or its acceptance, if there is one."""
-        tokens = self._engine.tokens
+        tokens = self._tokens
         for number, place in self._index.opened[call, kind]:
             if tokens[place] and not self._engine.missing[number]:
                 self._fire(self._index.firings[number], None)  # one at most: the request is waited for at one place at a time
@@ -221,8 +224,7 @@ class Run(RunView):
 
     def _settle(self) -> None:
         """Fire open transitions until there is none, then ask to be woken at the next moment."""
-        agenda, reports, tokens, decisions = self._agenda, self._reports, self._engine.tokens, self._index.places
-        places = agenda.places
+        places, reports, tokens, decisions = self._places, self._reports, self._tokens, self._index.places
         while places or reports:
             # ends of operations on knowledge first: no other call sees the operation done and its own call not
             if reports:
@@ -233,17 +235,22 @@ class Run(RunView):
                     self._decide(place, decision)
                 elif not self._engine.missing[decision.passage.number]:
                     self._fire(decision.passage, place)
-        if (time := agenda.next_timer()) is not None and not self._state.over:
+        if (time := self._agenda.next_timer()) is not None and not self._state.over:
             self._commands.append(Wake(time))
 
     def _decide(self, place: int, decision: Decision) -> None:
         """Fire the first open transition that takes from the place; if there is none, note when to ask again."""
         missing, state, guards = self._engine.missing, self._state, self._guards
+        now, again, asking, asks = state.now, NEVER, False, self._calls.asks
         if state.ending or state.pause:
             firings, waiting = decision.firings, decision.awaits
+        elif decision.limit is not None and (until := state.marked_at[place] + decision.limit) > now:  # as below, at once
+            self._agenda.wait(place, listens=False)
+            if until < NEVER:
+                self._agenda.set_timer(place, until)
+            return
         else:
             firings, waiting = decision.staying, decision.stays
-        now, again, asking, asks = state.now, NEVER, False, self._calls.asks
         for firing in firings:
             # a transition that lacks nothing but resources is asked all the same: its call has to stand in line for them
             if firing.counts and missing[firing.number] and not (firing.takes and guards.lacks_resources(firing.number)):
@@ -274,7 +281,7 @@ class Run(RunView):
             if firing.takes:  # it is not open, so it must not keep others from the resources while it waits for something else
                 self._leave_line(place)
         if waiting:  # a place where nothing was even enabled is asked again when a token arrives, which puts it on the agenda anyway
-            self._agenda.wait(place)
+            self._agenda.wait(place, listens=decision.listens)
         if again < NEVER:
             self._agenda.set_timer(place, again)
 
@@ -312,12 +319,21 @@ class Run(RunView):
         else:
             if call is not None:
                 if (outcome := firing.outcome) is not None:
-                    self._results.turned(outcome, call, now, assumed=outcome is _SUCCEEDED and self._calls.is_assumed(call))
+                    self._results.turned(outcome, call, now, outcome is _SUCCEEDED and self._calls.is_assumed(call))
                 if (action := firing.rule.action) is not None:
-                    self._perform(action, call, place)
-            self._results.last_check = None
-            self._engine.fire(firing.number)
-            self._leave_and_mark(firing, now)
+                    self._perform(action, call, place, now)
+            if (step := firing.step) is not None:
+                left, marked = step
+                tokens = self._tokens
+                tokens[left] -= 1
+                tokens[marked] += 1
+                if left in self._undecided or left in self._noted:
+                    self._leave(left)
+                self._marked_at[marked] = now
+                self._places.extend(firing.decided)
+            else:
+                self._engine.fire(firing.number)
+                self._leave_and_mark(firing, now)
         self._fired.append(firing.number)
         self.observer.fired(firing.name, firing.rule, now)
 
@@ -329,14 +345,15 @@ class Run(RunView):
             self._claims.take(rule.call, self._guards.claim(firing, place))
         if call is not None:
             if (outcome := firing.outcome) is not None:
-                self._results.turned(outcome, call, state.now, assumed=outcome is _SUCCEEDED and self._calls.is_assumed(call))
+                self._results.turned(outcome, call, state.now, outcome is _SUCCEEDED and self._calls.is_assumed(call))
             if firing.tells:
                 self._tell(rule, call, place, None if firing.fails else check)
             if check and check.cause is Cause.INVARIANT_FALSE:
                 self._calls.interrupt(call, state.now)
             if rule.action is not None:
-                self._perform(rule.action, call, place)
-        self._results.last_check = check
+                self._perform(rule.action, call, place, state.now)
+        if check is not None:
+            self._results.last_check = check
         if rule.action is TransitionAction.ADOPT and call is not None:
             marked_at = state.adopted.pop(call).accepted  # its limits count from there
         self._engine.fire(firing.number)
@@ -354,17 +371,20 @@ class Run(RunView):
 
     def _leave_and_mark(self, firing: Firing, marked_at: float) -> None:
         """Wait for nothing more at the places that tokens have left; put those that they have reached on the agenda."""
-        agenda, marked_at_of = self._agenda, self._state.marked_at
+        undecided, noted, at = self._undecided, self._noted, self._marked_at
         for left in firing.inputs:
-            if left in agenda.undecided:
-                agenda.leave(left)
-                if left in self._claims.waiting:  # only where nothing is decided
-                    self._leave_line(left)
-            if left in self._questions.noted:
-                self._commands.extend(map(Withdraw, self._guards.forget(left)))
+            if left in undecided or left in noted:
+                self._leave(left)
         for marked in firing.outputs:
-            marked_at_of[marked] = marked_at
-        agenda.places += firing.decided
+            at[marked] = marked_at
+        self._places.extend(firing.decided)
+
+    def _leave(self, place: int) -> None:
+        """Wait for nothing more at a place that a token has left."""
+        self._agenda.leave(place)
+        self._leave_line(place)
+        if place in self._noted:
+            self._commands.extend(map(Withdraw, self._guards.forget(place)))
 
     def _tell(self, rule: Rule, call: int, place: int | None, check: Explanation | None) -> None:
         """Note what hinders the call, or that it is not needed or given up, and tell the observer."""
@@ -377,11 +397,11 @@ class Run(RunView):
         if rule.gives_up:
             self._calls.forget(call)
 
-    def _perform(self, action: TransitionAction, call: int, place: int | None) -> None:
+    def _perform(self, action: TransitionAction, call: int, place: int | None, now: float) -> None:
         """Carry out the action of a transition."""
-        now, calls = self._state.now, self._calls
+        calls = self._calls
         if action is _SEND:
-            performed = calls.send(call, self._results.current[call].attempts, self._questions.answers_at(place))
+            performed = calls.send(call, self._results.attempts(call), self._questions.answers_at(place))
             sent = calls.as_sent(call)
             self._results.sent(sent)
             self._state.is_stepping = False
