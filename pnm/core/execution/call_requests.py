@@ -12,7 +12,7 @@ from typing import Final, TypeAlias, assert_never
 from uuid import UUID
 
 from pnm.core.execution.call_results import CallResult
-from pnm.core.execution.effect_checks import denied_at_end, finished, intention, lag_of_effects, unseen
+from pnm.core.execution.effect_checks import denied_at_end, finished, intention, is_assumed, lag_of_effects, unseen
 from pnm.core.execution.events import Cancel, Command, Performed, Reattach, Send, Store
 from pnm.core.execution.handover import CallAttempt, UnderWay
 from pnm.core.execution.machine_index import index_of
@@ -198,9 +198,9 @@ class Calls:
     def is_assumed(self, call: int) -> bool:
         """Return whether nothing reports some of what the call changes."""
         if (closed := self._closed[call]) is not None:
-            return not self.world.senses(closed.names)
+            return is_assumed(closed.names, self.world)
         action = self.action(call)
-        return not self.world.senses(names_written((*action.start_effects, *action.end_effects)))
+        return is_assumed(names_written((*action.start_effects, *action.end_effects)), self.world)
 
     def explain_unseen(self, call: int, context: EvaluationContext) -> tuple[str, str]:
         """Return what of the call's effects is not seen, and what is seen instead, as texts."""

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from pnm.core.execution.questions import EvaluationContext
+from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.computed_values import may_ask
 from pnm.core.logic.conditions import TRUE, Compare, Condition, Holds, Not, conjuncts, data_in, fluents, names
 from pnm.core.logic.effects import Changes, Effects, changes, decided, facts, is_fixed, names_written, written
@@ -122,3 +123,8 @@ def may_be_late(part: Condition, action: GroundAction, knowledge: EvaluationCont
 def lag_of_effects(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: EvaluationContext) -> float:
     """Return how many seconds late the reports about the effects and the end condition may come."""
     return knowledge.world.lag({*(fluent[0] for fluent in wanted), *names(action.end_condition), *names(action.expected)})
+
+
+def is_assumed(changed: frozenset[str], world: KnowledgeBase) -> bool:
+    """Return whether nothing reports some of what an action changes, by the names of that."""
+    return not world.senses(changed)

@@ -155,7 +155,7 @@ class MachineIndex:
         net = machine.compiled
         ids = net.place_id
         self._inputs, self._outputs, self._consumers, self._names = net.inputs, net.outputs, net.consumers, net.transitions
-        self._moves = net.moves
+        self._moves, self._counted = net.moves, net.counted
         self._calls = calls = machine.plan.calls
         self.rules = [machine.rules[name] for name in net.transitions]
         self.records = frozenset(ids[place] for place in machine.record_places)
@@ -235,6 +235,7 @@ class MachineIndex:
         is_call = rule.call is not None and rule.call < len(self._calls)
         takes = not self.resources.isdisjoint(inputs) and rule.action is not TransitionAction.ADOPT
         gives, turns = not self.resources.isdisjoint(outputs), bool(fails) or not self.restarts.isdisjoint((*inputs, *outputs))
+        is_step = not self._counted[transition] and [change for _, change in self._moves[transition]] == [-1, 1]
         tells = rule.cause is not None or rule.gives_up or rule.outcome is CallOutcome.ALREADY_TRUE
         return Firing(
             transition,
@@ -244,7 +245,7 @@ class MachineIndex:
             inputs,
             outputs,
             tuple(place for place in outputs if place not in self.records),
-            (inputs[0], outputs[0]) if [change for _, change in self._moves[transition]] == [-1, 1] else None,
+            (inputs[0], outputs[0]) if is_step else None,
             fails,
             takes=takes,
             gives=gives,
