@@ -195,7 +195,7 @@ class Executor:
     def _enter(self) -> None:
         knowledge, resources = self.run.knowledge, self.run.resources
         self._leaving = [layer.listen(self._changed) for layer in (knowledge.world, knowledge.local)]
-        self._leaving.append(resources.listen(partial(self._put_once, ResourcesChanged())))
+        self._leaving.append(resources.listen(partial(self._put_once, ResourcesChanged()), self.run.task))
 
     def _leave(self, asked: Collection[UUID] = ()) -> None:
         """Listen no longer, and have nothing waited for, nor asked but these questions."""
