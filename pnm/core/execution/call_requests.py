@@ -42,6 +42,7 @@ from pnm.core.message_fields import Unreadable, parse_field, value_in
 
 _NOTHING: Final = Performed()
 _CHANGED: Final = Performed(changes_knowledge=True)
+_BEGIN, _FINISH = TransitionAction.BEGIN, TransitionAction.FINISH
 
 GoalFields = Callable[[GroundAction], tuple[str, ...] | None]
 Answers: TypeAlias = Mapping[Question, object] | None
@@ -254,31 +255,28 @@ class Calls:
         attempt = self._attempts.get(call)
         if attempt is None:
             return _NOTHING
-        match action:
-            case TransitionAction.BEGIN:
-                attempt.accepted, attempt.unanswered, start = now, None, attempt.intended.start
-                # Read before they are written, for a rollback if the call ends without success.
-                attempt.begun = values_before(start, self.world) if start else {}
-                return self._write(start)
-            case TransitionAction.FINISH:
-                closed = self._closed[call]
-                is_constant = closed is not None and closed.effects is not None
-                end = attempt.intended.end if is_constant else finished(attempt.action, attempt.intended, self.context_of(call, answers))
-                attempt.ended, before = end, values_before(end, self.world)
-                attempt.begun = before | attempt.begun if attempt.begun else before
-                return self._write(end)
-            case TransitionAction.CANCEL:
-                # A request that is being cancelled is not handed over: the successor would take it for one that goes on.
-                attempt.accepted = attempt.unanswered = None
-                return Performed((Cancel(attempt.request),))
-            case TransitionAction.UNDO:
-                if attempt.begun is None:  # it was never accepted, so nothing was written at its start
-                    return _NOTHING
-                before, after = attempt.begun, {**attempt.intended.start, **attempt.ended}
-                attempt.begun, attempt.ended = None, {}
-                return self._write(undo(before, after, self.world))
-            case _:
-                raise AssertionError(f"{action} is about no request that was sent")
+        if action is _BEGIN:
+            attempt.accepted, attempt.unanswered, start = now, None, attempt.intended.start
+            # Read before they are written, for a rollback if the call ends without success.
+            attempt.begun = values_before(start, self.world) if start else {}
+            return self._write(start) if start else _NOTHING
+        if action is _FINISH:
+            closed = self._closed[call]
+            is_constant = closed is not None and closed.effects is not None
+            end = attempt.intended.end if is_constant else finished(attempt.action, attempt.intended, self.context_of(call, answers))
+            attempt.ended, before = end, values_before(end, self.world)
+            attempt.begun = before | attempt.begun if attempt.begun else before
+            return self._write(end)
+        if action is TransitionAction.CANCEL:
+            # A request that is being cancelled is not handed over: the successor would take it for one that goes on.
+            attempt.accepted = attempt.unanswered = None
+            return Performed((Cancel(attempt.request),))
+        assert action is TransitionAction.UNDO, f"{action} is about no request that was sent"
+        if attempt.begun is None:  # it was never accepted, so nothing was written at its start
+            return _NOTHING
+        before, after = attempt.begun, {**attempt.intended.start, **attempt.ended}
+        attempt.begun, attempt.ended = None, {}
+        return self._write(undo(before, after, self.world))
 
     def again(self) -> tuple[Command, ...]:
         """Return what another process does about requests that are out.
@@ -354,12 +352,8 @@ class Calls:
 
     def _write(self, changes: Changes) -> Performed:
         """Write the assumed effects; sensors report all others."""
-        if not changes:
-            return _NOTHING
         # What sensors report is not overwritten with what the model expects: the check of the effects would see its own expectation.
-        is_sensed = self.world.is_sensed
-        assumed = {fluent: value for fluent, value in changes.items() if not is_sensed(fluent)}
-        return _CHANGED if self.world.record(assumed) else _NOTHING
+        return _CHANGED if self.world.record(self.world.assumed(changes)) else _NOTHING
 
     # --- operations on knowledge --------------------------------------------------------------
 

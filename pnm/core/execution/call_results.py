@@ -10,6 +10,10 @@ from pnm.core.machine.machine import CallOutcome, Rule, is_check
 from pnm.core.machine.plan_graph import ActionCall, Cause, PlanGraph, Step
 from pnm.core.machine.requests import Outcome
 
+# by these names, because a look into the class takes longer than all else that becomes of a call
+_WAITING, _RUNNING, _PASSED_OVER = CallOutcome.WAITING, CallOutcome.RUNNING, CallOutcome.PASSED_OVER
+_SUSPENDED, _SKIPPED, _CANCELED = CallOutcome.SUSPENDED, CallOutcome.SKIPPED, CallOutcome.CANCELED
+
 SUCCESS: Final = "success"
 """What is expected of a call that ends otherwise."""
 
@@ -178,22 +182,22 @@ class CallResults:
         course = self._courses.get(call)
         if course is None:
             course = self._courses[call] = _CallCourse(self._calls[call])
-        if outcome is CallOutcome.RUNNING:
+        if outcome is _RUNNING:
             course.kind, course.attempts = outcome, course.attempts + 1
             course.started = now if course.started is None else course.started
-        elif outcome is CallOutcome.WAITING:
-            if course.kind is not CallOutcome.WAITING:
+        elif outcome is _WAITING:
+            if course.kind is not _WAITING:
                 self._rounds.append(course.result())
                 del self._courses[call]
                 self._causes.pop(call, None)
-        elif outcome is CallOutcome.PASSED_OVER:
+        elif outcome is _PASSED_OVER:
             if course.ended is None:
                 course.kind, course.cause, course.ended = outcome, self._causes[call].cause, now
-        elif outcome is CallOutcome.SUSPENDED:
+        elif outcome is _SUSPENDED:
             course.kind = outcome
-        elif outcome is CallOutcome.SKIPPED and course.kind is CallOutcome.SUSPENDED:
+        elif outcome is _SKIPPED and course.kind is _SUSPENDED:
             course.kind, course.ended = CallOutcome.CANCELED, now
-        elif outcome is not CallOutcome.CANCELED or course.kind is not CallOutcome.FAILED:  # how its request ended changes nothing then
+        elif outcome is not _CANCELED or course.kind is not CallOutcome.FAILED:  # how its request ended changes nothing then
             course.kind, course.ended, course.assumed, course.cause = outcome, now, assumed, None
 
     def hindered(self, rule: Rule, call: int, check: Explanation | None, unseen: tuple[str, str] | None) -> Explanation | None:
@@ -221,9 +225,9 @@ class CallResults:
         kind, attempts, started, ended = before.kind, before.attempts, before.started, before.ended
         self._courses[call.index] = _CallCourse(call, kind, attempts, started, ended, before.assumed, before.cause)
 
-    def sent(self, call: ActionCall) -> None:
+    def sent(self, call: int, sent: ActionCall) -> None:
         """Record the call with the arguments that it was sent with."""
-        self._courses[call.index].call = call
+        self._courses[call].call = sent
 
     def failed(self, step: int, now: float, check: Explanation | None, rule: Rule, lacking: tuple[str, ...]) -> Failure:
         """Record the failure of a step.

@@ -49,7 +49,7 @@ from pnm.core.net.firing_engine import Engine
 from pnm.core.resources import Resources, RunClaims
 
 _NONE: Final[Mapping[int, UnderWay]] = {}
-_SEND, _SUCCEEDED = TransitionAction.SEND, CallOutcome.SUCCEEDED
+_SEND, _SUCCEEDED, _SUCCESS = TransitionAction.SEND, CallOutcome.SUCCEEDED, OutcomeKind.SUCCEEDED
 
 
 class Run(RunView):
@@ -206,7 +206,7 @@ class Run(RunView):
             if not self._calls.is_accepted(call) and kind not in BEFORE_ACCEPTANCE:
                 self._take(call, None)  # a client may leave out what goes without saying
             del self._calls.open[report.request]  # before the firing, so that observers and guards see the request as over
-            if kind is OutcomeKind.SUCCEEDED and self._calls.succeeded(call, outcome, now):
+            if kind is _SUCCESS and self._calls.succeeded(call, outcome, now):
                 self._has_changed_knowledge = True  # stored before the firing: effects and checks after it may read results
             self._results.answered(call, outcome)  # before the firing as well: the explanation of a failure quotes the message
             self.observer.ended(self._calls.as_sent(call), outcome, now)
@@ -240,17 +240,18 @@ class Run(RunView):
 
     def _decide(self, place: int, decision: Decision) -> None:
         """Fire the first open transition that takes from the place; if there is none, note when to ask again."""
-        missing, state, guards = self._engine.missing, self._state, self._guards
-        now, again, asking, asks = state.now, NEVER, False, self._calls.asks
+        state = self._state
+        now, again, asking = state.now, NEVER, False
         if state.ending or state.pause:
             firings, waiting = decision.firings, decision.awaits
-        elif decision.limit is not None and (until := state.marked_at[place] + decision.limit) > now:  # as below, at once
+        elif decision.limit is not None and (until := self._marked_at[place] + decision.limit) > now:  # as below, at once
             self._agenda.wait(place, listens=False)
             if until < NEVER:
                 self._agenda.set_timer(place, until)
             return
         else:
             firings, waiting = decision.staying, decision.stays
+        missing, guards, asks = self._engine.missing, self._guards, self._calls.asks
         for firing in firings:
             # a transition that lacks nothing but resources is asked all the same: its call has to stand in line for them
             if firing.counts and missing[firing.number] and not (firing.takes and guards.lacks_resources(firing.number)):
@@ -401,22 +402,24 @@ class Run(RunView):
         """Carry out the action of a transition."""
         calls = self._calls
         if action is _SEND:
-            performed = calls.send(call, self._results.attempts(call), self._questions.answers_at(place))
+            answers = self._questions.answers_at(place)
+            commands, reports, changes_knowledge = calls.send(call, self._results.attempts(call), answers)
             sent = calls.as_sent(call)
-            self._results.sent(sent)
+            self._results.sent(call, sent)
             self._state.is_stepping = False
-            for command in performed.commands:
+            for command in commands:
                 if isinstance(command, Send):
                     self.observer.sent(sent, command.request, now)
-            self._reports += performed.reports
+            self._reports += reports
         elif action is TransitionAction.ADOPT:  # the request is known since the run was made
             self._results.adopted(calls.as_sent(call), self._state.adopted[call].result)
             return
         else:
-            performed = calls.perform(action, call, self._questions.answers_at(place), now)
-        self._commands += performed.commands
+            commands, _, changes_knowledge = calls.perform(action, call, self._questions.answers_at(place), now)
+        if commands:
+            self._commands += commands
         # Results of the request may have been stored just before, even if the action itself writes nothing.
-        if performed.changes_knowledge or self._has_changed_knowledge:
+        if changes_knowledge or self._has_changed_knowledge:
             self._has_changed_knowledge = False
             self._agenda.ask_about_knowledge(now)
 
