@@ -72,6 +72,11 @@ class Agenda:
         """Ask all undecided places again."""
         self.places.extend(self.undecided)
 
+    @property
+    def hears_of_facts(self) -> bool:
+        """Whether places are asked again when facts change."""
+        return len(self._readers) > 0
+
     def ask_about_knowledge(self, now: float) -> None:
         """Ask those places again, in their order, whose decision may be another one since they were asked last."""
         if not self._readers:
