@@ -87,7 +87,8 @@ class Executor:
         self._waiting: set[KnowledgeChanged | ResourcesChanged] = set()
         self._settled: dict[UUID, OutcomeKind] = {}
         """By request, how a person says that it ends."""
-        self._progress = asyncio.Event()
+        self._progress: asyncio.Event | None = None
+        """What those wait for who wait until something has happened."""
         self.ended = False
         """Whether the run was carried out, and is not any more."""
 
@@ -151,6 +152,7 @@ class Executor:
 
     async def happens(self) -> None:
         """Wait until something has happened to the run, or it is not carried out any more."""
+        self._progress = self._progress or asyncio.Event()
         await self._progress.wait()
 
     async def execute(self) -> RunResult:
@@ -205,7 +207,7 @@ class Executor:
     def _enter(self) -> None:
         knowledge, resources = self.run.knowledge, self.run.resources
         self._leaving = [layer.listen(self._changed) for layer in (knowledge.world, knowledge.local)]
-        self._leaving.append(resources.listen(partial(self._put_once, ResourcesChanged())))
+        self._leaving.append(resources.listen(partial(self._put_once, ResourcesChanged()), self.run.task))
 
     def _leave(self, asked: Collection[UUID] = ()) -> None:
         """Listen no longer, and have nothing waited for, nor asked but these questions."""
@@ -219,11 +221,12 @@ class Executor:
         self._announce()
 
     def _announce(self) -> None:
-        self._progress.set()  # wakes all that wait now; those that begin to wait later wait for the next event
-        self._progress = asyncio.Event()
+        if self._progress is not None:
+            self._progress.set()  # wakes all that wait now; those that begin to wait later wait for the next event
+            self._progress = None
 
     def _handle(self, event: Event) -> None:
-        if isinstance(event, KnowledgeChanged | ResourcesChanged):
+        if isinstance(event, (KnowledgeChanged, ResourcesChanged)):
             self._waiting.discard(event)  # before it is handled: a change that its own commands cause has to be looked at again
         self._journal.handle(self.run, event, asyncio.get_running_loop().time(), self._perform)
         self._announce()
@@ -309,7 +312,8 @@ class Executor:
         self._timer = None if at is None else asyncio.get_running_loop().call_at(at, self._inbox.put_nowait, Tick())
 
     def _changed(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
-        self._put_once(KnowledgeChanged())
+        if self.run.awaits_knowledge:  # whatever it decides later, it decides by what is known then
+            self._put_once(KnowledgeChanged())
 
     def _put_once(self, event: KnowledgeChanged | ResourcesChanged) -> None:
         # Many facts change at once; asking the guards once after all of them is enough, and keeps the inbox short.

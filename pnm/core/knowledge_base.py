@@ -215,6 +215,14 @@ class KnowledgeBase:
         name = fluent[0]
         return all(below in self._sensed for below in self.rules.base((name,))) if name in self._derived else name in self._sensed
 
+    def assumed(self, changes: Changes) -> Changes:
+        """Return those of the changes that no sensor reports."""
+        return {fluent: value for fluent, value in changes.items() if not self.is_sensed(fluent)} if self._sensed else changes
+
+    def senses(self, names: frozenset[str]) -> bool:
+        """Return whether all fluents of these names are sensed."""
+        return (self.rules.base(names) if self._derived else names) <= self._sensed.keys()
+
     def lag(self, names: Iterable[str]) -> float:
         """Return the lag in seconds of the slowest report about the names, or the base names below them."""
         return max((self._sensed.get(name, 0.0) for name in self.rules.base(names)), default=0.0)

@@ -3,6 +3,7 @@
 A claim gets all that it names at once, or nothing; a request that has resources waits for no others. In line stand
 higher priorities first, then earlier claims, and a claim takes nothing that one ahead of it waits for. So no claim is
 overtaken for ever by equals, and as long as resources are given back, every claim is granted in the end.
+Whoever waits is told when its turn has come, and nobody else: what that costs does not grow with the line.
 
 A request that was given up keeps what it has: its server may still be at work. It is *withheld* until the server reports
 the end of the request, or is gone; so waits for it have a limit.
@@ -13,9 +14,10 @@ the end of the request, or is gone; so waits for it have a limit.
 from __future__ import annotations
 
 from bisect import bisect_left, insort
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
+from itertools import takewhile
 from math import inf
 from operator import itemgetter
 from typing import Final, TypeAlias
@@ -23,8 +25,8 @@ from uuid import UUID
 
 from pnm.errors import PnmError, RunError
 
-_Rank: TypeAlias = tuple[int, float]
-"""How a claim stands in line, the least in front: higher priorities, then earlier claims."""
+_Rank: TypeAlias = tuple[int, float, UUID]
+"""How a claim stands in line, the least in front: higher priorities, then earlier claims; with its request."""
 
 _ONE_EACH: Final[Mapping[str, int]] = {}
 
@@ -70,14 +72,16 @@ class Resources:
         self._held: dict[UUID, Claim] = {}
         self._withheld: dict[UUID, str] = {}
         """Of those that have some, the requests that were given up, and what people know them by."""
-        self._used: Counter[str] = Counter()
+        self._holders: defaultdict[str, dict[UUID, Claim]] = defaultdict(dict)
+        """For every resource, the claims of those that have it."""
         self._line: dict[UUID, tuple[_Rank, Claim]] = {}
         """By request, the claims that wait, and how each stands in line."""
         self._lines: dict[str, list[_Rank]] = {}
         """For every resource, how those stand in line that wait for it, in order."""
         self._joined = 0
         """How many claims have come into line so far."""
-        self._listeners: list[Callable[[], None]] = []
+        self._listeners: defaultdict[UUID | None, list[Callable[[], None]]] = defaultdict(list)
+        """By task, those that listen to its claims; None for all."""
 
     @property
     def held(self) -> tuple[Claim, ...]:
@@ -111,7 +115,7 @@ class Resources:
     def is_free(self, claim: Claim) -> bool:
         """Return whether the claim would be granted now."""
         # A claim that is not in line yet is judged as if it had joined: behind its equals, before lower priorities.
-        rank = behind_equals = (-claim.priority, inf)
+        rank = behind_equals = (-claim.priority, inf, claim.request)
         standing, earlier = self._line.get(claim.request, (behind_equals, None))
         if earlier == claim:
             rank = standing
@@ -121,9 +125,12 @@ class Resources:
             ahead = bisect_left(line, rank)
             if earlier is not None and standing < rank and name in earlier.names:  # an earlier claim of the request itself
                 ahead -= 1
-            if self._used[name] + ahead >= self.capacity(name):
+            if self._used(name) + ahead >= self.capacity(name):
                 return False
         return True
+
+    def _used(self, name: str) -> int:
+        return len(self._holders[name]) if name in self._holders else 0
 
     def take(self, claim: Claim) -> bool:
         """Grant the claim and return True, or keep it in line, once."""
@@ -133,13 +140,15 @@ class Resources:
         if not is_free and claim.request in self._line and self._line[claim.request][1] == claim:
             return False
         # An earlier claim of the same request may have had other names, if the values of its parameters have changed since.
-        self._leave(claim.request)
+        earlier = self._leave(claim.request)
         if is_free:
             self._hold(claim)
         else:
             self._join(claim)
-            if self.outranked():  # nothing has become free, but the task manager may preempt those who hold what this one needs
-                self._notify()
+            if self.outranked(claim.names):  # nothing has become free, but those who hold what this one needs may be preempted
+                self._call(None)
+        if earlier is not None and earlier.names != claim.names:
+            self._tell_served(earlier.names)
         return is_free
 
     def keep(self, claim: Claim) -> None:
@@ -152,8 +161,11 @@ class Resources:
         self._withheld.pop(request, None)
         claim = self._held.pop(request, None)
         if claim is not None:
-            self._used.subtract(claim.names)
-            self._notify_if_servable()
+            for name in claim.names:
+                del self._holders[name][request]
+                if not self._holders[name]:
+                    del self._holders[name]
+            self._tell_served(claim.names)
 
     def withhold(self, request: UUID, name: str) -> None:
         """Keep the resources of a request that was given up until its end is confirmed.
@@ -165,8 +177,7 @@ class Resources:
         if request in self._held:
             self._withheld[request] = name
             # Those in line have been waiting for a call to end; from now on their limit for withheld resources counts.
-            if any(self.withheld_from(claim.names) for _, claim in self._line.values()):
-                self._notify()
+            self._tell(rank for name in self.withheld_from(self._held[request].names) for rank in self._lines.get(name, ()))
 
     def confirm(self, request: UUID) -> None:
         """Release what a request that was given up has kept: its server has confirmed the end."""
@@ -195,17 +206,19 @@ class Resources:
 
     def withdraw(self, request: UUID) -> None:
         """Take the claim of the request out of the line."""
-        if self._leave(request):
-            self._notify_if_servable()
+        if (left := self._leave(request)) is not None:
+            self._tell_served(left.names)
 
-    def outranked(self) -> frozenset[UUID]:
-        """Return the tasks that have what a claim of higher priority waits for."""
+    def outranked(self, names: Iterable[str] | None = None) -> frozenset[UUID]:
+        """Return the tasks that have what a claim of higher priority waits for: any resource, or one of these."""
         tasks: set[UUID] = set()
-        lowest = min((held.priority for held in self._held.values()), default=0)
-        for claim in [claim for _, claim in self._line.values() if claim.priority > lowest]:
-            short = {name for name in claim.names if self._used[name] >= self.capacity(name)}
-            lower = (held for held in self._held.values() if held.task != claim.task and held.priority < claim.priority)
-            tasks |= {held.task for held in lower if not short.isdisjoint(held.names) and self.gives(held)}
+        for name in self._lines if names is None else names:
+            if self._used(name) < self.capacity(name):
+                continue
+            for held in self._holders[name].values():
+                higher = takewhile(lambda rank, held=held: -rank[0] > held.priority, self._lines.get(name, ()))  # type: ignore[misc]
+                if self.gives(held) and any(self._line[request][1].task != held.task for _, _, request in higher):
+                    tasks.add(held.task)
         return frozenset(tasks)
 
     def gives(self, claim: Claim) -> bool:
@@ -223,51 +236,68 @@ class Resources:
         _, claim = self._line[request]
         return self.is_free(claim) or bool(self.withheld_from(claim.names))
 
-    def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
-        """Call the listener when a claim in line would be granted if it were made again, when one comes that outranks who has it,
-        and when what one waits for is withheld.
+    def listen(self, listener: Callable[[], None], task: UUID | None = None) -> Callable[[], None]:
+        """Call the listener when a claim in line would be granted if it were made again, and when what one waits for is withheld.
+
+        Args:
+            listener: is called.
+            task: the one whose claims are listened to. Without it all are, and one that comes and outranks who has it is heard as well.
 
         Returns what stops that.
         """
-        self._listeners.append(listener)
-        return lambda: self._listeners.remove(listener)
+        self._listeners[task].append(listener)
+
+        def stop() -> None:
+            self._listeners[task].remove(listener)
+            if not self._listeners[task]:
+                del self._listeners[task]
+
+        return stop
 
     def __repr__(self) -> str:
-        names = sorted(name for name, used in self._used.items() if used)
-        return f"<Resources, in use: {', '.join(names) or 'none'}; {len(self._line)} in line>"
+        return f"<Resources, in use: {', '.join(sorted(self._holders)) or 'none'}; {len(self._line)} in line>"
 
     def _hold(self, claim: Claim) -> None:
         self._held[claim.request] = claim
-        self._used.update(claim.names)
+        for name in claim.names:
+            self._holders[name][claim.request] = claim
 
-    def _notify_if_servable(self) -> None:
-        """Notify the listeners if a claim in line could be granted."""
-        if any(self.is_free(claim) for _, claim in self._line.values()):
-            self._notify()
+    def _tell_served(self, names: Iterable[str]) -> None:
+        """Tell those in line whose turn has come, of whom there is less in use, or in line, of these resources."""
+        # Only those in front, as many as there are units, can have them; whether they can have the rest as well is another question.
+        units = ((self._lines.get(name, ()), max(0, self.capacity(name) - self._used(name))) for name in names)
+        front = {rank for line, free in units for rank in line[:free]}
+        self._tell(rank for rank in sorted(front) if self.is_free(self._line[rank[2]][1]))
 
-    def _notify(self) -> None:
-        for listener in tuple(self._listeners):  # a copy, because listeners may come and go while they are called
+    def _tell(self, ranks: Iterable[_Rank]) -> None:
+        """Tell the tasks of claims in line, those in front first, and whoever listens to all."""
+        tasks = dict.fromkeys(self._line[request][1].task for _, _, request in ranks)
+        for task in (*tasks, None) if tasks else ():
+            self._call(task)
+
+    def _call(self, task: UUID | None) -> None:
+        for listener in tuple(self._listeners.get(task, ())):  # a copy, because listeners may come and go while they are called
             listener()
 
     def _join(self, claim: Claim) -> None:
         """Put a claim in line: behind its equals."""
         self._joined += 1
-        rank = -claim.priority, self._joined
+        rank = -claim.priority, self._joined, claim.request
         self._line[claim.request] = rank, claim
         for name in claim.names:
             insort(self._lines.setdefault(name, []), rank)
 
-    def _leave(self, request: UUID) -> bool:
-        """Take the claim of a request out of line; return whether there was one."""
+    def _leave(self, request: UUID) -> Claim | None:
+        """Take the claim of a request out of line; return it if there was one."""
         if request not in self._line:
-            return False
+            return None
         rank, claim = self._line.pop(request)
         for name in claim.names:
             line = self._lines[name]
             del line[bisect_left(line, rank)]
             if not line:
                 del self._lines[name]
-        return True
+        return claim
 
 
 def who_keeps(withheld: Mapping[str, str]) -> str:

@@ -70,7 +70,7 @@ def one_resource() -> None:
         ]
         told: dict[Run, None] = {}
         for run in runs:
-            pool.listen(lambda run=run, told=told: told.setdefault(run))  # type: ignore[misc]
+            pool.listen(lambda run=run, told=told: told.setdefault(run), run.task)  # type: ignore[misc]
         costs[count] = seconds(lambda runs=runs, told=told: in_turn(runs, told), 1) / count * 1e6  # type: ignore[misc]
     print(f"runs that want one resource: {', '.join(f'{count}: {cost:.0f} us' for count, cost in costs.items())} a call")
 

@@ -5,10 +5,10 @@ Decides nothing: `pnm.core.execution.run` decides when, and gets the commands th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from typing import Final, assert_never
+from typing import Final, TypeAlias, assert_never
 from uuid import UUID
 
 from pnm.core.execution.call_results import CallResult
@@ -42,8 +42,11 @@ from pnm.core.message_fields import Unreadable, parse_field, value_in
 
 _NOTHING: Final = Performed()
 _CHANGED: Final = Performed(changes_knowledge=True)
+_BEGIN, _FINISH = TransitionAction.BEGIN, TransitionAction.FINISH
 
 GoalFields = Callable[[GroundAction], tuple[str, ...] | None]
+Answers: TypeAlias = Mapping[Question, object] | None
+"""What is known for a decision; None where no questions are asked."""
 
 
 class Calls:
@@ -82,8 +85,8 @@ class Calls:
 
     def as_sent(self, call: int) -> ActionCall:
         """Return the call with what its parameters had for values when it was sent last."""
-        attempt = self._attempts.get(call)
-        return self._plan.calls[call] if attempt is None else self._with(call, attempt.action)
+        planned, attempt = self._plan.calls[call], self._attempts.get(call)
+        return planned if attempt is None or attempt.action is planned.action else replace(planned, action=attempt.action)
 
     def _with(self, call: int, action: GroundAction) -> ActionCall:
         planned = self._plan.calls[call]
@@ -118,7 +121,7 @@ class Calls:
         """Return the binding of the call's action."""
         return self._bindings.of(self._plan.calls[call].action.name)
 
-    def context_of(self, call: int | None, answers: Mapping[Question, object] | None) -> EvaluationContext:
+    def context_of(self, call: int | None, answers: Answers) -> EvaluationContext:
         """Return the evaluation context of the call; no questions are asked when there are no answers."""
         asks = self.asks and answers is not None
         if answers:
@@ -150,10 +153,10 @@ class Calls:
 
     def own_goal(self, call: int) -> Mapping[str, object] | None:
         """Return the fields of the goal where the call by itself has values for all of them."""
-        closed = self._closed[call]
-        if closed is None or self.binding(call).goal is not None:
+        closed, action = self._closed[call], self._plan.calls[call].action
+        if closed is None or self._bindings.of(action.name).goal is not None:
             return None
-        names = self._goal_fields(self._plan.calls[call].action)
+        names = self._goal_fields(action)
         if names is None:
             return closed.own
         return {name: closed.own[name] for name in names} if closed.own.keys() >= {*names} else None
@@ -228,38 +231,52 @@ class Calls:
             case _:
                 pass
 
-    def perform(self, action: TransitionAction, call: int, count: int, context: Callable[[], EvaluationContext], now: float) -> Performed:
-        """Carry out the action of a transition that fires; `count` is that of the requests since the call was reached."""
-        if action is TransitionAction.SEND:
-            return self._send(call, count, context())
+    def send(self, call: int, count: int, answers: Answers) -> Performed:
+        """Send a request, the `count`-th since the call was reached; or carry out an operation on knowledge."""
+        (number, identity), closed = self._next(call), self._closed[call]
+        # Computed now: once the robot moves, sensors report some of the effects, and conditions would read the new state.
+        if closed is not None and closed.effects is not None:
+            action, intended = self._plan.calls[call].action, closed.effects.intended(self.world)
+        else:
+            context = self.context_of(call, answers)
+            action = self.ready(call, context)
+            intended = intention(self._with(call, action), context)
+        self.open[identity] = call
+        if action.operation is not None:
+            self._attempts[call] = CallAttempt(number, identity, action, intended)
+            return self._operate(identity, action.operation, self.context_of(call, answers))
+        goal = self.own_goal(call)
+        request = Request(identity, action, self.goal(call, self.context_of(call, answers))[0] if goal is None else goal, count)
+        self._attempts[call] = CallAttempt(number, identity, action, intended, unanswered=request)
+        return Performed((Send(request),))
+
+    def perform(self, action: TransitionAction, call: int, answers: Answers, now: float) -> Performed:
+        """Carry out the action of a transition that fires, about the request that was sent last; nothing if there is none."""
         attempt = self._attempts.get(call)
-        if attempt is None:  # nothing was sent that anything could be done about
+        if attempt is None:
             return _NOTHING
-        match action:
-            case TransitionAction.BEGIN:
-                # Read before they are written, for a rollback if the call ends without success.
-                attempt.accepted, attempt.unanswered, attempt.begun = now, None, values_before(attempt.intended.start, self.world)
-                return self._write(attempt.intended.start)
-            case TransitionAction.FINISH:
-                closed = self._closed[call]
-                is_constant = closed is not None and closed.effects is not None
-                end = attempt.intended.end if is_constant else finished(attempt.action, attempt.intended, context())
-                attempt.ended, attempt.begun = end, values_before(end, self.world) | (attempt.begun or {})
-                return self._write(end)
-            case TransitionAction.CANCEL:
-                # A request that is being cancelled is not handed over: the successor would take it for one that goes on.
-                attempt.accepted = attempt.unanswered = None
-                return Performed((Cancel(attempt.request),))
-            case TransitionAction.ADOPT:
-                return _NOTHING  # the request is known since the run was made
-            case TransitionAction.UNDO:
-                if attempt.begun is None:  # it was never accepted, so nothing was written at its start
-                    return _NOTHING
-                before, after = attempt.begun, {**attempt.intended.start, **attempt.ended}
-                attempt.begun, attempt.ended = None, {}
-                return self._write(undo(before, after, self.world))
-            case _:
-                assert_never(action)
+        if action is _BEGIN:
+            attempt.accepted, attempt.unanswered, start = now, None, attempt.intended.start
+            # Read before they are written, for a rollback if the call ends without success.
+            attempt.begun = values_before(start, self.world) if start else {}
+            return self._write(start) if start else _NOTHING
+        if action is _FINISH:
+            closed = self._closed[call]
+            is_constant = closed is not None and closed.effects is not None
+            end = attempt.intended.end if is_constant else finished(attempt.action, attempt.intended, self.context_of(call, answers))
+            attempt.ended, before = end, values_before(end, self.world)
+            attempt.begun = before | attempt.begun if attempt.begun else before
+            return self._write(end)
+        if action is TransitionAction.CANCEL:
+            # A request that is being cancelled is not handed over: the successor would take it for one that goes on.
+            attempt.accepted = attempt.unanswered = None
+            return Performed((Cancel(attempt.request),))
+        assert action is TransitionAction.UNDO, f"{action} is about no request that was sent"
+        if attempt.begun is None:  # it was never accepted, so nothing was written at its start
+            return _NOTHING
+        before, after = attempt.begun, {**attempt.intended.start, **attempt.ended}
+        attempt.begun, attempt.ended = None, {}
+        return self._write(undo(before, after, self.world))
 
     def again(self) -> tuple[Command, ...]:
         """Return what another process does about requests that are out.
@@ -283,10 +300,10 @@ class Calls:
         self.open[taken.request] = call
         self._attempts[call] = CallAttempt(0, taken.request, taken.call.action, taken.intended, taken.accepted, begun=taken.begun)
 
-    def under_way(self, results: Sequence[CallResult]) -> tuple[UnderWay, ...]:
-        """Return the requests that another run may take over; `results` are the interim results of the calls."""
+    def under_way(self, result: Callable[[int], CallResult]) -> tuple[UnderWay, ...]:
+        """Return the requests that another run may take over; `result` returns the interim result of a call."""
         return tuple(
-            UnderWay(self.as_sent(call), request, last.accepted, results[call], last.intended, last.begun, self.resources(last.action))
+            UnderWay(self.as_sent(call), request, last.accepted, result(call), last.intended, last.begun, self.resources(last.action))
             for request, call in self.open.items()
             if (last := self._attempts[call]).accepted is not None
         )
@@ -327,22 +344,6 @@ class Calls:
         attempt = self._attempts[call]
         attempt.denied, attempt.interrupted = broken, now
 
-    def _send(self, call: int, count: int, context: EvaluationContext) -> Performed:
-        (number, identity), closed = self._next(call), self._closed[call]
-        # Computed now: once the robot moves, sensors report some of the effects, and conditions would read the new state.
-        if closed is not None and closed.effects is not None:
-            action, intended = self._plan.calls[call].action, closed.effects.intended(self.world)
-        else:
-            action = self.ready(call, context)
-            intended = intention(self._with(call, action), context)
-        self.open[identity] = call
-        if action.operation is not None:
-            self._attempts[call] = CallAttempt(number, identity, action, intended)
-            return self._operate(identity, action.operation, context)
-        request = Request(identity, action, self.goal(call, context)[0], count)
-        self._attempts[call] = CallAttempt(number, identity, action, intended, unanswered=request)
-        return Performed((Send(request),))
-
     def _next(self, call: int) -> tuple[int, UUID]:
         """Return the number and the identity of the next request."""
         attempt = self._attempts.get(call)
@@ -351,12 +352,8 @@ class Calls:
 
     def _write(self, changes: Changes) -> Performed:
         """Write the assumed effects; sensors report all others."""
-        if not changes:
-            return _NOTHING
         # What sensors report is not overwritten with what the model expects: the check of the effects would see its own expectation.
-        is_sensed = self.world.is_sensed
-        assumed = {fluent: value for fluent, value in changes.items() if not is_sensed(fluent)}
-        return _CHANGED if self.world.record(assumed) else _NOTHING
+        return _CHANGED if self.world.record(self.world.assumed(changes)) else _NOTHING
 
     # --- operations on knowledge --------------------------------------------------------------
 

@@ -10,6 +10,10 @@ from pnm.core.machine.machine import CallOutcome, Rule, is_check
 from pnm.core.machine.plan_graph import ActionCall, Cause, PlanGraph, Step
 from pnm.core.machine.requests import Outcome
 
+# by these names, because a look into the class takes longer than all else that becomes of a call
+_WAITING, _RUNNING, _PASSED_OVER = CallOutcome.WAITING, CallOutcome.RUNNING, CallOutcome.PASSED_OVER
+_SUSPENDED, _SKIPPED, _CANCELED = CallOutcome.SUSPENDED, CallOutcome.SKIPPED, CallOutcome.CANCELED
+
 SUCCESS: Final = "success"
 """What is expected of a call that ends otherwise."""
 
@@ -104,23 +108,37 @@ class Explanation(NamedTuple):
     observed: str
 
 
+@dataclass(slots=True)
+class _CallCourse:
+    """The course of a call since it was reached last: its result, as it changes."""
+
+    call: ActionCall
+    kind: CallOutcome = CallOutcome.WAITING
+    attempts: int = 0
+    started: float | None = None
+    ended: float | None = None
+    assumed: bool = False
+    cause: Cause | None = None
+
+    def result(self) -> CallResult:
+        return CallResult(self.call, self.kind, self.attempts, self.started, self.ended, self.assumed, self.cause)
+
+
 class CallResults:
     """Results of the calls of a run, and its failures.
 
-    The mutable state is `current`, what became of calls the last time they were reached, `rounds`, the same of all times
-    before, `failures`, `last_check` and, per call, how its last request ended and the last cause.
+    The mutable state is what became of calls the last time they were reached, and all times before; `failures`, `last_check` and, per
+    call, how its last request ended and the last cause.
     """
 
     def __init__(self, plan: PlanGraph) -> None:
-        self._calls = plan.calls
-        self._steps = {step.index: step for step in plan.every_step}
-        self._outermost = frozenset(step.index for step in plan.steps)
-        self._is_flat = len(plan.steps) == len(plan.every_step) == len(plan.calls)
-        self.current = [CallResult(call) for call in plan.calls]
-        self.rounds: list[CallResult] = []
+        self._plan, self._calls = plan, plan.calls
+        self._courses: dict[int, _CallCourse] = {}
+        """Those of the calls that were reached."""
+        self._rounds: list[CallResult] = []
         self.failures: list[Failure] = []
         self.last_check: Explanation | None = None
-        """What the check of the transition that fired last has found, if it was a check."""
+        """What the last check has found that led anywhere."""
         self._answers: dict[int, Outcome] = {}
         self._causes: dict[int, Explanation] = {}
 
@@ -133,44 +151,54 @@ class CallResults:
         Args:
             handed: the numbers of calls whose requests another run takes over.
         """
-        results = [replace(result, kind=CallOutcome.HANDED_OVER) if result.call.index in handed else result for result in self.current]
-        if self._is_flat and not self.rounds:
+        current = map(self.current, range(len(self._calls)))
+        results = [replace(result, kind=CallOutcome.HANDED_OVER) if result.call.index in handed else result for result in current]
+        plan = self._plan
+        if len(plan.steps) == len(plan.every_step) == len(plan.calls) and not self._rounds:
             return tuple(results)
-        reached = [result for result in (*self.rounds, *results) if result.kind is not CallOutcome.WAITING]
-        others = [result for result in results if result.kind is CallOutcome.WAITING and result.call.index in self._outermost]
+        reached = [result for result in (*self._rounds, *results) if result.kind is not CallOutcome.WAITING]
+        outermost = {step.index for step in plan.steps}
+        others = [result for result in results if result.kind is CallOutcome.WAITING and result.call.index in outermost]
         reached.sort(
             key=lambda result: (next((time for time in (result.started, result.ended) if time is not None), 0.0), result.call.index)
         )
         return (*reached, *others)
 
+    def current(self, call: int) -> CallResult:
+        """Return what became of a call the last time it was reached."""
+        course = self._courses.get(call)
+        return CallResult(self._calls[call]) if course is None else course.result()
+
+    def attempts(self, call: int) -> int:
+        """Return how many requests of a call there were since it was reached last."""
+        return self._courses[call].attempts
+
     def answered(self, call: int, outcome: Outcome) -> None:
         """Keep how a request of the call has ended."""
         self._answers[call] = outcome
 
-    def turned(self, outcome: CallOutcome, call: int, now: float, *, assumed: bool = False) -> None:
+    def turned(self, outcome: CallOutcome, call: int, now: float, assumed: bool) -> None:
         """Record an outcome of a call, so far or for good; `assumed`: whether some of its effects are reported by nothing."""
-        result = self.current[call]
-        match outcome:
-            case CallOutcome.WAITING:
-                if result.kind is not CallOutcome.WAITING:
-                    self.rounds.append(result)
-                    self.current[call] = CallResult(self._calls[call])
-                    self._causes.pop(call, None)
-            case CallOutcome.PASSED_OVER:
-                if result.ended is None:
-                    self.current[call] = replace(result, kind=outcome, cause=self._causes[call].cause, ended=now)
-            case CallOutcome.RUNNING:
-                started = now if result.started is None else result.started
-                more = result.attempts + 1
-                self.current[call] = CallResult(result.call, outcome, more, started, result.ended, result.assumed, result.cause)
-            case CallOutcome.SUSPENDED:
-                self.current[call] = replace(result, kind=outcome)
-            case CallOutcome.SKIPPED if result.kind is CallOutcome.SUSPENDED:
-                self.current[call] = replace(result, kind=CallOutcome.CANCELED, ended=now)
-            case CallOutcome.CANCELED if result.kind is CallOutcome.FAILED:
-                pass  # how its request ended changes nothing about that
-            case _:
-                self.current[call] = CallResult(result.call, outcome, result.attempts, result.started, now, assumed)
+        course = self._courses.get(call)
+        if course is None:
+            course = self._courses[call] = _CallCourse(self._calls[call])
+        if outcome is _RUNNING:
+            course.kind, course.attempts = outcome, course.attempts + 1
+            course.started = now if course.started is None else course.started
+        elif outcome is _WAITING:
+            if course.kind is not _WAITING:
+                self._rounds.append(course.result())
+                del self._courses[call]
+                self._causes.pop(call, None)
+        elif outcome is _PASSED_OVER:
+            if course.ended is None:
+                course.kind, course.cause, course.ended = outcome, self._causes[call].cause, now
+        elif outcome is _SUSPENDED:
+            course.kind = outcome
+        elif outcome is _SKIPPED and course.kind is _SUSPENDED:
+            course.kind, course.ended = CallOutcome.CANCELED, now
+        elif outcome is not _CANCELED or course.kind is not CallOutcome.FAILED:  # how its request ended changes nothing then
+            course.kind, course.ended, course.assumed, course.cause = outcome, now, assumed, None
 
     def hindered(self, rule: Rule, call: int, check: Explanation | None, unseen: tuple[str, str] | None) -> Explanation | None:
         """Record, and return, the cause of a recovery or failure of a call that the firing of a transition tells.
@@ -194,12 +222,12 @@ class CallResults:
 
     def adopted(self, call: ActionCall, before: CallResult) -> None:
         """Record the result so far of a call that another run has sent."""
-        self.current[call.index] = replace(before, call=call)
+        kind, attempts, started, ended = before.kind, before.attempts, before.started, before.ended
+        self._courses[call.index] = _CallCourse(call, kind, attempts, started, ended, before.assumed, before.cause)
 
-    def sent(self, call: ActionCall) -> None:
+    def sent(self, call: int, sent: ActionCall) -> None:
         """Record the call with the arguments that it was sent with."""
-        if self.current[call.index].call is not call:
-            self.current[call.index] = replace(self.current[call.index], call=call)
+        self._courses[call].call = sent
 
     def failed(self, step: int, now: float, check: Explanation | None, rule: Rule, lacking: tuple[str, ...]) -> Failure:
         """Record the failure of a step.
@@ -216,9 +244,11 @@ class CallResults:
             again = f"so it was not tried again after {before.cause}: expected {before.expected}, observed {before.observed}"
             check = check._replace(observed=f"{check.observed}; {again}")
         explanation = check or self._causes[step]
-        call = self.current[step].call if step < len(self.current) else self._steps[step]
+        course = self._courses.get(step)
+        call = next(one for one in self._plan.every_step if one.index == step) if course is None else course.call
         failure = Failure(call, *explanation, unconfirmed=rule.gives_up, replan=rule.replans, lacking=lacking)
         self.failures.append(failure)
         if isinstance(call, ActionCall):
-            self.current[step] = replace(self.current[step], kind=CallOutcome.FAILED, cause=failure.cause, ended=now)
+            course = course or self._courses.setdefault(step, _CallCourse(call))
+            course.kind, course.cause, course.ended = CallOutcome.FAILED, failure.cause, now
         return failure

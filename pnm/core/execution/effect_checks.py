@@ -127,4 +127,4 @@ def lag_of_effects(wanted: Mapping[Fluent, Value], action: GroundAction, knowled
 
 def is_assumed(changed: frozenset[str], world: KnowledgeBase) -> bool:
     """Return whether nothing reports some of what an action changes, by the names of that."""
-    return not all(world.is_sensed((name,)) for name in changed)
+    return not world.senses(changed)

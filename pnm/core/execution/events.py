@@ -9,7 +9,7 @@ Who listens to a run: one empty method per moment. Progress, traces and journals
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 from uuid import UUID
 
 from pnm.core.execution.call_results import Explanation, Failure
@@ -142,8 +142,7 @@ class Store:
 Command: TypeAlias = Send | Reattach | Cancel | Wake | Ask | Withdraw | Store
 
 
-@dataclass(frozen=True, slots=True)
-class Performed:
+class Performed(NamedTuple):
     """What a transition's action leads to: commands, ends of requests that concerned knowledge alone, and whether knowledge changed."""
 
     commands: tuple[Command, ...] = ()

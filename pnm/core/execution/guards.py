@@ -195,7 +195,7 @@ class Guards:
 
     def context(self, call: int | None, place: int | None) -> EvaluationContext:
         """Return what guards of the call at the place are evaluated from."""
-        return self._calls.context_of(call, None if place is None else self._questions.answers_at(place))
+        return self._calls.context_of(call, self._questions.answers_at(place))
 
     def unseen(self, call: int, place: int | None) -> tuple[Condition, ...]:
         """Return the effects of the call that are not seen."""

@@ -74,6 +74,8 @@ class Firing:
     outputs: tuple[int, ...]
     decided: tuple[int, ...]
     """The places that it marks and at which something is decided."""
+    step: tuple[int, int] | None
+    """If it takes one token and puts one, where nobody counts tokens: its places."""
     fails: tuple[int, ...]
     """The failure places that it marks."""
     takes: bool
@@ -94,6 +96,8 @@ class Firing:
     """Whether it says more about its call than that: what hinders it, or that it is not needed or given up."""
     acts: bool
     """Whether it does more than to move tokens and to set the outcome of its call."""
+    matters: bool
+    """Whether it matters to more than its call: to resources, to whether the run is ending, to those who are told."""
     condition: CompiledCondition | None
     """The condition of its guard, where that is the same for every run."""
 
@@ -110,6 +114,8 @@ class Decision:
     """Those that may open although the run is not ending, stopped or paused."""
     passage: Firing | None
     """The only transition, if it only has to be enabled and does nothing but pass on tokens."""
+    limit: float | None
+    """If nothing is waited for there but reports, and those only for some seconds: how many."""
     awaits: bool
     """Whether a report is waited for there."""
     stays: bool
@@ -149,6 +155,7 @@ class MachineIndex:
         net = machine.compiled
         ids = net.place_id
         self._inputs, self._outputs, self._consumers, self._names = net.inputs, net.outputs, net.consumers, net.transitions
+        self._moves, self._counted = net.moves, net.counted
         self._calls = calls = machine.plan.calls
         self.rules = [machine.rules[name] for name in net.transitions]
         self.records = frozenset(ids[place] for place in machine.record_places)
@@ -185,7 +192,9 @@ class MachineIndex:
         staying = tuple([self.firings[one] for one in by_guard if not isinstance(self.rules[one].guard, _LEAVING)])
         is_passage = len(self._consumers[place]) == len(staying) == 1 and staying[0].guarded is Always and not staying[0].acts
         passage, count = staying[0] if is_passage else None, len(self._consumers[place])
-        return Decision(tuple(by_guard), self.firings, staying, passage, len(by_guard) < count, len(staying) < count, knows)
+        guard = staying[0].rule.guard if len(staying) == 1 and not staying[0].counts else None
+        limit = guard.seconds if isinstance(guard, After) else None
+        return Decision(tuple(by_guard), self.firings, staying, passage, limit, len(by_guard) < count, len(staying) < count, knows)
 
     def _reads_at(self, place: int) -> Reads:
         read: set[Fluent | str] = set()
@@ -226,6 +235,7 @@ class MachineIndex:
         is_call = rule.call is not None and rule.call < len(self._calls)
         takes = not self.resources.isdisjoint(inputs) and rule.action is not TransitionAction.ADOPT
         gives, turns = not self.resources.isdisjoint(outputs), bool(fails) or not self.restarts.isdisjoint((*inputs, *outputs))
+        is_step = not self._counted[transition] and [change for _, change in self._moves[transition]] == [-1, 1]
         tells = rule.cause is not None or rule.gives_up or rule.outcome is CallOutcome.ALREADY_TRUE
         return Firing(
             transition,
@@ -235,6 +245,7 @@ class MachineIndex:
             inputs,
             outputs,
             tuple(place for place in outputs if place not in self.records),
+            (inputs[0], outputs[0]) if is_step else None,
             fails,
             takes=takes,
             gives=gives,
@@ -245,6 +256,7 @@ class MachineIndex:
             outcome=rule.outcome if is_call else None,
             tells=tells,
             acts=bool(takes or gives or turns or tells or rule.action or rule.outcome is CallOutcome.SUCCEEDED),
+            matters=takes or gives or turns or tells or rule.action is TransitionAction.ADOPT,
             condition=self._condition(rule, is_call=is_call),
         )
 

@@ -33,6 +33,7 @@ from pnm.core.machine.bindings import DEFAULT, Binding, open_parameters
 from pnm.core.machine.plan_graph import GroundAction, PlanGraph
 
 _NO_ACTION = GroundAction("")
+_NO_ANSWERS: Final[Mapping[Question, object]] = {}
 
 
 @dataclass(frozen=True)
@@ -175,7 +176,7 @@ class Questions:
         """The places about which something is remembered; what guards remember of them is noted here as well."""
         self._answers: dict[int, dict[Question, object]] = {}
         self._silence: dict[int, list[str]] = {}
-        self._asked: dict[UUID, tuple[int, Question, float]] = {}
+        self.asked: dict[UUID, tuple[int, Question, float]] = {}
         """Questions that are open: the place and the question, and until when an answer is waited for."""
         self._closed = ""
         """Why no question is asked any more."""
@@ -186,14 +187,14 @@ class Questions:
         self._open: dict[UUID, tuple[str, Question]] = {}
         """Questions that the run before has asked, and this one has not come to yet."""
 
-    def answers_at(self, place: int) -> Mapping[Question, object]:
-        """Return what is known for the decision at a place."""
-        return self._answers.get(place, {})
+    def answers_at(self, place: int | None) -> Mapping[Question, object] | None:
+        """Return what is known for the decision at a place; None without a place."""
+        return None if place is None else self._answers.get(place, _NO_ANSWERS)
 
     @property
     def wait_for_people(self) -> bool:
         """Whether a person has been asked and has not answered yet."""
-        return bool(self._asked) and any(question.layer is Layer.PERSON for _, question, _ in self._asked.values())
+        return any(question.layer is Layer.PERSON for _, question, _ in self.asked.values())
 
     def need(self, place: int, subject: str, question: Question, now: float, identity: Callable[[str], UUID]) -> Need:
         """Return what is to be done about a question that the decision at a place depends on, for the sake of the subject.
@@ -201,7 +202,7 @@ class Questions:
         It is asked once. When its limit has passed it counts as answered with nothing, whatever its source does; and at once if the run
         asks no more.
         """
-        for known, (where, asked, until) in self._asked.items():
+        for known, (where, asked, until) in self.asked.items():
             if (where, asked) == (place, question):
                 if now < until:
                     return Need((), until)
@@ -214,7 +215,7 @@ class Questions:
             return Need()
         self.count += 1
         new, until = identity(f"question {self.count}"), now + LIMITS[question.layer]
-        self._asked[new] = (place, question, until)
+        self.asked[new] = (place, question, until)
         if self._closed:
             self.answered(new, MISSING, self._closed)
             return Need()
@@ -222,14 +223,14 @@ class Questions:
 
     def again(self) -> tuple[Ask, ...]:
         """Return the open questions, to be asked in another process."""
-        asked = {identity: question for identity, (_, question, _) in self._asked.items()}
+        asked = {identity: question for identity, (_, question, _) in self.asked.items()}
         inherited = {identity: question for identity, (_, question) in self._open.items()}
         return tuple(Ask(identity, question) for identity, question in (asked | inherited).items())
 
     def close(self, why: str) -> tuple[Withdraw, ...]:
         """Ask nothing any more, for that reason; what is asked counts as answered with nothing, and is withdrawn."""
         self._closed = why
-        asked = tuple(self._asked)
+        asked = tuple(self.asked)
         for identity in asked:
             self.answered(identity, MISSING, why)
         return tuple(map(Withdraw, asked))
@@ -242,7 +243,7 @@ class Questions:
         """Record an answer, or why there is none; return the place that waits for it, if any still does."""
         if identity in self._open:  # the run before has asked; this run may come to the same question later, so the answer is kept for it
             self._keep(*self._open.pop(identity), value)
-        place, question, _ = self._asked.pop(identity, (None, None, 0.0))
+        place, question, _ = self.asked.pop(identity, (None, None, 0.0))
         if place is not None and question is not None:
             self._answers.setdefault(place, {})[question] = value
             if message:
@@ -253,11 +254,11 @@ class Questions:
         """Forget all that concerns the place; yield the questions whose answers are no longer needed."""
         self._answers.pop(place, None)
         self._silence.pop(place, None)
-        if not self._asked:
+        if not self.asked:
             return
         # Answers that come later find no place, and are ignored.
-        for identity in [question for question, (where, *_) in self._asked.items() if where == place]:
-            del self._asked[identity]
+        for identity in [question for question, (where, *_) in self.asked.items() if where == place]:
+            del self.asked[identity]
             yield identity
 
     # --- from one run to the next ---------------------------------------------------------------
@@ -268,7 +269,7 @@ class Questions:
         for subject, question, value in (*given, *old._inherited):
             if subject in subjects:
                 self._keep(subject, question, value)
-        asked = {identity: (old._subjects[place], question) for identity, (place, question, _) in old._asked.items()}
+        asked = {identity: (old._subjects[place], question) for identity, (place, question, _) in old.asked.items()}
         for identity, (subject, question) in {**old._open, **asked}.items():
             if subject in subjects and question.layer is Layer.PERSON:
                 self._open[identity] = subject, question
@@ -285,7 +286,7 @@ class Questions:
         for identity, asked in self._open.items():
             if asked == (subject, question):
                 del self._open[identity]
-                self._asked[identity] = (place, question, now + LIMITS[question.layer])
+                self.asked[identity] = (place, question, now + LIMITS[question.layer])
                 return True
         return False
 

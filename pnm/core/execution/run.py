@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Collection, Mapping
-from functools import partial
 from typing import Final, assert_never
 from uuid import UUID
 
@@ -36,7 +35,7 @@ from pnm.core.execution.events import (
 )
 from pnm.core.execution.guards import NEVER, OPENS, Guards
 from pnm.core.execution.handover import UnderWay, check_adoption
-from pnm.core.execution.machine_index import Firing, index_of
+from pnm.core.execution.machine_index import Decision, Firing, index_of
 from pnm.core.execution.questions import Questions, subject_of
 from pnm.core.execution.run_state import Agenda, RunState
 from pnm.core.execution.run_view import RunView
@@ -50,6 +49,7 @@ from pnm.core.net.firing_engine import Engine
 from pnm.core.resources import Resources, RunClaims
 
 _NONE: Final[Mapping[int, UnderWay]] = {}
+_SEND, _SUCCEEDED, _SUCCESS = TransitionAction.SEND, CallOutcome.SUCCEEDED, OutcomeKind.SUCCEEDED
 
 
 class Run(RunView):
@@ -112,6 +112,9 @@ class Run(RunView):
         self._state = RunState(self._engine, self._index, self._results, origin, adopted=dict(adopted))
         self._claims = RunClaims(self.resources, self.task, priority)
         self._guards = Guards(self._state, self._calls, self._claims, self._questions)
+        # parts of these, for what every firing looks at
+        self._tokens, self._marked_at = self._engine.tokens, self._state.marked_at
+        self._places, self._undecided, self._noted = self._agenda.places, self._agenda.undecided, self._questions.noted
         # last, because it may be refused; until then nothing of the shared resources is touched
         self.resources.check_capacities(machine.capacities)
         check_adoption(machine, adopted, self._calls.resources)
@@ -157,7 +160,13 @@ class Run(RunView):
                 self._agenda.places.extend(self._claims.served())
             case Tick():
                 self._agenda.ask_due(state.now)
-            case Stop() | Pause() | Resume() | SingleStep():
+            case SingleStep():
+                state.follow(event)
+                self._agenda.ask_undecided()
+                self._settle()
+                state.is_stepping = False
+                self._agenda.ask_undecided()  # those that could not begin leave the lines for resources
+            case Stop() | Pause() | Resume():
                 state.follow(event)
                 if isinstance(event, Stop) and event.cancel:  # nothing is asked any more, so that no answer holds up the end
                     self._commands += self._questions.close("the run was stopped")
@@ -173,15 +182,11 @@ class Run(RunView):
             case _:
                 assert_never(event)
         self._settle()
-        if isinstance(event, SingleStep):  # those that could not begin leave the lines for resources
-            state.is_stepping = False
-            self._agenda.ask_undecided()
-            self._settle()
-        while state.has_begun and self._early:  # one at a time, each with all that follows from it, as if it had come only now
+        while self._early and state.has_begun:  # one at a time, each with all that follows from it, as if it had come only now
             self._report(self._early.pop(0))
             self._settle()
         # compared at the end of the event, so that waiting for a moment in between is not reported
-        if self._waits != (self._questions.wait_for_people and self.awaits_answers):
+        if (self._waits or self._questions.asked) and self._waits != self.awaits_answers:
             self._waits = not self._waits
             self.observer.waiting(self._waits, now)
         commands, self._commands = self._commands, []
@@ -201,7 +206,7 @@ class Run(RunView):
             if not self._calls.is_accepted(call) and kind not in BEFORE_ACCEPTANCE:
                 self._take(call, None)  # a client may leave out what goes without saying
             del self._calls.open[report.request]  # before the firing, so that observers and guards see the request as over
-            if kind is OutcomeKind.SUCCEEDED and self._calls.succeeded(call, outcome, now):
+            if kind is _SUCCESS and self._calls.succeeded(call, outcome, now):
                 self._has_changed_knowledge = True  # stored before the firing: effects and checks after it may read results
             self._results.answered(call, outcome)  # before the firing as well: the explanation of a failure quotes the message
             self.observer.ended(self._calls.as_sent(call), outcome, now)
@@ -210,7 +215,7 @@ class Run(RunView):
 
     def _take(self, call: int, kind: OutcomeKind | None) -> bool:
         """Fire the transition of the call that the end of its request in this way opens, or its acceptance, if there is one."""
-        tokens = self._engine.tokens
+        tokens = self._tokens
         for number, place in self._index.opened[call, kind]:
             if tokens[place] and not self._engine.missing[number]:
                 self._fire(self._index.firings[number], None)  # one at most: the request is waited for at one place at a time
@@ -219,27 +224,35 @@ class Run(RunView):
 
     def _settle(self) -> None:
         """Fire open transitions until there is none, then ask to be woken at the next moment."""
-        places, reports, tokens = self._agenda.places, self._reports, self._engine.tokens
+        places, reports, tokens, decisions = self._places, self._reports, self._tokens, self._index.places
         while places or reports:
             # ends of operations on knowledge first: no other call sees the operation done and its own call not
             if reports:
                 self._report(reports.popleft())
             elif tokens[place := places.popleft()]:  # otherwise the token has gone since it was put on the agenda
-                self._decide(place)
-        if not self.over and (time := self._agenda.next_timer()) is not None:
+                decision = decisions[place]
+                if decision.passage is None:
+                    self._decide(place, decision)
+                elif not self._engine.missing[decision.passage.number]:
+                    self._fire(decision.passage, place)
+        if (time := self._agenda.next_timer()) is not None and not self._state.over:
             self._commands.append(Wake(time))
 
-    def _decide(self, place: int) -> None:
+    def _decide(self, place: int, decision: Decision) -> None:
         """Fire the first open transition that takes from the place; if there is none, note when to ask again."""
-        decision, missing, state, guards = self._index.places[place], self._engine.missing, self._state, self._guards
-        if decision.passage is not None:
-            if not missing[decision.passage.number]:
-                self._fire(decision.passage, place)
+        state = self._state
+        now, again, asking = state.now, NEVER, False
+        if state.ending or state.pause:
+            firings, waiting = decision.firings, decision.awaits
+        elif decision.limit is not None and (until := self._marked_at[place] + decision.limit) > now:  # as below, at once
+            self._agenda.wait(place, listens=False)
+            if until < NEVER:
+                self._agenda.set_timer(place, until)
             return
-        goes_on = not (state.ending or state.pause)
-        now, again, waiting, asking = state.now, NEVER, decision.stays if goes_on else decision.awaits, False
-        for firing in decision.staying if goes_on else decision.firings:
-            call = firing.rule.call
+        else:
+            firings, waiting = decision.staying, decision.stays
+        missing, guards, asks = self._engine.missing, self._guards, self._calls.asks
+        for firing in firings:
             # a transition that lacks nothing but resources is asked all the same: its call has to stand in line for them
             if firing.counts and missing[firing.number] and not (firing.takes and guards.lacks_resources(firing.number)):
                 continue
@@ -251,12 +264,12 @@ class Run(RunView):
                     break  # the rules after this one are asked when it may be asked itself
                 opens = OPENS[firing.guarded](guards, firing.rule.guard, firing, place)
                 # what effects depend on is asked before the firing, which cannot wait for answers
-                if self._calls.asks and opens <= now and call is not None:
+                if asks and opens <= now and (call := firing.rule.call) is not None:
                     self._calls.compute_intention(firing.rule.action, call, guards.context(call, place))
             except Unanswered as needed:
                 # an earlier rule goes first as soon as its question is answered, so no later one may fire meanwhile but timers, which
                 # no question stops; and nothing is claimed during that time, for answers of people may take long
-                self._ask(place, call, needed.question)
+                self._ask(place, firing.rule.call, needed.question)
                 self._leave_line(place)
                 waiting = asking = True
                 continue
@@ -269,7 +282,7 @@ class Run(RunView):
             if firing.takes:  # it is not open, so it must not keep others from the resources while it waits for something else
                 self._leave_line(place)
         if waiting:  # a place where nothing was even enabled is asked again when a token arrives, which puts it on the agenda anyway
-            self._agenda.wait(place)
+            self._agenda.wait(place, listens=decision.listens)
         if again < NEVER:
             self._agenda.set_timer(place, again)
 
@@ -301,34 +314,47 @@ class Run(RunView):
         resources are claimed and requests made for where the call then is. After: resources are given back, and failures noted,
         which change whether the run is ending; then the places marked are put on the agenda, and the undecided ones if it is.
         """
-        now = self._state.now
-        if firing.acts:
-            self._act(firing, place)
+        now, call = self._state.now, firing.call
+        if firing.matters:
+            self._fire_apart(firing, place)
         else:
-            if firing.outcome is not None and firing.call is not None:
-                self._results.turned(firing.outcome, firing.call, now)
-            self._results.last_check = None
-            self._engine.fire(firing.number)
-            self._leave_and_mark(firing, now)
+            if call is not None:
+                if (outcome := firing.outcome) is not None:
+                    self._results.turned(outcome, call, now, outcome is _SUCCEEDED and self._calls.is_assumed(call))
+                if (action := firing.rule.action) is not None:
+                    self._perform(action, call, place, now)
+            if (step := firing.step) is not None:
+                left, marked = step
+                tokens = self._tokens
+                tokens[left] -= 1
+                tokens[marked] += 1
+                if left in self._undecided or left in self._noted:
+                    self._leave(left)
+                self._marked_at[marked] = now
+                self._places.extend(firing.decided)
+            else:
+                self._engine.fire(firing.number)
+                self._leave_and_mark(firing, now)
         self._fired.append(firing.number)
         self.observer.fired(firing.name, firing.rule, now)
 
-    def _act(self, firing: Firing, place: int | None) -> None:
+    def _fire_apart(self, firing: Firing, place: int | None) -> None:
+        """Fire a transition that matters to more than its call."""
         rule, call, state, marked_at = firing.rule, firing.call, self._state, self._state.now
         check = None if rule.cause is None else self._guards.explain_check(rule, place)
         if firing.takes and rule.call is not None:
             self._claims.take(rule.call, self._guards.claim(firing, place))
         if call is not None:
             if (outcome := firing.outcome) is not None:
-                assumed = outcome is CallOutcome.SUCCEEDED and self._calls.is_assumed(call)
-                self._results.turned(outcome, call, state.now, assumed=assumed)
+                self._results.turned(outcome, call, state.now, outcome is _SUCCEEDED and self._calls.is_assumed(call))
             if firing.tells:
                 self._tell(rule, call, place, None if firing.fails else check)
             if check and check.cause is Cause.INVARIANT_FALSE:
                 self._calls.interrupt(call, state.now)
             if rule.action is not None:
-                self._perform(rule.action, call, place)
-        self._results.last_check = check
+                self._perform(rule.action, call, place, state.now)
+        if check is not None:
+            self._results.last_check = check
         if rule.action is TransitionAction.ADOPT and call is not None:
             marked_at = state.adopted.pop(call).accepted  # its limits count from there
         self._engine.fire(firing.number)
@@ -346,17 +372,20 @@ class Run(RunView):
 
     def _leave_and_mark(self, firing: Firing, marked_at: float) -> None:
         """Wait for nothing more at the places that tokens have left; put those that they have reached on the agenda."""
-        undecided, noted, waiting, at = self._agenda.undecided, self._questions.noted, self._claims.waiting, self._state.marked_at
+        undecided, noted, at = self._undecided, self._noted, self._marked_at
         for left in firing.inputs:
-            if left in undecided:
-                self._agenda.leave(left)
-            if left in waiting:
-                self._leave_line(left)
-            if left in noted:
-                self._commands.extend(map(Withdraw, self._guards.forget(left)))
+            if left in undecided or left in noted:
+                self._leave(left)
         for marked in firing.outputs:
             at[marked] = marked_at
-        self._agenda.places += firing.decided
+        self._places.extend(firing.decided)
+
+    def _leave(self, place: int) -> None:
+        """Wait for nothing more at a place that a token has left."""
+        self._agenda.leave(place)
+        self._leave_line(place)
+        if place in self._noted:
+            self._commands.extend(map(Withdraw, self._guards.forget(place)))
 
     def _tell(self, rule: Rule, call: int, place: int | None, check: Explanation | None) -> None:
         """Note what hinders the call, or that it is not needed or given up, and tell the observer."""
@@ -369,23 +398,28 @@ class Run(RunView):
         if rule.gives_up:
             self._calls.forget(call)
 
-    def _perform(self, action: TransitionAction, call: int, place: int | None) -> None:
+    def _perform(self, action: TransitionAction, call: int, place: int | None, now: float) -> None:
         """Carry out the action of a transition."""
-        now, count = self._state.now, self._results.current[call].attempts
-        performed = self._calls.perform(action, call, count, partial(self._guards.context, call, place), now)
-        if action is TransitionAction.ADOPT:
-            self._results.adopted(self._calls.as_sent(call), self._state.adopted[call].result)
-        elif action is TransitionAction.SEND:
-            sent = self._calls.as_sent(call)
-            self._results.sent(sent)
+        calls = self._calls
+        if action is _SEND:
+            answers = self._questions.answers_at(place)
+            commands, reports, changes_knowledge = calls.send(call, self._results.attempts(call), answers)
+            sent = calls.as_sent(call)
+            self._results.sent(call, sent)
             self._state.is_stepping = False
-            for command in performed.commands:
+            for command in commands:
                 if isinstance(command, Send):
                     self.observer.sent(sent, command.request, now)
-            self._reports += performed.reports
-        self._commands += performed.commands
+            self._reports += reports
+        elif action is TransitionAction.ADOPT:  # the request is known since the run was made
+            self._results.adopted(calls.as_sent(call), self._state.adopted[call].result)
+            return
+        else:
+            commands, _, changes_knowledge = calls.perform(action, call, self._questions.answers_at(place), now)
+        if commands:
+            self._commands += commands
         # Results of the request may have been stored just before, even if the action itself writes nothing.
-        if performed.changes_knowledge or self._has_changed_knowledge:
+        if changes_knowledge or self._has_changed_knowledge:
             self._has_changed_knowledge = False
             self._agenda.ask_about_knowledge(now)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
+from itertools import compress, count
 from math import inf
 
 from pnm.core.execution.call_results import CallResults
@@ -48,18 +49,18 @@ class Agenda:
         self._wake = inf
         """The time that was asked for last."""
 
-    def wait(self, place: int) -> None:
-        """Have a place asked again: it is undecided."""
+    def wait(self, place: int, *, listens: bool) -> None:
+        """Have a place asked again: it is undecided; if it `listens`, also when facts change."""
         if place not in self.undecided:
             self.undecided[place] = self._count
             self._count += 1
-            if self._index.places[place].listens:
+            if listens:
                 self._readers.add(place, self._index.reads[place])
 
     def leave(self, place: int) -> None:
-        """Do not ask a place again that was undecided."""
-        del self.undecided[place]
-        self._readers.remove(place)
+        """Do not ask a place again, if it was undecided."""
+        if self.undecided.pop(place, None) is not None and self._index.places[place].listens:
+            self._readers.remove(place)
 
     def set_timer(self, place: int, time: float) -> None:
         """Set the time at which the place is asked again; earlier entries stay, for asking once too often does no harm."""
@@ -70,6 +71,11 @@ class Agenda:
     def ask_undecided(self) -> None:
         """Ask all undecided places again."""
         self.places.extend(self.undecided)
+
+    @property
+    def hears_of_facts(self) -> bool:
+        """Whether places are asked again when facts change."""
+        return len(self._readers) > 0
 
     def ask_about_knowledge(self, now: float) -> None:
         """Ask those places again, in their order, whose decision may be another one since they were asked last."""
@@ -133,7 +139,8 @@ class RunState:
             raise RunError("the run has begun already")
         self.has_begun = True
         self.origin = self.now if self.origin is None else self.origin
-        first = [place for place, tokens in enumerate(self.engine.tokens) if tokens and place not in self.index.records]
+        marked = compress(count(), self.engine.tokens)
+        first = [place for place in marked if place not in self.index.records]
         self.marked_at.update(dict.fromkeys(first, self.now))
         return first
 

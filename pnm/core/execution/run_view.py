@@ -11,7 +11,7 @@ from pnm.core.execution.guards import Guards
 from pnm.core.execution.handover import Handover, UnderWay
 from pnm.core.execution.machine_index import MachineIndex
 from pnm.core.execution.questions import Questions
-from pnm.core.execution.run_state import RunState
+from pnm.core.execution.run_state import Agenda, RunState
 from pnm.core.machine.bindings import WhenLost
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
@@ -28,6 +28,7 @@ class RunView:
     machine: PetriNetMachine
     _engine: Engine
     _index: MachineIndex
+    _agenda: Agenda
     _fired: list[int]
     _state: RunState
     _calls: Calls
@@ -75,6 +76,11 @@ class RunView:
     def paused(self) -> bool:
         """Whether the run is paused: nothing starts, and nothing is under way any more."""
         return self._state.pause is not None and self._state.idle
+
+    @property
+    def awaits_knowledge(self) -> bool:
+        """Whether a decision is pending that may be another one when facts change."""
+        return self._agenda.hears_of_facts
 
     @property
     def awaits_answers(self) -> bool:

@@ -150,7 +150,7 @@ def test_a_condition_over_all_is_looked_at_when_something_changes_that_it_reads(
         scene.run.handle(Accepted(request), 0.0)
     scene.change(DONE[0], True)
     asked: list[int] = []
-    scene.run._decide = asked.append  # type: ignore[method-assign]
+    scene.run._decide = lambda place, _: asked.append(place)  # type: ignore[method-assign]
     scene.run.handle(KnowledgeChanged(), 0.0)
     assert len(asked) == isinstance(condition, Computed), "nothing reads what has changed; of a computed value nobody knows"
     del scene.run._decide

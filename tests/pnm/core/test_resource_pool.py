@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
+from functools import partial
 from random import Random
 from uuid import UUID
 
@@ -67,6 +68,32 @@ def test_whoever_waits_is_told_when_it_would_be_served() -> None:
     assert told == ["served"]
 
 
+def test_only_the_one_whose_turn_it_is_is_told() -> None:
+    pool, told = Resources({"leg": 2}), list[str]()
+    for number, names in enumerate((("arm",), ("leg",), ("arm", "leg"), ("arm",), ("leg",)), 1):
+        pool.listen(lambda number=number: told.append(f"{number}"), UUID(int=number))  # type: ignore[misc]
+        pool.take(claim(number, *names, task=number))
+    pool.take(claim(6, "eye", task=6))
+    assert told == [], "the second leg is for the third in line, which waits for the arm as well"
+    pool.give(UUID(int=6))
+    pool.give(UUID(int=2))
+    assert told == ["5"]
+    assert pool.take(claim(5, "leg", task=5))
+    pool.give(UUID(int=1))
+    assert told == ["5", "3"]
+    pool.take(claim(3, "eye", task=3))
+    assert told == ["5", "3", "4"], "it wants something else now"
+
+
+def test_whoever_waits_for_what_is_withheld_is_told() -> None:
+    pool, told = Resources(), list[str]()
+    for number, names in enumerate((("arm",), ("leg",), ("arm", "eye"), ("leg",)), 1):
+        pool.listen(lambda number=number: told.append(f"{number}"), UUID(int=number))  # type: ignore[misc]
+        pool.take(claim(number, *names, task=number))
+    pool.withhold(UUID(int=1), "lift()")
+    assert told == ["3"]
+
+
 def test_tasks_are_outranked_by_claims_of_higher_priority_alone() -> None:
     pool = Resources({"leg": 2})
     for one in (claim(1, "arm", task=7), claim(2, "leg", task=8), claim(3, "eye", task=9, priority=2)):
@@ -116,7 +143,7 @@ class Worker:
 
     @property
     def claim(self) -> Claim:
-        return claim(self.number * 100 + self.times, *self.names, priority=self.priority)
+        return claim(self.number * 100 + self.times, *self.names, priority=self.priority, task=self.number)
 
 
 @dataclass
@@ -135,6 +162,14 @@ class Fair:
         return all(used[name] + 1 <= self.capacities.get(name, 1) for name in worker.names)
 
 
+def outranked(pool: Resources, capacities: dict[str, int]) -> set[UUID]:
+    """The tasks that have what a claim of higher priority waits for, pair by pair."""
+    used = Counter(name for one in pool.held for name in one.names)
+    short = {name for name, count in used.items() if count >= capacities.get(name, 1)}
+    pairs = ((held, waits) for held in pool.held for waits in pool.line if held.task != waits.task and held.priority < waits.priority)
+    return {held.task for held, waits in pairs if not short.isdisjoint({*held.names} & {*waits.names})}
+
+
 NAMES = st.lists(st.sampled_from(["arm", "leg", "eye"]), min_size=1, unique=True).map(tuple)
 WORKERS = st.lists(st.tuples(st.integers(0, 2), NAMES, st.integers(1, 3)), min_size=1, max_size=6)
 
@@ -146,6 +181,9 @@ def test_nobody_has_too_much_everybody_is_served_and_equals_in_order(
 ) -> None:
     pool, fair, random = Resources(capacities), Fair(capacities), Random(seed)
     workers = [Worker(number, *one) for number, one in enumerate(wanted)]
+    told, turn = set[int](), set[int]()
+    for worker in workers:
+        pool.listen(partial(told.add, worker.number), UUID(int=worker.number))
     for _ in range(1000):
         going_on = [one for one in workers if one.times]
         if not going_on:
@@ -170,6 +208,10 @@ def test_nobody_has_too_much_everybody_is_served_and_equals_in_order(
             worker.has, worker.waits = may, not may
             if may:
                 fair.having[worker.number] = worker.names
+        had_its_turn, turn = turn, {one.number for one in workers if one.waits and fair.may(one)}
+        assert turn - had_its_turn <= told <= turn, "whoever has its turn is told, and nobody else"
+        told.clear()
+        assert pool.outranked() == outranked(pool, capacities)
         used = Counter(name for one in pool.held for name in one.names)
         assert all(count <= capacities.get(name, 1) for name, count in used.items())
         assert [one.request for one in pool.line] == [one.claim.request for one in sorted(fair.came, key=lambda one: -one.priority)]
