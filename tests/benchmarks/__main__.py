@@ -16,11 +16,11 @@ from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
-from tests.benchmarks.executives import gate
-from tests.benchmarks.executives.measured import MeasuredRow, measure
-from tests.benchmarks.executives.page import PAGE, cell, measured_part, put_in
-from tests.benchmarks.executives.table import ROWS
-from tests.benchmarks.executives.workers import asked_of, machine, our_worker, peers_python, peers_worker, versions
+from tests.support.benchmarks.executives import gate
+from tests.support.benchmarks.executives.measured import MeasuredRow, measure
+from tests.support.benchmarks.executives.page import PAGE, cell, measured_part, put_in
+from tests.support.benchmarks.executives.table import ROWS
+from tests.support.benchmarks.executives.workers import asked_of, machine, our_worker, peers_python, peers_worker, versions
 
 
 def compare(arguments: argparse.Namespace) -> None:
@@ -59,7 +59,12 @@ def main() -> None:
     parser.add_argument("--gate", action="store_true", help="fail if something has become much slower")
     arguments = parser.parse_args()
     if arguments.gate:
-        gate.store() if arguments.write else gate.pass_gate()
+        if arguments.write:
+            gate.store()
+        lines, reasons = gate.compared()
+        print("\n".join(lines))
+        if reasons:
+            raise SystemExit("\n".join(("too slow:", *reasons)))
     else:
         compare(arguments)
 

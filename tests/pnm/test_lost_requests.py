@@ -11,8 +11,8 @@ from pnm.core.logic.computed_values import Layer
 from pnm.core.machine.bindings import Binding, Bindings, WhenLost
 from pnm.knowledge.sources.source import SourceError
 from pnm.tasks import Code
+from tests.support.logic.people import DelayedSource, Person
 from tests.support.pddl.problems import rooms
-from tests.support.people import DelayedSource, Person
 from tests.support.tasks.node import USUAL, carry, simulated
 from tests.support.tasks.replanning import pursued
 from tests.support.tasks.simulation import TaskSimulation

@@ -1,6 +1,6 @@
 """A process that ends with its first request, or where unified-planning is asked with its plan.
 
-usage: python -m tests.benchmarks.executives.first_request ours|unified-planning DOMAIN PROBLEM
+usage: python -m tests.support.benchmarks.executives.first_request ours|unified-planning DOMAIN PROBLEM
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from itertools import groupby
 from typing import Any, Final
 
-from tests.benchmarks.executives.measured import MeasuredRow, Taken
+from tests.support.benchmarks.executives.measured import MeasuredRow, Taken
 from tests.support.files import ROOT
 
 PAGE: Final = ROOT / "docs" / "reference" / "benchmarks.md"

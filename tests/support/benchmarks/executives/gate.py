@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Final
 
-from tests.benchmarks.executives.table import GATE
-from tests.benchmarks.executives.workers import Worker, our_worker
+from tests.support.benchmarks.executives.table import GATE
+from tests.support.benchmarks.executives.workers import Worker, our_worker
 
 LIMITS: Final = Path(__file__).with_name("limits.json")
 """What each measure of the gate took when its limit was stored, in turns of the loop."""
@@ -47,17 +47,14 @@ def exceeded(limits: Mapping[str, float], found: Mapping[str, float]) -> list[st
     return reasons
 
 
-def pass_gate() -> None:
-    """End with what is too slow, if anything is; measured again before it counts, for the machine may have been busy."""
+def compared() -> tuple[list[str], list[str]]:
+    """Return what everything takes beside its limit, and what is too slow, which is measured again before it counts: others may be busy."""
     limits = stored()
     with our_worker() as worker:
         found = turns(worker, GATE)
         again = [(name, size) for name, size in GATE if exceeded(limits, {f"{name} {size}": found[f"{name} {size}"]})]
         found |= {name: min(found[name], took) for name, took in turns(worker, again).items()}
-    for name, took in found.items():
-        print(f"{name:24} {took:10.0f} turns, stored {limits.get(name, 0.0):10.0f}")
-    if reasons := exceeded(limits, found):
-        raise SystemExit("\n".join(("too slow:", *reasons)))
+    return [f"{name:24} {took:10.0f} turns, stored {limits.get(name, 0.0):10.0f}" for name, took in found.items()], exceeded(limits, found)
 
 
 def stored() -> dict[str, float]:

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
 
-from tests.benchmarks.executives.table import Subject
+from tests.support.benchmarks.executives.table import Subject
 from tests.support.files import ROOT
 
 PACKAGES: Final = {"up-esb": "Apache-2.0", "py_trees": "BSD-3-Clause", "snakes": "LGPL", "pm4py": "AGPL-3.0", "smach": "BSD-3-Clause"}
@@ -50,11 +50,11 @@ class Worker:
 
 
 def our_worker() -> Worker:
-    return Worker(Path(sys.executable), "tests.benchmarks.executives.ours")
+    return Worker(Path(sys.executable), "tests.support.benchmarks.executives.ours")
 
 
 def peers_worker(python: Path) -> Worker:
-    return Worker(python, "tests.benchmarks.peers")
+    return Worker(python, "tests.support.benchmarks.peers")
 
 
 def peers_python(folder: Path) -> Path:
@@ -64,7 +64,7 @@ def peers_python(folder: Path) -> Path:
         venv.create(folder, with_pip=True)
         for package in PACKAGES:
             done = subprocess.run([str(python), "-m", "pip", "install", "--quiet", package], capture_output=True, text=True, check=False)
-            print(f"{package}: {'installed' if done.returncode == 0 else 'cannot be installed'}", file=sys.stderr)
+            sys.stderr.write(f"{package}: {'installed' if done.returncode == 0 else 'cannot be installed'}\n")
     return python
 
 

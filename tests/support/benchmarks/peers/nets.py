@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from tests.benchmarks.peers.worker import each
+from tests.support.benchmarks.peers.worker import each
 
 WIDTH = 8
 ENOUGH = 200

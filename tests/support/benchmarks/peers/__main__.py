@@ -1,9 +1,9 @@
-"""The worker of the peers, run by the Python of their virtual environment: `python -m tests.benchmarks.peers`."""
+"""The worker of the peers, run by the Python of their virtual environment: `python -m tests.support.benchmarks.peers`."""
 
 from __future__ import annotations
 
-from tests.benchmarks.peers import bridge, nets, state_machines, trees
-from tests.benchmarks.peers.worker import Measure, serve
+from tests.support.benchmarks.peers import bridge, nets, state_machines, trees
+from tests.support.benchmarks.peers.worker import Measure, serve
 
 MEASURES: dict[str, Measure] = {
     "snakes-chain": nets.snakes_chain,

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import Any
 
-from tests.benchmarks.executives.table import Row, Subject
+from tests.support.benchmarks.executives.table import Row, Subject
 
 Ask = Callable[[Subject, int], Mapping[str, Any]]
-"""Measures a subject once at a size; see `tests.benchmarks.peers.worker`."""
+"""Measures a subject once at a size; see `tests.support.benchmarks.peers.worker`."""
 
 
 @dataclass(frozen=True, slots=True)

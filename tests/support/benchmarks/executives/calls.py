@@ -17,9 +17,9 @@ from pnm.core.net.firing_engine import CompiledNet
 from pnm.core.net.net import PetriNet
 from pnm.executor import Executor
 from pnm.journal.journal import NO_JOURNAL
-from tests.benchmarks.bench_engine import chain_net, checked, firings, fork_join, in_a_row, inline, loop
-from tests.benchmarks.peers import nets
-from tests.benchmarks.peers.worker import Measure, each
+from tests.support.benchmarks.peers import nets
+from tests.support.benchmarks.peers.worker import Measure, each
+from tests.support.benchmarks.workloads import chain_net, checked, firings, fork_join, in_a_row, inline, loop
 from tests.support.e2e.page.busy_run import answered
 
 _TURNS = 1_000_000

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from typing import Any
 
-from tests.benchmarks.peers.worker import each
+from tests.support.benchmarks.peers.worker import each
 
 
 def _states(count: int) -> tuple[list[Any], dict[str, bool]]:
