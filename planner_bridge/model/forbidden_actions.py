@@ -7,8 +7,9 @@ from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
 from itertools import product
 from string import Formatter
-from typing import Final
+from typing import Final, TypeAlias
 
+from planner_bridge.model.once_per_domain import once_per_domain
 from planner_bridge.model.problem import Domain, Problem
 from pnm.core.logic.conditions import All, Holds, Not
 from pnm.core.logic.domain import ActionSchema, Declaration
@@ -18,6 +19,9 @@ from pnm.core.machine.plan_graph import GroundAction
 
 ANY: Final = "?"
 """In the place of an argument: any object."""
+
+_Kind: TypeAlias = tuple[str, tuple[int, ...]]
+"""An action, and the positions of those arguments that are given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,17 +53,23 @@ def forbid(problem: Problem, forbidden: frozenset[ForbiddenCall]) -> Problem:
     """Return the problem in which every action concerned has a precondition that is false for the forbidden arguments."""
     if not forbidden:
         return problem
-    domain, init = problem.domain, dict[Fluent, Value](problem.init)
+    domain, facts = _forbidding(problem.domain, frozenset((call.action, call.fixed) for call in forbidden))
+    guards = {(facts[call.action, call.fixed], *(call.arguments[number] for number in call.fixed)): str(call) for call in forbidden}
+    init: dict[Fluent, Value] = {**problem.init, **dict.fromkeys(guards, True)}
+    return replace(problem, domain=domain, init=init, guards={**problem.guards, **guards})
+
+
+@once_per_domain
+def _forbidding(domain: Domain, kinds: frozenset[_Kind]) -> tuple[Domain, dict[_Kind, str]]:
+    """Return the domain in which facts can forbid calls of these kinds, and the predicate of each."""
     predicates, actions = dict(domain.predicates), dict(domain.actions)
-    facts: dict[tuple[str, tuple[int, ...]], str] = {}
-    for name, fixed in sorted({(call.action, call.fixed) for call in forbidden}):
+    facts: dict[_Kind, str] = {}
+    for name, fixed in sorted(kinds):
         fact = facts[name, fixed] = unused_name(f"forbidden-{name}", replace(domain, predicates=predicates))
         parameters = tuple(actions[name].parameters[number] for number in fixed)
         predicates[fact] = Declaration(fact, parameters)
         actions[name] = guarded(actions[name], Not(Holds((fact, *(variable.name for variable in parameters)))))
-    guards = {(facts[call.action, call.fixed], *(call.arguments[number] for number in call.fixed)): str(call) for call in forbidden}
-    init |= dict.fromkeys(guards, True)
-    return replace(problem, domain=with_guards(domain, predicates, actions), init=init, guards={**problem.guards, **guards})
+    return with_guards(domain, predicates, actions), facts
 
 
 def calls_acquiring(problem: Problem, bindings: Bindings, names: Collection[str]) -> frozenset[ForbiddenCall]:

@@ -8,6 +8,7 @@ from functools import cache
 from math import isfinite
 from typing import TYPE_CHECKING
 
+from planner_bridge.model.once_per_domain import once_per_domain
 from planner_bridge.model.problem import Domain, Problem
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.domain import ActionSchema, ProblemModel, Types
@@ -39,6 +40,12 @@ def ground_action(schema: ActionSchema, arguments: tuple[str, ...], duration: fl
     env: Environment = {variable.name: argument for variable, argument in zip(schema.parameters, arguments, strict=True)}
     action = ground_schema(schema, arguments, env, duration)
     return action if schema.duration is not None or duration is None else replace(action, duration=None)
+
+
+@once_per_domain
+def ground_step(domain: Domain, action: str, arguments: tuple[str, ...], duration: float | None) -> GroundAction:
+    """Return a ground action for a step of a plan, the same one for the same step of another plan."""
+    return ground_action(domain.actions[action], arguments, duration)
 
 
 def modelled_duration(schema: ActionSchema, arguments: tuple[str, ...], state: State) -> float | None:

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Final
 
-from planner_bridge.model.grounding import dynamic_names, ground_action, initial_knowledge
+from planner_bridge.model.grounding import dynamic_names, ground_step, initial_knowledge
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.causal_links import CausalLinks, HappeningKind, OrderKept
@@ -112,8 +112,8 @@ def calls_of(problem: Problem, plan: Plan, first: int = 0) -> list[ActionCall]:
     """Return the calls of the plan, with numbers from `first`."""
     calls: list[ActionCall] = []
     for index, step in enumerate(plan.steps, first):
-        duration = step.duration if plan.temporal else None
-        calls.append(ActionCall(index, ground_action(problem.domain.actions[step.action], step.arguments, duration), step.start))
+        action = ground_step(problem.domain, step.action, step.arguments, step.duration if plan.temporal else None)
+        calls.append(ActionCall(index, action, step.start))
     return calls
 
 

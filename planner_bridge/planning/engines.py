@@ -38,7 +38,7 @@ def problem_kind(problem: Problem) -> frozenset[Feature]:
     domain = problem.domain
     used = functions_in_use(problem)
     parts = (part for condition in conditions_of(problem) for part in every_part(condition))
-    relevant = (change for change in action_assignments(problem) if change.fluent[0] in domain.predicates or change.fluent[0] in used)
+    relevant = (change for change in action_assignments(domain) if change.fluent[0] in domain.predicates or change.fluent[0] in used)
     present = {
         Feature.TIME: problem.is_timed,
         Feature.NUMBERS: any(not domain.functions[name].values for name in used),

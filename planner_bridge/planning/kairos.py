@@ -12,9 +12,10 @@ from typing import Final
 
 import kairos
 
+from planner_bridge.model.once_per_domain import once_per_domain
 from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus, PlanStep
 from planner_bridge.model.plan_text import plan_text
-from planner_bridge.model.problem import TOTAL_TIME, Problem
+from planner_bridge.model.problem import TOTAL_TIME, Domain, Problem
 from planner_bridge.pddl.write.writer import write_domain, write_problem
 from planner_bridge.planning.normal_form import in_whole_numbers
 from pnm.core.logic.expressions import ValueOf
@@ -75,9 +76,13 @@ def validate(problem: Problem, plan: Plan, parsed: kairos.Problem | None = None)
 
 def _parsed(problem: Problem) -> kairos.Problem:
     problem = in_whole_numbers(problem)
-    primitive = replace(problem.domain, hierarchy=())
-    domain = kairos.parse_domain(write_domain(primitive), f"{primitive.name}.pddl")
-    return kairos.parse_problem(write_problem(replace(problem, domain=primitive, network="")), domain, f"{problem.name}.pddl")
+    return kairos.parse_problem(write_problem(replace(problem, network="")), _parsed_domain(problem.domain), f"{problem.name}.pddl")
+
+
+@once_per_domain
+def _parsed_domain(domain: Domain) -> kairos.Domain:
+    """Return the domain as Kairos reads it, without tasks and methods."""
+    return kairos.parse_domain(write_domain(replace(domain, hierarchy=())), f"{domain.name}.pddl")
 
 
 def search_with_kairos(problem: Problem, parsed: kairos.Problem, timeout: float, improve: float, cancel: CancelToken) -> PlanningResult:

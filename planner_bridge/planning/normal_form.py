@@ -13,7 +13,8 @@ from decimal import Decimal
 from itertools import chain, count
 from typing import Any, Final
 
-from planner_bridge.model.problem import Metric, Problem
+from planner_bridge.model.once_per_domain import once_per_domain
+from planner_bridge.model.problem import Domain, Metric, Problem
 from pnm.core.logic.conditions import TRUE, All, Compare, Condition, Exists, Holds, Not, conjuncts, every_part, ground, names
 from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import Effects, ForEach, Set, TimedChange, When, ground_effects
@@ -116,14 +117,15 @@ def schema_assignments(schema: ActionSchema) -> tuple[tuple[Assignment, ...], tu
     return assignments(schema.start_effects, schema.parameters), assignments(schema.end_effects, schema.parameters)
 
 
-def action_assignments(problem: Problem) -> Iterator[Assignment]:
-    """Yield the assignments of all actions, at their starts and ends."""
-    return (change for schema in problem.domain.actions.values() for moment in schema_assignments(schema) for change in moment)
+@once_per_domain
+def action_assignments(domain: Domain) -> tuple[Assignment, ...]:
+    """Return the assignments of all actions, at their starts and ends."""
+    return tuple(change for schema in domain.actions.values() for moment in schema_assignments(schema) for change in moment)
 
 
 def functions_in_use(problem: Problem) -> frozenset[str]:
     """Return the functions on which the validity or the metric of a plan depends; others only count."""
-    changes = [*action_assignments(problem)]
+    changes = action_assignments(problem.domain)
     used = {name for condition in conditions_of(problem) for name in names(condition)}
     used |= {fluent[0] for bound in _duration_bounds(problem) for fluent in expression_fluents(bound)}
     if problem.metric:
@@ -142,7 +144,7 @@ def is_whole(problem: Problem, functions: frozenset[str]) -> bool:
     expressions = [
         *(Constant(value) for fluent, value in stated if fluent[0] in functions),
         *(Constant(change.time) for change in problem.timed),
-        *(change.value for change in action_assignments(problem) if change.fluent[0] in functions),
+        *(change.value for change in action_assignments(problem.domain) if change.fluent[0] in functions),
         *(side for part in parts if isinstance(part, Compare) for side in (part.left, part.right)),
         *_duration_bounds(problem),
         *((problem.metric.expression,) if problem.metric else ()),
@@ -176,7 +178,7 @@ def conditions_of(problem: Problem) -> Iterator[Condition]:
     yield from (rule.condition for rule in problem.domain.rules)
     for schema in problem.domain.actions.values():
         yield from (schema.precondition, schema.invariant, schema.end_condition)
-    yield from (change.condition for change in action_assignments(problem))
+    yield from (change.condition for change in action_assignments(problem.domain))
     for constraint in (*problem.domain.constraints, *problem.constraints):
         yield from constraint.conditions
 
@@ -189,7 +191,7 @@ def cost_function(problem: Problem) -> str | None:
     """Return the function that the metric minimises, if nothing reads it and actions only add to it; else None."""
     match problem.metric:
         case Metric("minimize", ValueOf((name,))) if name in problem.domain.functions:
-            changes = [change for change in action_assignments(problem) if change.fluent[0] == name]
+            changes = [change for change in action_assignments(problem.domain) if change.fluent[0] == name]
             only_added = all(
                 change.is_plain and change.operation == "increase" and change.fluent not in expression_fluents(change.value)
                 for change in changes
@@ -216,7 +218,7 @@ def in_whole_numbers(problem: Problem) -> Problem:
         return problem
     concerned = functions_in_use(replace(problem, metric=None))
     elsewhere = [bound.bound for schema in problem.domain.actions.values() for bound in schema.duration or ()]
-    elsewhere += (change.value for change in action_assignments(problem) if change.fluent[0] not in concerned)
+    elsewhere += (change.value for change in action_assignments(problem.domain) if change.fluent[0] not in concerned)
     elsewhere += () if problem.metric is None else (problem.metric.expression,)
     watched = problem.has_preferences or problem.constraints or problem.domain.constraints
     if watched or any(fluent[0] in concerned for expression in elsewhere for fluent in expression_fluents(expression)):

@@ -2,29 +2,38 @@
 
 Greedy action elimination (Nakhost and Müller, Action Elimination and Plan Neighborhood Graph Search, 2010): a step is left out, and
 with it all steps that cannot be carried out then; if the goal is reached all the same, and at no higher cost, the plan stays so.
+Steps without which no part of the plan reaches the goal (`indispensable`) are not tried, and where one of them is lost the rest need not
+be looked at: robots wait for this.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeAlias
 
-from planner_bridge.model.grounding import ground_action, initial_knowledge
-from planner_bridge.model.plan import Plan, PlanningResult, PlanStep
-from planner_bridge.model.plan_simulation import NotApplicable, PlanSimulation
+from planner_bridge.model.grounding import ground_step, initial_knowledge
+from planner_bridge.model.plan import Plan, PlanningResult
+from planner_bridge.model.plan_simulation import NotApplicable, PlanSimulation, snapshot
 from planner_bridge.model.problem import TOTAL_TIME, Problem
 from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.validate import InvalidPlan, last_state
+from pnm.core.logic.conditions import Holds, Not, conjuncts, fluents, names
+from pnm.core.logic.effects import possible_assignments
 from pnm.core.logic.evaluation import evaluate
-from pnm.core.logic.expressions import Fluent, State, Unknown, Value, ValueOf, value_of
+from pnm.core.logic.expressions import Constant, Fluent, State, Unknown, Value, ValueOf, value_of
 from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
 
 if TYPE_CHECKING:
     import kairos
 
 MAX_STEPS: Final = 250
-"""Steps of a plan that is reduced: the work grows with the square of their number."""
+"""Steps of a plan that is reduced: the work may grow with the square of their number."""
+_END, _TIMED, _START = range(3)
+"""What happens at one moment, in this order."""
+
+_Moment: TypeAlias = tuple[float, int, int]
+"""A time, what happens then, and the number of the step or of the timed change."""
 
 
 def reduced(problem: Problem, result: PlanningResult, parsed: kairos.Problem | None = None) -> PlanningResult:
@@ -35,66 +44,133 @@ def reduced(problem: Problem, result: PlanningResult, parsed: kairos.Problem | N
     plan = result.plan
     if plan is None or problem.network or problem.has_preferences or len(plan.steps) > MAX_STEPS:
         return result
-    actions: dict[PlanStep, GroundAction] = {}  # once: every step is left out in turn
-    for step in plan.steps:
-        schema = problem.domain.actions[step.action]
-        actions[step] = ground_action(schema, step.arguments, None if schema.duration is None else step.duration)
-    number, plan = 0, replace(plan, cost=_cost(problem, plan, last_state(problem, plan)))
-    while number < len(plan.steps):
-        shorter = _without(problem, plan, number, actions)
-        if shorter is None:
-            number += 1
-        else:
-            plan = shorter
-    is_shorter = result.plan is not None and len(plan.steps) < len(result.plan.steps)
-    return result if is_shorter and validate(problem, plan, parsed) else replace(result, plan=plan)
+    if problem.metric is not None:
+        plan = replace(plan, cost=_cost(problem, plan, last_state(problem, plan)))
+    shorter = _Elimination(problem, plan).without_needless()
+    is_shorter = len(shorter.steps) < len(plan.steps)
+    return result if is_shorter and validate(problem, shorter, parsed) else replace(result, plan=shorter)
 
 
-def _without(problem: Problem, plan: Plan, number: int, actions: Mapping[PlanStep, GroundAction]) -> Plan | None:
-    """Return the plan without the step, and those after it that cannot be carried out without it; None if that is no better plan."""
-    steps = surviving(problem, plan, number, actions)
-    if steps is None:
-        return None
-    while True:
-        shorter = replace(plan, steps=tuple(steps))
-        try:
-            cost = _cost(problem, shorter, last_state(problem, shorter))
-        except InvalidPlan as error:
-            if error.step is None or error.step < number:  # the goal is not reached, or an earlier step cannot go on
-                return None
-            del steps[error.step]
-        else:
-            rises = 0.0 if cost is None or plan.cost is None else cost - plan.cost
-            is_worse = rises < 0.0 if problem.metric and problem.metric.direction == "maximize" else rises > 0.0
-            return None if is_worse else replace(shorter, cost=cost)
+def indispensable(problem: Problem, actions: Sequence[GroundAction]) -> frozenset[int]:
+    """Return numbers of actions that are in every part of the plan that reaches the goal; not all of them are found.
 
-
-def surviving(problem: Problem, plan: Plan, number: int, actions: Mapping[PlanStep, GroundAction]) -> list[PlanStep] | None:
-    """Return the steps that can be carried out when one is left out, by one simulation; None if they do not reach the goal.
-
-    What happens at one moment happens here one after the other, so the result has still to be validated.
+    What does not hold at first has to be made true. If a single action can do that, it is needed, and then what it demands is as well.
     """
-    simulation, lost = PlanSimulation(initial_knowledge(problem)), {number}
-    ends, timed, starts = range(3)  # of one moment
-    moments = [(change.time, timed, index) for index, change in enumerate(problem.timed)]
-    for index, step in enumerate(plan.steps):
-        start = step.start if plan.temporal else float(index)
-        moments += [(start, starts, index), *([(start + step.duration, ends, index)] if plan.temporal and step.duration else [])]
-    for _, kind, index in sorted(moments):
-        if kind == timed:
-            simulation.state.update(problem.timed[index].changes)
-        elif index not in lost:
-            step = plan.steps[index]
-            happening = [Moment.END] if kind == ends else [Moment.START] if plan.temporal and step.duration else [Moment.START, Moment.END]
+    state, derived = initial_knowledge(problem), {rule.name for rule in problem.domain.rules}
+    by_itself = {fluent for change in problem.timed for fluent in change.changes}
+    makers: dict[Fluent, dict[int, set[Value | None]]] = {}
+    """The actions that may write a fluent, each with the values that it may write: None for one that is computed."""
+    for number, action in enumerate(actions):
+        for fluent, effect, _ in possible_assignments((*action.start_effects, *action.end_effects), state):
+            value = effect.value.value if isinstance(effect.value, Constant) and effect.operation == "assign" else None
+            makers.setdefault(fluent, {}).setdefault(number, set()).add(value)
+    needed: set[int] = set()
+    demands = [*conjuncts(problem.goal)]
+    while demands:
+        demand = demands.pop()
+        if evaluate(demand, state) is True or not derived.isdisjoint(names(demand)):
+            continue
+        match demand:
+            case Holds():
+                useless: set[Value | None] = {False}
+            case Not(Holds()):
+                useless = {True}
+            case _:
+                useless = set()
+        mentioned = fluents(demand, state)
+        able = {number for fluent in mentioned for number, values in makers.get(fluent, {}).items() if not values <= useless}
+        if by_itself.isdisjoint(mentioned) and len(able) == 1 and not able <= needed:
+            needed |= able
+            action = actions[able.pop()]
+            demands += (part for condition in (action.precondition, action.end_condition) for part in conjuncts(condition))
+    return frozenset(needed)
+
+
+class _Elimination:
+    """The search for needless steps: one simulation of the plan, and one of the rest for every step that may be needless.
+
+    The mutable state is the plan, the numbers of the steps that were left out, and which of the first plan's steps are left.
+    """
+
+    def __init__(self, problem: Problem, plan: Plan) -> None:
+        self._problem = problem
+        self._first = plan
+        durative = {name for name, schema in problem.domain.actions.items() if schema.duration is not None}
+        self._actions = [
+            ground_step(problem.domain, step.action, step.arguments, step.duration if step.action in durative else None)
+            for step in plan.steps
+        ]
+        self._needed = indispensable(problem, self._actions)
+        self._moments: list[_Moment] = [(change.time, _TIMED, index) for index, change in enumerate(problem.timed)]
+        for index, step in enumerate(plan.steps):
+            start = step.start if plan.temporal else float(index)
+            self._moments.append((start, _START, index))
+            if self._lasts(index):
+                self._moments.append((start + step.duration, _END, index))
+        self._moments.sort()
+        self._plan = plan
+        self._lost = frozenset[int]()
+
+    def _lasts(self, index: int) -> bool:
+        return bool(self._first.temporal and self._first.steps[index].duration)
+
+    def without_needless(self) -> Plan:
+        """Return the plan without its needless steps.
+
+        What happens at one moment happens in the simulation one after the other, so its results have still to be validated.
+        """
+        simulation = PlanSimulation(initial_knowledge(self._problem))
+        for position, moment in enumerate(self._moments):
+            _, kind, index = moment
+            if kind == _START and index not in self._lost and index not in self._needed:
+                self._try_without(index, position, simulation)
             try:
-                simulation.advance([(PlanEvent(index, moment), actions[step]) for moment in happening])
+                self._advance(simulation, moment, self._lost)
+            except NotApplicable:  # in this order
+                break
+        return self._plan
+
+    def _advance(self, simulation: PlanSimulation, moment: _Moment, lost: frozenset[int] | set[int]) -> None:
+        _, kind, index = moment
+        if kind == _TIMED:
+            simulation.state.update(self._problem.timed[index].changes)
+        elif index not in lost:
+            happening = [Moment.END] if kind == _END else [Moment.START] if self._lasts(index) else [Moment.START, Moment.END]
+            simulation.advance([(PlanEvent(index, each), self._actions[index]) for each in happening])
+
+    def _try_without(self, index: int, position: int, before: PlanSimulation) -> None:
+        """Leave a step out, and those after it that cannot be carried out without it, unless that is no better plan."""
+        lost = self._lost_without(index, position, before)
+        if lost is None:
+            return
+        left = [number for number in range(len(self._first.steps)) if number not in lost]
+        while True:
+            shorter = replace(self._first, steps=tuple(self._first.steps[number] for number in left))
+            try:
+                cost = _cost(self._problem, shorter, last_state(self._problem, shorter))
+            except InvalidPlan as error:
+                # the goal is not reached, or an earlier step cannot go on
+                if error.step is None or left[error.step] < index:
+                    return
+                del left[error.step]
+            else:
+                rises = 0.0 if cost is None or self._plan.cost is None else cost - self._plan.cost
+                is_worse = rises < 0.0 if self._problem.metric and self._problem.metric.direction == "maximize" else rises > 0.0
+                if not is_worse:
+                    self._plan, self._lost = replace(shorter, cost=cost), frozenset(range(len(self._first.steps))).difference(left)
+                return
+
+    def _lost_without(self, index: int, position: int, before: PlanSimulation) -> set[int] | None:
+        """Return the steps that cannot be carried out when one more is left out; None if the others do not reach the goal."""
+        simulation, lost = PlanSimulation(snapshot(before.state), before.running), {*self._lost, index}
+        for moment in self._moments[position + 1 :]:
+            try:
+                self._advance(simulation, moment, lost)
             except NotApplicable as error:
-                if kind == ends or error.stage == "go on":
+                if moment[1] == _END or error.stage == "go on" or moment[2] in self._needed:
                     return None
-                lost.add(index)
-    if evaluate(problem.goal, simulation.state) is not True:
-        return None
-    return [step for index, step in enumerate(plan.steps) if index not in lost]
+                lost.add(moment[2])
+        return lost if evaluate(self._problem.goal, simulation.state) is True else None
 
 
 def _cost(problem: Problem, plan: Plan, state: State) -> float | None:

@@ -33,7 +33,7 @@ from typing import Final
 
 import kairos
 
-from planner_bridge.model.grounding import ground_action, initial_knowledge
+from planner_bridge.model.grounding import ground_step, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
 from planner_bridge.model.plan_simulation import ConstraintProgression, NotApplicable, PlanSimulation, snapshot
 from planner_bridge.model.plan_text import plan_text
@@ -159,7 +159,7 @@ def _steps(problem: Problem, plan: Plan) -> list[_Step]:
         schema = problem.domain.actions[step.action]
         duration = None if schema.duration is None else step.duration
         start = step.start if plan.temporal else float(index)
-        steps.append(_Step(index + 1, schema, ground_action(schema, step.arguments, duration), start, duration or 0.0))
+        steps.append(_Step(index + 1, schema, ground_step(problem.domain, step.action, step.arguments, duration), start, duration or 0.0))
     return steps
 
 

@@ -13,7 +13,8 @@ from typing import Final
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall
 from planner_bridge.model.grounding import problem_now
-from planner_bridge.model.problem import Problem
+from planner_bridge.model.once_per_domain import once_per_domain
+from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.replanning import Progress, why_not
 from planner_bridge.tasks.result import ConstraintResult, KeptGoal, PreferenceResult, TrajectoryNote, Violation
@@ -193,8 +194,7 @@ class ConstraintMonitor:
                 preferences.append(replace(preference, wanted=tuple(shifted(constraint, now) for constraint in preference.wanted)))
             else:  # fulfilled ones too: metrics name them
                 preferences += (Preference(preference.name, _left(instance, now)) for instance in ground)
-        domain = replace(problem.domain, constraints=(), preferences=())
-        return replace(problem, domain=domain, constraints=tuple(constraints), preferences=tuple(preferences))
+        return replace(problem, domain=_unconstrained(problem.domain), constraints=tuple(constraints), preferences=tuple(preferences))
 
     # --- at its end ----------------------------------------------------------------------------
 
@@ -226,6 +226,12 @@ class ConstraintMonitor:
         return (*monitored, *(PreferenceResult(name, "not monitored") for name in of_actions))
 
 
+@once_per_domain
+def _unconstrained(domain: Domain) -> Domain:
+    """Return the domain without its constraints and preferences."""
+    return replace(domain, constraints=(), preferences=())
+
+
 def _left(instance: list[_MonitoredConstraint], now: float) -> tuple[Constraint, ...]:
     return tuple(shifted(left, now) for watched in instance for left in watched.progress.rest)
 
@@ -255,6 +261,8 @@ class TaskMonitor:
         )
         """The seconds that the task may take, pauses left out."""
         self._next_look: asyncio.TimerHandle | None = None
+        self._known: tuple[int, Problem] | None = None
+        """The problem from the world as it was after so many changes, without its constraints."""
 
     def begin(self, cleanup: ExitStack) -> None:
         """Begin: schedule the timed facts that nothing reports, and look at the constraints at every change and when their time comes."""
@@ -309,8 +317,16 @@ class TaskMonitor:
 
     def now(self, world: KnowledgeBase | None = None) -> Problem:
         """Return the problem that is left, from this world, or from the one that is known."""
-        passed = asyncio.get_running_loop().time() - self._since
-        return self.constraints.rest_of(problem_now(self._context.problem, world or self._context.world, passed), self.elapsed)
+        problem, changes = self._context.problem, self._context.world.changes
+        if world is not None or problem.timed:
+            passed = asyncio.get_running_loop().time() - self._since
+            now = problem_now(problem, world or self._context.world, passed)
+        elif self._known and self._known[0] == changes:
+            now = self._known[1]
+        else:
+            now = problem_now(problem, self._context.world)
+            self._known = changes, now
+        return self.constraints.rest_of(now, self.elapsed)
 
     @property
     def missing(self) -> tuple[Constraint, ...]:

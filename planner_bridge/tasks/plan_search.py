@@ -186,7 +186,7 @@ class PlanSearch:
         self._control.check()
         if under_way is None:
             self._begin()
-        now = forbid(self._monitor.now(projected_state(context.world, under_way or ())), forbidden)
+        now = forbid(self._monitor.now(projected_state(context.world, under_way) if under_way else None), forbidden)
         going_on = [open_request.call for open_request in under_way or ()]
         self._control.reserved = None  # while it plans anew, the last plan must not keep others away
         context.observer.planning(context.settings.planner)

@@ -6,7 +6,6 @@ The unit is one turn of a plain Python loop over integers, measured in the same 
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 from uuid import UUID
 
@@ -15,9 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from pnm.core.execution.events import Begin, Command, Send
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.logic.conditions import TRUE, All, Holds
-from pnm.core.logic.effects import Set
-from pnm.core.logic.expressions import Constant, Fluent
+from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import (
@@ -34,53 +31,9 @@ from pnm.core.machine.plan_graph import (
 )
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.core.machine.verification.verify import forget_proofs, verify
-from pnm.core.net.firing_engine import CompiledNet, Engine
-from pnm.core.net.net import NetBuilder, PetriNet
+from pnm.core.net.firing_engine import CompiledNet
+from tests.support.benchmarks.workloads import chain_net, checked, firings, fork_join, in_a_row, inline, loop, side_by_side
 from tests.support.runs.timing import seconds
-
-
-def loop(turns: int = 1_000_000) -> None:
-    total = 0
-    for turn in range(turns):
-        total += turn & 1
-
-
-def chain_net(length: int) -> PetriNet:
-    """p0 -> t0 -> p1 -> … of so many transitions."""
-    net = NetBuilder()
-    places = [net.place(f"p{index}") for index in range(length + 1)]
-    for index in range(length):
-        net.transition(f"t{index}", [places[index]], [places[index + 1]])
-    return net.build()
-
-
-def fork_join(length: int, width: int = 8) -> PetriNet:
-    """Forks into `width` branches that join again, one after the other, until there are so many transitions."""
-    net = NetBuilder()
-    last = net.place("p")
-    for stage in range(max(1, length // (width + 2))):
-        before = [net.place(f"a{stage}.{branch}") for branch in range(width)]
-        after = [net.place(f"b{stage}.{branch}") for branch in range(width)]
-        net.transition(f"fork{stage}", [last], before)
-        for branch in range(width):
-            net.transition(f"t{stage}.{branch}", [before[branch]], [after[branch]])
-        last = net.place(f"p{stage}")
-        net.transition(f"join{stage}", after, [last])
-    return net.build()
-
-
-def firings(compiled: CompiledNet, first: str) -> int:
-    """Fire until nothing is enabled, following the tokens; return the number of firings."""
-    engine = Engine(compiled, {first: 1})
-    agenda, fired = [compiled.place_id[first]], 0
-    while agenda:
-        place = agenda.pop()
-        for transition, _ in compiled.consumers[place]:
-            if engine.is_enabled(transition):
-                engine.fire(transition)
-                fired += 1
-                agenda.extend(one for one, _ in compiled.outputs[transition])
-    return fired
 
 
 def no_ops(calls: int) -> PlanGraph:
@@ -90,17 +43,6 @@ def no_ops(calls: int) -> PlanGraph:
     before = (index - 1 - (index * 7) % min(index, 20) for index in range(1, calls))
     orderings = tuple(Ordering(PlanEvent(one, Moment.END), PlanEvent(index, Moment.START)) for index, one in enumerate(before, 1))
     return PlanGraph(found, orderings)
-
-
-def side_by_side(calls: int) -> PlanGraph:
-    """Calls that have nothing to do with each other."""
-    return PlanGraph(tuple(ActionCall(index, GroundAction("no_op")) for index in range(calls)))
-
-
-def in_a_row(calls: int) -> PlanGraph:
-    """Calls that wait for each other."""
-    ends = (Ordering(PlanEvent(index, Moment.END), PlanEvent(index + 1, Moment.START)) for index in range(calls - 1))
-    return replace(side_by_side(calls), orderings=tuple(ends))
 
 
 def recovering(count: int) -> PlanGraph:
@@ -119,19 +61,6 @@ def proof_seconds(machine: PetriNetMachine) -> float:
         verify(machine)
 
     return seconds(prove)
-
-
-def inline(run: Run) -> int:
-    """Answer every request at once; return how many there were."""
-    waiting, answered = run.handle(Begin(), 0.0), 0
-    while waiting:
-        command = waiting.pop()
-        if isinstance(command, Send):
-            answered += 1
-            waiting += run.handle(Accepted(command.request.id), 0.0)
-            waiting += run.handle(Ended(command.request.id, Outcome(OutcomeKind.SUCCEEDED)), 0.0)
-    assert run.result().goal
-    return answered
 
 
 def main() -> None:
@@ -162,23 +91,6 @@ def main() -> None:
 
     checked_calls(unit)
     proofs()
-
-
-def checked(calls: int) -> tuple[PlanGraph, dict[Fluent, bool]]:
-    """Calls in a row that need two facts and bring about one; and the facts that hold at first."""
-    place = ("free", "kitchen")
-    actions = (
-        GroundAction(
-            "clean",
-            (f"r{index}", "kitchen"),
-            ("robot", "room"),
-            All((Holds(("ready", f"r{index}")), Holds(place))),
-            end_effects=(Set(("done", f"r{index}"), Constant(True)),),
-        )
-        for index in range(calls)
-    )
-    found = tuple(ActionCall(index, action) for index, action in enumerate(actions))
-    return replace(in_a_row(calls), steps=found), {place: True, **{("ready", f"r{index}"): True for index in range(calls)}}
 
 
 def checked_calls(unit: float) -> None:

@@ -180,6 +180,8 @@ def main(arguments: list[str]) -> None:
             bare(name, int(in_flight), Meter(int(goals)))
         case ["ours", name, in_flight, goals]:
             asyncio.run(ours(name, int(in_flight), Meter(int(goals))))
+        case ["measured", who, in_flight, goals]:
+            print(json.dumps(measured(who, int(in_flight), int(goals))))
         case _:
             rounds, goals = (*map(int, arguments), 5, 500)[:2] if len(arguments) < 2 else map(int, arguments)
             compared(rounds, goals)

@@ -15,8 +15,8 @@ from pnm.knowledge.sources.help import HelpAsked, HelpEnded
 from pnm.knowledge.sources.source import SourceError
 from pnm.tasks import Code
 from tests.support.e2e.page.journals import steps
+from tests.support.logic.people import DelayedSource, Person
 from tests.support.pddl.problems import rooms
-from tests.support.people import DelayedSource, Person
 from tests.support.tasks.node import USUAL, carry, simulated
 from tests.support.tasks.replanning import pursued
 from tests.support.tasks.simulation import TaskSimulation, simulate_tasks

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import pytest
 
+from tests.support.logic.people import TerminalUser
 from tests.support.pddl.sensed_world import SENSING
-from tests.support.people import TerminalUser
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from pnm.files.database.postgres import MAKING
 from pnm.knowledge.sources import Asker, SourceError, variables
 from pnm.knowledge.sources.database import DatabaseKnowledge, default_path
 from tests.support.e2e.hosts.postgres import PostgresServer
-from tests.support.people import about, run_questions
+from tests.support.logic.people import about, run_questions
 from tests.support.processes import until
 
 ME = Asker(UUID(int=7), "tour")

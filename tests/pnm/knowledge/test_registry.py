@@ -20,7 +20,7 @@ from pnm.knowledge.sources import (
     registry,
     source_names,
 )
-from tests.support.people import DelayedSource, about, run_questions
+from tests.support.logic.people import DelayedSource, about, run_questions
 
 ME = Asker(UUID(int=7), "tour")
 

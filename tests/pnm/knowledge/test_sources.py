@@ -13,7 +13,7 @@ from pnm.core.logic.computed_values import MISSING, Layer, Question
 from pnm.errors import InputError
 from pnm.knowledge.sources import Asker, SourceError, Sources
 from pnm.knowledge.sources.memory import MemoryKnowledge, read_value, write_value
-from tests.support.people import DelayedSource, about, run_questions
+from tests.support.logic.people import DelayedSource, about, run_questions
 
 ME = Asker(UUID(int=7), "tour")
 JSON = st.recursive(

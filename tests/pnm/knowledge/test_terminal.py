@@ -13,7 +13,7 @@ from pnm.core.logic.computed_values import MISSING, Layer, Question
 from pnm.knowledge.sources import Asker, SourceError, Sources
 from pnm.knowledge.sources.person_text import message_text, printable, question_text, read_answer
 from pnm.knowledge.sources.terminal import TerminalSource
-from tests.support.people import TerminalUser, about, run_questions
+from tests.support.logic.people import TerminalUser, about, run_questions
 
 ME = Asker(UUID(int=7), "tour")
 

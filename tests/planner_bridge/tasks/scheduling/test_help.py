@@ -16,8 +16,8 @@ from pnm.core.logic.expressions import Fluent, Value
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.knowledge.sources.source import SourceError
 from pnm.tasks import Code, TaskState
+from tests.support.logic.people import Person
 from tests.support.pddl.problems import fleet, rooms
-from tests.support.people import Person
 from tests.support.tasks.node import USUAL, simulated
 from tests.support.tasks.simulation import TaskSimulation
 

@@ -22,7 +22,7 @@ from pnm.errors import InputError
 from pnm.executor import Executor
 from pnm.knowledge.sources import SourceChoice, Surroundings, open_sources
 from pnm.knowledge.sources.person_text import question_text
-from tests.support.people import Person
+from tests.support.logic.people import Person
 from tests.support.runs.direct import RUN
 from tests.support.runs.handover import ManualClient, carried, successor
 from tests.support.yaml.programs import only_plan

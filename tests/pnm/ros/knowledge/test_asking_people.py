@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from tests.support.people import Person
+from tests.support.logic.people import Person
 from tests.support.processes import LIMIT
 from tests.support.ros.child_process import bounded
 from tests.support.ros.fake_executor import fake_executor

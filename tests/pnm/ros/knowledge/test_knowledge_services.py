@@ -16,7 +16,7 @@ from pnm.core.machine.requests import OutcomeKind
 from pnm.knowledge.sources import Asker, SourceError, Sources
 from pnm.knowledge.sources.memory import MemoryKnowledge
 from pnm.ros.node.service_client import until_true
-from tests.support.people import Person
+from tests.support.logic.people import Person
 from tests.support.processes import LIMIT
 from tests.support.ros.child_process import bounded, run_bounded
 from tests.support.ros.fake_executor import FakeExecutor, fake_executor

@@ -13,7 +13,7 @@ from pnm.knowledge.sources import Asker, SourceChoice, SourceError, Surroundings
 from pnm.ros.knowledge.knowledge_source import Ros2Knowledge
 from pnm.ros.knowledge.person_source import Ros2Person
 from pnm.ros.node.service_client import ServiceClient
-from tests.support.people import about
+from tests.support.logic.people import about
 from tests.support.processes import LIMIT
 from tests.support.ros.child_process import ChildProcess, bounded
 

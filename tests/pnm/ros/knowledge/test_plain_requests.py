@@ -15,7 +15,7 @@ from pnm.ros.knowledge.goal_ids import may_be_ours, service_prefix
 from pnm.ros.knowledge.knowledge_services import KnowledgeServices
 from pnm.ros.knowledge.knowledge_source import uuid_field
 from pnm.ros.node.service_client import ServiceClient
-from tests.support.people import Person
+from tests.support.logic.people import Person
 from tests.support.processes import LIMIT
 from tests.support.ros.child_process import bounded, run_bounded
 from tests.support.ros.fake_executor import fake_executor

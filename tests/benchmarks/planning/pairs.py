@@ -1,6 +1,6 @@
 """Which PDDL problems are read, planned, translated and executed to the goal in simulation: a table in Markdown.
 
-usage: python -m tests.benchmarks.pairs [FOLDER ...] [--write]      (--write puts it into docs/reference/known-problems.md)
+usage: python -m tests.benchmarks.planning.pairs [FOLDER ...] [--write]      (--write puts it into docs/reference/known-problems.md)
 
 A folder has a manifest.json with the names of its pairs, each a folder with domain.pddl and problem.pddl. Every pair
 has a process of its own and 60 seconds for everything. Times in the table are the plan's and the simulation's, in seconds.
@@ -52,7 +52,7 @@ def do_pair(folder: Path) -> dict[str, Any]:
 
 def try_pair(folder: Path) -> dict[str, Any]:
     """Do everything with one pair, in a process that is stopped when its time is up."""
-    command = [sys.executable, "-m", "tests.benchmarks.pairs", "--one", str(folder)]
+    command = [sys.executable, "-m", "tests.benchmarks.planning.pairs", "--one", str(folder)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT)
     except subprocess.TimeoutExpired:
@@ -81,7 +81,7 @@ def main() -> None:
         print(json.dumps(do_pair(Path(arguments[0]))))
         return
     folders = [Path(name) for name in arguments] or [KNOWN / "robots", KNOWN / "ipc"]
-    text = "# Known problems\n\nMade by `python -m tests.benchmarks.pairs --write`. Every pair has a process of its own, and 60\n"
+    text = "# Known problems\n\nMade by `python -m tests.benchmarks.planning.pairs --write`. Every pair has a process of its own, and 60\n"
     text += "seconds for reading, planning, proving and executing. Times are the plan's and the simulation's, in seconds.\n\n"
     text += "\n".join(map(pairs_table, folders))
     if "--write" in sys.argv:

@@ -1,0 +1,84 @@
+"""Measured rows: what each subject takes in rounds in which all have their turn, and ratios within these rounds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from statistics import median
+from typing import Any
+
+from tests.support.benchmarks.executives.table import Row, Subject
+
+Ask = Callable[[Subject, int], Mapping[str, Any]]
+"""Measures a subject once at a size; see `tests.support.benchmarks.peers.worker`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Taken:
+    """What one subject has taken in each round; or why it has taken no part."""
+
+    subject: Subject
+    values: tuple[float, ...] = ()
+    absent: str = ""
+
+    @property
+    def median(self) -> float:
+        return median(self.values)
+
+    def times(self, other: Taken) -> float | None:
+        """Return how often as long as the other this has taken, the median of all rounds; None if one of them was not there."""
+        ratios = [mine / its for mine, its in zip(self.values, other.values, strict=False) if its > 0.0]
+        return median(ratios) if ratios else None
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredRow:
+    """A row at one size; ours comes first."""
+
+    row: Row
+    size: int
+    taken: tuple[Taken, ...]
+
+    @property
+    def slower_than(self) -> Iterator[tuple[str, float]]:
+        """The peers that take less than ours, and how often as long ours takes; floors do less, and do not count."""
+        for other in self.taken[1:]:
+            ratio = self.taken[0].times(other)
+            if ratio is not None and ratio > 1.0 and not other.subject.does_less and not other.subject.label.startswith("ours"):
+                yield other.subject.label, ratio
+
+    def as_json(self) -> dict[str, Any]:
+        subjects = []
+        for taken in self.taken:
+            entry: dict[str, Any] = {"subject": taken.subject.label, "measure": taken.subject.measure}
+            if taken.values:
+                entry |= {"median": taken.median, "low": min(taken.values), "high": max(taken.values), "rounds": list(taken.values)}
+                entry |= {"ours/this": self.taken[0].times(taken)}
+            else:
+                entry |= {"absent": taken.absent}
+            subjects.append(entry)
+        return {"what": self.row.what, "unit": self.row.unit, "size": self.size, "item": self.row.item, "subjects": subjects}
+
+
+@dataclass(slots=True)
+class _Turns:
+    """The turns of one subject so far."""
+
+    values: list[float] = field(default_factory=list)
+    absent: str = ""
+
+
+def measure(row: Row, size: int, ask: Ask, rounds: int) -> MeasuredRow:
+    """Measure all subjects of a row at a size in turn, round by round; one that cannot take part is not asked again."""
+    turns = {subject: _Turns() for subject in row.subjects}
+    for _ in range(min(rounds, row.rounds)):
+        for subject, so_far in turns.items():
+            if size > subject.largest:
+                so_far.absent = "not at this size"
+            elif not so_far.absent:
+                answer = ask(subject, size)
+                if "value" in answer:
+                    so_far.values.append(answer["value"])
+                else:
+                    so_far.absent = str(answer.get("missing") or answer["error"])
+    return MeasuredRow(row, size, tuple(Taken(subject, tuple(done.values), done.absent) for subject, done in turns.items()))

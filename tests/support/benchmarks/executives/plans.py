@@ -1,0 +1,124 @@
+"""Our way from a plan to a machine, changes of facts, shared resources, new plans after failures, first requests, and goals over ROS 2."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from functools import cache, partial
+from pathlib import Path
+from statistics import median
+
+from planner_bridge.model.plan import Plan, PlanStep
+from planner_bridge.ordering.plan_to_graph import plan_graph
+from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.pipeline.loading import load
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import Holds
+from pnm.core.logic.evaluation import evaluate
+from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.generate import generate
+from pnm.core.machine.verification.verify import verify
+from tests.support.benchmarks.failures import measured
+from tests.support.benchmarks.peers.worker import Measure, NotHere, each
+from tests.support.benchmarks.waiting import heard, over_all, taking_turns
+from tests.support.files import ROOT
+
+_CLEAN = """
+(define (domain cleaning) (:requirements :typing) (:types robot room)
+  (:predicates (ready ?r - robot) (free ?a - room) (finished ?r - robot))
+  (:action clean :parameters (?r - robot ?a - room) :precondition (and (ready ?r) (free ?a)) :effect (finished ?r)))
+"""
+GOALS = 300
+"""Sent over ROS 2 in one round."""
+
+
+def machine(size: int) -> float:
+    """From a plan of calls that clean a room to a machine that is proved and compiled."""
+    robots = [f"r{number}" for number in range(size)]
+    text = f"(define (problem p) (:domain cleaning) (:objects {' '.join(robots)} - robot kitchen - room) (:init (free kitchen) "
+    text += f"{' '.join(f'(ready {robot})' for robot in robots)}) (:goal (and {' '.join(f'(finished {robot})' for robot in robots)})))"
+    problem = parse_problem(text, parse_domain(_CLEAN))
+    plan = Plan(tuple(PlanStep("clean", (robot, "kitchen"), float(number)) for number, robot in enumerate(robots)))
+
+    def make() -> None:
+        made = generate(plan_graph(problem, plan))
+        verify(made)
+        made.compiled  # noqa: B018
+
+    return each(make, size)
+
+
+def change(size: int) -> float:
+    """A fact changes that one of so many conditions over all reads: recorded, and judged."""
+    return heard(*over_all(size), ("fit", "r5"))
+
+
+def change_unindexed(size: int) -> float:
+    """The same where all conditions are judged, as executives do that look at everything whenever they look."""
+    world = KnowledgeBase({("fit", f"r{index}"): True for index in range(size)})
+    conditions = [Holds(("fit", f"r{index}")) for index in range(size)]
+    return each(lambda: [evaluate(condition, world) for condition in conditions], 1)
+
+
+# --- whole ways, by the clock on the wall -------------------------------------------------------------
+
+
+@cache
+def _failures(number: int) -> list[tuple[float, float]]:
+    """Milliseconds from a failure to the next request, and of the planner in them, in the delivery problem of this number."""
+    found = measured(load(*_files("delivery", number)), Bindings(), range(2))
+    return [(1000 * whole, 1000 * planner) for whole, planner in found]
+
+
+def _files(domain: str, number: int) -> tuple[Path, Path]:
+    return ROOT / "domains" / domain / "domain.pddl", ROOT / "problems" / domain / f"p{number:02}.pddl"
+
+
+def failure(size: int) -> float:
+    """The median of a few failures, which are measured anew."""
+    _failures.cache_clear()
+    return median(whole for whole, _ in _failures(size))
+
+
+def failure_planner(size: int) -> float:
+    """What the planner took of the same failures."""
+    return median(planner for _, planner in _failures(size))
+
+
+def process(command: list[str], size: int) -> float:
+    """The milliseconds of a whole process that gets a domain and a problem."""
+    began = time.perf_counter()
+    done = subprocess.run([*command, *map(str, _files("mall", size))], capture_output=True, text=True, timeout=120, cwd=ROOT)
+    took = (time.perf_counter() - began) * 1000
+    if done.returncode:
+        raise NotHere((done.stderr.splitlines() or ["it failed"])[-1])
+    return took
+
+
+def goals(who: str, size: int) -> float:
+    """Milliseconds for each goal over ROS 2 with so many in flight."""
+    command = [sys.executable, "-m", "tests.benchmarks.bench_ros", "measured", who, str(size), str(GOALS)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=ROOT)
+    if done.returncode:
+        raise NotHere((done.stderr.splitlines() or ["it failed"])[-1])
+    rate, _ = json.loads(done.stdout)
+    return float(1000 / rate)
+
+
+_FIRST = [sys.executable, "-m", "tests.support.benchmarks.executives.first_request"]
+
+MEASURES: dict[str, Measure] = {
+    "machine": machine,
+    "change": change,
+    "change-unindexed": change_unindexed,
+    "resource": taking_turns,
+    "failure": failure,
+    "failure-planner": failure_planner,
+    "first-request": partial(process, [*_FIRST, "ours"]),
+    "first-plan-up": partial(process, [*_FIRST, "unified-planning"]),
+    "first-plan-kairos": partial(process, [str(Path(sys.executable).parent / "kairos"), "--no-anytime"]),
+    "ros-ours": partial(goals, "ours"),
+    "ros-bare": partial(goals, "bare"),
+}

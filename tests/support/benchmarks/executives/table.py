@@ -1,0 +1,210 @@
+"""The rows of the benchmark: what is measured, of which size, and who takes part."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """One that is measured.
+
+    Args:
+        label: its name in the table.
+        measure: the name of its measure.
+        does_less: whether it is a floor, which checks or proves less than the rest of its row, and no rival.
+        is_peer: whether it runs in the environment of the peers.
+        largest: the largest size at which it is measured.
+    """
+
+    label: str
+    measure: str
+    does_less: bool = False
+    is_peer: bool = False
+    largest: int = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """Something that is measured, ours first; less is better.
+
+    Args:
+        what: a title.
+        means: how to read it.
+        unit: of the numbers.
+        item: of which there are so many.
+        sizes: how many.
+        subjects: who takes part.
+        rounds: how often each is measured at most.
+    """
+
+    what: str
+    means: str
+    unit: str
+    item: str
+    sizes: tuple[int, ...]
+    subjects: tuple[Subject, ...]
+    rounds: int = 5
+
+
+def peer(label: str, measure: str, *, does_less: bool = False, largest: int = 1_000_000) -> Subject:
+    """Return a subject in the environment of the peers."""
+    return Subject(label, measure, does_less, True, largest)
+
+
+def floor(label: str, measure: str) -> Subject:
+    """Return a subject of plain Python."""
+    return Subject(label, measure, does_less=True)
+
+
+_NETS: Final = (100, 1_000, 10_000)
+_CALLS: Final = (1_000, 10_000)
+
+ROWS: Final = (
+    Row(
+        "A firing, chain",
+        "A net in which one transition follows the other. A run decides conditions, sends requests and keeps results besides.",
+        "µs",
+        "transitions",
+        _NETS,
+        (
+            Subject("ours, engine", "engine-chain"),
+            Subject("ours, run", "run-chain"),
+            peer("SNAKES", "snakes-chain"),
+            peer("pm4py", "pm4py-chain"),
+            floor("counters in Python", "counters-chain"),
+        ),
+    ),
+    Row(
+        "A firing, fork-join of 8",
+        "The same where eight branches begin at once and join again.",
+        "µs",
+        "transitions",
+        _NETS,
+        (
+            Subject("ours, engine", "engine-fork"),
+            Subject("ours, run", "run-fork"),
+            peer("SNAKES", "snakes-fork"),
+            peer("pm4py", "pm4py-fork"),
+            floor("counters in Python", "counters-fork"),
+        ),
+    ),
+    Row(
+        "A checked call, in a row",
+        "An action that does nothing, with two preconditions and an effect that are checked. Ours is answered at once; known: the machine "
+        "was executed before.",
+        "µs",
+        "calls",
+        _CALLS,
+        (
+            Subject("ours", "call-inline"),
+            Subject("ours, known", "call-known"),
+            peer("UP-ESB", "esb-row"),
+            peer("py_trees", "trees-row"),
+            peer("SMACH", "smach-row"),
+        ),
+    ),
+    Row(
+        "A checked call, asynchronous, in a row",
+        "The same with an action that is done in the next round of the event loop; py_trees with leaves that run for a tick.",
+        "µs",
+        "calls",
+        _CALLS,
+        (
+            Subject("ours", "call-asynchronous"),
+            peer("py_trees", "trees-running"),
+            floor("asyncio tasks", "tasks-row"),
+        ),
+    ),
+    Row(
+        "A checked call, in parallel",
+        "All calls at once. SMACH starts a thread for each; UP-ESB has none of this.",
+        "µs",
+        "calls",
+        (1_000,),
+        (
+            Subject("ours", "calls-parallel"),
+            peer("py_trees", "trees-parallel"),
+            peer("SMACH", "smach-parallel"),
+            floor("asyncio tasks", "tasks-parallel"),
+        ),
+    ),
+    Row(
+        "From a plan to what is executed, a call",
+        "Ours: causal links, net, proof of soundness, compilation. UP-ESB makes a graph in the order of the plan and proves nothing.",
+        "µs",
+        "calls",
+        (100, 1_000, 10_000),
+        (
+            Subject("ours", "machine"),
+            peer("UP-ESB", "esb-graph", does_less=True),
+            peer("unified-planning, partial order", "up-partial-order", does_less=True, largest=1_000),
+        ),
+        rounds=3,
+    ),
+    Row(
+        "A change of a fact",
+        "While so many calls with conditions over all are under way, one of which reads it. No peer here checks such conditions.",
+        "µs",
+        "conditions",
+        (100, 10_000),
+        (Subject("ours", "change"), floor("all conditions judged", "change-unindexed")),
+    ),
+    Row(
+        "Runs that want one resource, a call",
+        "Each hears of it whenever it may be free. No peer here shares resources among plans.",
+        "µs",
+        "runs",
+        (100, 1_000),
+        (Subject("ours", "resource"), floor("asyncio tasks, a lock", "locked")),
+        rounds=2,
+    ),
+    Row(
+        "From a failure to the first request of the new plan",
+        "Deliveries by simulated robots, of which one request in five fails, by the clock on the wall; the number is that of the problem. "
+        "UP-ESB does not execute the plan that its callback returns.",
+        "ms",
+        "problem",
+        (1, 2, 3),
+        (Subject("ours", "failure"), floor("of which the planner and its validation", "failure-planner")),
+        rounds=3,
+    ),
+    Row(
+        "From files to the first request, whole process",
+        "A tour of a mall (`problems/mall/p01.pddl`), by the clock on the wall. The others end with a plan, ours with a proved machine "
+        "that has begun.",
+        "ms",
+        "problem",
+        (1,),
+        (
+            Subject("ours", "first-request"),
+            Subject("kairos, the planner alone", "first-plan-kairos", does_less=True),
+            Subject("unified-planning with Aries", "first-plan-up", does_less=True),
+        ),
+    ),
+    Row(
+        "A goal over ROS 2",
+        "A server of rclpy that succeeds at once, in a process of its own; so many goals in flight; by the clock on the wall.",
+        "ms",
+        "in flight",
+        (1, 10, 100),
+        (Subject("ours", "ros-ours"), Subject("rclpy's ActionClient", "ros-bare")),
+        rounds=3,
+    ),
+)
+
+GATE: Final = (
+    ("engine-chain", 10_000),
+    ("engine-fork", 10_000),
+    ("run-chain", 1_000),
+    ("call-inline", 300),
+    ("call-known", 300),
+    ("call-asynchronous", 300),
+    ("calls-parallel", 300),
+    ("machine", 100),
+    ("machine", 1_000),
+    ("change", 1_000),
+    ("resource", 100),
+)
+"""Measures, with a size, that may not become much slower."""
