@@ -15,7 +15,7 @@ from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.journal import chosen_journal, errors_of_journals
 from planner_bridge.cli.options import FILE, Seconds, as_json_option, command, problem_in, searching
 from planner_bridge.explanations.answer import Answer, Known
-from planner_bridge.explanations.limited_search import TimeLimit
+from planner_bridge.explanations.limited_search import SECONDS, TimeLimit
 from planner_bridge.explanations.needed_call import why_call_of_plan
 from planner_bridge.explanations.new_plan import why_replanned
 from planner_bridge.explanations.no_plan import why_no_plan
@@ -47,7 +47,7 @@ _NARROW: Final = 40
 @click.option("--journal", metavar="FILE", help="file of a journal, or postgresql://…; with DOMAIN and PROBLEM, what is so in it counts")
 @click.option("--task", metavar="TASK", help="of a journal: its number, or how its id begins; by default the last that goes on")
 @click.option("--to", "last", type=click.IntRange(1), help="of a journal: the record up to which it is read")
-@click.option("--seconds", type=Seconds(0.1), default=10.0, show_default=True, help="for all searches together, at most")
+@click.option("--seconds", type=Seconds(0.1), default=SECONDS, show_default=True, help="for all searches together, at most")
 @as_json_option
 @command
 def why(
