@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
 import hmac
 import json
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
 
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
 from planner_bridge.view.control.channel import Channel
 from planner_bridge.view.control.commands import MAX_TEXT, Controlled
+
+if TYPE_CHECKING:
+    from planner_bridge.explanations.answer import Answer
 
 _MAX_BODY: Final = 4 * MAX_TEXT
 _TYPE: Final = "application/json"
@@ -31,6 +35,8 @@ class Control:
     what: Controlled
     token: str
     channel: Channel
+    turn: asyncio.Lock = field(default_factory=asyncio.Lock)
+    """Held while something is explained: one thing after the other."""
 
     async def look(self, request: Request) -> Response:
         """Answer with what may be controlled."""
@@ -52,7 +58,17 @@ class Control:
         except (ValueError, RecursionError):
             return _refused("expected a command as JSON", 400)
         reply = await self.channel.ask(command)
-        return JSONResponse(reply.as_json(), 409 if reply.refused else 200)
+        if reply.problem:
+            return JSONResponse({"answers": [answer.as_json() for answer in await self._explained(reply.problem)]})
+        told = {name: value for name, value in reply.as_json().items() if name != "problem"}
+        return JSONResponse(told, 409 if reply.refused else 200)
+
+    async def _explained(self, problem: str) -> tuple[Answer, ...]:
+        """Explain a problem: in this process, because that takes a processor, which the tasks need."""
+        from planner_bridge.explanations.goal_now import answered  # here, because it takes its time to import
+
+        async with self.turn:
+            return await asyncio.to_thread(answered, problem)
 
     def _refusal(self, request: Request) -> Response | None:
         if self.what is Controlled.NOTHING:

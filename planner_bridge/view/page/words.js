@@ -6,6 +6,8 @@ export const SIGNS = {
 };
 export const MARKS = { failure: "✕", replan: "↻", end: "■" };
 
+export const KNOWN = { sensed: "◉ sensed", assumed: "◌ assumed" };
+
 export function seconds(time, digits = 2) {
   return `${time.toFixed(digits)} s`;
 }
@@ -50,4 +52,10 @@ export function keepingFocus(draw) {
   const focused = document.activeElement;
   draw();
   if (focused?.isConnected && focused !== document.activeElement && focused !== document.body) focused.focus({ preventScroll: true });
+}
+
+// Answers to the question why, as trees.
+export function reasons(answers) {
+  return el("ul", { class: "why" }, ...answers.map((answer) => el("li", {}, answer.statement,
+    answer.known && answer.known !== "given" ? el("span", { class: "soft" }, ` [${answer.known}]`) : "", answer.reasons.length ? reasons(answer.reasons) : "")));
 }

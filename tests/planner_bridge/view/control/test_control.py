@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -14,6 +14,7 @@ from uuid import UUID, uuid4
 
 import pytest
 
+from planner_bridge.explanations.goal_now import packed
 from planner_bridge.view.control import operator
 from planner_bridge.view.control.commands import Controlled, Reply, read_command
 from planner_bridge.view.control.operator import Operator
@@ -23,6 +24,7 @@ from pnm.core.logic.computed_values import MISSING
 from pnm.errors import InputError
 from pnm.tasks import TaskState
 from tests.support.e2e.page.serving import asked
+from tests.support.pddl.explanations.doors import house
 from tests.support.tasks.fake_tasks import FakeTasks, FakeWorld
 
 
@@ -32,7 +34,7 @@ class ControlledPage:
 
     page: PageProcess
     tasks: FakeTasks
-    world: FakeWorld = field(default_factory=lambda: FakeWorld(KnowledgeBase()))
+    world: FakeWorld
 
     @property
     def token(self) -> str:
@@ -47,12 +49,12 @@ class ControlledPage:
 
 
 @asynccontextmanager
-async def page_with(what: Controlled, delivery: Path) -> AsyncIterator[ControlledPage]:
+async def page_with(what: Controlled, delivery: Path, world: FakeWorld | None = None) -> AsyncIterator[ControlledPage]:
     tasks = FakeTasks()
     page = await asyncio.to_thread(PageProcess, 0, what)
     try:
         page.follow(str(delivery))
-        controlled = ControlledPage(page, tasks)
+        controlled = ControlledPage(page, tasks, world or FakeWorld(KnowledgeBase()))
         page.operate(Operator(tasks, tasks, controlled.world if what is Controlled.NODE else None))
         yield controlled
     finally:
@@ -183,7 +185,7 @@ def test_when_the_tasks_are_over_that_is_said(delivery: Path) -> None:
         page.follow(str(delivery))
 
         async def send(command: object) -> tuple[int, dict[str, Any]]:
-            return await ControlledPage(page, FakeTasks()).send(command)
+            return await ControlledPage(page, FakeTasks(), FakeWorld(KnowledgeBase())).send(command)
 
         assert "nothing yet" in asyncio.run(send({"do": "pause"}))[1]["refused"]
 
@@ -226,6 +228,38 @@ def test_what_is_no_command_is_refused(command: object) -> None:
 def test_half_a_character_is_no_text(command: object) -> None:
     with pytest.raises(InputError, match="half of a character"):
         read_command(command)
+
+
+class HouseWorld(FakeWorld):
+    """A house with a door that is locked."""
+
+    async def pack(self, goal: str, /) -> str:
+        return "x" * 100_000 if goal == "(large)" else packed(house("(open door)" if goal == "(open)" else "(locked door)"))
+
+
+def test_why_a_goal_cannot_be_reached_is_a_tree_that_ends_at_the_closed_door(delivery: Path) -> None:
+    async def use() -> None:
+        async with page_with(Controlled.NODE, delivery, HouseWorld(KnowledgeBase())) as controlled:
+            status, told = await controlled.send({"do": "why", "goal": "(has r1 cup)"})
+            assert (status, [*told]) == (200, ["answers"])
+            reason, help_ = told["answers"]
+            assert reason["statement"] == "there is no plan: (has r1 cup) cannot be reached"
+            ends = [answer["statement"] for answer in every(reason) if not answer["reasons"]]
+            assert "(locked door) is true, and no action changes that" in ends
+            assert "if (locked door) were false: a plan with 4 calls" in [answer["statement"] for answer in every(help_)]
+            (plan,) = (await controlled.send({"do": "why", "goal": "(open)"}))[1]["answers"]
+            assert plan["statement"].startswith("there is a plan with ")
+            status, told = await controlled.send({"do": "why", "goal": "(large)"})
+            assert (status, "too large to be explained here" in told["refused"]) == (409, True)
+            assert (await controlled.send({"do": "why", "goal": ""}, Authorization="Bearer wrong"))[0] == 403
+
+    asyncio.run(use())
+
+
+def every(answer: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    yield answer
+    for reason in answer["reasons"]:
+        yield from every(reason)
 
 
 def test_a_refusal_that_takes_its_time_is_no_consent(monkeypatch: pytest.MonkeyPatch) -> None:
