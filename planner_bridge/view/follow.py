@@ -26,7 +26,7 @@ from pnm.journal.replay import Replay
 from pnm.journal.resume import steps_after
 from pnm.journal.store import KeptJournal
 
-PERIOD: Final = 0.05
+PERIOD: Final = 0.1
 """Seconds between two looks into a journal that has grown: no browser gets more frames."""
 _IDLE: Final = 0.25
 """Seconds between two looks into one that has not."""

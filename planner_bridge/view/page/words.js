@@ -42,6 +42,20 @@ function filled(element, attributes, children) {
   return element;
 }
 
+// Has a place hold these elements in this order; those that are where they belong are not touched.
+export function placed(place, elements) {
+  let next = place.firstChild;
+  for (const element of elements) {
+    if (element === next) next = next.nextSibling;
+    else place.insertBefore(element, next);
+  }
+  while (next) {
+    const last = next;
+    next = next.nextSibling;
+    last.remove();
+  }
+}
+
 export function state(name, text = words(name)) {
   const sign = SIGNS[name];
   return el("span", { class: "state", "data-state": name }, sign ? `${sign} ${text}` : text);
