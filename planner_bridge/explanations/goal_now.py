@@ -5,14 +5,19 @@ from __future__ import annotations
 import base64
 import pickle
 import zlib
+from collections.abc import Iterable
 
 from planner_bridge.explanations.answer import Answer
 from planner_bridge.explanations.limited_search import SECONDS, TimeLimit
 from planner_bridge.explanations.no_plan import why_no_plan
 from planner_bridge.explanations.plan_overview import why_plan
 from planner_bridge.explanations.smallest_change import what_would_help
+from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.plan import PlanningResult
+from planner_bridge.model.plan_simulation import projected_state, snapshot
 from planner_bridge.model.problem import Problem
+from pnm.core.execution.handover import UnderWay
+from pnm.core.knowledge_base import KnowledgeBase
 
 
 def packed(problem: Problem) -> str:
@@ -27,9 +32,21 @@ def unpacked(text: str) -> Problem:
     return problem
 
 
-def answered(text: str) -> tuple[Answer, ...]:
-    """Return the answers about the goal of a problem that was packed."""
-    problem, limit = unpacked(text), TimeLimit.of(SECONDS)
+def settled(world: KnowledgeBase, under_way: Iterable[Iterable[UnderWay]]) -> KnowledgeBase:
+    """Return the world as it will be when the calls of every run have ended; while a robot moves, say, it is nowhere.
+
+    Raises:
+        NotProjectable: one of them cannot end.
+    """
+    world = snapshot(world)
+    for calls in under_way:
+        world = projected_state(world, calls)
+    return world
+
+
+def answered(text: str, world: KnowledgeBase) -> tuple[Answer, ...]:
+    """Return the answers about the goal of a problem that was packed, from a world."""
+    problem, limit = problem_now(unpacked(text), world), TimeLimit.of(SECONDS)
     return why_goal(problem, limit.first_plan(problem), limit)
 
 

@@ -171,7 +171,11 @@ class DeadEnds:
 
 def _short(condition: Condition) -> str:
     """Return the text of a condition; of a long one the beginning."""
-    text = str(condition)
+    match condition:
+        case Compare("=", left, right) if left == right:
+            text = f"a value of {left}"
+        case _:
+            text = str(condition)
     return text if len(text) <= _LONG else f"{text[: _LONG - 1]}…"
 
 

@@ -148,7 +148,7 @@ class Feed:
         """Yield the view after the last record, and again when it has changed: whoever takes long misses those in between."""
         self._watching += 1
         try:
-            self._set(await self._newest())
+            self._set(await self.newest())
             if self._reading is None or self._reading.done():
                 self._reading = asyncio.create_task(self._read())
             seen = None
@@ -175,10 +175,10 @@ class Feed:
 
     async def _read(self) -> None:
         while not self._is_broken:
-            is_news = self._set(await self._newest())
+            is_news = self._set(await self.newest())
             await asyncio.sleep(PERIOD if is_news else _IDLE)
 
-    async def _newest(self) -> View:
+    async def newest(self) -> View:
         """Return what is shown after the last record; if that cannot be told by a fault of ours, why, and that is the end of it."""
         try:
             view = await asyncio.to_thread(self._reader.newest)

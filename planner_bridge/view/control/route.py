@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import hmac
 import json
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
@@ -13,9 +14,11 @@ from starlette.responses import JSONResponse, Response
 
 from planner_bridge.view.control.channel import Channel
 from planner_bridge.view.control.commands import MAX_TEXT, Controlled
+from pnm.errors import PnmError
 
 if TYPE_CHECKING:
     from planner_bridge.explanations.answer import Answer
+    from pnm.core.knowledge_base import KnowledgeBase
 
 _MAX_BODY: Final = 4 * MAX_TEXT
 _TYPE: Final = "application/json"
@@ -42,8 +45,8 @@ class Control:
         """Answer with what may be controlled."""
         return self._refusal(request) or JSONResponse({"what": self.what.value})
 
-    async def do(self, request: Request) -> Response:
-        """Have a command carried out, and answer with the reply."""
+    async def do(self, request: Request, world: Callable[[], Awaitable[KnowledgeBase]]) -> Response:
+        """Have a command carried out, and answer with the reply; what is explained is explained from a world."""
         if refusal := self._refusal(request):
             return refusal
         if request.headers.get("content-type", "").partition(";")[0].strip() != _TYPE:
@@ -59,16 +62,19 @@ class Control:
             return _refused("expected a command as JSON", 400)
         reply = await self.channel.ask(command)
         if reply.problem:
-            return JSONResponse({"answers": [answer.as_json() for answer in await self._explained(reply.problem)]})
+            try:
+                return JSONResponse({"answers": [answer.as_json() for answer in await self._explained(reply.problem, world)]})
+            except PnmError as error:
+                return _refused(str(error), 409)
         told = {name: value for name, value in reply.as_json().items() if name != "problem"}
         return JSONResponse(told, 409 if reply.refused else 200)
 
-    async def _explained(self, problem: str) -> tuple[Answer, ...]:
+    async def _explained(self, problem: str, world: Callable[[], Awaitable[KnowledgeBase]]) -> tuple[Answer, ...]:
         """Explain a problem: in this process, because that takes a processor, which the tasks need."""
         from planner_bridge.explanations.goal_now import answered  # here, because it takes its time to import
 
         async with self.turn:
-            return await asyncio.to_thread(answered, problem)
+            return await asyncio.to_thread(answered, problem, await world())
 
     def _refusal(self, request: Request) -> Response | None:
         if self.what is Controlled.NOTHING:

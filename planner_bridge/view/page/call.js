@@ -42,7 +42,7 @@ function show(model, key, detail, isNow) {
   const blocks = [block("", ...about), ...troubles.map((trouble) => block("", trouble)), attempts.length ? block("Attempts", sent) : ""];
   if (detail) {
     blocks.push(block("Waits for", detail.waits_for.length ? waits(detail.waits_for, true) : el("p", { class: "soft" }, "nothing: it may start as soon as its conditions hold")));
-    if (detail.checks.length) blocks.push(block("Conditions", checksOf(model, detail.checks, isNow)));
+    if (detail.checks.length) blocks.push(block("Conditions", checksOf(model, call, detail.checks, isNow)));
     if (detail.effects.length) blocks.push(block("Effects", list(detail.effects)));
     if (detail.needed_by.length) blocks.push(block("Needed by", waits(detail.needed_by, false)));
     if (detail.recoveries.length) blocks.push(block("Recoveries", list(detail.recoveries)));
@@ -118,13 +118,14 @@ function waits(list, hasSigns) {
 }
 
 // The conditions, each with the facts that it reads: their values, how they are known, and for how long they have been so.
-function checksOf(model, checks, isNow) {
+function checksOf(model, call, checks, isNow) {
   const sign = { true: "✓ true", false: "✕ false", unknown: "? unknown" };
+  const isPast = (check) => check.when === "before it starts" && call.started !== null; // it has been looked at, and says nothing any more
   return el("table", { class: "checks" }, el("thead", {}, el("tr", {}, ...["when", "condition", "now"].map((text) => el("th", { scope: "col" }, text)))),
     el("tbody", {}, ...checks.map((check) => el("tr", { "data-truth": check.truth },
-      el("td", { class: "soft" }, check.when),
+      el("td", { class: "soft" }, isPast(check) ? "before it started" : check.when),
       el("td", {}, check.text, el("ul", { class: "reads" }, ...readsOf(model, check, isNow))),
-      el("td", { class: "num" }, sign[check.truth])))));
+      el("td", { class: isPast(check) ? "num soft" : "num" }, isPast(check) ? `now ${check.truth}` : sign[check.truth])))));
 }
 
 function readsOf(model, check, isNow) {

@@ -107,7 +107,8 @@ async function explained(text, button, place) {
   place.replaceChildren(el("p", { class: "soft" }, "looks for a plan …"));
   try {
     const reply = await asked("POST", { do: "why", goal: text });
-    place.replaceChildren(reply.refused ? el("p", { class: "bad" }, `✕ ${whereIn(reply)}${reply.refused}`) : reasons(reply.answers));
+    if (reply.refused) place.replaceChildren(el("p", { class: "bad" }, `✕ ${whereIn(reply)}${reply.refused}`));
+    else place.replaceChildren(el("p", { class: "soft" }, "from what is so when all that runs now has come to its end:"), reasons(reply.answers));
   } catch {
     place.replaceChildren(el("p", { class: "bad" }, "✕ the page is not there any more"));
   }

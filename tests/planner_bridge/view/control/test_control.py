@@ -6,7 +6,7 @@ import asyncio
 import json
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -15,16 +15,21 @@ from uuid import UUID, uuid4
 import pytest
 
 from planner_bridge.explanations.goal_now import packed
+from planner_bridge.pipeline.loading import load
 from planner_bridge.view.control import operator
 from planner_bridge.view.control.commands import Controlled, Reply, read_command
 from planner_bridge.view.control.operator import Operator
 from planner_bridge.view.process import PageProcess
-from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.knowledge_base import KnowledgeBase, parse_fluent
 from pnm.core.logic.computed_values import MISSING
+from pnm.core.logic.conditions import Holds
+from pnm.core.machine.requests import Accepted, Feedback
 from pnm.errors import InputError
+from pnm.journal.records import Happened
 from pnm.tasks import TaskState
+from tests.support.e2e.page.journals import GrowingJournal, steps
 from tests.support.e2e.page.serving import asked
-from tests.support.pddl.explanations.doors import house
+from tests.support.files import ROOT
 from tests.support.tasks.fake_tasks import FakeTasks, FakeWorld
 
 
@@ -230,28 +235,44 @@ def test_half_a_character_is_no_text(command: object) -> None:
         read_command(command)
 
 
-class HouseWorld(FakeWorld):
-    """A house with a door that is locked."""
+class DeliveryWorld(FakeWorld):
+    """The world of the deliveries that the journal tells of."""
 
     async def pack(self, goal: str, /) -> str:
-        return "x" * 100_000 if goal == "(large)" else packed(house("(open door)" if goal == "(open)" else "(locked door)"))
+        problem = load(ROOT / "domains" / "delivery" / "domain.pddl", ROOT / "problems" / "delivery" / "p01.pddl")
+        return "x" * 100_000 if goal == "(large)" else packed(replace(problem, goal=Holds(parse_fluent(goal))))
 
 
 def test_why_a_goal_cannot_be_reached_is_a_tree_that_ends_at_the_closed_door(delivery: Path) -> None:
     async def use() -> None:
-        async with page_with(Controlled.NODE, delivery, HouseWorld(KnowledgeBase())) as controlled:
-            status, told = await controlled.send({"do": "why", "goal": "(has r1 cup)"})
+        async with page_with(Controlled.NODE, delivery, DeliveryWorld(KnowledgeBase())) as controlled:
+            status, told = await controlled.send({"do": "why", "goal": "(at parcel1 yard)"})
             assert (status, [*told]) == (200, ["answers"])
             reason, help_ = told["answers"]
-            assert reason["statement"] == "there is no plan: (has r1 cup) cannot be reached"
+            assert reason["statement"] == "there is no plan: (at parcel1 yard) cannot be reached"
             ends = [answer["statement"] for answer in every(reason) if not answer["reasons"]]
-            assert "(locked door) is true, and no action changes that" in ends
-            assert "if (locked door) were false: a plan with 4 calls" in [answer["statement"] for answer in every(help_)]
-            (plan,) = (await controlled.send({"do": "why", "goal": "(open)"}))[1]["answers"]
-            assert plan["statement"].startswith("there is a plan with ")
+            assert "(takes_parcels yard) is false, and no action changes that" in ends
+            assert any("(takes_parcels yard) were true: a plan with" in answer["statement"] for answer in every(help_))
             status, told = await controlled.send({"do": "why", "goal": "(large)"})
             assert (status, "too large to be explained here" in told["refused"]) == (409, True)
             assert (await controlled.send({"do": "why", "goal": ""}, Authorization="Bearer wrong"))[0] == 403
+
+    asyncio.run(use())
+
+
+def test_what_is_explained_counts_on_what_is_under_way(delivery: Path, growing: GrowingJournal) -> None:
+    """While a robot moves it is nowhere, so that it could never be anywhere again."""
+    moving = next(
+        step.number
+        for step in steps(delivery)
+        if isinstance(step.record, Happened) and isinstance(step.record.event, Feedback | Accepted) and step.time > 4.0
+    )
+    growing.grow(moving)
+
+    async def use() -> None:
+        async with page_with(Controlled.NODE, growing.place, DeliveryWorld(KnowledgeBase())) as controlled:
+            (plan,) = (await controlled.send({"do": "why", "goal": "(at r1 yard)"}))[1]["answers"]
+            assert plan["statement"].startswith("there is a plan with ")
 
     asyncio.run(use())
 
