@@ -382,6 +382,9 @@ class ServedWorld(Protocol):
     async def check_goal(self, goal: str, /) -> None:
         """Say what is wrong with the goal of a task, if something is."""
 
+    async def pack(self, goal: str, /) -> str:
+        """Return the problem as the world is now, with this goal, as a text for another process of the same program."""
+
     async def update(self, add: Sequence[str], remove: Sequence[str], forget: Sequence[str], /) -> int:
         """Record all of it at once or nothing; return how many of the facts were not known to be so before."""
 

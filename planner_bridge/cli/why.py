@@ -15,15 +15,13 @@ from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.journal import chosen_journal, errors_of_journals
 from planner_bridge.cli.options import FILE, Seconds, as_json_option, command, problem_in, searching
 from planner_bridge.explanations.answer import Answer, Known
-from planner_bridge.explanations.limited_search import TimeLimit
+from planner_bridge.explanations.goal_now import why_goal
+from planner_bridge.explanations.limited_search import SECONDS, TimeLimit
 from planner_bridge.explanations.needed_call import why_call_of_plan
 from planner_bridge.explanations.new_plan import why_replanned
-from planner_bridge.explanations.no_plan import why_no_plan
 from planner_bridge.explanations.other_action import why_not
-from planner_bridge.explanations.plan_overview import why_plan
 from planner_bridge.explanations.run_history import JournalHistory
 from planner_bridge.explanations.run_questions import call_meant, task_meant, why_call_of_run, why_so
-from planner_bridge.explanations.smallest_change import what_would_help
 from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.plan_simulation import NotProjectable, projected_state
@@ -47,7 +45,7 @@ _NARROW: Final = 40
 @click.option("--journal", metavar="FILE", help="file of a journal, or postgresql://…; with DOMAIN and PROBLEM, what is so in it counts")
 @click.option("--task", metavar="TASK", help="of a journal: its number, or how its id begins; by default the last that goes on")
 @click.option("--to", "last", type=click.IntRange(1), help="of a journal: the record up to which it is read")
-@click.option("--seconds", type=Seconds(0.1), default=10.0, show_default=True, help="for all searches together, at most")
+@click.option("--seconds", type=Seconds(0.1), default=SECONDS, show_default=True, help="for all searches together, at most")
 @as_json_option
 @command
 def why(
@@ -97,11 +95,8 @@ def _of_problem(problem: Problem, called: str | None, other: str | None, seconds
         found = limit.first_plan(problem, improve=_IMPROVE)
         if unwanted is not None:
             return [why_not(problem, unwanted, found, limit)]
-        if found.plan is None:
-            reason = why_no_plan(problem, found, limit)
-            return [reason, what_would_help(problem, limit, reason)]
-        if called is None:
-            return [why_plan(problem, found.plan)]
+        if found.plan is None or called is None:
+            return why_goal(problem, found, limit)
         return [why_call_of_plan(problem, found.plan, _number(found.plan, called, wanted))]
 
 

@@ -15,7 +15,7 @@ from planner_bridge.explanations.answer import Answer, Known, Solves, Unsolvable
 from planner_bridge.explanations.limited_search import TimeLimit
 from planner_bridge.model.plan import PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
-from planner_bridge.planning.reachability import Achiever, Literal, Reachability, TooLarge, literal_of
+from planner_bridge.planning.reachability import Achiever, Literal, Reachability, literal_of
 from pnm.core.logic.conditions import All, Compare, Condition, Not, conjunction, conjuncts, fluents, ground
 from pnm.core.logic.expressions import NOTHING, Environment, fluent_text
 
@@ -37,11 +37,11 @@ def why_no_plan(problem: Problem, found: PlanningResult, limit: TimeLimit) -> An
         found: what a planner has said about it.
         limit: until when to look further.
     """
-    if dead_ends := _unreachable(problem):
+    if dead_ends := _unreachable(problem, limit):
         text = listed([str(part) for part, _ in dead_ends])
         reasons = tuple(answer for _, answer in dead_ends)
         return Answer(f"there is no plan: {text} cannot be reached", Known.RELAXATION, reasons, (Unsolvable(problem),))
-    if problem.unknown and (blocked := _unreachable(replace(problem, unknown=frozenset()))):
+    if problem.unknown and (blocked := _unreachable(replace(problem, unknown=frozenset()), limit)):
         facts = listed(sorted(map(fluent_text, problem.unknown)))
         text = f"no plan was found: {facts} {'are' if len(problem.unknown) > 1 else 'is'} unknown, and counted as false"
         return Answer(text, Known.NOT_PROVED, tuple(_as_known(answer) for _, answer in blocked))
@@ -58,22 +58,17 @@ def _as_known(answer: Answer) -> Answer:
 # --- what cannot be reached ------------------------------------------------------------------------
 
 
-def _unreachable(problem: Problem) -> list[tuple[Condition, Answer]]:
-    """Return the parts of the goal that cannot be reached, with the reasons; none if the problem is too large to be looked at."""
-    reachability = Reachability(problem, problem.unknown)
-    try:
-        reachability.settle(problem.goal)
-        parts = [part for part in conjuncts(problem.goal) if reachability.of(part)]
-        tree = DeadEnds(problem, reachability)
-        return [(part, tree.why(part)) for part in parts]
-    except TooLarge:
+def _unreachable(problem: Problem, limit: TimeLimit) -> list[tuple[Condition, Answer]]:
+    """Return the parts of the goal that cannot be reached, with the reasons; none if that is not found out."""
+    if (reachability := limit.reached(problem)) is None:
         return []
+    tree = DeadEnds(problem, reachability)
+    return [(part, tree.why(part)) for part in conjuncts(problem.goal) if reachability.of(part)]
 
 
-def why_unreachable(problem: Problem, condition: Condition) -> Answer | None:
+def why_unreachable(problem: Problem, condition: Condition, limit: TimeLimit) -> Answer | None:
     """Return why a condition can never come true; None if it can, as far as reachability shows."""
-    asked = replace(problem, goal=condition, constraints=())
-    dead_ends = _unreachable(asked)
+    dead_ends = _unreachable(replace(problem, goal=condition, constraints=()), limit)
     return Answer(f"{condition} can never be true", Known.RELAXATION, tuple(answer for _, answer in dead_ends)) if dead_ends else None
 
 
@@ -176,7 +171,11 @@ class DeadEnds:
 
 def _short(condition: Condition) -> str:
     """Return the text of a condition; of a long one the beginning."""
-    text = str(condition)
+    match condition:
+        case Compare("=", left, right) if left == right:
+            text = f"a value of {left}"
+        case _:
+            text = str(condition)
     return text if len(text) <= _LONG else f"{text[: _LONG - 1]}…"
 
 

@@ -88,7 +88,7 @@ def why_not(problem: Problem, action: PlanStep, found: PlanningResult, limit: Ti
     if found.plan and (numbers := [number for number, step in enumerate(found.plan.steps) if (step.action, step.arguments) == same]):
         return Answer(f"the plan does use {action}: it is call #{numbers[0]}", Known.PLAN, (), (Solves(problem, found.plan),))
     asked = Forced.of(problem, action)
-    if never := why_unreachable(asked.problem, Holds(asked.fact)):
+    if never := why_unreachable(asked.problem, Holds(asked.fact), limit):
         closed = never.reasons[0].reasons  # of the fact, whose only way is the copy
         claim = Unsolvable(replace(asked.problem, goal=Holds(asked.fact), constraints=()))
         return Answer(f"{action} can never be carried out", Known.RELAXATION, closed[0].reasons if closed else (), (claim,))

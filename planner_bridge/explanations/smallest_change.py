@@ -47,12 +47,8 @@ def changed(problem: Problem, change: Iterable[Literal]) -> Problem:
     return replace(problem, init=init, unknown=problem.unknown - known)
 
 
-def goal_facts(problem: Problem) -> frozenset[Fluent]:
-    """Return the facts that the goal itself asks for, which are not changed: that would be no answer."""
-    return frozenset(_facts_in(Reachability(problem, problem.unknown), problem.goal))
-
-
 def _facts_in(reachability: Reachability, condition: Condition, env: Environment = NOTHING, truth: bool = True) -> Iterator[Fluent]:
+    """Yield the facts that the goal itself asks for, which are not changed: that would be no answer."""
     if literal := literal_of(condition, env, truth):
         if isinstance(literal.subject, tuple):
             yield literal.subject
@@ -81,6 +77,8 @@ class Labels:
                 if limit.is_over:
                     self.is_complete = False
                     return found
+                if self.of_literal[literal] == _NONE:
+                    continue  # it needs no change
                 ways = [self.of(achiever.condition, achiever.env) for achiever in self.reachability.way(literal).achievers]
                 labels = self._least(self.of_literal[literal].union(*ways))
                 if labels != self.of_literal[literal]:
@@ -131,18 +129,18 @@ def what_would_help(problem: Problem, limit: TimeLimit, reason: Answer) -> Answe
         limit: until when to look.
         reason: why it has none.
     """
-    reachability = Reachability(problem, problem.unknown)
-    try:
-        reachability.settle(problem.goal)
-    except TooLarge:
+    if (reachability := limit.reached(problem)) is None:
         return Answer("what would help was not looked for: the problem is too large", Known.NOT_PROVED)
-    fixed, proved, is_exhaustive = goal_facts(problem), 0, reason.known.is_certain
+    fixed, proved, is_exhaustive = frozenset(_facts_in(reachability, problem.goal)), 0, reason.known.is_certain
     for size in range(1, _MOST + 1):
         labels = Labels(reachability, fixed, size)
         of_goal = labels.settle(problem.goal, TimeLimit.of(limit.left * _FOR_LABELS))
         is_reachable = frozenset() in of_goal  # if nothing were undone: then any fact may be the one
         facts = (frozenset({literal}) for literal in _facts(problem, reachability, fixed)) if is_reachable else of_goal
-        candidates = sorted((label for label in facts if len(label) == size), key=_Rank(reachability))
+        try:
+            candidates = sorted((label for label in facts if len(label) == size), key=_Rank(reachability))
+        except TooLarge:
+            return Answer("what would help was not looked for: there are too many facts", Known.NOT_PROVED)
         tried = _try(problem, candidates, limit)
         if tried.found:
             return _helps(problem, size, tried, reason.known if proved == size - 1 else Known.NOT_PROVED)

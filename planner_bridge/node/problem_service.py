@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
+from planner_bridge.explanations.goal_now import packed
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan_simulation import snapshot
 from planner_bridge.model.plan_world import with_names_of, world_of_plans
@@ -141,6 +143,12 @@ class ServedProblem:
     async def check_goal(self, goal: str, /) -> None:
         """Read a goal; raise an `InputError` if it is none."""
         await asyncio.to_thread(self._loaded.read_goal, goal)
+
+    async def pack(self, goal: str, /) -> str:
+        """Return the problem as the world is now, with this goal, for another process."""
+        async with self._turn:
+            world = self._loaded.problem_world.over(snapshot(self._loaded.knowledge))
+            return await asyncio.to_thread(lambda: packed(replace(world.current_problem(), goal=world.read_goal(goal))))
 
     async def update(self, add: Sequence[str], remove: Sequence[str], forget: Sequence[str], /) -> int:
         """Record all changes or none; return how many facts changed."""

@@ -8,9 +8,12 @@ can be reached.
 
 from __future__ import annotations
 
+import time
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
+from math import inf
 from typing import Final, NamedTuple, TypeAlias
 
 from planner_bridge.model.grounding import dynamic_names, initial_knowledge
@@ -38,7 +41,7 @@ from pnm.core.logic.expressions import (
 
 MAY_BE_UNSET: Final = "total-cost"
 """The number that actions may change although it has no value."""
-_LIMIT: Final = 20_000
+MOST_ACTIONS: Final = 20_000
 """Ground actions that are looked at."""
 _STEPS: Final = 500_000
 """Parts of conditions, and what they lack, that are looked at: some seconds, whatever the problem is like."""
@@ -47,7 +50,7 @@ _FAR: Final = range(1000, 500, -1)
 
 
 class TooLarge(Exception):
-    """There are more ground actions than can be looked at, or more ways to them."""
+    """There are more ground actions than can be looked at, or more ways to them, or it would take too long."""
 
 
 Lack: TypeAlias = frozenset[Condition]
@@ -82,6 +85,17 @@ class Way:
     lack: Lack
     achievers: list[Achiever]
     by: Achiever | None = None
+    needed_by: dict[_Use, None] = field(default_factory=dict)
+    """What is looked at again when it lacks less."""
+
+
+@dataclass(eq=False, slots=True)
+class _Use:
+    """An achiever of a literal that is looked at for it, and whether it waits for that: mutable state."""
+
+    way: Way
+    achiever: Achiever
+    is_waiting: bool = True
 
 
 _Part: TypeAlias = tuple[Condition, Environment, bool]
@@ -104,29 +118,46 @@ class Reachability:
         timed = [pair for change in problem.timed for pair in change.changes.items()]
         self._timed = {(fluent, truth) for fluent, value in timed for truth in ({value} if isinstance(value, bool) else (True, False))}
         self._in_tables = {fluent[0] for fluent in problem.init}
+        self._changes = defaultdict[str, list[_Change]](list)
+        """What actions do, by the name of the fluent."""
+        for change in _changes(problem):
+            self._changes[change.effect.fluent[0]].append(change)
         self._ways: dict[Literal, Way] = {}
-        self._count = 0
+        self._waiting = deque[_Use]()
+        self._use: _Use | None = None
+        """What is looked at."""
+        self.count = 0
         self._steps = 0
 
-    def settle(self, goal: Condition) -> None:
-        """Work the lacks out: each only ever gets cheaper; raise `TooLarge` if that takes too long."""
+    def settle(self, goal: Condition, until: float = inf) -> None:
+        """Work the lacks out: each only ever gets cheaper, and then so may what needs it.
+
+        Raises:
+            TooLarge: that takes too long: until a time on the monotonic clock, at most.
+        """
         self.of(goal)
-        is_settled = False
-        while not is_settled:
-            known, is_settled = [*self._ways.values()], True
-            for way in known:
-                for achiever in way.achievers:
-                    lack = self.of(achiever.condition, achiever.env)
-                    if self._steps > _STEPS:
-                        raise TooLarge
-                    if self.cost(lack) < self.cost(way.lack):
-                        way.lack, way.by, is_settled = lack, achiever, False
-            is_settled = is_settled and len(known) == len(self._ways)
+        while self._waiting:
+            self._use = use = self._waiting.popleft()
+            use.is_waiting, way = False, use.way
+            if way.lack:
+                lack = self.of(use.achiever.condition, use.achiever.env)
+                if self._steps > _STEPS or time.monotonic() > until:
+                    raise TooLarge
+                if self.cost(lack) < self.cost(way.lack):
+                    way.lack, way.by = lack, use.achiever
+                    again = [other for other in way.needed_by if not other.is_waiting and other.way.lack]
+                    for other in again:
+                        other.is_waiting = True
+                    self._waiting += again
+        self._use = None
 
     def of(self, condition: Condition, env: Environment = NOTHING, truth: bool = True) -> Lack:
         """Return the cheapest lack of the condition, or of its opposite; empty if it can be reached."""
         if literal := literal_of(condition, env, truth):
-            return self.way(literal).lack
+            way = self.way(literal)
+            if self._use and way.lack:
+                way.needed_by[self._use] = None
+            return way.lack
         parts, is_every = self.parts(condition, env, truth)
         lacks = [self.of(*part) for part in parts]
         self._steps += 1 + sum(map(len, lacks))
@@ -169,6 +200,7 @@ class Reachability:
                 way.achievers += self.achievers(literal)
                 way.weight = self.weight(literal)
                 way.lack = frozenset({literal.condition})
+                self._waiting += [_Use(way, achiever) for achiever in way.achievers]
         return self._ways[literal]
 
     def weight(self, literal: Literal) -> int:
@@ -212,19 +244,13 @@ class Reachability:
 
     def actions(self, fluent: Fluent, helps: Callable[[Assignment, Environment], bool]) -> Iterator[Achiever]:
         """Yield the ground actions with an effect on the fluent that helps."""
-        for schema in self._problem.domain.actions.values():
-            at_end, defined = All((schema.precondition, schema.invariant, schema.end_condition)), _defined(schema)
-            for effects, needed in ((schema.start_effects, schema.precondition), (schema.end_effects, at_end)):
-                for effect in assignments(effects, schema.parameters):
-                    if effect.fluent[0] != fluent[0]:
-                        continue
-                    for env in self.matches(effect.fluent, fluent, (*schema.parameters, *effect.variables)):
-                        self._count += 1
-                        if self._count > _LIMIT:
-                            raise TooLarge
-                        if helps(effect, env):
-                            name = f"{schema.name}({', '.join(str(env[variable.name]) for variable in schema.parameters)})"
-                            yield Achiever(name, All((needed, effect.condition, *defined)), env)
+        for schema, effect, condition in self._changes[fluent[0]]:
+            for env in self.matches(effect.fluent, fluent, (*schema.parameters, *effect.variables)):
+                self.count += 1
+                if self.count > MOST_ACTIONS:
+                    raise TooLarge
+                if helps(effect, env):
+                    yield Achiever(f"{schema.name}({', '.join(str(env[variable.name]) for variable in schema.parameters)})", condition, env)
 
     def matches(self, pattern: Fluent, fluent: Fluent, variables: tuple[Variable, ...]) -> Iterator[Environment]:
         """Yield the choices of objects for the variables with which the pattern is the fluent."""
@@ -261,6 +287,23 @@ class Reachability:
         """Return whether nothing brings the condition about, or nobody knows whether it holds."""
         literal = literal_of(lack)
         return literal is None or not self.way(literal).achievers or bool(self._problem.unknown & fluents(lack, self.state))
+
+
+class _Change(NamedTuple):
+    """An effect of an action, and what it takes."""
+
+    schema: ActionSchema
+    effect: Assignment
+    condition: Condition
+
+
+def _changes(problem: Problem) -> Iterator[_Change]:
+    """Yield what actions do."""
+    for schema in problem.domain.actions.values():
+        at_end, defined = All((schema.precondition, schema.invariant, schema.end_condition)), _defined(schema)
+        for effects, needed in ((schema.start_effects, schema.precondition), (schema.end_effects, at_end)):
+            for effect in assignments(effects, schema.parameters):
+                yield _Change(schema, effect, All((needed, effect.condition, *defined)))
 
 
 def _defined(schema: ActionSchema) -> tuple[Condition, ...]:

@@ -326,6 +326,9 @@ class TrajectoryNote:
     progress: tuple[ConstraintProgress, ...] = ()
     violations: Mapping[int, Violation] = field(default_factory=dict)
 
+    def __str__(self) -> str:
+        return "noted how far the trajectory constraints are fulfilled"
+
 
 _NOTES: Final = (GoalNote, TrajectoryNote, Violation, HelpAsked, HelpEnded)
 TASKS: Final = RECORDS.including((*_NOTES, *value_classes(replanning, forbidden_actions, trajectory)))

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import secrets
 import sys
 import threading
 from contextlib import suppress
+from typing import Final
 
 from planner_bridge.view.control.channel import Channel
 from planner_bridge.view.control.commands import Controlled
@@ -15,9 +17,13 @@ from planner_bridge.view.serving import listening, serve_page, url_of
 from pnm.errors import InputError
 from pnm.files.database.place import place_of
 
+_NICE: Final = 10
+"""How much this process makes way for others: what drives robots comes first on a busy machine."""
+
 
 def main() -> int:
     """Say where the page is, or what is wrong; read which journal it shows; serve until whoever writes that has gone."""
+    os.nice(_NICE)
     controlled = Controlled(sys.argv[2])
     try:
         opened = listening(int(sys.argv[1]))

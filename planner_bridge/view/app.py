@@ -29,8 +29,9 @@ from planner_bridge.view.frames import frame
 from planner_bridge.view.shown import View
 from planner_bridge.view.story import Story
 from planner_bridge.view.view import view_of
+from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.pictures.plan_picture import plan_svg
-from pnm.errors import PnmError
+from pnm.errors import InputError, PnmError
 from pnm.files.database.place import Place
 
 PAGE: Final = Path(__file__).parent / "page"
@@ -73,6 +74,7 @@ class ViewApp:
         self._place = place
         self._feed = feed
         self._past = past
+        self._control = control
         self._key = uuid4().hex
         """Of this journal as this process reads it: numbers of records that a browser has from elsewhere mean nothing here."""
         routes = [
@@ -83,7 +85,7 @@ class ViewApp:
             Route("/picture", self._picture),
             Route("/events", self._events),
             Route("/control", control.look),
-            Route("/control", control.do, methods=["POST"]),
+            Route("/control", self._do, methods=["POST"]),
             Mount("/page", StaticFiles(directory=PAGE)),
         ]
         self.asgi: Final = _Guarded(Starlette(routes=routes))
@@ -119,6 +121,23 @@ class ViewApp:
             return JSONResponse([answer.as_json() for answer in explained(self._place, about.task, about.call, about.number)])
 
         return await self._told_of_call(request, asked, answered)
+
+    async def _do(self, request: Request) -> Response:
+        """Have a command carried out."""
+        return await self._control.do(request, self._settled)
+
+    async def _settled(self) -> KnowledgeBase:
+        """Return the world as it will be when what is under way has ended."""
+        from planner_bridge.explanations.goal_now import settled  # here, because it takes its time to import
+
+        def told(story: Story) -> KnowledgeBase:
+            runs = [run.replayed.run.under_way() for run in story.runs.values() if not run.is_over]
+            return settled(story.replay.world, runs)
+
+        world = await self._feed.asked((await self._feed.newest()).number, told, self._past)
+        if world is None:
+            raise InputError("nothing is known yet of the world")
+        return world
 
     async def _told_of_call(
         self, request: Request, tell: Callable[[Story, UUID, int], T | None], response: Callable[[T], Response] = JSONResponse

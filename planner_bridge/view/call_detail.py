@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import isfinite
+from typing import Final
 
-from planner_bridge.view.story import RunStory, Story
+from planner_bridge.view.story import RunStory, Story, value_words
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.logic.computed_values import Unanswered
 from pnm.core.logic.conditions import Condition, conjuncts, fluents
@@ -15,9 +16,12 @@ from pnm.core.logic.expressions import Fluent, Unknown, fluent_text
 from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, Recovery
 from pnm.errors import PnmError
 
+_READ: Final = 6
+"""Facts of a condition that are shown one by one."""
+
 
 @dataclass(frozen=True, slots=True)
-class Wait:
+class WaitShown:
     """An ordering: of which call which moment is waited for, or waits, for which facts, and whether it has come."""
 
     call: int
@@ -28,14 +32,32 @@ class Wait:
 
 
 @dataclass(frozen=True, slots=True)
+class FactRead:
+    """A fact that a condition reads: its value in words, how it is known, and since when; None if that is not known."""
+
+    name: str
+    value: str
+    source: str
+    since: float | None
+    is_initial: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Check:
-    """A condition of a call: when it is looked at, whether it is true now, what is observed, and how that is known."""
+    """A condition of a call: when it is looked at, whether it is true now, what is observed, and how that is known.
+
+    Args:
+        reads: the facts in it; of many the first ones.
+        others: how many more there are.
+    """
 
     when: str
     text: str
     truth: str
     observed: str
     source: str
+    reads: tuple[FactRead, ...]
+    others: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +105,8 @@ class CallDetail:
     limit: float | None
     accept: float | None
     resources: tuple[tuple[str, str], ...]
-    waits_for: tuple[Wait, ...]
-    needed_by: tuple[Wait, ...]
+    waits_for: tuple[WaitShown, ...]
+    needed_by: tuple[WaitShown, ...]
     checks: tuple[Check, ...]
     effects: tuple[str, ...]
     recoveries: tuple[str, ...]
@@ -112,7 +134,7 @@ def detail(story: Story, run: str, index: int) -> CallDetail | None:
         tuple((name, _holder(story, name)) for name in found.source.bindings.resources(action)),
         tuple(_wait(found, ordering, is_before=True) for ordering in _orderings(found) if ordering.after.call == index),
         tuple(_wait(found, ordering, is_before=False) for ordering in _orderings(found) if ordering.before.call == index),
-        tuple(_checks(found, call)),
+        tuple(_checks(story, found, call)),
         tuple(
             f"{when}: {effect}"
             for when, effects in (("at the start", action.start_effects), ("at the end", action.end_effects))
@@ -136,7 +158,7 @@ def _orderings(run: RunStory) -> Iterator[Ordering]:
     yield from (ordering for ordering in run.source.plan.orderings if ordering.before.call != ordering.after.call)
 
 
-def _wait(run: RunStory, ordering: Ordering, *, is_before: bool) -> Wait:
+def _wait(run: RunStory, ordering: Ordering, *, is_before: bool) -> WaitShown:
     event = ordering.before if is_before else ordering.after
     steps = {step.index: step for step in run.source.plan.every_step}
     results = {result.call.index: result for result in run.results}
@@ -144,10 +166,10 @@ def _wait(run: RunStory, ordering: Ordering, *, is_before: bool) -> Wait:
     has_come = before is not None and (before.started if ordering.before.moment is Moment.START else before.ended) is not None
     words = steps[event.call]
     text = str(words.action) if isinstance(words, ActionCall) else str(words)
-    return Wait(event.call, text, event.moment.value, tuple(map(fluent_text, ordering.protects)), has_come)
+    return WaitShown(event.call, text, event.moment.value, tuple(map(fluent_text, ordering.protects)), has_come)
 
 
-def _checks(run: RunStory, call: ActionCall) -> Iterator[Check]:
+def _checks(story: Story, run: RunStory, call: ActionCall) -> Iterator[Check]:
     action = call.action
     context = EvaluationContext(run.replayed.run.knowledge, action, run.source.bindings.of(action.name))
     parts = (
@@ -158,17 +180,26 @@ def _checks(run: RunStory, call: ActionCall) -> Iterator[Check]:
     )
     for when, condition in parts:
         for part in conjuncts(condition):
-            yield _check(when, part, context)
+            yield _check(story, when, part, context)
 
 
-def _check(when: str, condition: Condition, context: EvaluationContext) -> Check:
+def _check(story: Story, when: str, condition: Condition, context: EvaluationContext) -> Check:
     try:
         truth = evaluate(condition, context)
         text = "unknown" if isinstance(truth, Unknown) else "true" if truth else "false"
         seen = observed(condition, context)
     except (Unanswered, PnmError) as error:
         text, seen = "unknown", str(error)
-    return Check(when, str(condition), text, seen, _source(fluents(condition, context), context))
+    read = fluents(condition, context)
+    first = tuple(_read(story, fluent, context) for fluent in sorted(read)[:_READ])
+    return Check(when, str(condition), text, seen, _source(read, context), first, len(read) - len(first))
+
+
+def _read(story: Story, fluent: Fluent, context: EvaluationContext) -> FactRead:
+    name, source = fluent_text(fluent), _source(frozenset({fluent}), context)
+    if (shown := story.facts.get(name)) is not None:
+        return FactRead(name, shown.value, source, shown.since, shown.is_initial)
+    return FactRead(name, value_words(context.value(fluent) or False), source, None, is_initial=False)
 
 
 def _source(read: frozenset[Fluent], context: EvaluationContext) -> str:

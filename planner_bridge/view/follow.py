@@ -7,6 +7,7 @@ what is so now. So a slow one misses what was in between, and nothing waits for 
 from __future__ import annotations
 
 import asyncio
+import logging
 from bisect import bisect_right
 from collections.abc import AsyncIterator, Callable
 from contextlib import suppress
@@ -25,12 +26,13 @@ from pnm.journal.replay import Replay
 from pnm.journal.resume import steps_after
 from pnm.journal.store import KeptJournal
 
-PERIOD: Final = 0.05
+PERIOD: Final = 0.1
 """Seconds between two looks into a journal that has grown: no browser gets more frames."""
 _IDLE: Final = 0.25
 """Seconds between two looks into one that has not."""
 
 T = TypeVar("T")
+_log = logging.getLogger(__name__)
 
 
 class Reader:
@@ -140,12 +142,13 @@ class Feed:
         self._changed = asyncio.Event()
         """Set, and replaced, when the view has changed."""
         self._is_closed = False
+        self._is_broken = False
 
     async def views(self) -> AsyncIterator[View]:
         """Yield the view after the last record, and again when it has changed: whoever takes long misses those in between."""
         self._watching += 1
         try:
-            self._set(await asyncio.to_thread(self._reader.newest))
+            self._set(await self.newest())
             if self._reading is None or self._reading.done():
                 self._reading = asyncio.create_task(self._read())
             seen = None
@@ -171,10 +174,20 @@ class Feed:
         return await asyncio.to_thread((self._reader if number == self.view.number else past).at, number, tell)
 
     async def _read(self) -> None:
-        while True:
-            view = await asyncio.to_thread(self._reader.newest)
-            is_news = self._set(view)
+        while not self._is_broken:
+            is_news = self._set(await self.newest())
             await asyncio.sleep(PERIOD if is_news else _IDLE)
+
+    async def newest(self) -> View:
+        """Return what is shown after the last record; if that cannot be told by a fault of ours, why, and that is the end of it."""
+        try:
+            view = await asyncio.to_thread(self._reader.newest)
+        except Exception as error:
+            _log.exception("the journal cannot be followed any more")
+            self._is_broken = True
+            return replace(self.view, problem=f"the journal cannot be followed any more: {type(error).__name__}: {error}")
+        self._is_broken = False
+        return view
 
     def _set(self, view: View) -> bool:
         """Have everybody see a view; return whether it is another one."""

@@ -326,16 +326,9 @@ class Story:
         self.facts = facts | {fluent_text(fluent): self._fact(fluent, value) for fluent, value in delta.facts.items()}
 
     def _fact(self, fluent: Fluent, value: Value | Unknown, *, is_initial: bool = False) -> FactShown:
-        match value:
-            case bool():
-                text = "true" if value else "false"
-            case Unknown():
-                text = "unknown"
-            case _:
-                text = text_of(value)
         before = self.facts.get(fluent_text(fluent))
         was = "" if before is None or not isinstance(value, Unknown) else before.was or before.value
-        return FactShown(text, _source(is_sensed=self.replay.world.is_sensed(fluent)), self.time, is_initial, was)
+        return FactShown(value_words(value), _source(is_sensed=self.replay.world.is_sensed(fluent)), self.time, is_initial, was)
 
 
 class _Hearing(Observer):
@@ -377,6 +370,17 @@ def _cut(before: RunStory, calls: tuple[ActionCall, ...], decision: Decision | N
     new = Counter(str(call.action) for call in calls)
     kept, dropped, added = left & new, left - new, new - left
     return Cut(decision_words(decision), *(tuple(part.elements()) for part in (kept, dropped, added)))
+
+
+def value_words(value: Value | Unknown) -> str:
+    """Return what a fact is, in words."""
+    match value:
+        case bool():
+            return "true" if value else "false"
+        case Unknown():
+            return "unknown"
+        case _:
+            return text_of(value)
 
 
 def _source(*, is_sensed: bool) -> str:

@@ -14,6 +14,8 @@ MAX_TEXT: Final = 100_000
 """Characters of a goal, a fact or an answer."""
 _LONG: Final = 1_000
 """Characters of a refusal."""
+MAX_PROBLEM: Final = 20_000
+"""Characters of a problem that is explained: it fits into a pipe with the refusals of others, so nobody waits to write it."""
 
 
 class Controlled(Enum):
@@ -29,6 +31,13 @@ class Controlled(Enum):
 @dataclass(frozen=True, slots=True)
 class CheckGoal:
     """Say what is wrong with a goal, and do nothing."""
+
+    goal: str
+
+
+@dataclass(frozen=True, slots=True)
+class ExplainGoal:
+    """Say why a goal cannot be reached from the world as it is, or what a plan for it would do."""
 
     goal: str
 
@@ -95,16 +104,26 @@ class AnswerQuestion:
     text: str
 
 
-Command: TypeAlias = CheckGoal | SendGoal | PauseTask | ResumeTask | CancelTask | StepTask | SettleRequest | TellFacts | AnswerQuestion
+Command: TypeAlias = (
+    CheckGoal | ExplainGoal | SendGoal | PauseTask | ResumeTask | CancelTask | StepTask | SettleRequest | TellFacts | AnswerQuestion
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """The reply to a command: why it was refused, empty if it was not; and where in a text that is wrong, from 1."""
+    """The reply to a command.
+
+    Args:
+        refused: why; empty if it was not.
+        line: in a text that is wrong, from 1.
+        column: in that line, from 1.
+        problem: what is to be explained, as it goes from one process to the other; browsers do not get it.
+    """
 
     refused: str = ""
     line: int = 0
     column: int = 0
+    problem: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """Return it as it is sent: what is long quotes what was wanted."""
@@ -167,6 +186,7 @@ def _task(data: Mapping[str, object]) -> UUID | None:
 
 _READERS: Final[Mapping[str, Callable[[Mapping[str, object]], Command]]] = {
     "check": lambda data: CheckGoal(_text(data, "goal")),
+    "why": lambda data: ExplainGoal(_text(data, "goal")),
     "goal": lambda data: SendGoal(_text(data, "goal"), _priority(data)),
     "pause": lambda data: PauseTask(_task(data), "at_once" in data and _flag(data, "at_once")),
     "resume": lambda data: ResumeTask(_task(data)),

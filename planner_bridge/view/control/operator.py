@@ -8,10 +8,12 @@ from typing import Final, assert_never
 from uuid import uuid4
 
 from planner_bridge.view.control.commands import (
+    MAX_PROBLEM,
     AnswerQuestion,
     CancelTask,
     CheckGoal,
     Command,
+    ExplainGoal,
     PauseTask,
     Reply,
     ResumeTask,
@@ -47,7 +49,7 @@ class Operator:
         self._tasks = tasks
         self._commands = commands
         self._world = world
-        self._going_on: set[asyncio.Task[None]] = set()
+        self._going_on: set[asyncio.Task[Reply]] = set()
 
     async def reply(self, data: object) -> Reply:
         """Carry out a command, and return the reply to it, at the latest when it has begun."""
@@ -59,9 +61,8 @@ class Operator:
             has_to_be_confirmed = isinstance(command, PauseTask | ResumeTask | CancelTask | StepTask)
             done, _ = await asyncio.wait((work,), timeout=_SOON if has_to_be_confirmed else None)
             if done:
-                work.result()
-            else:
-                work.add_done_callback(_log_refusal)
+                return work.result()
+            work.add_done_callback(_log_refusal)
         except InputError as error:
             position = error.position
             return Reply(error.message, position.line, position.column) if position else Reply(error.message)
@@ -72,8 +73,13 @@ class Operator:
             return Reply(f"{type(error).__name__}: {error}")
         return Reply()
 
-    async def _carry_out(self, command: Command) -> None:
+    async def _carry_out(self, command: Command) -> Reply:
         match command:
+            case ExplainGoal(goal):
+                problem = await self._served.pack(goal)
+                if len(problem) > MAX_PROBLEM:
+                    raise InputError("the problem is too large to be explained here; `pnm why` takes it")
+                return Reply(problem=problem)
             case CheckGoal(goal):
                 await self._served.check_goal(goal)
             case SendGoal(goal, priority):
@@ -95,6 +101,7 @@ class Operator:
                 self._tasks.answer(question, read_answer(text) if text.strip() else MISSING)
             case _:
                 assert_never(command)
+        return Reply()
 
     @property
     def _served(self) -> ServedWorld:
@@ -109,6 +116,6 @@ class Operator:
             raise TaskRefused(ended.reason)
 
 
-def _log_refusal(work: asyncio.Task[None]) -> None:
+def _log_refusal(work: asyncio.Task[Reply]) -> None:
     if not work.cancelled() and (error := work.exception()):
         _log.warning("what was wanted on the page is refused after all: %s", error)

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import asyncio
 import hmac
 import json
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
 
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
 from planner_bridge.view.control.channel import Channel
 from planner_bridge.view.control.commands import MAX_TEXT, Controlled
+from pnm.errors import PnmError
+
+if TYPE_CHECKING:
+    from planner_bridge.explanations.answer import Answer
+    from pnm.core.knowledge_base import KnowledgeBase
 
 _MAX_BODY: Final = 4 * MAX_TEXT
 _TYPE: Final = "application/json"
@@ -31,13 +38,15 @@ class Control:
     what: Controlled
     token: str
     channel: Channel
+    turn: asyncio.Lock = field(default_factory=asyncio.Lock)
+    """Held while something is explained: one thing after the other."""
 
     async def look(self, request: Request) -> Response:
         """Answer with what may be controlled."""
         return self._refusal(request) or JSONResponse({"what": self.what.value})
 
-    async def do(self, request: Request) -> Response:
-        """Have a command carried out, and answer with the reply."""
+    async def do(self, request: Request, world: Callable[[], Awaitable[KnowledgeBase]]) -> Response:
+        """Have a command carried out, and answer with the reply; what is explained is explained from a world."""
         if refusal := self._refusal(request):
             return refusal
         if request.headers.get("content-type", "").partition(";")[0].strip() != _TYPE:
@@ -52,7 +61,20 @@ class Control:
         except (ValueError, RecursionError):
             return _refused("expected a command as JSON", 400)
         reply = await self.channel.ask(command)
-        return JSONResponse(reply.as_json(), 409 if reply.refused else 200)
+        if reply.problem:
+            try:
+                return JSONResponse({"answers": [answer.as_json() for answer in await self._explained(reply.problem, world)]})
+            except PnmError as error:
+                return _refused(str(error), 409)
+        told = {name: value for name, value in reply.as_json().items() if name != "problem"}
+        return JSONResponse(told, 409 if reply.refused else 200)
+
+    async def _explained(self, problem: str, world: Callable[[], Awaitable[KnowledgeBase]]) -> tuple[Answer, ...]:
+        """Explain a problem: in this process, because that takes a processor, which the tasks need."""
+        from planner_bridge.explanations.goal_now import answered  # here, because it takes its time to import
+
+        async with self.turn:
+            return await asyncio.to_thread(answered, problem, await world())
 
     def _refusal(self, request: Request) -> Response | None:
         if self.what is Controlled.NOTHING:

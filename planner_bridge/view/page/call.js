@@ -3,9 +3,10 @@
 import { requestButtons } from "./controls.js";
 import { timeNow } from "./model.js";
 import { troubleOf } from "./tasks.js";
-import { SIGNS, el, keepingFocus, seconds, state, stateOf, svg, words } from "./words.js";
+import { KNOWN, SIGNS, el, keepingFocus, reasons, seconds, state, stateOf, svg, words } from "./words.js";
 
 let limits = null; // what the limits that run down are shown of
+let ages = []; // what the ages of facts are shown of
 let why = null; // the last answer to the question why, with the call and the record that it is about
 
 // Shows a call; what can be done about it, if that is now.
@@ -15,6 +16,7 @@ export function showCall(model, key, detail, isNow) {
 
 function show(model, key, detail, isNow) {
   limits = null;
+  ages = [];
   const place = document.getElementById("detail");
   const call = model.calls.get(key);
   if (!call) {
@@ -40,7 +42,7 @@ function show(model, key, detail, isNow) {
   const blocks = [block("", ...about), ...troubles.map((trouble) => block("", trouble)), attempts.length ? block("Attempts", sent) : ""];
   if (detail) {
     blocks.push(block("Waits for", detail.waits_for.length ? waits(detail.waits_for, true) : el("p", { class: "soft" }, "nothing: it may start as soon as its conditions hold")));
-    if (detail.checks.length) blocks.push(block("Conditions", checksOf(detail.checks)));
+    if (detail.checks.length) blocks.push(block("Conditions", checksOf(model, call, detail.checks, isNow)));
     if (detail.effects.length) blocks.push(block("Effects", list(detail.effects)));
     if (detail.needed_by.length) blocks.push(block("Needed by", waits(detail.needed_by, false)));
     if (detail.recoveries.length) blocks.push(block("Recoveries", list(detail.recoveries)));
@@ -70,11 +72,6 @@ function whyOf(model, key) {
     isAnswered ? el("p", { class: "soft" }, `after record ${why.number}:`) : "", isAnswered ? reasons(why.answers) : "");
 }
 
-function reasons(answers) {
-  return el("ul", { class: "why" }, ...answers.map((answer) => el("li", {}, answer.statement,
-    answer.known && answer.known !== "given" ? el("span", { class: "soft" }, ` [${answer.known}]`) : "", answer.reasons.length ? reasons(answer.reasons) : "")));
-}
-
 function block(title, ...content) {
   return el("div", { class: "block" }, title ? el("h3", {}, title) : "", ...content);
 }
@@ -101,6 +98,7 @@ function limitOf(model, key, detail, isNow) {
 }
 
 function runDown() {
+  for (const { model, isNow, since, text } of ages) text.textContent = `for ${seconds((isNow ? timeNow(model) : model.time) - since, 1)}`;
   if (!limits) return;
   const { model, isNow, limit, from, what, text, bar } = limits;
   const used = Math.min(limit, (isNow ? timeNow(model) : model.time) - from);
@@ -119,11 +117,29 @@ function waits(list, hasSigns) {
     ` the ${wait.moment} of #${wait.call} ${wait.action}`, wait.protects.length ? el("span", { class: "soft" }, ` for ${wait.protects.join(" ")}`) : "")));
 }
 
-function checksOf(checks) {
+// The conditions, each with the facts that it reads: their values, how they are known, and for how long they have been so.
+function checksOf(model, call, checks, isNow) {
   const sign = { true: "✓ true", false: "✕ false", unknown: "? unknown" };
-  return el("table", {}, el("thead", {}, el("tr", {}, ...["when", "condition", "now", "known by"].map((text) => el("th", { scope: "col" }, text)))),
+  const isPast = (check) => check.when === "before it starts" && call.started !== null; // it has been looked at, and says nothing any more
+  return el("table", { class: "checks" }, el("thead", {}, el("tr", {}, ...["when", "condition", "now"].map((text) => el("th", { scope: "col" }, text)))),
     el("tbody", {}, ...checks.map((check) => el("tr", { "data-truth": check.truth },
-      el("td", { class: "soft" }, check.when), el("td", { title: check.observed }, check.text), el("td", { class: "num" }, sign[check.truth]), el("td", { class: "soft num" }, check.source)))));
+      el("td", { class: "soft" }, isPast(check) ? "before it started" : check.when),
+      el("td", {}, check.text, el("ul", { class: "reads" }, ...readsOf(model, check, isNow))),
+      el("td", { class: isPast(check) ? "num soft" : "num" }, isPast(check) ? `now ${check.truth}` : sign[check.truth])))));
+}
+
+function readsOf(model, check, isNow) {
+  if (!check.reads.length) return [el("li", { class: "soft" }, `${check.source}; observed ${check.observed}`)];
+  const only = check.reads.length === 1 && check.reads[0].name === check.text;
+  const lines = check.reads.map((read) => {
+    const age = el("span", { class: "age" }, read.is_initial ? "since the beginning" : "");
+    if (!read.is_initial && read.since !== null) ages.push({ model, isNow, since: read.since, text: age });
+    return el("li", { class: "soft", "data-fact": read.name }, only ? "" : `${read.name} `, el("span", { class: "value" }, only ? "" : `is ${read.value}, `),
+      KNOWN[read.source] ?? read.source, read.is_initial || read.since !== null ? ", " : "", age);
+  });
+  if (check.others) lines.push(el("li", { class: "soft" }, `and ${check.others} more`));
+  runDown();
+  return lines;
 }
 
 const WAY = ["ready", "requested", "running", "finished", "done"];

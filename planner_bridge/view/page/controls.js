@@ -1,6 +1,6 @@
 // Controls: what people may want of tasks, for those whose URL had the token. It is sent with every command, and kept for this tab alone.
 
-import { el, words } from "./words.js";
+import { el, reasons, words } from "./words.js";
 
 const KEY = "pnm-token";
 const given = /^#token=([\w-]+)$/.exec(location.hash);
@@ -99,6 +99,35 @@ export function requestButtons(id, request) {
     ["✓ It is done", "have it count as done", settle("done", true)], ["✕ It has failed", "have it count as failed", settle("failed", false)]]);
 }
 
+// --- why ---
+
+// Shows whether a goal can be reached from what is so now: a plan for it, or why there is none and what would help.
+async function explained(text, button, place) {
+  button.disabled = true;
+  place.replaceChildren(el("p", { class: "soft" }, "looks for a plan …"));
+  try {
+    const reply = await asked("POST", { do: "why", goal: text });
+    if (reply.refused) place.replaceChildren(el("p", { class: "bad" }, `✕ ${whereIn(reply)}${reply.refused}`));
+    else place.replaceChildren(el("p", { class: "soft" }, "from what is so when all that runs now has come to its end:"), reasons(reply.answers));
+  } catch {
+    place.replaceChildren(el("p", { class: "bad" }, "✕ the page is not there any more"));
+  }
+  button.disabled = false;
+}
+
+// A button that asks why there is no plan for a goal, and the answer below it.
+export function whyNoPlan(key, text) {
+  if (what !== "node") return "";
+  const name = `why ${key}`;
+  if (!made.has(name)) {
+    const place = el("div", { "aria-live": "polite" });
+    const button = el("button", { type: "button", title: "as things are now: why there is no plan, and what would help" }, "Why is there no plan?");
+    button.addEventListener("click", () => explained(text, button, place));
+    made.set(name, { element: el("div", { class: "no-plan" }, button, place) });
+  }
+  return made.get(name).element;
+}
+
 // --- of questions ---
 
 export function answerForm(id, question) {
@@ -156,6 +185,8 @@ async function check() {
 }
 
 goal.addEventListener("input", checkedSoon);
+goal.addEventListener("input", () => document.getElementById("goal-reasons").replaceChildren());
+document.getElementById("goal-why").addEventListener("click", (event) => explained(goal.value, event.target, document.getElementById("goal-reasons")));
 goal.addEventListener("focus", checkedSoon);
 document.getElementById("goal-form").addEventListener("submit", async (event) => {
   event.preventDefault();
@@ -164,6 +195,7 @@ document.getElementById("goal-form").addEventListener("submit", async (event) =>
   if (await wanted({ do: "goal", goal: goal.value, priority }, `sent: ${goal.value.trim() || "the goal of the problem"}`)) {
     goal.value = "";
     goalSaid.textContent = "";
+    document.getElementById("goal-reasons").replaceChildren();
   } else check();
 });
 

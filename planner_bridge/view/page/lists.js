@@ -1,6 +1,6 @@
 // Knowledge, servers and events, as lists.
 
-import { el, MARKS, seconds } from "./words.js";
+import { el, MARKS, placed, seconds } from "./words.js";
 
 // Elements of things by key, made anew only where the thing is another one: it is never changed, but replaced.
 class Kept {
@@ -16,6 +16,7 @@ class Kept {
 const rowOf = new Kept();
 const lineOf = new Kept();
 const SHOWN = 100;
+let factRows = null;
 
 export function showFacts(model) {
   const wanted = document.getElementById("fact-filter").value.trim().toLowerCase().split(/\s+/);
@@ -30,7 +31,8 @@ export function showFacts(model) {
     el("td", { class: "num" }, isStale(fact) ? "◍ stale" : fact.source === "sensed" ? "◉ sensed" : "◌ assumed"),
     el("td", { class: "num" }, fact.is_initial ? "beginning" : seconds(fact.since - model.began))));
   const head = el("tr", {}, ...["fact", "value", "known by", "since"].map((text) => el("th", { scope: "col" }, text)));
-  document.getElementById("facts").replaceChildren(el("thead", {}, head), el("tbody", {}, ...rows));
+  if (!factRows) document.getElementById("facts").replaceChildren(el("thead", {}, head), (factRows = el("tbody")));
+  placed(factRows, rows);
 }
 
 export function showServers(model) {
@@ -46,7 +48,7 @@ export function showEvents(model, go) {
   const list = document.getElementById("event-list");
   const shown = [...model.events.entries()].map(([number, event]) => [Number(number), event]).filter(([number]) => number > model.number - SHOWN);
   shown.sort(([a], [b]) => b - a);
-  list.replaceChildren(...lineOf.all(shown, (number, event) => {
+  placed(list, lineOf.all(shown, (number, event) => {
     const link = el("a", { href: `#${number}`, title: "show what was so after this record" }, String(number));
     link.addEventListener("click", (click) => {
       click.preventDefault();

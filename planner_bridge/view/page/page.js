@@ -1,7 +1,7 @@
 // The page: a model that the stream keeps, or one from the past; and what is drawn of it.
 
 import { showCall } from "./call.js";
-import { openControls } from "./controls.js";
+import { hasControls, openControls } from "./controls.js";
 import { showEvents, showFacts, showServers } from "./lists.js";
 import { applied, nothing } from "./model.js";
 import { showPlan, showStates } from "./plan.js";
@@ -92,16 +92,21 @@ function newestRun(model) {
 
 const currentRun = (model) => (model.runs.has(chosenRun) ? chosenRun : newestRun(model));
 
+const WORTH = ["failed", "running", "suspended", "waiting"];
+
 // The call that people have chosen, or else the one that is most worth a look.
 function currentCall(model) {
   if (model.calls.has(chosenCall)) return chosenCall;
   const run = currentRun(model);
-  const calls = [...model.calls.entries()].filter(([, call]) => call.run === run);
-  for (const state of ["failed", "running", "suspended", "waiting"]) {
-    const found = calls.find(([, call]) => call.state === state);
-    if (found) return found[0];
+  let [found, rank] = ["", WORTH.length + 1];
+  for (const [key, call] of model.calls) {
+    if (call.run !== run) continue;
+    const place = WORTH.indexOf(call.state);
+    if (place < 0 && rank >= WORTH.length) [found, rank] = [key, WORTH.length]; // the last one
+    if (place >= 0 && place < rank) [found, rank] = [key, place];
+    if (rank === 0) break;
   }
-  return calls.at(-1)?.[0] ?? "";
+  return found;
 }
 
 function choose(key) {
@@ -133,7 +138,8 @@ function drawn() {
     showPlan(model, run, choose).then(() => showStates(shown(), currentRun(shown()), currentCall(shown())));
   }
   if (has("calls", "requests", "troubles", "runs", "time")) {
-    showCall(model, call, detail?.run === model.calls.get(call)?.run && detail?.index === model.calls.get(call)?.index ? detail : null, !past);
+    const about = `${detail?.run}/${detail?.index}` === call ? detail : null;
+    if (isOther(model, call, about)) showCall(model, call, about, !past);
     askDetail();
   }
   if (has("facts")) showFacts(model);
@@ -145,6 +151,18 @@ function drawn() {
 
 let asking = false;
 let again = false;
+let told = ""; // the text of the detail, which is mostly the same as before
+let looked = []; // what the call that is shown was made of
+
+// Returns whether there is anything new to be shown of a call.
+function isOther(model, key, about) {
+  const [run, number] = key.split("/");
+  const own = (things) => [...things.values()].filter((thing) => thing.call === Number(number) && thing.run === run);
+  const looks = [model, past, hasControls(), key, model.calls.get(key), about, model.runs.get(run), ...own(model.requests), ...own(model.troubles)];
+  const is = looks.length !== looked.length || looks.some((each, place) => each !== looked[place]);
+  looked = looks;
+  return is;
+}
 
 // Asks for the detail of the call that is shown: one request at a time, and once more if something has changed meanwhile.
 async function askDetail() {
@@ -157,14 +175,17 @@ async function askDetail() {
   try {
     const answer = await fetch(`/call?call=${key}&at=${model.number}`);
     if (answer.ok) {
-      detail = await answer.json();
-      if (currentCall(shown()) === key) showCall(shown(), key, detail, !past);
+      const text = await answer.text();
+      if (text !== told || `${detail?.run}/${detail?.index}` !== key) {
+        [told, detail] = [text, JSON.parse(text)];
+        if (currentCall(shown()) === key) draw(["calls"]);
+      }
     }
   } catch {
     // the stream says that the server is not there
   } finally {
     asking = false;
-    if (again) setTimeout(askDetail, 100);
+    if (again) setTimeout(askDetail, 250);
   }
 }
 
@@ -176,9 +197,23 @@ function showRunChoice(model, run) {
   fill(choice, [["", "the newest"], ...options], model.runs.has(chosenRun) ? run : "");
 }
 
-function showCallChoice(model, run, call) {
-  const calls = [...model.calls.entries()].filter(([, each]) => each.run === run).sort(([, a], [, b]) => a.index - b.index);
-  fill($("call-choice"), calls.map(([key, each]) => [key, `#${each.index} ${each.action}: ${each.outcome}`]), call);
+let offered = new Map(); // the calls to choose from, each with its option
+
+function showCallChoice(model, run, chosen) {
+  const calls = [...model.calls.entries()].filter(([, each]) => each.run === run);
+  const text = (call) => `#${call.index} ${call.action}: ${call.outcome}`;
+  if (calls.length !== offered.size || calls.some(([key]) => !offered.has(key))) {
+    calls.sort(([, a], [, b]) => a.index - b.index);
+    offered = new Map(calls.map(([key, call]) => [key, { call, option: el("option", { value: key }, text(call)) }]));
+    $("call-choice").replaceChildren(...[...offered.values()].map((each) => each.option));
+  }
+  for (const [key, call] of calls) {
+    const each = offered.get(key);
+    if (each.call === call) continue;
+    each.call = call;
+    each.option.text = text(call);
+  }
+  if ($("call-choice").value !== chosen) $("call-choice").value = chosen;
 }
 
 function fill(choice, options, value) {

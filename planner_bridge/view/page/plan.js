@@ -5,6 +5,9 @@ import { SIGNS, el, svg, words } from "./words.js";
 let drawn = "";
 let drawing = ""; // what is fetched
 let boxes = new Map();
+let keys = new Map(); // of calls, by their numbers
+let shown = new Map(); // the calls as they were shown last
+let marked = ""; // the call that is shown as the chosen one
 const KEY = ["waiting", "running", "succeeded", "failed", "skipped"];
 
 document.getElementById("plan-key").replaceChildren(...KEY.flatMap((name) => [el("span", { class: "swatch", "data-state": name }, SIGNS[name]), words(name === "succeeded" ? "done" : name)]));
@@ -31,6 +34,9 @@ export async function showPlan(model, run, choose) {
     picture.setAttribute("role", "group"); // its calls are buttons, which no image has
     drawn = run;
     boxes = new Map([...picture.querySelectorAll("[data-step]")].map((box) => [Number(box.dataset.step), box]));
+    keys = new Map([...boxes.keys()].map((index) => [index, `${run}/${index}`]));
+    shown = new Map();
+    marked = "";
     for (const [index, box] of boxes) {
       box.setAttribute("tabindex", "0");
       box.setAttribute("role", "button");
@@ -46,21 +52,34 @@ export async function showPlan(model, run, choose) {
   }
 }
 
+const boxOf = (run, key) => (key.startsWith(`${run}/`) ? boxes.get(Number(key.slice(run.length + 1))) : undefined);
+
+function badgeOf(box) {
+  const rect = box.querySelector("rect");
+  const [x, y] = [Number(rect.getAttribute("x")), Number(rect.getAttribute("y"))];
+  const badge = svg("g", { class: "badge", "aria-hidden": "true" }, svg("circle", { cx: x, cy: y, r: 9 }), svg("text", { x, y: y + 4 }), svg("text", { x: x + 22, y: y - 4 }));
+  box.append(badge);
+  return badge;
+}
+
+// Shows the states of calls: of those that are other ones than when they were shown last.
 export function showStates(model, run, chosen) {
   if (drawn !== run) return; // its picture is still to come
+  if (marked !== chosen) {
+    boxOf(run, marked)?.classList.remove("chosen");
+    boxOf(run, chosen)?.classList.add("chosen");
+    marked = chosen;
+  }
   for (const [index, box] of boxes) {
-    const call = model.calls.get(`${run}/${index}`);
-    if (!call) continue;
-    box.classList.toggle("chosen", chosen === `${run}/${index}`);
-    if (box.dataset.state === call.state && box.dataset.attempts === String(call.attempts)) continue;
-    box.dataset.state = call.state;
-    box.dataset.attempts = call.attempts;
+    const call = model.calls.get(keys.get(index));
+    if (!call || shown.get(index) === call) continue;
+    const before = shown.get(index);
+    shown.set(index, call);
     box.setAttribute("aria-label", `${call.action}: ${call.outcome}${call.attempts > 1 ? `, attempt ${call.attempts}` : ""}`);
-    box.querySelector(".badge")?.remove();
-    const rect = box.querySelector("rect");
-    const [x, y] = [Number(rect.getAttribute("x")), Number(rect.getAttribute("y"))];
-    const sign = svg("text", { x, y: y + 4 }, SIGNS[call.state] ?? "·");
-    box.append(svg("g", { class: "badge", "aria-hidden": "true" }, svg("circle", { cx: x, cy: y, r: 9 }), sign));
-    if (call.attempts > 1) box.lastChild.append(svg("text", { x: x + 22, y: y - 4 }, `${call.attempts}×`));
+    if (before?.state === call.state && before.attempts === call.attempts) continue;
+    box.dataset.state = call.state;
+    const badge = box.querySelector(".badge") ?? badgeOf(box);
+    badge.children[1].textContent = SIGNS[call.state] ?? "·";
+    badge.children[2].textContent = call.attempts > 1 ? `${call.attempts}×` : "";
   }
 }

@@ -1,7 +1,12 @@
 // What needs me now: what failed and why, questions to people, and the tasks.
 
-import { answerForm, taskButtons } from "./controls.js";
+import { answerForm, taskButtons, whyNoPlan } from "./controls.js";
 import { clock, el, keepingFocus, seconds, state, words } from "./words.js";
+
+const NO_PLAN = new Set(["no_plan", "planner_timeout", "replan_limit"]);
+
+// The text of a goal as it was sent: none for that of the problem.
+const goalOf = (shown) => (shown === "the goal of the problem" ? "" : shown);
 
 // Shows them; what can be done about them, if they are those of now.
 export function showTasks(model, isNow) {
@@ -40,7 +45,8 @@ function taskOf(model, isNow, id, task) {
     el("span", { class: "soft num" }, task.state === "over" ? "over" : ""),
     task.reason ? el("span", { class: "more reason" }, task.reason) : "",
     el("span", { class: "more" }, facts.join(" · ")),
-    isNow ? taskButtons(id, task) : "");
+    isNow ? taskButtons(id, task) : "",
+    isNow && NO_PLAN.has(task.code) ? whyNoPlan(id, goalOf(task.goal)) : "");
 }
 
 // What people may have to do something about: questions, and failures of tasks that are not over well.
@@ -64,9 +70,10 @@ function showNeeds(model, tasks, isNow) {
 function questionOf(model, isNow, id, question) {
   const form = isNow && question.who === "a person" ? answerForm(id, question) : "";
   const where = question.who === "a person" && !form ? "; answer at the terminal of pnm run, or on the topic knowledge/answers of pnm serve" : "";
+  const why = isNow && question.choices.length ? whyNoPlan(id, goalOf(question.subject)) : ""; // help is asked for because there is no plan
   return el("div", { class: "need asks", "data-question": id },
     el("p", {}, el("strong", {}, `? ${question.who} is asked: `), question.text),
-    el("p", { class: "soft" }, `for ${question.subject}, since ${seconds(question.since - model.began)}${where}`), form);
+    el("p", { class: "soft" }, `for ${question.subject}, since ${seconds(question.since - model.began)}${where}`), form, why);
 }
 
 // What a call was hindered by, or has failed with.

@@ -8,17 +8,32 @@ const ROW = 22, PLANNED = 7, GAP = 10, TOP = 42;
 
 // What is drawn: for what it was laid out, where times and lanes are, and its bars with what they look like.
 let drawn = { layout: "", bars: new Map() };
+let sight = null; // how wide the place is, and how far it is scrolled: asked of the browser only when that has changed
+let overBars = new WeakMap(); // of requests that are over, which stay as they are
+
+function inSight(place) {
+  if (!sight) {
+    sight = { width: place.clientWidth, left: place.scrollLeft };
+    new ResizeObserver(() => (sight.width = place.clientWidth)).observe(place);
+    place.addEventListener("scroll", () => {
+      sight.left = place.scrollLeft;
+      followNames();
+    });
+  }
+  return sight;
+}
 
 export function showTimeline(model, chosen, choose) {
   const place = document.getElementById("lanes");
   const bars = barsOf(model, chosen);
   const lanes = lanesOf(model, bars);
   const busiest = Math.max(1, ...[...lanes.values()].map((lane) => lane.count));
-  const narrow = place.clientWidth < 560;
+  const wide = inSight(place).width;
+  const narrow = wide < 560;
   const left = narrow ? 6 : 92;
   const step = 2 ** Math.max(2, Math.floor(Math.log2(busiest)) - 2); // so that not every request is another layout
   const room = Math.ceil(busiest / step) * step;
-  const width = Math.max(place.clientWidth - 2, Math.min(30000, left + room * (narrow ? 34 : 26)));
+  const width = Math.max(wide - 2, Math.min(30000, left + room * (narrow ? 34 : 26)));
   const planned = plannedOf(model);
   const end = scaleOf(model, [...bars, ...planned]);
   const layout = JSON.stringify([width, end, model.began, [...lanes].map(([name, lane]) => [name, lane.rows]), [...model.runs].map(([id, run]) => [id, run.origin, run.cut])]);
@@ -68,14 +83,15 @@ function draw(place, model, { layout, width, left, narrow, end, lanes, planned }
   const picture = svg("svg", { width, height, viewBox: `0 0 ${width} ${height}`, role: "img" }, ...grid, ...parts, group, ...cuts, now, names);
   drawn = { layout, x, tops, names, now, group, svg: picture, bars: new Map(), seen: drawn.seen };
   place.replaceChildren(picture);
-  followNames(place);
-  place.onscroll = () => followNames(place);
+  followNames();
   showCuts(model);
 }
 
 function drawBar(id, bar, choose) {
-  const looks = `${bar.from} ${bar.to} ${bar.row} ${bar.state} ${bar.isChosen} ${bar.words}`;
   const old = drawn.bars.get(id);
+  if (old?.bar === bar && old.row === bar.row && old.isChosen === bar.isChosen) return;
+  const looks = `${bar.from} ${bar.to} ${bar.row} ${bar.state} ${bar.isChosen} ${bar.words}`;
+  drawn.bars.set(id, { bar, row: bar.row, isChosen: bar.isChosen, looks, group: old?.group });
   if (old?.looks === looks) return;
   const [from, width] = [drawn.x(bar.from), Math.max(3, drawn.x(bar.to) - drawn.x(bar.from))];
   const y = drawn.tops.get(bar.lane) + PLANNED + 3 + bar.row * ROW;
@@ -89,16 +105,19 @@ function drawBar(id, bar, choose) {
   group.addEventListener("click", () => choose(bar.call));
   if (old) old.group.replaceWith(group);
   else drawn.group.append(group);
-  drawn.bars.set(id, { looks, group });
+  drawn.bars.get(id).group = group;
 }
 
 // Names of lanes stay where they can be read when the picture is scrolled.
-function followNames(place) {
-  drawn.names.setAttribute("transform", `translate(${place.scrollLeft} 0)`);
+function followNames() {
+  drawn.names.setAttribute("transform", `translate(${sight.left} 0)`);
 }
 
 function keepInSight(place, now) {
-  if (now > place.scrollLeft + place.clientWidth - 20 || now < place.scrollLeft + 100) place.scrollLeft = Math.max(0, now - 0.75 * place.clientWidth);
+  if (now <= sight.left + sight.width - 20 && now >= sight.left + Math.min(100, now)) return;
+  place.scrollLeft = Math.max(0, now - 0.75 * sight.width);
+  sight.left = place.scrollLeft;
+  followNames();
 }
 
 // The end of the scale: while something goes on there is some room, so that not every moment is another scale.
@@ -115,12 +134,19 @@ function scaleOf(model, bars) {
 function barsOf(model, chosen) {
   const bars = [...model.requests].map(([id, request]) => {
     const isOver = model.runs.get(request.run)?.is_over ?? true;
+    const known = overBars.get(request);
+    if (known) {
+      known[1].isChosen = known[1].call === chosen;
+      return known;
+    }
     const call = `${request.run}/${request.call}`;
-    return [id, {
+    const entry = [id, {
       lane: request.lane, from: request.sent, to: request.ended ?? (isOver ? request.accepted ?? request.sent : model.time), row: 0,
       state: stateOf(request, isOver), action: request.action, attempt: request.attempt, call, isChosen: call === chosen,
       words: request.outcome ? `${request.outcome}${request.message ? `: ${request.message}` : ""}` : request.feedback || "is under way",
     }];
+    if (request.outcome) overBars.set(request, entry);
+    return entry;
   });
   return bars.sort(([, a], [, b]) => a.from - b.from);
 }

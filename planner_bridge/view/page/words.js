@@ -6,6 +6,8 @@ export const SIGNS = {
 };
 export const MARKS = { failure: "✕", replan: "↻", end: "■" };
 
+export const KNOWN = { sensed: "◉ sensed", assumed: "◌ assumed" };
+
 export function seconds(time, digits = 2) {
   return `${time.toFixed(digits)} s`;
 }
@@ -40,6 +42,20 @@ function filled(element, attributes, children) {
   return element;
 }
 
+// Has a place hold these elements in this order; those that are where they belong are not touched.
+export function placed(place, elements) {
+  let next = place.firstChild;
+  for (const element of elements) {
+    if (element === next) next = next.nextSibling;
+    else place.insertBefore(element, next);
+  }
+  while (next) {
+    const last = next;
+    next = next.nextSibling;
+    last.remove();
+  }
+}
+
 export function state(name, text = words(name)) {
   const sign = SIGNS[name];
   return el("span", { class: "state", "data-state": name }, sign ? `${sign} ${text}` : text);
@@ -50,4 +66,10 @@ export function keepingFocus(draw) {
   const focused = document.activeElement;
   draw();
   if (focused?.isConnected && focused !== document.activeElement && focused !== document.body) focused.focus({ preventScroll: true });
+}
+
+// Answers to the question why, as trees.
+export function reasons(answers) {
+  return el("ul", { class: "why" }, ...answers.map((answer) => el("li", {}, answer.statement,
+    answer.known && answer.known !== "given" ? el("span", { class: "soft" }, ` [${answer.known}]`) : "", answer.reasons.length ? reasons(answer.reasons) : "")));
 }

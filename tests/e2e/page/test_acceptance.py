@@ -1,8 +1,9 @@
-"""The page of a node over ROS 2, as people use it: a goal is sent, fails, is planned anew and reached; a person is asked and answers."""
+"""The page of a node over ROS 2, as people use it: goals are sent, fail, are planned anew, explained and reached; people answer."""
 
 from __future__ import annotations
 
 import json
+import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -21,11 +22,22 @@ from pnm.journal.records import TaskAccepted
 from tests.support.e2e.deployment import ProblemDeployment
 from tests.support.e2e.page.journals import steps
 from tests.support.e2e.page.serving import asked
-from tests.support.e2e.plan_deployment import Serving
-from tests.support.files import ROOT
+from tests.support.e2e.plan_deployment import ClientProgram, Serving
+from tests.support.files import ROOT, written
 
 FAULTS = (ROOT / "problems" / "delivery" / "faults.yaml").read_text(encoding="utf-8")
+STUCK = "  - {call: 'move(r2, hall, yard)', do: hang, times: 1}\n"
+ASKS = """
+actions:
+  note: {type: kb_action}
+serves:
+  results: [drink]
+  initial_knowledge: {drink: none}
+  plan:
+    - note: {operation: {LocalUpdate: [drink, {PersonQuery: [drink, "Tea or water?"]}]}}
+"""
 SIZES = {"wide": (1280, 900), "narrow": (400, 800)}
+REFUSED = re.compile("409 \\(Conflict\\)|403 \\(Forbidden\\)")
 WATCH = """
 window.seen = [];
 const note = (changes) => {
@@ -59,10 +71,10 @@ def node(deploy_for_module: Callable[..., ProblemDeployment]) -> Node:
     return serve(deploy_for_module("delivery/p01", speed="4", quick=True))
 
 
-def serve(deployment: ProblemDeployment) -> Node:
+def serve(deployment: ProblemDeployment, *more: str) -> Node:
     deployment.simulate().ready()
     journal = deployment.folder / "node.journal"
-    options = ["--view=0", "--view-controls", "--ask-for-help", "--journal", str(journal)]
+    options = ["--view=0", "--view-controls", "--ask-for-help", "--journal", str(journal), *more]
     serving = deployment.start(Serving(["-m", "planner_bridge", "serve", *deployment.files, *options], deployment.environment)).ready()
     return Node(next(line.split()[1] for line in serving.err if line.startswith("view ")), journal)
 
@@ -72,7 +84,7 @@ def page(chromium: Browser) -> Iterator[Page]:
     """A page that must say nothing on its console but what it asks for in vain."""
     opened, said = chromium.new_page(), list[str]()
     opened.add_init_script(WATCH)
-    opened.on("console", lambda message: said.append(message.text) if "409 (Conflict)" not in message.text else None)
+    opened.on("console", lambda message: said.append(message.text) if not REFUSED.search(message.text) else None)
     opened.on("pageerror", lambda error: said.append(str(error)))
     yield opened
     opened.close()
@@ -104,8 +116,11 @@ def send(page: Page, goal: str) -> None:
     expect(page.locator("#command-said")).to_have_text(f"✓ sent: {goal}")
 
 
-def test_a_goal_is_checked_sent_fails_is_planned_anew_and_reached(page: Page, deploy: Callable[..., ProblemDeployment]) -> None:
-    node = serve(deploy("delivery/p01", speed="4", quick=True, faults=FAULTS))
+def test_a_run_over_ros_2_is_seen_explained_and_steered_in_a_browser(page: Page, deploy: Callable[..., ProblemDeployment]) -> None:
+    deployment = deploy("delivery/p01", speed="4", quick=True, faults=FAULTS + STUCK)
+    written(deployment.folder / "asks.yaml", ASKS)
+    node = serve(deployment, "--world", str(written(deployment.folder / "world.yaml", "plans: [asks.yaml]")))
+    page.on("dialog", lambda dialog: dialog.accept())
     page.goto(node.url)
     expect(page.locator("#status")).to_have_text("● live")
     assert "token" not in page.url, "it is out of sight"
@@ -128,6 +143,77 @@ def test_a_goal_is_checked_sent_fails_is_planned_anew_and_reached(page: Page, de
     (accepted,) = [step.record for step in steps(node.journal) if isinstance(step.record, TaskAccepted)]
     assert accepted.wanted.text == "(and (at parcel1 hall) (at parcel2 kitchen))"
     goes_back(page, node)
+    a_plan_asks_a_person(page, deployment)
+    an_end_is_forced(page, node)
+    what_cannot_be_reached_is_explained(page)
+    nobody_else_controls(page, node)
+
+
+def a_plan_asks_a_person(page: Page, deployment: ProblemDeployment) -> None:
+    """A plan's own question is answered on the page, and the plan goes on with the answer."""
+    client = deployment.start(ClientProgram(["-m", "tests.support.e2e.programs.plan_client", "serves", "", ""], deployment.environment))
+    question = page.locator(".need.asks")
+    expect(question).to_contain_text("a person is asked: drink: Tea or water?")
+    question.get_by_label("answer").fill("tea")
+    question.get_by_role("button", name="Answer").click()
+    expect(page.locator("#command-said")).to_have_text("✓ answered: tea")
+    expect(question).to_have_count(0)
+    assert client.result()["results"] == {"drink": "tea"}
+
+
+def an_end_is_forced(page: Page, node: Node) -> None:
+    """A robot that is stuck: its limit runs down, what its call needs has a value and an age, and a person says that it has failed."""
+    send(page, "(at r2 yard)")
+    bar = page.locator("#lanes .bar[data-state=running]")
+    expect(page.locator("#limit")).to_contain_text("of 30 s to be done")
+    assert 0.0 < float(page.locator("#limit meter").evaluate("(meter) => meter.value")) < 30.0
+    read = page.locator("#detail .checks [data-fact='(at r2 hall)']").first
+    expect(read).to_contain_text("◉ sensed")
+    expect(read.locator(".age")).to_have_text(re.compile(r"for \d+\.\d s|since the beginning"))
+    page.get_by_role("button", name="✕ It has failed").click()
+    expect(page.locator("#command-said")).to_contain_text("counts as failed as soon as its server is done with it")
+    expect(page.locator(".task").first).to_contain_text("goal reached")
+    expect(bar).to_have_count(0)
+    requests = at(node, steps(node.journal)[-1].number).requests.values()
+    assert [request.outcome for request in requests if request.action == "move(r2, hall, yard)"] == ["aborted", "succeeded"]
+
+
+def what_cannot_be_reached_is_explained(page: Page) -> None:
+    """No place in the yard takes parcels: the tree ends there, at the goal that is typed and at the task that was given up."""
+    page.get_by_label("a goal").fill("(at parcel1 yard)")
+    page.get_by_role("button", name="Can it be reached?").click()
+    tree = page.locator("#goal-reasons")
+    expect(tree).to_contain_text("there is no plan: (at parcel1 yard) cannot be reached [proved by reachability]")
+    expect(tree.locator("li:not(:has(li))", has_text="(takes_parcels yard) is false, and no action changes that").first).to_be_visible()
+    expect(tree).to_contain_text("if (takes_parcels yard) were true: a plan with")
+    send(page, "(at parcel1 yard)")
+    expect(tree).to_be_empty()
+    question = page.locator(".need.asks")
+    expect(question).to_contain_text("a person is asked: This goal cannot be reached")
+    question.get_by_role("button", name="Why is there no plan?").click()
+    expect(question).to_contain_text("(takes_parcels yard) is false, and no action changes that")
+    question.get_by_role("button", name="give up").click()
+    expect(question).to_have_count(0)
+    task = page.locator(".task", has_text="a person was asked for help, and says to give up")
+    task.get_by_role("button", name="Why is there no plan?").click()
+    expect(task).to_contain_text("(takes_parcels yard) is false, and no action changes that")
+
+
+def nobody_else_controls(page: Page, node: Node) -> None:
+    """What the same browser asks without the token, and with another one, is refused, and nothing of it is kept."""
+    before = steps(node.journal)[-1].number
+    for token in ("", "wrong"):
+        refused = page.evaluate(
+            """async (token) => {
+                const headers = {"content-type": "application/json", ...(token && {authorization: `Bearer ${token}`})};
+                const answer = await fetch("/control", {method: "POST", headers, body: JSON.stringify({do: "pause"})});
+                return [answer.status, (await answer.json()).refused];
+            }""",
+            token,
+        )
+        assert refused[0] == 403
+        assert "only who has the token" in refused[1]
+    assert steps(node.journal)[-1].number == before
 
 
 def in_order(seen: list[list[tuple[str, int, str]]], kept: list[tuple[str, int, str]]) -> None:

@@ -14,6 +14,7 @@ from planner_bridge.model.forbidden_actions import ForbiddenCall, forbid
 from planner_bridge.model.plan import PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.planning.reachability import MOST_ACTIONS
 from tests.support.pddl.explanations.checked_claims import Checked
 from tests.support.pddl.explanations.doors import house
 from tests.support.pddl.problems import rooms, tanks
@@ -82,6 +83,15 @@ def test_without_a_proof_that_there_is_no_plan_no_change_is_called_smallest() ->
     answer = what_would_help(house(), TimeLimit.of(30), unsure)
     assert not any(isinstance(claim, NoSmallerChange) for part in answer.every() for claim in part.claims)
     assert answer.reasons[-1].known is Known.NOT_PROVED
+
+
+def test_what_has_too_many_facts_is_not_looked_through() -> None:
+    problem, limit = house("(open door)", "(and (at r1 yard) (at r1 hall))"), TimeLimit.of(30)
+    reached = limit.reached(problem)
+    assert reached is not None
+    reached.count = MOST_ACTIONS
+    answer = what_would_help(problem, limit, Answer("there is no plan", Known.SEARCH))
+    assert answer == Answer("what would help was not looked for: there are too many facts", Known.NOT_PROVED)
 
 
 def test_without_time_nothing_is_found_and_nothing_proved() -> None:

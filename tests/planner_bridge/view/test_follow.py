@@ -197,3 +197,29 @@ def test_a_second_browser_takes_nothing_away_from_the_first(growing: GrowingJour
         return seen
 
     assert asyncio.run(asyncio.wait_for(course(), LIMIT)) == [2, 7, 7]
+
+
+def test_a_fault_of_ours_ends_with_a_message_on_the_page_and_in_the_log(growing: GrowingJournal, caplog: pytest.LogCaptureFixture) -> None:
+    class Faulty(Reader):
+        def newest(self) -> View:
+            if is_faulty:
+                raise ZeroDivisionError("nobody has thought of that")
+            return super().newest()
+
+    async def course() -> list[View]:
+        nonlocal is_faulty
+        growing.grow(5)
+        feed = Feed(Faulty(growing.place))
+        views = feed.views()
+        seen = [await anext(views)]
+        is_faulty = True
+        seen.append(await anext(views))
+        await feed.close()
+        return seen
+
+    is_faulty = False
+    before, after = asyncio.run(asyncio.wait_for(course(), LIMIT))
+    assert (after.number, after.tasks) == (before.number, before.tasks)
+    assert after.problem == "the journal cannot be followed any more: ZeroDivisionError: nobody has thought of that"
+    assert [record.message for record in caplog.records] == ["the journal cannot be followed any more"]
+    assert caplog.records[0].exc_info is not None

@@ -141,6 +141,11 @@ def test_a_call_tells_what_it_waits_for_its_conditions_and_where_its_token_is(re
     truths = {check.text: (check.truth, check.source) for check in unload.checks}
     assert truths["(at r1 kitchen)"] == ("false", "sensed")
     assert truths["(carries r1 parcel2)"] == ("true", "sensed")
+    reads = {read.name: read for check in unload.checks for read in check.reads}
+    assert (reads["(at r1 kitchen)"].value, reads["(at r1 kitchen)"].source) == ("false", "sensed")
+    known = at(reader, first).facts["(carries r1 parcel2)"]
+    carries = reads["(carries r1 parcel2)"]
+    assert (carries.value, carries.since, carries.is_initial) == ("true", known.since, False)
     assert not [place for place in unload.places if place.tokens and place.name != "budget"]
     moving = told(reader, first, FAILING)
     assert {place.name: place.tokens for place in moving.places if place.tokens} == {"requested": 1, "spent": 1}

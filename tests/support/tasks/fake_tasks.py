@@ -211,6 +211,9 @@ class FakeWorld:
         if goal and goal[0] != "(" and goal.split()[0] not in {*_ENDS, *_STAYS}:
             raise InputError(f"there is no predicate {goal!r} here", Position("goal", 1, 1))
 
+    async def pack(self, goal: str, /) -> str:
+        raise InputError("there is no problem here")
+
     async def get(self) -> tuple[str, str]:
         return "(define (domain d))", "(define (problem p))"
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -14,15 +14,22 @@ from uuid import UUID, uuid4
 
 import pytest
 
+from planner_bridge.explanations.goal_now import packed
+from planner_bridge.pipeline.loading import load
 from planner_bridge.view.control import operator
 from planner_bridge.view.control.commands import Controlled, Reply, read_command
 from planner_bridge.view.control.operator import Operator
 from planner_bridge.view.process import PageProcess
-from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.knowledge_base import KnowledgeBase, parse_fluent
 from pnm.core.logic.computed_values import MISSING
+from pnm.core.logic.conditions import Holds
+from pnm.core.machine.requests import Accepted, Feedback
 from pnm.errors import InputError
+from pnm.journal.records import Happened
 from pnm.tasks import TaskState
+from tests.support.e2e.page.journals import GrowingJournal, steps
 from tests.support.e2e.page.serving import asked
+from tests.support.files import ROOT
 from tests.support.tasks.fake_tasks import FakeTasks, FakeWorld
 
 
@@ -32,7 +39,7 @@ class ControlledPage:
 
     page: PageProcess
     tasks: FakeTasks
-    world: FakeWorld = field(default_factory=lambda: FakeWorld(KnowledgeBase()))
+    world: FakeWorld
 
     @property
     def token(self) -> str:
@@ -47,12 +54,12 @@ class ControlledPage:
 
 
 @asynccontextmanager
-async def page_with(what: Controlled, delivery: Path) -> AsyncIterator[ControlledPage]:
+async def page_with(what: Controlled, delivery: Path, world: FakeWorld | None = None) -> AsyncIterator[ControlledPage]:
     tasks = FakeTasks()
     page = await asyncio.to_thread(PageProcess, 0, what)
     try:
         page.follow(str(delivery))
-        controlled = ControlledPage(page, tasks)
+        controlled = ControlledPage(page, tasks, world or FakeWorld(KnowledgeBase()))
         page.operate(Operator(tasks, tasks, controlled.world if what is Controlled.NODE else None))
         yield controlled
     finally:
@@ -183,7 +190,7 @@ def test_when_the_tasks_are_over_that_is_said(delivery: Path) -> None:
         page.follow(str(delivery))
 
         async def send(command: object) -> tuple[int, dict[str, Any]]:
-            return await ControlledPage(page, FakeTasks()).send(command)
+            return await ControlledPage(page, FakeTasks(), FakeWorld(KnowledgeBase())).send(command)
 
         assert "nothing yet" in asyncio.run(send({"do": "pause"}))[1]["refused"]
 
@@ -226,6 +233,54 @@ def test_what_is_no_command_is_refused(command: object) -> None:
 def test_half_a_character_is_no_text(command: object) -> None:
     with pytest.raises(InputError, match="half of a character"):
         read_command(command)
+
+
+class DeliveryWorld(FakeWorld):
+    """The world of the deliveries that the journal tells of."""
+
+    async def pack(self, goal: str, /) -> str:
+        problem = load(ROOT / "domains" / "delivery" / "domain.pddl", ROOT / "problems" / "delivery" / "p01.pddl")
+        return "x" * 100_000 if goal == "(large)" else packed(replace(problem, goal=Holds(parse_fluent(goal))))
+
+
+def test_why_a_goal_cannot_be_reached_is_a_tree_that_ends_at_the_closed_door(delivery: Path) -> None:
+    async def use() -> None:
+        async with page_with(Controlled.NODE, delivery, DeliveryWorld(KnowledgeBase())) as controlled:
+            status, told = await controlled.send({"do": "why", "goal": "(at parcel1 yard)"})
+            assert (status, [*told]) == (200, ["answers"])
+            reason, help_ = told["answers"]
+            assert reason["statement"] == "there is no plan: (at parcel1 yard) cannot be reached"
+            ends = [answer["statement"] for answer in every(reason) if not answer["reasons"]]
+            assert "(takes_parcels yard) is false, and no action changes that" in ends
+            assert any("(takes_parcels yard) were true: a plan with" in answer["statement"] for answer in every(help_))
+            status, told = await controlled.send({"do": "why", "goal": "(large)"})
+            assert (status, "too large to be explained here" in told["refused"]) == (409, True)
+            assert (await controlled.send({"do": "why", "goal": ""}, Authorization="Bearer wrong"))[0] == 403
+
+    asyncio.run(use())
+
+
+def test_what_is_explained_counts_on_what_is_under_way(delivery: Path, growing: GrowingJournal) -> None:
+    """While a robot moves it is nowhere, so that it could never be anywhere again."""
+    moving = next(
+        step.number
+        for step in steps(delivery)
+        if isinstance(step.record, Happened) and isinstance(step.record.event, Feedback | Accepted) and step.time > 4.0
+    )
+    growing.grow(moving)
+
+    async def use() -> None:
+        async with page_with(Controlled.NODE, growing.place, DeliveryWorld(KnowledgeBase())) as controlled:
+            (plan,) = (await controlled.send({"do": "why", "goal": "(at r1 yard)"}))[1]["answers"]
+            assert plan["statement"].startswith("there is a plan with ")
+
+    asyncio.run(use())
+
+
+def every(answer: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    yield answer
+    for reason in answer["reasons"]:
+        yield from every(reason)
 
 
 def test_a_refusal_that_takes_its_time_is_no_consent(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,10 +7,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from random import Random
-from typing import Final
 
 from planner_bridge.explanations.answer import Answer
-from planner_bridge.explanations.limited_search import TimeLimit
+from planner_bridge.explanations.limited_search import SECONDS, TimeLimit
 from planner_bridge.explanations.needed_call import why_call_of_plan
 from planner_bridge.explanations.no_plan import why_no_plan
 from planner_bridge.explanations.other_action import why_not
@@ -23,9 +22,6 @@ from planner_bridge.pipeline.loading import load
 from pnm.core.logic.conditions import conjunction, conjuncts, names
 from pnm.core.logic.evaluation import unmet
 from tests.support.files import ROOT
-
-SECONDS: Final = 10.0
-"""For one question."""
 
 
 @dataclass(frozen=True, slots=True)
