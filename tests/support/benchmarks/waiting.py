@@ -62,7 +62,7 @@ def taking_turns(count: int) -> float:
     runs = [Run(machine, Layered(world), id=UUID(int=number << 96), bindings=bindings, resources=pool) for number in range(1, count + 1)]
     told: dict[Run, None] = {}
     for run in runs:
-        pool.listen(lambda run=run: told.setdefault(run))  # type: ignore[misc]
+        pool.listen(lambda run=run: told.setdefault(run), run.task)  # type: ignore[misc]
     return each(lambda: in_turn(runs, told), count)
 
 
