@@ -215,6 +215,10 @@ class KnowledgeBase:
         name = fluent[0]
         return all(below in self._sensed for below in self.rules.base((name,))) if name in self._derived else name in self._sensed
 
+    def reported(self, values: Mapping[Fluent, Value]) -> dict[Fluent, Value]:
+        """Return those of the values that sensors report."""
+        return {fluent: value for fluent, value in values.items() if self.is_sensed(fluent)} if self._sensed else {}
+
     def assumed(self, changes: Changes) -> Changes:
         """Return those of the changes that no sensor reports."""
         return {fluent: value for fluent, value in changes.items() if not self.is_sensed(fluent)} if self._sensed else changes

@@ -156,8 +156,7 @@ class Calls:
         closed, action = self._closed[call], self._plan.calls[call].action
         if closed is None or self._bindings.of(action.name).goal is not None:
             return None
-        names = self._goal_fields(action)
-        if names is None:
+        if (names := self._goal_fields(action)) is None:
             return closed.own
         return {name: closed.own[name] for name in names} if closed.own.keys() >= {*names} else None
 
@@ -257,8 +256,7 @@ class Calls:
             return _NOTHING
         if action is _BEGIN:
             attempt.accepted, attempt.unanswered, start = now, None, attempt.intended.start
-            # Read before they are written, for a rollback if the call ends without success.
-            attempt.begun = values_before(start, self.world) if start else {}
+            attempt.begun = values_before(start, self.world)  # before they are written, for a rollback if the call ends without success
             return self._write(start) if start else _NOTHING
         if action is _FINISH:
             closed = self._closed[call]
@@ -268,8 +266,7 @@ class Calls:
             attempt.begun = before | attempt.begun if attempt.begun else before
             return self._write(end)
         if action is TransitionAction.CANCEL:
-            # A request that is being cancelled is not handed over: the successor would take it for one that goes on.
-            attempt.accepted = attempt.unanswered = None
+            attempt.accepted = attempt.unanswered = None  # it is not handed over: a successor would take it for one that goes on
             return Performed((Cancel(attempt.request),))
         assert action is TransitionAction.UNDO, f"{action} is about no request that was sent"
         if attempt.begun is None:  # it was never accepted, so nothing was written at its start

@@ -45,8 +45,7 @@ class ConstantEffects:
 
     def intended(self, world: KnowledgeBase) -> Intention:
         """Return the intention of the call, as `effect_checks.intention` would."""
-        is_sensed = world.is_sensed
-        seen = {fluent: value for fluent, value in self.visible.items() if is_sensed(fluent)}
+        seen = world.reported(self.visible)
         return replace(self.intention, expected=seen) if seen else self.intention
 
     def are_done(self, world: KnowledgeBase) -> bool:

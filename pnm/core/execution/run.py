@@ -8,20 +8,17 @@ change, when the run begins to end, or when its moment has come.
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Collection, Mapping
-from typing import Final, assert_never
+from collections.abc import Collection
+from typing import assert_never
 from uuid import UUID
 
-from pnm.core.execution.call_requests import Calls, GoalFields
-from pnm.core.execution.call_results import CallResults, Explanation
+from pnm.core.execution.call_results import Explanation
 from pnm.core.execution.events import (
     Answered,
     Begin,
     Command,
     Event,
     KnowledgeChanged,
-    Observer,
     Pause,
     ResourcesChanged,
     Restarted,
@@ -33,95 +30,20 @@ from pnm.core.execution.events import (
     Wake,
     Withdraw,
 )
-from pnm.core.execution.guards import NEVER, OPENS, Guards
-from pnm.core.execution.handover import UnderWay, check_adoption
-from pnm.core.execution.machine_index import Decision, Firing, index_of
-from pnm.core.execution.questions import Questions, subject_of
-from pnm.core.execution.run_state import Agenda, RunState
+from pnm.core.execution.guards import NEVER, OPENS
+from pnm.core.execution.machine_index import Decision, Firing
+from pnm.core.execution.questions import subject_of
 from pnm.core.execution.run_view import RunView
-from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import Question, Unanswered
-from pnm.core.machine.bindings import Bindings
-from pnm.core.machine.machine import CallOutcome, EffectsMissing, PetriNetMachine, Rule, TransitionAction, Withheld
+from pnm.core.machine.machine import CallOutcome, EffectsMissing, Rule, TransitionAction, Withheld
 from pnm.core.machine.plan_graph import Cause
 from pnm.core.machine.requests import BEFORE_ACCEPTANCE, Accepted, Ended, Feedback, OutcomeKind, Postponed
-from pnm.core.net.firing_engine import Engine
-from pnm.core.resources import Resources, RunClaims
 
-_NONE: Final[Mapping[int, UnderWay]] = {}
 _SEND, _SUCCEEDED, _SUCCESS = TransitionAction.SEND, CallOutcome.SUCCEEDED, OutcomeKind.SUCCEEDED
 
 
 class Run(RunView):
-    """A machine, its marking and the requests of its calls.
-
-    Args:
-        machine: what is executed.
-        knowledge: what guards ask, and what effects and results are written to.
-        id: the identities of all requests follow from it.
-        bindings: where goal data comes from and where results go.
-        goal_fields: returns which fields the goal of an action must have, as far as is known.
-        asks: whether questions can be asked outside.
-        observer: is notified of what happens.
-        origin: the time from which releases count; the beginning of the run when not given.
-        resources: what its calls share with other runs, for whose capacities the machine was generated; its own when not given.
-        task: on whose behalf resources are claimed; its own when not given.
-        priority: how its claims stand among those of others.
-        adopted: for the number of every call that the plan marks as under way, the request that it takes over.
-
-    The mutable state is what the constructor sets under "state".
-
-    Raises:
-        RunError: the machine was generated for other capacities, or does not fit the requests that it takes over.
-    """
-
-    def __init__(
-        self,
-        machine: PetriNetMachine,
-        knowledge: Layered,
-        *,
-        id: UUID,
-        bindings: Bindings | None = None,
-        goal_fields: GoalFields = lambda _: None,
-        asks: bool = False,
-        observer: Observer | None = None,
-        origin: float | None = None,
-        resources: Resources | None = None,
-        task: UUID | None = None,
-        priority: int = 0,
-        adopted: Mapping[int, UnderWay] = _NONE,
-    ) -> None:
-        self.machine, self.knowledge, self.id = machine, knowledge, id
-        self.resources = Resources(machine.capacities) if resources is None else resources
-        self.task = id if task is None else task
-        self.observer = observer or Observer()
-        self._index = index_of(machine)
-        # state
-        self._engine = Engine(machine.compiled, machine.initial)
-        self._agenda = Agenda(self._index, knowledge)
-        self._fired: list[int] = []
-        self._commands: list[Command] = []
-        self._reports: deque[Accepted | Ended] = deque()
-        """Ends of requests that concerned knowledge alone."""
-        self._early: list[Accepted | Ended] = []
-        """Reports about requests taken over that came before the beginning."""
-        self._has_changed_knowledge = False
-        self._questions, self._waits = Questions(), False
-        self._calls = Calls(id, machine, knowledge, bindings or Bindings(), goal_fields, asks=asks)
-        self._results = CallResults(machine.plan)
-        self._state = RunState(self._engine, self._index, self._results, origin, adopted=dict(adopted))
-        self._claims = RunClaims(self.resources, self.task, priority)
-        self._guards = Guards(self._state, self._calls, self._claims, self._questions)
-        # parts of these, for what every firing looks at
-        self._tokens, self._marked_at = self._engine.tokens, self._state.marked_at
-        self._places, self._undecided, self._noted = self._agenda.places, self._agenda.undecided, self._questions.noted
-        # last, because it may be refused; until then nothing of the shared resources is touched
-        self.resources.check_capacities(machine.capacities)
-        check_adoption(machine, adopted, self._calls.resources)
-        for call, request in adopted.items():
-            self._calls.adopt(call, request)
-            if request.resources:
-                self._claims.keep(call, self._claims.claim(request.request, request.resources))
+    """A machine, its marking and the requests of its calls; made as `RunView` says. The mutable state is what is set there."""
 
     def retire(self, kept: Collection[UUID] = ()) -> None:
         """Give back all resources but those of the requests kept: the run is not carried on. Open requests keep their resources."""

@@ -1,41 +1,103 @@
-"""Read-only view of a run: nothing here changes it."""
+"""What a run is made of, and how others see it: nothing here changes it."""
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Mapping
+from typing import Final
 from uuid import UUID
 
-from pnm.core.execution.call_requests import Calls
+from pnm.core.execution.call_requests import Calls, GoalFields
 from pnm.core.execution.call_results import CallResult, CallResults, RunResult
-from pnm.core.execution.events import Pause
+from pnm.core.execution.events import Command, Observer, Pause
 from pnm.core.execution.guards import Guards
-from pnm.core.execution.handover import Handover, UnderWay
-from pnm.core.execution.machine_index import MachineIndex
+from pnm.core.execution.handover import Handover, UnderWay, check_adoption
+from pnm.core.execution.machine_index import index_of
 from pnm.core.execution.questions import Questions
 from pnm.core.execution.run_state import Agenda, RunState
-from pnm.core.machine.bindings import WhenLost
+from pnm.core.knowledge_base import Layered
+from pnm.core.machine.bindings import Bindings, WhenLost
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
+from pnm.core.machine.requests import Accepted, Ended
 from pnm.core.net.firing_engine import Engine
 from pnm.core.net.net import Marking
-from pnm.core.resources import RunClaims
+from pnm.core.resources import Resources, RunClaims
 from pnm.errors import RunError
+
+_NONE: Final[Mapping[int, UnderWay]] = {}
 
 
 class RunView:
-    """A run as its caller sees it: its marking, what is under way, and how it ended."""
+    """A run as its caller sees it: its marking, what is under way, and how it ended; what moves its tokens is `pnm.core.execution.run`.
 
-    id: UUID
-    machine: PetriNetMachine
-    _engine: Engine
-    _index: MachineIndex
-    _agenda: Agenda
-    _fired: list[int]
-    _state: RunState
-    _calls: Calls
-    _results: CallResults
-    _claims: RunClaims
-    _questions: Questions
-    _guards: Guards
+    Args:
+        machine: what is executed.
+        knowledge: what guards ask, and what effects and results are written to.
+        id: the identities of all requests follow from it.
+        bindings: where goal data comes from and where results go.
+        goal_fields: returns which fields the goal of an action must have, as far as is known.
+        asks: whether questions can be asked outside.
+        observer: is notified of what happens.
+        origin: the time from which releases count; the beginning of the run when not given.
+        resources: what its calls share with other runs, for whose capacities the machine was generated; its own when not given.
+        task: on whose behalf resources are claimed; its own when not given.
+        priority: how its claims stand among those of others.
+        adopted: for the number of every call that the plan marks as under way, the request that it takes over.
+
+    The mutable state is what the constructor sets under "state".
+
+    Raises:
+        RunError: the machine was generated for other capacities, or does not fit the requests that it takes over.
+    """
+
+    def __init__(
+        self,
+        machine: PetriNetMachine,
+        knowledge: Layered,
+        *,
+        id: UUID,
+        bindings: Bindings | None = None,
+        goal_fields: GoalFields = lambda _: None,
+        asks: bool = False,
+        observer: Observer | None = None,
+        origin: float | None = None,
+        resources: Resources | None = None,
+        task: UUID | None = None,
+        priority: int = 0,
+        adopted: Mapping[int, UnderWay] = _NONE,
+    ) -> None:
+        self.machine, self.knowledge, self.id = machine, knowledge, id
+        self.resources = Resources(machine.capacities) if resources is None else resources
+        self.task = id if task is None else task
+        self.observer = observer or Observer()
+        self._index = index_of(machine)
+        # state
+        self._engine = Engine(machine.compiled, machine.initial)
+        self._agenda = Agenda(self._index, knowledge)
+        self._fired: list[int] = []
+        self._commands: list[Command] = []
+        self._reports: deque[Accepted | Ended] = deque()
+        """Ends of requests that concerned knowledge alone."""
+        self._early: list[Accepted | Ended] = []
+        """Reports about requests taken over that came before the beginning."""
+        self._has_changed_knowledge = False
+        self._questions, self._waits = Questions(), False
+        self._calls = Calls(id, machine, knowledge, bindings or Bindings(), goal_fields, asks=asks)
+        self._results = CallResults(machine.plan)
+        self._state = RunState(self._engine, self._index, self._results, origin, adopted=dict(adopted))
+        self._claims = RunClaims(self.resources, self.task, priority)
+        self._guards = Guards(self._state, self._calls, self._claims, self._questions)
+        # parts of these, for what every firing looks at
+        self._tokens, self._marked_at = self._engine.tokens, self._state.marked_at
+        self._places, self._undecided, self._noted = self._agenda.places, self._agenda.undecided, self._questions.noted
+        # last, because it may be refused; until then nothing of the shared resources is touched
+        self.resources.check_capacities(machine.capacities)
+        check_adoption(machine, adopted, self._calls.resources)
+        for call, request in adopted.items():
+            self._calls.adopt(call, request)
+            if request.resources:
+                self._claims.keep(call, self._claims.claim(request.request, request.resources))
 
     @property
     def marking(self) -> Marking:

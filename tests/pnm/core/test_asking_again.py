@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pnm.actions.simulated_robots import SimulatedRobots
+from pnm.actions.simulated_world import SimulatedWorld
+from pnm.clock import run_async
 from pnm.core.execution.events import Begin, Cancel, Event, KnowledgeChanged, Pause, Resume, Tick
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
@@ -18,6 +23,8 @@ from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, Choice, Flow, GroundAction, Loop, PlanGraph, Step
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
+from pnm.executor import Executor
+from pnm.journal.journal import Journal, Perform
 from tests.support.runs.commands import RUN
 
 ROOMS = ("hall", "kitchen")
@@ -156,3 +163,37 @@ def test_a_condition_over_all_is_looked_at_when_something_changes_that_it_reads(
     del scene.run._decide
     scene.change(what, value)
     assert any(isinstance(command, Cancel) for command in scene.run.handle(KnowledgeChanged(), 0.0))
+
+
+class Heard(Journal):
+    """A journal of nothing but which events a run has handled."""
+
+    def __init__(self) -> None:
+        self.events: list[type] = []
+
+    def handle(self, run: Run, event: Event, now: float, perform: Perform) -> None:
+        self.events.append(type(event))
+        super().handle(run, event, now, perform)
+
+
+@pytest.mark.parametrize(("precondition", "hears"), [(TRUE, False), (Holds(("late",)), True)])
+def test_an_executor_hears_of_facts_only_while_something_waits_for_them(precondition: Condition, hears: bool) -> None:
+    effects = (Set(("late",), Constant(True)),)
+    calls = (
+        ActionCall(0, GroundAction("does", duration=5.0, end_effects=effects)),
+        ActionCall(1, GroundAction("waits", precondition=precondition)),
+    )
+    heard, world = Heard(), KnowledgeBase(sensed={"late": 9.0})
+    robots = SimulatedRobots(SimulatedWorld(world, frozenset()))
+    run = Run(generate(PlanGraph(calls)), Layered(world), id=RUN)
+
+    async def main() -> None:
+        executor = asyncio.ensure_future(Executor(run, robots, journal=heard).execute())
+        await asyncio.sleep(1.0)
+        world.update({("other",): True})
+        await asyncio.sleep(1.0)
+        world.update({("late",): True})
+        assert (await executor).goal
+
+    run_async(main(), virtual=True)
+    assert (KnowledgeChanged in heard.events) is hears
