@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-
 LARGE: Final = 10_000
 """From here on some peers take minutes to build what is measured."""
 
