@@ -11,8 +11,9 @@ from dataclasses import replace
 from typing import Final
 
 from planner_bridge.model.grounding import dynamic_names, ground_step, initial_knowledge
+from planner_bridge.model.once_per_domain import once_per_domain
 from planner_bridge.model.plan import Plan
-from planner_bridge.model.problem import Problem
+from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.ordering.causal_links import CausalLinks, HappeningKind, OrderKept
 from planner_bridge.ordering.enclosing_actions import delay_enclosing_starts
 from planner_bridge.ordering.partial_order import PartialOrder
@@ -157,9 +158,17 @@ def causal_links(problem: Problem, actions: Sequence[GroundAction]) -> CausalLin
 
 def _relevant(problem: Problem) -> frozenset[str]:
     """Return the names of fluents that can change and that something besides the metric reads."""
-    asked = set(names(problem.goal)) | {fluent[0] for change in problem.timed for fluent in change.changes}
-    asked = asked.union(*map(names_in, (*problem.domain.constraints, *problem.constraints)))
-    for schema in problem.domain.actions.values():
+    asked = _asked_by_domain(problem.domain).union(names(problem.goal), *map(names_in, problem.constraints))
+    asked |= {fluent[0] for change in problem.timed for fluent in change.changes}
+    predicates = frozenset(problem.domain.predicates)
+    return dynamic_names(problem) & (predicates | Rules(problem.domain.rules).base(asked))
+
+
+@once_per_domain
+def _asked_by_domain(domain: Domain) -> frozenset[str]:
+    """Return the names of fluents that actions and constraints of the domain read."""
+    asked = {name for constraint in domain.constraints for name in names_in(constraint)}
+    for schema in domain.actions.values():
         for condition in (schema.precondition, schema.invariant, schema.end_condition):
             asked |= names(condition)
         for constraint in schema.duration or ():
@@ -172,5 +181,4 @@ def _relevant(problem: Problem) -> frozenset[str]:
                         asked.add(fluent[0])
                 case When(condition):
                     asked |= names(condition)
-    predicates = frozenset(problem.domain.predicates)
-    return dynamic_names(problem) & (predicates | Rules(problem.domain.rules).base(asked))
+    return frozenset(asked)

@@ -77,6 +77,7 @@ class GoalLoop:
         """
         with ExitStack() as cleanup:
             cleanup.callback(self._withdraw)
+            cleanup.callback(self._search.end_ahead)
             cleanup.callback(self._context.world.listen(lambda changes: self._facts_changed.set() if changes else None))
             self._monitor.begin(cleanup)
             while True:
@@ -165,6 +166,7 @@ class GoalLoop:
     async def _carry_on(self, begin_with: ProvedMachine | ReplayedRun) -> PlanGraph:
         """Carry a run on to its end, and those that succeed it; return the plan that follows then."""
         context, self._retry_at = self._context, None
+        self._search.end_ahead()
         async with PlanExecution(context, self._monitor, self._log, begin_with, self._search.origin) as execution:
             while True:
                 with context.task.stopwatch.of("execute"):
@@ -240,6 +242,8 @@ class GoalLoop:
     async def _catch_up(self, execution: PlanExecution) -> None:
         await self._context.backend.refresh()
         if not (execution.is_eager or execution.result.goal) or not self._monitor.constraints.idle:
+            if execution.result.failures and self._given is None:
+                self._search.begin_ahead(self._next_history(execution))
             await asyncio.sleep(self._context.world.longest_lag)
         await self._monitor.settle()
 

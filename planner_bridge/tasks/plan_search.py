@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from math import inf
 from typing import Final, TypeAlias, TypeVar, cast
@@ -13,7 +14,7 @@ from uuid import UUID
 
 from planner_bridge.model.forbidden_actions import ANY, ForbiddenCall, forbid
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus
+from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus
 from planner_bridge.model.plan_simulation import projected_state
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.forecast import Forecast, awaited, with_forecasts
@@ -24,6 +25,7 @@ from planner_bridge.tasks.constraint_monitor import TaskMonitor
 from planner_bridge.tasks.context import Conflict, RunningCalls, TaskContext
 from planner_bridge.tasks.control import TaskEnded
 from planner_bridge.tasks.plan_execution import PlanExecution
+from planner_bridge.tasks.replanning import History
 from planner_bridge.tasks.task import Task
 from pnm.clock import in_own_thread
 from pnm.core.execution.handover import UnderWay
@@ -67,8 +69,35 @@ class NoPlan(Exception):
         self.busy = busy
 
 
+@dataclass(frozen=True, slots=True)
+class _SearchAhead:
+    """A search that is begun before it is decided that there is to be a new plan; its token ends it, as the end of the task does."""
+
+    problem: Problem
+    answer: asyncio.Future[PlanningResult]
+    stop: threading.Event
+
+    def is_for(self, problem: Problem) -> bool:
+        """Return whether its answer is one to this problem as well."""
+        return self.problem == problem and self.problem.unknown == problem.unknown
+
+
+@dataclass(frozen=True, slots=True)
+class _EitherToken:
+    """Is set when one of two is."""
+
+    first: CancelToken
+    second: CancelToken
+
+    def is_set(self) -> bool:
+        return self.first.is_set() or self.second.is_set()
+
+
 class PlanSearch:
-    """Searches for plans of one task. The mutable state is when the last search began, and whether one has found a plan."""
+    """Searches for plans of one task.
+
+    The mutable state is when the last search began, whether one has found a plan, and a search that is ahead.
+    """
 
     def __init__(self, context: TaskContext, monitor: TaskMonitor) -> None:
         self._context = context
@@ -77,6 +106,28 @@ class PlanSearch:
         self.origin = 0.0
         """The time from which the times of the plan count."""
         self._has_found = False
+        self._ahead: _SearchAhead | None = None
+
+    def begin_ahead(self, history: History) -> None:
+        """Begin to search while reports are waited for: if they bring nothing new, the answer is there sooner.
+
+        Whether there will be a new plan at all is decided when they have come; this search may have been for nothing.
+        """
+        context = self._context
+        if not context.world.longest_lag or self._control.stopped or history.given_up(context.settings.limits):
+            return
+        now, stop = forbid(self._monitor.now(), context.forbidden(history)), threading.Event()
+        if self._ahead is None or not self._ahead.is_for(now):
+            self.end_ahead()
+            answer = asyncio.ensure_future(in_own_thread(self._searching(now, _EitherToken(self._control.planner_stop, stop))))
+            answer.add_done_callback(lambda done: done.cancelled() or done.exception())  # which nobody may ask for
+            self._ahead = _SearchAhead(now, answer, stop)
+
+    def end_ahead(self) -> None:
+        """End the search that is ahead, if there is one."""
+        if self._ahead is not None:
+            self._ahead.stop.set()
+            self._ahead = None
 
     async def in_turn(self, attempt: Attempt[P]) -> P:
         """Repeat an attempt whenever it is the turn of this task, until it finds a plan; tasks of lower priority are preempted.
@@ -292,17 +343,14 @@ class PlanSearch:
 
     async def _solve(self, problem: Problem) -> PlanningResult:
         """Ask the planner, in a thread."""
-        settings, stop = self._context.settings, self._control.planner_stop
-        # The planner may not take longer than the task has left.
-        timeout = max(0.01, min(settings.planner_timeout, self._monitor.limit.left))
-
-        def search() -> PlanningResult:
-            planner, improve, executor = settings.planner, settings.improve, settings.executor
-            return solve(problem, planner=planner, timeout=timeout, improve=improve, cancel=stop, executor=executor)
-
+        stop, ahead = self._control.planner_stop, self._ahead
         try:
             with self._context.task.stopwatch.of("plan"):
-                return await in_own_thread(search)
+                if ahead is not None and ahead.is_for(problem):
+                    self._ahead = None
+                    return await ahead.answer
+                self.end_ahead()
+                return await in_own_thread(self._searching(problem, stop))
         except asyncio.CancelledError:
             stop.set()
             if cast("asyncio.Task[object]", asyncio.current_task()).cancelling():
@@ -312,3 +360,10 @@ class PlanSearch:
             if not self._has_found:
                 raise
             return PlanningResult(PlanningStatus.INVALID, message=str(error))
+
+    def _searching(self, problem: Problem, stop: CancelToken) -> Callable[[], PlanningResult]:
+        settings = self._context.settings
+        # The planner may not take longer than the task has left.
+        timeout = max(0.01, min(settings.planner_timeout, self._monitor.limit.left))
+        planner, improve, executor = settings.planner, settings.improve, settings.executor
+        return partial(solve, problem, planner=planner, timeout=timeout, improve=improve, cancel=stop, executor=executor)

@@ -63,7 +63,7 @@ def test_a_ratio_is_the_median_of_those_within_rounds() -> None:
 
 @pytest.mark.parametrize(
     ("rival", "says"),
-    [((5.0,), "- A call, 10 calls: 2.0 times UP-ESB\n"), ((20.0,), "Nowhere.\n"), ((), "Nowhere.\n")],
+    [((5.0,), "- A call, 10 calls: ours 2.0 × UP-ESB\n"), ((20.0,), "Nowhere.\n"), ((), "Nowhere.\n")],
 )
 def test_the_page_says_where_a_rival_is_faster_but_not_where_something_does_less(rival: tuple[float, ...], says: str) -> None:
     part = measured_part([taken((10.0,), rival)], {"cpu": "a processor", "cores": 2, "python": "3", "load": 0.5}, {}, 3)

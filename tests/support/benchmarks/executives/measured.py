@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import Any
 
-from tests.support.benchmarks.executives.table import Row, Subject
+from tests.support.benchmarks.executives.table import LARGE, Row, Subject
 
 Ask = Callable[[Subject, int], Mapping[str, Any]]
 """Measures a subject once at a size; see `tests.support.benchmarks.peers.worker`."""
@@ -40,12 +40,14 @@ class MeasuredRow:
     taken: tuple[Taken, ...]
 
     @property
-    def slower_than(self) -> Iterator[tuple[str, float]]:
-        """The peers that take less than ours, and how often as long ours takes; floors do less, and do not count."""
-        for other in self.taken[1:]:
-            ratio = self.taken[0].times(other)
-            if ratio is not None and ratio > 1.0 and not other.subject.does_less and not other.subject.label.startswith("ours"):
-                yield other.subject.label, ratio
+    def slower(self) -> Iterator[tuple[str, float, str]]:
+        """What of ours takes longer than a peer, how often as long, and which peer; floors do less, and do not count."""
+        rivals = [taken for taken in self.taken if not (taken.subject.does_less or taken.subject.is_ours)]
+        for ours in (taken for taken in self.taken if taken.subject.is_ours):
+            for rival in rivals:
+                ratio = ours.times(rival)
+                if ratio is not None and ratio > 1.0:
+                    yield ours.subject.label, ratio, rival.subject.label
 
     def as_json(self) -> dict[str, Any]:
         subjects = []
@@ -71,7 +73,7 @@ class _Turns:
 def measure(row: Row, size: int, ask: Ask, rounds: int) -> MeasuredRow:
     """Measure all subjects of a row at a size in turn, round by round; one that cannot take part is not asked again."""
     turns = {subject: _Turns() for subject in row.subjects}
-    for _ in range(min(rounds, row.rounds)):
+    for _ in range(1 if size >= LARGE else min(rounds, row.rounds)):
         for subject, so_far in turns.items():
             if size > subject.largest:
                 so_far.absent = "not at this size"

@@ -20,10 +20,9 @@ def measured_part(rows: Iterable[MeasuredRow], machine: Mapping[str, Any], peers
     named = ", ".join(f"{name} {version}" for name, version in peers.items()) or "none was installed"
     text = f"Measured on {machine['cpu']}, {machine['cores']} cores (load {machine['load']}), Python {machine['python']}, "
     text += f"{rounds} rounds at most. Peers: {named}.\n\n### Where this project is slower\n\n"
-    slower = [(row, other, ratio) for row in rows for other, ratio in row.slower_than]
-    text += (
-        "".join(f"- {row.row.what}, {row.size} {row.row.item}: {ratio:.1f} times {other}\n" for row, other, ratio in slower) or "Nowhere.\n"
-    )
+    slower = [(row, *comparison) for row in rows for comparison in row.slower]
+    lines = (f"- {row.row.what}, {row.size} {row.row.item}: {ours} {ratio:.1f} × {rival}\n" for row, ours, ratio, rival in slower)
+    text += "".join(lines) or "Nowhere.\n"
     for row, group in groupby(rows, key=lambda measured: measured.row):
         text += f"\n### {row.what}\n\n{row.means}\n\n"
         text += f"| {row.item} | {' | '.join(subject.label + (' *' if subject.does_less else '') for subject in row.subjects)} |\n"
@@ -40,12 +39,12 @@ def cell(taken: Taken, ours: Taken, unit: str) -> str:
         return taken.absent
     shown = f"{number(taken.median)} {unit} ({number(min(taken.values))} to {number(max(taken.values))})"
     ratio = ours.times(taken)
-    return shown if taken is ours or ratio is None else f"{shown}, {number(ratio)} ×"
+    return shown if taken.subject.is_ours or ratio is None else f"{shown}, {number(ratio)} ×"
 
 
 def number(value: float) -> str:
     """Return a number with two digits at least."""
-    return f"{value:.0f}" if value >= 100 else f"{value:.1f}" if value >= 10 else f"{value:.2f}"
+    return f"{value:.0f}" if value >= 100 else f"{value:.1f}" if value >= 10 else f"{value:.2f}" if value >= 0.1 else f"{value:.2g}"
 
 
 def put_in(text: str, part: str) -> str:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+LARGE: Final = 10_000
+"""From here on some peers take minutes to build what is measured."""
+
 
 @dataclass(frozen=True, slots=True)
 class Subject:
@@ -24,6 +27,11 @@ class Subject:
     is_peer: bool = False
     largest: int = 1_000_000
 
+    @property
+    def is_ours(self) -> bool:
+        """Whether it is this project, in one way or another."""
+        return self.label.startswith("ours")
+
 
 @dataclass(frozen=True, slots=True)
 class Row:
@@ -36,7 +44,7 @@ class Row:
         item: of which there are so many.
         sizes: how many.
         subjects: who takes part.
-        rounds: how often each is measured at most.
+        rounds: how often each is measured at most; `LARGE` sizes are measured once.
     """
 
     what: str

@@ -7,6 +7,7 @@ import os
 import platform
 import subprocess
 import sys
+import threading
 import venv
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,6 +19,8 @@ from tests.support.files import ROOT
 
 PACKAGES: Final = {"up-esb": "Apache-2.0", "py_trees": "BSD-3-Clause", "snakes": "LGPL", "pm4py": "AGPL-3.0", "smach": "BSD-3-Clause"}
 """The peers and their licences. None is a dependency of this project: each runs in a process of its own, to be measured."""
+_LONGEST: Final = 900.0
+"""Seconds that one measure, or the installation of one package, may take."""
 
 
 class Worker:
@@ -36,16 +39,20 @@ class Worker:
         self._process.communicate()
 
     def ask(self, measure: str, size: int) -> Mapping[str, Any]:
-        """Have something measured once."""
+        """Have something measured once; a process that takes longer than the limit is ended, and measures nothing more."""
         assert self._process.stdin
         assert self._process.stdout
+        too_late = threading.Timer(_LONGEST, self._process.kill)
+        too_late.start()
         try:
             self._process.stdin.write(f"{measure} {size}\n")
             self._process.stdin.flush()
             line = self._process.stdout.readline()
         except BrokenPipeError:
             line = ""
-        answer: Mapping[str, Any] = json.loads(line) if line else {"error": "the process has died"}
+        finally:
+            too_late.cancel()
+        answer: Mapping[str, Any] = json.loads(line) if line else {"error": "its process has ended"}
         return answer
 
 
@@ -63,7 +70,8 @@ def peers_python(folder: Path) -> Path:
     if not python.exists():
         venv.create(folder, with_pip=True)
         for package in PACKAGES:
-            done = subprocess.run([str(python), "-m", "pip", "install", "--quiet", package], capture_output=True, text=True, check=False)
+            install = [str(python), "-m", "pip", "install", "--quiet", package]
+            done = subprocess.run(install, capture_output=True, text=True, check=False, timeout=_LONGEST)
             sys.stderr.write(f"{package}: {'installed' if done.returncode == 0 else 'cannot be installed'}\n")
     return python
 
