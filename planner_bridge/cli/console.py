@@ -8,8 +8,9 @@ import re
 import sys
 import textwrap
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
+from uuid import UUID
 
 from rich.console import Console
 from rich.markup import escape
@@ -20,12 +21,14 @@ from planner_bridge.model.plan import Plan, PlanningResult
 from planner_bridge.tasks.replanning import PlanAgain, ResumePlan
 from planner_bridge.tasks.result import ConstraintResult, TaskResult, Violation
 from planner_bridge.tasks.settings import TaskObserver
+from planner_bridge.tasks.task import passed_limit
 from pnm.core.execution.call_results import Explanation, Failure, RunResult
-from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.machine.machine import PetriNetMachine, Rule
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from pnm.core.machine.verification.verify import Proof
 from pnm.knowledge.sources.person_text import printable
+from pnm.tasks import TraceKind
 
 _STEP: Final = re.compile(r" *[0-9.]+( s)? +")
 """When a step of a plan comes, in front of it."""
@@ -90,6 +93,27 @@ class EventLines:
         self.console.print_text(text, f"  {now - self.began:8.2f} s  {escape(self.label)}{word} ")
 
 
+@dataclass
+class ToldFailures:
+    """Has a failure told once: that of a call does not say again what its request has ended with.
+
+    The mutable state is how the last requests have ended, by task and call.
+    """
+
+    ends: dict[tuple[UUID, str], str] = field(default_factory=dict)
+
+    def text(self, task: UUID, kind: int, subject: str, text: str) -> str:
+        """Return what is to be said of an event of a task, behind its subject."""
+        match kind:
+            case TraceKind.ENDED:
+                self.ends[task, subject] = text
+            case TraceKind.FAILED if self.ends.pop((task, subject.rpartition("#")[0]), "") == text:
+                return "it is not tried again"
+            case TraceKind.STATE if text.startswith("over"):
+                self.ends = {key: end for key, end in self.ends.items() if key[0] != task}
+        return text
+
+
 class _News(NamedTuple):
     """What has happened to a call and is printed with what follows from it: when, in which word, to what, why, and in detail."""
 
@@ -112,8 +136,8 @@ class ConsoleObserver(TaskObserver):
         is_verbose: whether it prints how large machines are, and how they were proved.
 
     The mutable state is whether that was printed, the time from which seconds count, the spinner, by the numbers of calls their
-    attempts, why they are tried again and what is not printed yet, and what was printed of the failures of each action: the same is
-    not printed again but at the end.
+    attempts, what was sent, why they are tried again and what is not printed yet, and what was printed of the failures of each action:
+    the same is not printed again but at the end.
     """
 
     def __init__(self, console: SafeConsole, limit: float, *, robots: str = "", awaited: str = "", is_verbose: bool = False) -> None:
@@ -125,6 +149,7 @@ class ConsoleObserver(TaskObserver):
         self._lines = EventLines(console)
         self._waiting = ExitStack()
         self._attempts: dict[int, int] = {}
+        self._actions: dict[int, GroundAction] = {}
         self._causes: dict[int, Failure] = {}
         self._news: dict[int, _News] = {}
         self._printed: set[tuple[str, str]] = set()
@@ -177,6 +202,7 @@ class ConsoleObserver(TaskObserver):
     def generated(self, machine: PetriNetMachine, proof: Proof) -> None:
         """Print that the machine is proved, in which calls have numbers of their own."""
         self._attempts.clear()
+        self._actions.clear()
         self._causes.clear()
         self._waiting.close()
         self._print_robots()
@@ -189,6 +215,7 @@ class ConsoleObserver(TaskObserver):
     def sent(self, call: ActionCall, request: Request, now: float) -> None:
         """Print that a call starts, or is tried again and why."""
         self._attempts[call.index] = request.attempt
+        self._actions[call.index] = request.action
         if request.attempt == 1:
             self._print(now, "[blue]start[/] ", str(call.action))
             return
@@ -204,6 +231,13 @@ class ConsoleObserver(TaskObserver):
             self._news[call.index] = self._news[call.index]._replace(cause=str(cause.cause), details=failure.details)
         else:
             self._wait_for_more(call, _News(now, "[red]wrong[/] ", call.action, str(cause.cause), failure.details))
+
+    def fired(self, transition: str, rule: Rule, now: float) -> None:
+        """Print that a call has passed its limit; how it ends is printed when that is known."""
+        if (limit := passed_limit(rule)) is not None and rule.call in self._actions:
+            self._print(
+                now, "[yellow]late[/]  ", f"{self._actions[rule.call]}: it has not ended within {limit:g} s, and is being cancelled"
+            )
 
     def spared(self, call: ActionCall, now: float) -> None:
         """Print that a call is not needed."""

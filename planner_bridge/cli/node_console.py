@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterable
 from uuid import UUID
 
-from planner_bridge.cli.console import EventLines, SafeConsole
+from planner_bridge.cli.console import EventLines, SafeConsole, ToldFailures
 from planner_bridge.cli.options import print_warnings
 from planner_bridge.node.node_log import NodeObserver, journal_words, standing_words
 from planner_bridge.view.control.operator import Operator
@@ -94,18 +94,20 @@ class NodePage(NodeObserver):
 
 
 class TaskConsole(TaskListener):
-    """Prints the events of tasks. The mutable state is a printer for every task that is not over."""
+    """Prints the events of tasks. The mutable state is a printer for every task that is not over, and what was told."""
 
     def __init__(self, console: SafeConsole) -> None:
         self._console = console
         self._loop = asyncio.get_running_loop()
         self._began = self._loop.time()
         self._lines: dict[UUID, EventLines] = {}
+        self._failures = ToldFailures()
 
     def happened(self, moment: TraceEvent) -> None:
         """Print an event, but not every transition that fires."""
+        told = self._failures.text(moment.task, moment.kind, moment.subject, moment.text)
         if not moment.kind.is_frequent and not moment.text.startswith("over: "):  # `ended` prints the result
-            text = ": ".join(filter(None, (moment.subject, moment.text)))
+            text = ": ".join(filter(None, (moment.subject, told)))
             self._lines_of(moment.task).print(moment.time, f"{moment.kind.word:<7}", shortened(text))
 
     def ended(self, task: UUID, ending: TaskEnding) -> None:

@@ -17,7 +17,7 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Column, Table
 
-from planner_bridge.cli.console import EventLines, SafeConsole
+from planner_bridge.cli.console import EventLines, SafeConsole, ToldFailures
 from planner_bridge.cli.options import Seconds, as_json_option, command, options
 from pnm.clock import run_async
 from pnm.core.machine.requests import OutcomeKind
@@ -58,9 +58,6 @@ class Event:
         task, time = UUID(bytes=bytes(message.task.uuid)), message.stamp.sec + message.stamp.nanosec / 1e9
         return Event(task, message.kind, message.word, message.subject, message.text, time)
 
-    def __str__(self) -> str:
-        return ": ".join(filter(None, (self.subject, self.text)))
-
 
 @dataclass
 class TaskBoard:
@@ -96,7 +93,7 @@ class TaskBoard:
                     kept.pop(event.task, None)
             case TraceKind.STATE:
                 self.states[event.task] = event.text
-            case TraceKind.SENT:
+            case TraceKind.SENT if event.subject:  # else a request to cancel
                 calls[event.subject] = (now, "")
             case TraceKind.FEEDBACK:
                 calls[event.subject] = (calls.get(event.subject, (None, ""))[0], event.text)
@@ -122,6 +119,7 @@ class EventPrinter:
     def __init__(self, console: SafeConsole, board: TaskBoard | None = None) -> None:
         self._lines = EventLines(console)
         self._board = board or TaskBoard()
+        self._failures = ToldFailures()
         self._told: dict[tuple[UUID, str], float] = {}
         self._below = Live(get_renderable=lambda: self._board.shown(monotonic()), console=console, refresh_per_second=4, transient=True)
         if console.is_terminal:
@@ -134,6 +132,7 @@ class EventPrinter:
     def print(self, event: Event, label: str = "") -> None:
         """Print an event; the label comes behind its time."""
         self._board.note(event, monotonic())
+        text = self._failures.text(event.task, event.kind, event.subject, event.text)
         if event.kind == TraceKind.FIRED:
             return
         if event.kind == TraceKind.FEEDBACK:
@@ -142,7 +141,7 @@ class EventPrinter:
                 return
             self._told[key] = event.time
         self._lines.label = label
-        self._lines.print(event.time, f"{event.word:<7}", str(event))
+        self._lines.print(event.time, f"{event.word:<7}", ": ".join(filter(None, (event.subject, text))))
 
 
 @click.command(epilog="Example: pnm status --json")

@@ -17,7 +17,7 @@ from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.core.broadcast import broadcast
 from pnm.core.execution.call_results import CallResult, Failure, RunResult
-from pnm.core.machine.machine import CallOutcome, PetriNetMachine, Rule
+from pnm.core.machine.machine import After, CallOutcome, PetriNetMachine, Rule, TransitionAction
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from pnm.core.machine.verification.verify import Proof
@@ -267,9 +267,22 @@ class Task(TaskObserver):
         self.listener.changed(self.id)
 
     def fired(self, transition: str, rule: Rule, now: float) -> None:
-        """Tell that a transition has fired; too much for the trace of the task."""
+        """Tell that a transition has fired; too much for the trace of the task, unless a call has passed its limit."""
+        run = self.control.run
+        if (limit := passed_limit(rule)) is not None and run is not None and rule.call is not None:
+            late = run.machine.plan.calls[rule.call].action
+            self.note(TraceKind.SENT, "", f"a request to cancel {late}: it has not ended within {limit:g} s", logging.WARNING)
         if rule.restarts:
             self.restarts += 1
             self.listener.changed(self.id)
         self.listener.happened(TraceEvent(self.id, now, TraceKind.FIRED, transition))
         self.listener.moved(self.id)
+
+
+def passed_limit(rule: Rule) -> float | None:
+    """Return the limit of a call, in seconds, that has passed when this transition fires: its request is cancelled; None for others."""
+    match rule:
+        case Rule(guard=After(limit), action=TransitionAction.CANCEL, cause=None):
+            return limit
+        case _:
+            return None

@@ -71,8 +71,10 @@ def _reason(task: TaskStory, state: TaskState) -> str:
     """Return why a task is as it is."""
     if task.ending:
         return task.ending.message
+    if task.help:
+        return "a person is asked what is to be done"
     if not task.runs:
-        return "a planner looks for a plan" if state is TaskState.PLANNING else ""
+        return "it has no plan yet: a planner looks for one, or it waits for other tasks" if state is TaskState.PLANNING else ""
     run = task.runs[-1]
     if state is TaskState.REPLANNING and task.decision:
         return decision_words(task.decision)

@@ -10,7 +10,7 @@ import pytest
 from planner_bridge.explanations.answer import Answer, Best, Claim, Fails, Known, NoSmallerChange, Solves, Unsolvable
 from planner_bridge.model.plan import Plan
 from planner_bridge.planning.solve import solve
-from tests.support.pddl.explanations.checked_claims import Checked
+from tests.support.pddl.explanations.checked_claims import Checked, smaller
 from tests.support.pddl.explanations.doors import house
 from tests.support.pddl.explanations.questions import ask, domains, read
 from tests.support.pddl.explanations.second_planner import Verdict, allowing_more, second_opinion
@@ -67,3 +67,11 @@ def test_the_second_planner_agrees_where_it_can() -> None:
     ]
     assert second_opinion(rooms(ways="ab", goal="(at r1 c)")) is Verdict.NO_PLAN
     assert allowing_more(tanks()) is not None
+
+
+def test_what_a_quantified_goal_asks_for_is_no_smaller_change() -> None:
+    checked = Checked()
+    every = house(goal="(forall (?c - cup) (has r1 ?c))")
+    checked.look(Answer("it is so", Known.SEARCH, (), (NoSmallerChange(every, 1),)))
+    changes = [change for change in smaller(every, 2) if change.init.get(("has", "r1", "cup")) is True]
+    assert (checked.false, changes) == ([], [])

@@ -5,6 +5,7 @@ from uuid import UUID
 
 from rich.console import Console
 
+from planner_bridge.cli.console import ToldFailures
 from planner_bridge.cli.running_node import Event, TaskBoard
 from pnm.tasks import TraceKind
 
@@ -40,3 +41,25 @@ def test_tasks_that_are_not_over_and_their_calls_stay_in_sight() -> None:
     note(board, POST, TraceKind.STATE, "", "over: cancelled: its client has cancelled it", 15)
     note(board, TEA, TraceKind.STATE, "", "over: goal_reached: the goal holds", 15)
     assert lines(board, 15) == []
+
+
+def test_a_request_to_cancel_is_no_call() -> None:
+    board = TaskBoard()
+    note(board, TEA, TraceKind.STATE, "", "running", 0)
+    note(board, TEA, TraceKind.SENT, "move(r1, hall, kitchen)", "", 1)
+    note(board, TEA, TraceKind.SENT, "", "a request to cancel move(r1, hall, kitchen): it has not ended within 30 s", 31)
+    assert lines(board, 33) == ["aaaaaaaa    running", "    32 s  move(r1, hall, kitchen)"]
+
+
+def test_a_failure_is_told_once() -> None:
+    told, move, blocked = ToldFailures(), "move(r1, hall, kitchen)", "aborted: the way is blocked"
+    assert told.text(TEA, TraceKind.ENDED, move, blocked) == blocked
+    assert told.text(POST, TraceKind.FAILED, f"{move}#4", blocked) == blocked, "that is another task"
+    assert told.text(TEA, TraceKind.FAILED, f"{move}#4", blocked) == "it is not tried again"
+    assert told.text(TEA, TraceKind.FAILED, f"{move}#4", blocked) == blocked
+    told.text(TEA, TraceKind.ENDED, move, "canceled: cancelled on request")
+    late = "timed_out: expected an end within 30 s; observed none; then cancelled on request"
+    assert told.text(TEA, TraceKind.FAILED, f"{move}#4", late) == late
+    told.text(TEA, TraceKind.ENDED, move, blocked)
+    told.text(TEA, TraceKind.STATE, "", "over: cancelled: its client has cancelled it")
+    assert told.ends == {}

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from planner_bridge.explanations.goal_now import unpacked
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.node.problem_service import LoadedProblem, ServedProblem
 from planner_bridge.node.world_queries import MAX_LENGTH, MAX_TEXTS, SharedWorld, read_goals
@@ -279,3 +280,18 @@ def test_goals_are_read_from_a_file(tmp_path):
         with pytest.raises(InputError) as caught:
             read_goals(file)
         assert str(caught.value).startswith(f"{file}:{said}")
+
+
+def test_the_problem_as_the_world_is_now_goes_to_another_process_with_what_is_unknown():
+    async def scene() -> None:
+        knowledge = initial_knowledge(PROBLEM)
+        served = ServedProblem(LoadedProblem(PROBLEM, knowledge, {"dark": "(dark)"}, Settings()), Path(), lambda *_: None)
+        knowledge.update({("charged", "r1"): UNKNOWN, ("dark",): True})
+        problem = unpacked(await served.pack("dark"))
+        assert str(problem.goal) == "(dark)"
+        assert problem.init[("dark",)] is True
+        assert ("charged", "r1") in problem.unknown
+        with pytest.raises(InputError, match="did you mean 'dark'"):
+            await served.pack("drak")
+
+    run_async(scene(), virtual=True)

@@ -10,12 +10,14 @@ from random import Random
 from typing import Final
 
 from planner_bridge.explanations.answer import Answer, Best, Claim, Fails, Known, NoSmallerChange, Solves, Unsolvable
+from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.solve import solve
 from planner_bridge.planning.validate import why_invalid
-from pnm.core.logic.expressions import Fluent, fluent_text
+from pnm.core.logic.conditions import fluents
+from pnm.core.logic.expressions import Fluent
 from tests.support.pddl.explanations.second_planner import Verdict, fewest_calls, is_classical, second_opinion
 
 _TRIED: Final = 30
@@ -56,7 +58,7 @@ class Checked:
                 fewest = fewest_calls(problem) if is_classical(problem) else None
                 self._note(claim, said, None if fewest is None else fewest == len(plan.steps))
             case NoSmallerChange(problem, facts):
-                self._note(claim, said, not any(solve(each, timeout=_SECONDS, improve=0.0).plan for each in _smaller(problem, facts)))
+                self._note(claim, said, not any(solve(each, timeout=_SECONDS, improve=0.0).plan for each in smaller(problem, facts)))
 
     def _note(self, claim: Claim, said: str, verdict: bool | None) -> None:
         kind = type(claim).__name__
@@ -81,9 +83,10 @@ def _has_no_plan(problem: Problem) -> bool | None:
             return False if solve(problem, timeout=_SECONDS, improve=0.0).plan else None
 
 
-def _smaller(problem: Problem, facts: int) -> Iterator[Problem]:
+def smaller(problem: Problem, facts: int) -> Iterator[Problem]:
     """Yield the problem after every change of fewer facts than so many; of several facts some that are drawn at random."""
-    others = sorted(fluent for fluent in _facts(problem) if fluent_text(fluent) not in str(problem.goal))
+    asked_for = fluents(problem.goal, initial_knowledge(problem))
+    others = sorted(fluent for fluent in _facts(problem) if fluent not in asked_for)
     for size in range(facts):
         every = (
             islice(combinations(others, size), _MOST)
