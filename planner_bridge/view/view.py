@@ -71,7 +71,7 @@ def _reason(task: TaskStory, state: TaskState) -> str:
     """Return why a task is as it is."""
     if task.ending:
         return task.ending.message
-    if task.help:
+    if task.helps:
         return "a person is asked what is to be done"
     if not task.runs:
         return "it has no plan yet: a planner looks for one, or it waits for other tasks" if state is TaskState.PLANNING else ""

@@ -139,8 +139,8 @@ class Guards:
         return NEVER  # opened by a report alone, see `Run._take`
 
     def _due(self, guard: Due, firing: Firing, place: int) -> float:
-        state, ids = self._state, self._state.engine.compiled.place_id
-        return max([(state.origin or 0.0) + guard.seconds, *(state.marked_at[ids[earlier]] + delay for earlier, delay in guard.since)])
+        state = self._state
+        return max([(state.origin or 0.0) + guard.seconds, *(state.marked_at[earlier] + delay for earlier, delay in firing.since)])
 
     def _truth(self, condition: Condition, firing: Firing, place: int) -> Truth:
         known = firing.condition

@@ -5,10 +5,10 @@ Whatever a run asks about a place, a transition or a call is worked out when it 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, TypeVar
+from typing import Final
 from weakref import WeakKeyDictionary
 
 from pnm.core.execution.closed_call import ClosedCall, closed_call
@@ -17,6 +17,7 @@ from pnm.core.logic.conditions import All, data_in
 from pnm.core.logic.effects import Set, every_effect
 from pnm.core.logic.expressions import Fluent
 from pnm.core.logic.rules import NO_RULES, Reads, read_by, reads_of
+from pnm.core.machine.blocks import rules_by_number
 from pnm.core.machine.machine import (
     Accepts,
     After,
@@ -44,6 +45,7 @@ from pnm.core.machine.machine import (
 )
 from pnm.core.machine.requests import OutcomeKind
 from pnm.core.net.firing_engine import CompiledNet
+from pnm.core.net.when_asked import WhenAsked
 
 _KNOWING: Final = (ConditionTrue, ConditionFalse, ConditionUnknown, InvariantFalse, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
 """Guards whose answer may change when facts change."""
@@ -100,6 +102,8 @@ class Firing:
     """Whether it matters to more than its call: to resources, to whether the run is ending, to those who are told."""
     condition: CompiledCondition | None
     """The condition of its guard, where that is the same for every run."""
+    since: tuple[tuple[int, float], ...]
+    """The places from whose marking its guard counts, and the seconds."""
 
 
 @dataclass(frozen=True)
@@ -129,22 +133,6 @@ class Decision:
         return tuple([self.made[number] for number in self.numbers])
 
 
-K = TypeVar("K")
-V = TypeVar("V")
-
-
-class WhenAsked(dict[K, V]):
-    """Values that are made when they are first asked for, and kept."""
-
-    def __init__(self, make: Callable[[K], V]) -> None:
-        super().__init__()
-        self._make = make
-
-    def __missing__(self, key: K) -> V:
-        value = self[key] = self._make(key)
-        return value
-
-
 class MachineIndex:
     """Places, transitions and calls of a machine.
 
@@ -152,26 +140,20 @@ class MachineIndex:
     """
 
     def __init__(self, machine: PetriNetMachine) -> None:
-        net = machine.compiled
-        ids = net.place_id
+        net, self._rules = machine.compiled, rules_by_number(machine)
         self._inputs, self._outputs, self._consumers, self._names = net.inputs, net.outputs, net.consumers, net.transitions
         self._moves, self._counted = net.moves, net.counted
+        self._places = net.net.places
         self._calls = calls = machine.plan.calls
-        self.rules = [machine.rules[name] for name in net.transitions]
-        self.records = frozenset(ids[place] for place in machine.record_places)
+        numbered = net.net.numbered
+        self.settling = numbered(machine.settling_places)
+        self.failures = numbered(machine.failure_places)
+        self.restarts, self.resources = frozenset(numbered(machine.restart_places)), frozenset(numbered(machine.resource_places))
+        self.records = self.resources.union(self.failures, self.restarts, net.net.numbers(machine.budget_places))
         """Places at which nothing is decided."""
-        self.resources = frozenset(ids[place] for place in machine.resource_places)
-        self.alive = tuple(ids[place] for place in machine.alive_places)
-        self.settling = {ids[place]: call for place, call in machine.settling_places.items()}
-        self.restarts = frozenset(ids[place] for place in machine.restart_places)
-        self.failures = {ids[place]: call for place, call in machine.failure_places.items()}
-        self.goal = ids[machine.goal_place]
-        self.failed = ids[machine.failed_place]
+        self.alive = tuple(net.net.numbers(machine.alive_places))
+        self.goal, self.failed = (self._places.index(place) for place in (machine.goal_place, machine.failed_place))
         self.on_failure: OnFailure = machine.on_failure
-        self._reported: dict[int, list[int]] = {}
-        for transition, rule in enumerate(self.rules):
-            if isinstance(rule.guard, Accepts | Ends):
-                self._reported.setdefault(rule.guard.call, []).append(transition)
         self.rules_of_facts = machine.plan.rules
         """What derives the facts that its conditions mention."""
         # worked out so far
@@ -187,9 +169,10 @@ class MachineIndex:
         """What of calls does not depend on knowledge."""
 
     def _decision(self, place: int) -> Decision:
-        by_guard = [one for one, _ in self._consumers[place] if not isinstance(self.rules[one].guard, Accepts | Ends)]
-        knows = any(isinstance(self.rules[one].guard, _KNOWING) for one in by_guard)
-        staying = tuple([self.firings[one] for one in by_guard if not isinstance(self.rules[one].guard, _LEAVING)])
+        guards = {one: self._rules.like(one).guard for one, _ in self._consumers[place]}
+        by_guard = [one for one, guard in guards.items() if not isinstance(guard, Accepts | Ends)]
+        knows = any(isinstance(guards[one], _KNOWING) for one in by_guard)
+        staying = tuple([self.firings[one] for one in by_guard if not isinstance(guards[one], _LEAVING)])
         is_passage = len(self._consumers[place]) == len(staying) == 1 and staying[0].guarded is Always and not staying[0].acts
         passage, count = staying[0] if is_passage else None, len(self._consumers[place])
         guard = staying[0].rule.guard if len(staying) == 1 and not staying[0].counts else None
@@ -226,10 +209,10 @@ class MachineIndex:
 
     def _opened(self, key: tuple[int, OutcomeKind | None]) -> tuple[tuple[int, int], ...]:
         call, kind = key
-        return tuple([(one, self._inputs[one][0][0]) for one in self._reported[call] if _admits(self.rules[one], kind)])
+        return tuple([(one, self._inputs[one][0][0]) for one in self._rules.reported(call) if _admits(self._rules.like(one), kind)])
 
     def _firing(self, transition: int) -> Firing:
-        rule, taken = self.rules[transition], self._inputs[transition]
+        rule, taken = self._rules.rule(transition), self._inputs[transition]
         inputs, outputs = (tuple(place for place, _ in arcs[transition]) for arcs in (self._inputs, self._outputs))
         fails = tuple(place for place in outputs if place in self.failures)
         is_call = rule.call is not None and rule.call < len(self._calls)
@@ -258,7 +241,12 @@ class MachineIndex:
             acts=bool(takes or gives or turns or tells or rule.action or rule.outcome is CallOutcome.SUCCEEDED),
             matters=takes or gives or turns or tells or rule.action is TransitionAction.ADOPT,
             condition=self._condition(rule, is_call=is_call),
+            since=self._since(rule.guard, inputs) if isinstance(rule.guard, Due) else (),
         )
+
+    def _since(self, guard: Due, inputs: tuple[int, ...]) -> tuple[tuple[int, float], ...]:
+        names = {self._places[place]: place for place in inputs} if guard.since else {}  # it counts from places that it takes from
+        return tuple((names[place], delay) for place, delay in guard.since)
 
     def _condition(self, rule: Rule, *, is_call: bool) -> CompiledCondition | None:
         if not isinstance(rule.guard, ConditionTrue | ConditionFalse) or (is_call and self.closed[rule.call or 0] is None):

@@ -56,10 +56,10 @@ from pnm.core.machine.machine import (
     Withheld,
     check_rule,
 )
-from pnm.core.machine.plan_graph import ActionCall, Cause, GroundAction, Moment, PlanEvent
+from pnm.core.machine.plan_graph import ActionCall, Cause, GroundAction
 from pnm.core.machine.recovery_block import Recoveries, abandon, build_recoveries, succeeded_place
 from pnm.core.machine.requests import OutcomeKind
-from pnm.core.machine.step_block import Block
+from pnm.core.machine.step_block import OWN, Block, Port, RuleOf
 
 _SUCCEEDED = frozenset({OutcomeKind.SUCCEEDED})
 _UNSUCCESSFUL = frozenset(OutcomeKind) - _SUCCEEDED
@@ -85,7 +85,7 @@ class CallBlock(Block[ActionCall]):
 
     def build(self) -> None:
         """Add the block to the machine."""
-        announced = self._announced
+        announced = self.at(Port.ANNOUNCES)
         ending = ("returned", "ended", "finished") if self.awaited else ("finished",)
         for name in ("running", "overdue", "stopping", "settling", "suspending", *ending, "done", "failed"):
             self.place(name)
@@ -93,57 +93,64 @@ class CallBlock(Block[ActionCall]):
         for phase in ("", _RESTARTED) if announced else ("",):
             for name in ("ready", "requested", "recover", "withdrawing"):
                 self.place(phase + name)
-        self.builder.failure_places[self.name("failed")] = self.step.index
+        self.draft.failures.append("failed")
         if self.retries:
             self.budget("budget", "spent", self.retries)
         self.recoveries = build_recoveries(self)  # before the attempts, whose transitions lead to the places of recoveries
         self._attempt("", announced)
         if announced:
             self._attempt(_RESTARTED, [])
-        # A call that is under way already has started: no release time holds it up.
-        self.enter("ready", 0.0 if self.step.under_way else self.step.release)
+        self.enter("ready")
         self._run(_RESTARTED if announced else "")
         self._finish(_RESTARTED if announced else "")
         self.leave()
 
-    def add(self, rule: Rule, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], *, title: str = "") -> None:
+    @property
+    def key(self) -> object:
+        """What the shape of the block depends on; recoveries of its own make it one of its own kind."""
+        step, binding = self.step, self.binding
+        if step.recoveries:
+            return None
+        is_timed = bool(self.release or self.delays), isfinite(self.latest), isfinite(step.deadline)
+        traits = step.under_way, self._must_happen, step.action.invariant != TRUE, self._asks_at_its_end
+        limits = self.retries, binding.accept, binding.cancel, binding.when_lost
+        return self.connected, self.context.repeated, is_timed, traits, limits
+
+    def add(self, rule: Rule | RuleOf, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], *, title: str = "") -> None:
         """Add a transition between any places; one that leads to where a request may be alive takes the resources."""
-        if self._resources:
+        if resources := self.at(Port.RESOURCES):
+            like = rule if isinstance(rule, Rule) else rule(self)
             taken, marked = inputs if isinstance(inputs, dict) else dict.fromkeys(inputs, 1), [*outputs]
             # Resources are taken and given where the boundary of the alive places is crossed, so that no transition can forget it.
             was_alive, is_alive = (not self._alive.isdisjoint(places) for places in (taken, marked))
             # What is adopted brings its resources along: it does not wait for them.
-            if is_alive and not was_alive and not isinstance(rule.guard, Adopted):
-                name = title or rule.name
-                out = [self.name("done"), *(self._announced if name == "start" else []), self.name("failed")]
+            if is_alive and not was_alive and not isinstance(like.guard, Adopted):
+                name = title or like.name
+                out = ["done", *(self.at(Port.ANNOUNCES) if name == "start" else []), "failed"]
                 # Before the start as if the server were not there. But a recovery that goes on as if it had succeeded needs a request.
                 is_unserved = name.endswith("start") and Cause.UNAVAILABLE not in self.recoveries.kept
                 marked_then = self._after(Cause.UNAVAILABLE, out) if is_unserved else out
-                withheld = check_rule(Cause.WITHHELD, Withheld(self.step.index, self.binding.accept, rule.action), self.step.index)
+                withheld = check_rule(Cause.WITHHELD, Withheld(OWN, self.binding.accept, like.action))
                 # Added before the transition itself: a wait for resources must have a way out that does not need them.
                 super().add(withheld, taken, marked_then, title=f"{withheld.name} before {name}")
-            inputs = {**taken, **dict.fromkeys(self._resources, 1)} if is_alive and not was_alive else taken
-            outputs = [*marked, *self._resources] if was_alive and not is_alive else marked
+            inputs = {**taken, **dict.fromkeys(resources, 1)} if is_alive and not was_alive else taken
+            outputs = [*marked, *resources] if was_alive and not is_alive else marked
         super().add(rule, inputs, outputs, title=title)
 
     def place(self, name: str) -> str:
         """Make a place of this block."""
-        if self.name(name) in self._alive:
-            self.builder.alive_places.add(self.name(name))
+        if name in self._alive:
+            self.draft.alive.append(name)
         if name in ("returned", "ended", "finished", "settling"):
-            self.builder.settling_places[self.name(name)] = self.step.index
+            self.draft.settling.append(name)
         return super().place(name)
-
-    @cached_property
-    def _announced(self) -> list[str]:
-        return self.builder.out_of.get(PlanEvent(self.step.index, Moment.START), [])
 
     @cached_property
     def _alive(self) -> frozenset[str]:
         """Places of a call that is under way; what waits for others or for answers before its effects are looked for is not."""
         # The robot is at rest then, and its resources are free for others: nothing is asked while resources are held.
         settling = () if self._asks_at_its_end else ("settling",) if self.awaited else ("settling", "finished")
-        return frozenset(map(self.name, (*_ALIVE, *settling)))
+        return frozenset((*_ALIVE, *settling))
 
     @property
     def _asks_at_its_end(self) -> bool:
@@ -155,13 +162,30 @@ class CallBlock(Block[ActionCall]):
         return is_open or any(may_ask(data) for part in (*own, *effects, action.end_condition, action.expected) for data in data_in(part))
 
     @cached_property
-    def _resources(self) -> tuple[str, ...]:
-        return tuple(f"resource {name}" for name in self.builder.bindings.resources(self.step.action))
-
-    @cached_property
     def binding(self) -> Binding:
         """Limits of the action."""
-        return self.builder.bindings.of(self.step.action.name)
+        return self.context.bindings.of(self.step.action.name)
+
+    @property
+    def release(self) -> float:
+        """Seconds after the plan's start before which the call must not start."""
+        return 0.0 if self.step.under_way else self.step.release  # one that is under way already has started: nothing holds it up
+
+    @property
+    def timeout(self) -> float:
+        """Seconds that its request may take."""
+        return self.context.bindings.timeout(self.step.action) if self.step.timeout is None else self.step.timeout
+
+    @cached_property
+    def may_start(self) -> Condition:
+        """What is checked before the start."""
+        # The over-all condition is checked before the start as well: the call would otherwise be cancelled as soon as it has begun.
+        return conjunction((self.step.action.precondition, _before_invariant(self.step.action, self.context.plan.rules)))
+
+    @property
+    def latest(self) -> float:
+        """Seconds after the plan's start by which it must have been sent."""
+        return min(self.step.latest_start, self.step.deadline)
 
     @property
     def retries(self) -> int:
@@ -170,57 +194,54 @@ class CallBlock(Block[ActionCall]):
 
     def _attempt(self, phase: str, announced: list[str]) -> None:
         """From `ready` to acceptance, and from `recover` back or out."""
-        call, action = self.step.index, self.step.action
-        ready, requested, recover, withdrawing = (self.name(phase + name) for name in ("ready", "requested", "recover", "withdrawing"))
-        out = [self.name("done"), *announced]
-        failed = [*out, self.name("failed")]
-        # The over-all condition is checked before the start as well: the call would otherwise be cancelled as soon as it has begun.
-        may_start = conjunction((action.precondition, _before_invariant(action, self.builder.plan.rules)))
+        ready, requested, recover, withdrawing = (phase + name for name in ("ready", "requested", "recover", "withdrawing"))
+        out = ["done", *announced]
+        failed = [*out, "failed"]
 
-        def add(rule: Rule, source: str, outputs: Iterable[str]) -> None:
-            self.add(rule, [source], outputs, title=phase + rule.name)
+        def add(rule: Rule | RuleOf, source: str, outputs: Iterable[str]) -> None:
+            self.add(rule, [source], outputs, title=phase + (rule if isinstance(rule, Rule) else rule(self)).name)
 
         # First of all rules, and in the first attempt only: after a retry there is no request to adopt any more.
-        if self.step.under_way and announced == self._announced:
-            add(Rule("adopt", Adopted(call), call, action=TransitionAction.ADOPT), ready, [self.name("running"), *announced])
+        if self.step.under_way and announced == self.at(Port.ANNOUNCES):
+            add(Rule("adopt", Adopted(OWN), action=TransitionAction.ADOPT), ready, ["running", *announced])
         # Before every check: a run that is ending asks no questions and sends nothing.
-        add(Rule("skip", Ending(), call, outcome=CallOutcome.SKIPPED), ready, out)
+        add(Rule("skip", Ending(), outcome=CallOutcome.SKIPPED), ready, out)
         if not self._must_happen:  # before the checks of conditions and data, none of which matter for a call that is not needed
-            add(Rule("already_true", AlreadyTrue(call), call, outcome=CallOutcome.ALREADY_TRUE), ready, out)
+            add(Rule("already_true", AlreadyTrue(OWN), outcome=CallOutcome.ALREADY_TRUE), ready, out)
         self._own_checks(Cause.BEFORE, "ready")
         # Before the precondition, which cannot be evaluated for parameters without a value.
-        add(check_rule(Cause.DATA_MISSING, DataMissing(call), call), ready, self._after(Cause.DATA_MISSING, failed))
-        latest = min(self.step.latest_start, self.step.deadline)
-        if isfinite(latest):  # before `start`, which would begin something that cannot end in time
-            add(check_rule(Cause.TOO_LATE, Due(latest), call), ready, failed)
+        add(check_rule(Cause.DATA_MISSING, DataMissing(OWN)), ready, self._after(Cause.DATA_MISSING, failed))
+        if isfinite(self.latest):  # before `start`, which would begin something that cannot end in time
+            add(lambda own: check_rule(Cause.TOO_LATE, Due(own.latest)), ready, failed)
         # The complement follows right after it: one of the two opens for every state of the world.
-        add(Rule("start", ConditionTrue(may_start), call, action=_SEND, outcome=CallOutcome.RUNNING), ready, [requested])
-        add(check_rule(Cause.PRECONDITION_FALSE, ConditionFalse(may_start), call), ready, self._after(Cause.PRECONDITION_FALSE, failed))
+        add(lambda own: Rule("start", ConditionTrue(own.may_start), action=_SEND, outcome=CallOutcome.RUNNING), ready, [requested])
+        refused = self._after(Cause.PRECONDITION_FALSE, failed)
+        add(lambda own: check_rule(Cause.PRECONDITION_FALSE, ConditionFalse(own.may_start)), ready, refused)
 
-        add(Rule("accepted", Accepts(call), call, action=TransitionAction.BEGIN), requested, [self.name("running"), *announced])
+        add(Rule("accepted", Accepts(OWN), action=TransitionAction.BEGIN), requested, ["running", *announced])
         # Nothing is undone after these: assumed start effects are only written once the goal is accepted.
         for kind, cause in _EARLY.items():
             name = f"{kind.value}{'_early' if kind is OutcomeKind.LOST else ''}"
-            add(Rule(name, Ends(call, frozenset({kind})), call, cause=cause), requested, self._after(cause, [recover]))
+            add(Rule(name, Ends(OWN, frozenset({kind})), cause=cause), requested, self._after(cause, [recover]))
         unavailable = self._after(Cause.UNAVAILABLE, [recover])
         # A report that skips the acceptance is put right by the run; this exit makes the block complete without relying on that.
-        add(Rule("ended_early", Ends(call, _NOT_EARLY), call, cause=Cause.UNAVAILABLE), requested, unavailable)
+        add(Rule("ended_early", Ends(OWN, _NOT_EARLY), cause=Cause.UNAVAILABLE), requested, unavailable)
         too_long, in_vain = After(self.binding.accept), After(self.binding.cancel)
-        unanswered = Rule("unanswered", too_long, call, _CANCEL, cause=Cause.UNAVAILABLE, expected=_ANSWER, observed="none")
+        unanswered = Rule("unanswered", too_long, action=_CANCEL, cause=Cause.UNAVAILABLE, expected=_ANSWER, observed="none")
         # The goal may have arrived all the same, so it is cancelled and its end awaited before another attempt.
         add(unanswered, requested, [withdrawing])
         # A success is one although it was not wanted any more; after any other end the robot is free for another attempt.
-        came_late = Rule("came_late", Ends(call, _SUCCEEDED), call, action=TransitionAction.BEGIN)
+        came_late = Rule("came_late", Ends(OWN, _SUCCEEDED), action=TransitionAction.BEGIN)
         add(came_late, withdrawing, [succeeded_place(self), *announced])
-        add(Rule("withdrawn", Ends(call, _UNSUCCESSFUL), call), withdrawing, unavailable)
-        unheard = Rule("unheard", in_vain, call, cause=Cause.UNAVAILABLE, expected=_ANSWER, observed="none", gives_up=True)
+        add(Rule("withdrawn", Ends(OWN, _UNSUCCESSFUL)), withdrawing, unavailable)
+        unheard = Rule("unheard", in_vain, cause=Cause.UNAVAILABLE, expected=_ANSWER, observed="none", gives_up=True)
         add(unheard, withdrawing, failed)  # no retry here: the robot may still carry out the first request
 
         abandon(self, "recover", *announced, phase=phase)  # asked before `retry`: an ending run does not try again
-        budget, spent, retries = self.name("budget"), self.name("spent"), self.retries
+        budget, spent, retries = "budget", "spent", self.retries
         if retries:  # by their counters just one of `retry` and `give_up` is enabled at any time
-            self.add(Rule("retry", call=call), [recover, budget], [ready, spent], title=f"{phase}retry")
-        self.add(Rule("give_up", call=call), {recover: 1, spent: retries} if retries else {recover: 1}, failed, title=f"{phase}give_up")
+            self.add(Rule("retry"), [recover, budget], [ready, spent], title=f"{phase}retry")
+        self.add(Rule("give_up"), {recover: 1, spent: retries} if retries else {recover: 1}, failed, title=f"{phase}give_up")
 
     @property
     def _must_happen(self) -> bool:
@@ -230,79 +251,87 @@ class CallBlock(Block[ActionCall]):
         repeated, effects of its own last round prove nothing.
         """
         repeats = self.context.repeated and self.step.action.expected != TRUE
-        relied_on = bool(self.awaited or self._announced)
+        relied_on = bool(self.awaited or self.at(Port.ANNOUNCES))
         return repeats or relied_on or bool(self.step.release)
 
     def _run(self, phase: str) -> None:
         """From acceptance to one exit per outcome."""
-        call, returned = self.step.index, "returned" if self.awaited else "finished"
-        recover = [self.name(phase + "recover")]
-        self.fire(Rule("succeeded", Ends(call, _SUCCEEDED), call), "running", returned)
-        for_good = [self.name("done"), self.name("failed")]
+        returned, recover = succeeded_place(self), [phase + "recover"]
+        self.fire(Rule("succeeded", Ends(OWN, _SUCCEEDED)), "running", returned)
+        for_good = ["done", "failed"]
         for kind, cause in _LATE.items():
             is_final = cause is Cause.LOST and self.binding.when_lost is WhenLost.ABORT
-            self._outcome(kind.value, Ends(call, frozenset({kind})), "running", cause, for_good if is_final else recover)
+            self._outcome(kind.value, Ends(OWN, frozenset({kind})), "running", cause, for_good if is_final else recover)
         # No server sends these after an acceptance, but the place needs an exit for every kind of end.
-        self._outcome("ended_oddly", Ends(call, _ODD), "running", Cause.ABORTED, recover)
+        self._outcome("ended_oddly", Ends(OWN, _ODD), "running", Cause.ABORTED, recover)
         # Past `recover`: whatever is left of the budget, another attempt would end in the same way.
-        self._outcome("aborted_for_good", Ends(call, _FOR_GOOD), "running", Cause.ABORTED, for_good)
+        self._outcome("aborted_for_good", Ends(OWN, _FOR_GOOD), "running", Cause.ABORTED, for_good)
         # Before `suspend`: a call that is stopped does not begin anew after the pause.
-        self.fire(Rule("stop", CancelAsked(), call, action=_CANCEL), "running", "stopping")
-        self.fire(Rule("suspend", PauseAsked(), call, action=_CANCEL), "running", "suspending")
+        self.fire(Rule("stop", CancelAsked(), action=_CANCEL), "running", "stopping")
+        self.fire(Rule("suspend", PauseAsked(), action=_CANCEL), "running", "suspending")
         if self.step.action.invariant != TRUE:
             # The failure is marked at once, with the cancellation still to be confirmed: it is the cause, whatever the server answers.
-            broken = check_rule(Cause.INVARIANT_FALSE, InvariantFalse(self.step.action.invariant), call, _CANCEL)
-            self.fire(broken, "running", "stopping", "failed")
+            self.fire(
+                lambda own: check_rule(Cause.INVARIANT_FALSE, InvariantFalse(own.step.action.invariant), action=_CANCEL),
+                *("running", "stopping", "failed"),
+            )
         if isfinite(self.step.deadline):
-            missed = check_rule(Cause.DEADLINE_MISSED, Due(self.step.deadline), call, _CANCEL)
-            self.fire(missed, "running", "stopping", "failed")
-        timeout = self.builder.bindings.timeout(self.step.action) if self.step.timeout is None else self.step.timeout
-        self.fire(Rule("timed_out", After(timeout), call, action=_CANCEL), "running", "overdue")
+            self.fire(
+                lambda own: check_rule(Cause.DEADLINE_MISSED, Due(own.step.deadline), action=_CANCEL), "running", "stopping", "failed"
+            )
+        self.fire(lambda own: Rule("timed_out", After(own.timeout), action=_CANCEL), "running", "overdue")
 
         in_vain, confirmation = After(self.binding.cancel), f"a confirmed cancellation within {self.binding.cancel:g} s"
         # A success after the limit is a success: cancelling is a race with the server that it may win.
-        self.fire(Rule("late_success", Ends(call, _SUCCEEDED), call), "overdue", returned)
-        late = Ends(call, _UNSUCCESSFUL)
-        self._outcome("expired", late, "overdue", Cause.TIMED_OUT, recover, f"an end within {timeout:g} s", "none; then {message}")
-        either = f"an end within {timeout:g} s, or {confirmation} after that"
+        self.fire(Rule("late_success", Ends(OWN, _SUCCEEDED)), "overdue", returned)
+        late, taken_back = Ends(OWN, _UNSUCCESSFUL), self._undone(Cause.TIMED_OUT)
+        expired: RuleOf = lambda own: Rule(  # noqa: E731
+            "expired", late, None, taken_back, None, Cause.TIMED_OUT, f"an end within {own.timeout:g} s", "none; then {message}"
+        )
+        self.add(expired, ["overdue"], self._after(Cause.TIMED_OUT, recover))
         # Never retried: two requests for the same robot could be at work at the same time.
-        unconfirmed = Rule("unconfirmed", in_vain, call, _UNDO, None, Cause.TIMED_OUT, either, "neither", gives_up=True)
-        self.fire(unconfirmed, "overdue", "done", "failed")
+        self.fire(
+            lambda own: Rule(
+                *("unconfirmed", in_vain, None, _UNDO, None, Cause.TIMED_OUT),
+                *(f"an end within {own.timeout:g} s, or {confirmation} after that", "neither"),
+                gives_up=True,
+            ),
+            *("overdue", "done", "failed"),
+        )
 
         # The request is being cancelled already: only what follows changes, so nothing is sent.
-        self.fire(Rule("stop_suspending", CancelAsked(), call), "suspending", "stopping")
-        self.fire(Rule("ended_before", Ends(call, _SUCCEEDED), call), "suspending", returned)
+        self.fire(Rule("stop_suspending", CancelAsked()), "suspending", "stopping")
+        self.fire(Rule("ended_before", Ends(OWN, _SUCCEEDED)), "suspending", returned)
         # Back to `ready` directly, past `recover`: a pause is no failure and takes nothing from the budget.
-        suspended = Rule("suspended", Ends(call, _UNSUCCESSFUL), call, _UNDO, CallOutcome.SUSPENDED)
+        suspended = Rule("suspended", Ends(OWN, _UNSUCCESSFUL), None, _UNDO, CallOutcome.SUSPENDED)
         self.fire(suspended, "suspending", phase + "ready")
-        confirmation += ", for a pause"
-        unconfirmed = Rule("unconfirmed_pause", in_vain, call, _UNDO, None, Cause.TIMED_OUT, confirmation, "none", gives_up=True)
+        for_a_pause = f"{confirmation}, for a pause"
+        unconfirmed = Rule("unconfirmed_pause", in_vain, None, _UNDO, None, Cause.TIMED_OUT, for_a_pause, "none", gives_up=True)
         self.fire(unconfirmed, "suspending", "done", "failed")
 
         # The effects may have come about although the call was to stop: they are looked for, as after any other success.
-        self.fire(Rule("completed", Ends(call, _SUCCEEDED), call), "stopping", "settling")
-        self.fire(Rule("completely", EffectsSeen(call), call, TransitionAction.FINISH, CallOutcome.SUCCEEDED), "settling", "done")
-        incomplete = Rule("incompletely", EffectsMissing(call), call, _UNDO, CallOutcome.CANCELED, Cause.EFFECTS_MISSING)
+        self.fire(Rule("completed", Ends(OWN, _SUCCEEDED)), "stopping", "settling")
+        self.fire(Rule("completely", EffectsSeen(OWN), None, TransitionAction.FINISH, CallOutcome.SUCCEEDED), "settling", "done")
+        incomplete = Rule("incompletely", EffectsMissing(OWN), None, _UNDO, CallOutcome.CANCELED, Cause.EFFECTS_MISSING)
         self.fire(incomplete, "settling", "done")
-        stopped = Rule("stopped", Ends(call, _UNSUCCESSFUL), call, _UNDO, CallOutcome.CANCELED)
+        stopped = Rule("stopped", Ends(OWN, _UNSUCCESSFUL), None, _UNDO, CallOutcome.CANCELED)
         self.fire(stopped, "stopping", "done")
-        unconfirmed_stop = Rule("unconfirmed_stop", in_vain, call, _UNDO, CallOutcome.UNCONFIRMED, gives_up=True)
+        unconfirmed_stop = Rule("unconfirmed_stop", in_vain, None, _UNDO, CallOutcome.UNCONFIRMED, gives_up=True)
         self.fire(unconfirmed_stop, "stopping", "done")
 
     def _finish(self, phase: str) -> None:
         """From success to done, once the effects are seen."""
-        call = self.step.index
         if self.awaited:
-            self.fire(Rule("end", call=call, action=TransitionAction.FINISH), "returned", "ended")
+            self.fire(Rule("end", action=TransitionAction.FINISH), "returned", "ended")
             # The places are given back at once: here they are only looked at, and `fork` takes them in the end.
-            self.add(Rule("await", call=call), [self.name("ended"), *self.awaited], [self.name("finished"), *self.awaited])
+            self.add(Rule("await"), ["ended", *self.awaited], ["finished", *self.awaited])
         # Before the check of the effects: the plan may want to react to a success that only looks like one.
         self._own_checks(Cause.AFTER, "finished")
         finish = None if self.awaited else TransitionAction.FINISH
-        effects_hold = Rule("effects_hold", EffectsSeen(call), call, action=finish, outcome=CallOutcome.SUCCEEDED)
+        effects_hold = Rule("effects_hold", EffectsSeen(OWN), action=finish, outcome=CallOutcome.SUCCEEDED)
         self.fire(effects_hold, "finished", "done")
-        recover = [self.name(phase + "recover")]
-        self._outcome(Cause.EFFECTS_MISSING.value, EffectsMissing(call), "finished", Cause.EFFECTS_MISSING, recover)
+        recover = [phase + "recover"]
+        self._outcome(Cause.EFFECTS_MISSING.value, EffectsMissing(OWN), "finished", Cause.EFFECTS_MISSING, recover)
 
     # --- recovery -----------------------------------------------------------------------------
 
@@ -310,19 +339,18 @@ class CallBlock(Block[ActionCall]):
         """Return the places that are marked for this cause: the plan's own recovery, or else these."""
         return self.recoveries.places.get(cause, otherwise)
 
-    def _outcome(
-        self, name: str, guard: Guard, source: str, cause: Cause, otherwise: list[str], expected: str = "", observed: str = ""
-    ) -> None:
+    def _outcome(self, name: str, guard: Guard, source: str, cause: Cause, otherwise: list[str]) -> None:
         """Add an end without success; assumed start effects are taken back unless the plan goes on as if it were one."""
-        action = None if cause in self.recoveries.kept else _UNDO
-        rule = Rule(name, guard, self.step.index, action, None, cause, expected, observed)
-        self.add(rule, [self.name(source)], self._after(cause, otherwise))
+        self.add(Rule(name, guard, action=self._undone(cause), cause=cause), [source], self._after(cause, otherwise))
+
+    def _undone(self, cause: Cause) -> TransitionAction | None:
+        return None if cause in self.recoveries.kept else _UNDO
 
     def _own_checks(self, wanted: Cause, source: str) -> None:
         """Add the checks that the plan has besides, in its order."""
         for cause, title, condition, places in self.recoveries.checks:
             if cause is wanted:
-                self.add(check_rule(cause, ConditionTrue(condition)), [self.name(source)], places, title=title)
+                self.add(check_rule(cause, ConditionTrue(condition)), [source], places, title=title)
 
 
 def _before_invariant(action: GroundAction, rules: Rules) -> Condition:

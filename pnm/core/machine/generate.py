@@ -5,18 +5,125 @@ What blocks are built with: the net so far, its roles, and which places connect 
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping
-from typing import assert_never
+from collections import Counter, deque
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, assert_never
 
 from pnm.core.machine.bindings import Bindings, is_open
-from pnm.core.machine.builder import Builder, Context
+from pnm.core.machine.blocks import END, FAILED, GOAL, START, MachineBlocks, PlacedRegion, PlacedStep
 from pnm.core.machine.call_block import CallBlock
 from pnm.core.machine.machine import Always, ConditionFalse, ConditionTrue, Due, Ending, Failing, OnFailure, PetriNetMachine, Rule
-from pnm.core.machine.plan_graph import ActionCall, Cause, Choice, Junction, Loop, PlanGraph, Step
-from pnm.core.machine.step_block import ChoiceBlock, JunctionBlock, LoopBlock
+from pnm.core.machine.plan_graph import ActionCall, Cause, Choice, Junction, Loop, Moment, PlanEvent, PlanGraph, Step, Then
+from pnm.core.machine.step_block import Block, BlockTemplate, ChoiceBlock, Context, Draft, Inner, JunctionBlock, LoopBlock, Port
 from pnm.core.resources import check_capacity
 from pnm.errors import check_kinds
+
+
+class Builder:
+    """Places the blocks of a plan. The mutable state is what of the net there is so far."""
+
+    def __init__(self, plan: PlanGraph, bindings: Bindings) -> None:
+        self.blocks = MachineBlocks(plan)
+        starts_anew = any(recovery.then is Then.RESTART_PLAN for call in plan.calls for recovery in call.recoveries)
+        # If the plan can begin anew, every block can be entered again, and must give back what it has spent.
+        self.context = Context(plan, bindings, starts_anew, repeated=starts_anew)
+        self.resources: dict[str, int] = {}
+        """The place of every resource."""
+        self._into: dict[PlanEvent, list[int]] = {}
+        """For every event, the places it waits for."""
+        self._out_of: dict[PlanEvent, list[int]] = {}
+        """For every event, the places it marks."""
+        self._delayed: dict[int, list[tuple[int, float]]] = {}
+        """For every step, the places that it must come later than they are marked, and by how much."""
+        self._waiting: deque[tuple[Step, Context]] = deque()
+        """Steps whose blocks are still to be placed."""
+        self._templates: dict[object, BlockTemplate] = {}
+
+    def add_frame(self, draft: Draft, ports: Sequence[tuple[int, ...]] = ()) -> PlacedStep:
+        """Place a part of the frame."""
+        return self._place(draft.template(), None, self.context, ports)
+
+    def add_steps(self) -> None:
+        """Place the blocks of all steps of the regions placed so far, and of those that they hold."""
+        # A queue instead of recursion: blocks that hold others add these while they are placed, however deeply they are nested.
+        while self._waiting:
+            step, context = self._waiting.popleft()
+            events = (PlanEvent(step.index, moment) for moment in (Moment.START, Moment.END))
+            (starts_after, announces), (ends_after, leads_to) = ((self._into.pop(one, ()), self._out_of.pop(one, ())) for one in events)
+            names = self.context.bindings.resources(step.action) if isinstance(step, ActionCall) else ()
+            ports = (starts_after, ends_after, announces, leads_to, [self.resources[name] for name in names])
+            delays = tuple(self._delayed.get(step.index, ()))
+            self._place(self._template(step, context, ports, delays), step, context, [*map(tuple, ports)], delays)
+
+    def _template(
+        self, step: Step, context: Context, ports: Sequence[Collection[int]], delays: tuple[tuple[int, float], ...]
+    ) -> BlockTemplate:
+        connected = frozenset(port for port, places in zip(Port, ports, strict=True) if places)
+        named = tuple((self.blocks.place_name(place), delay) for place, delay in delays)
+        block: Block[Any]
+        match step:
+            case ActionCall():
+                block = CallBlock(context, step, connected, named)
+            case Loop():
+                block = LoopBlock(context, step, connected, named)
+            case Choice():
+                block = ChoiceBlock(context, step, connected, named)
+            case Junction():
+                block = JunctionBlock(context, step, connected, named)
+            case _:
+                assert_never(step)
+        if (key := block.key) is None:
+            return block.template()
+        if key not in self._templates:
+            self._templates[key] = block.template()
+        return self._templates[key]
+
+    def _place(
+        self,
+        template: BlockTemplate,
+        step: Step | None,
+        context: Context,
+        ports: Sequence[tuple[int, ...]],
+        delays: tuple[tuple[int, float], ...] = (),
+    ) -> PlacedStep:
+        blocks, place, regions = self.blocks, self.blocks.count_places, list[PlacedRegion]()
+        free = place + len(template.places)
+        for inner in template.inner:
+            regions.append(self._region(inner, None if step is None else step.index, free))
+            free += regions[-1].count
+            ports = (*ports, tuple(regions[-1].first), tuple(regions[-1].last))
+        block = PlacedStep(template, step, place, blocks.count_transitions, tuple(ports), step, context, delays)
+        blocks.place(block)
+        for region in regions:
+            blocks.add_places(region, region.count)
+        blocks.regions += regions
+        return block
+
+    def _region(self, inner: Inner, owner: int | None, place: int) -> PlacedRegion:
+        """Make the places between the steps of a flow, and those between its owner and its first and last steps."""
+        region, into, out_of = PlacedRegion(inner, owner, place), self._into, self._out_of
+        # A place for each ordering, even between the same events: each is marked once and taken once, so no place holds two tokens.
+        for number, ordering in enumerate(inner.flow.orderings, place):
+            out_of.setdefault(ordering.before, []).append(number)
+            into.setdefault(ordering.after, []).append(number)
+            if ordering.delay > 0:
+                self._delayed.setdefault(ordering.after.call, []).append((number, ordering.delay))
+        for step in inner.flow.steps:
+            starts, ends = PlanEvent(step.index, Moment.START), PlanEvent(step.index, Moment.END)
+            # Only steps that wait for no other are marked by the owner; the others get their tokens along the orderings.
+            if starts not in into:
+                region.first.append(region.border(starts))
+                into[starts] = [region.first[-1]]
+            # Likewise the owner waits only for those ends that no other step takes from: all others have come before them.
+            if ends not in out_of:
+                region.last.append(region.border(ends))
+                out_of[ends] = [region.last[-1]]
+        if (
+            not inner.flow.steps
+        ):  # an empty region still needs a place between entering and leaving it, so that the owner has something to take
+            region.first = region.last = [region.border(None)]
+        self._waiting.extend((step, inner.context) for step in inner.flow.steps)
+        return region
 
 
 def generate(
@@ -39,55 +146,54 @@ def generate(
         InputError: the name of a server or a resource has a part in braces that is not a parameter of its action.
     """
     check_kinds("generate", {"plan": (plan, PlanGraph)})
-    builder = Builder(plan, bindings or Bindings())
-    start, end = builder.net.place("start"), builder.net.place("end")
-    goal, failed = builder.net.place("goal"), builder.net.place("failed")
-    builder.initial[start] = 1  # the only token besides counters and resources: all others come from it, and end on `goal` or on `failed`
+    bindings = bindings or Bindings()
+    builder, shared = Builder(plan, bindings), plan.capacities if capacities is None else capacities
     for call in plan.calls:
         if call.action.operation is None:
-            builder.bindings.server(call.action)  # refuses a name that cannot be filled: while the machine runs is too late
-    users = Counter(name for call in plan.calls for name in builder.bindings.resources(call.action))
+            bindings.server(call.action)  # refuses a name that cannot be filled: while the machine runs is too late
+    beginning = Draft()
+    for name in ("start", "end", "goal", "failed"):
+        beginning.net.place(name)
+    initial = {START: 1}  # the only token besides counters and resources: all others come from it, and end on `goal` or on `failed`
+    resources: dict[int, str] = {}
+    users = Counter(name for call in plan.calls for name in bindings.resources(call.action))
     # The capacities of the pool that runs share win: a net with more units than the pool would promise what it cannot give.
-    shared = plan.capacities if capacities is None else capacities
-    for name, count in users.items():
-        place = builder.net.place(f"resource {name}")
-        builder.resource_places[place] = name
+    for place, (name, count) in enumerate(users.items(), FAILED + 1):
+        beginning.net.place(f"resource {name}")
+        builder.resources[name], resources[place] = place, name
         # calls may turn out to need different resources under an open name: the net must not be stricter than what runs share
-        builder.initial[place] = count if is_open(name) else shared.get(name, 1)
-        check_capacity(name, builder.initial[place])
-    # If the plan can begin anew, every block can be entered again, and must give back what it has spent.
-    whole = builder.region(plan.flow, None, "begin", "finish", Context(repeated=builder.starts_anew))
-    builder.transition("begin", Rule("begin"), [start], whole.first)
-    # A queue instead of recursion: blocks that hold others add these while they are built, however deeply they are nested.
-    while builder.waiting:
-        _build(builder, *builder.waiting.popleft())
+        initial[place] = count if is_open(name) else shared.get(name, 1)
+        check_capacity(name, initial[place])
+    whole = beginning.region(plan.flow, "begin", "finish", builder.context)
+    beginning.transition("begin", Rule("begin"), ["start"], whole.first)
+    *_, last = builder.add_frame(beginning).ports
+    builder.add_steps()
+    restarts = [block.place + number for block in builder.blocks.placed for number in block.template.restarts]
+    builder.add_frame(
+        _ending(plan, [builder.blocks.place_name(place) for place in restarts]),
+        [(START,), (END,), (GOAL,), (FAILED,), last, *((place,) for place in restarts)],
+    )
+    return builder.blocks.machine(resources, initial, on_failure)
+
+
+def _ending(plan: PlanGraph, restarts: Sequence[str]) -> Draft:
+    """Return the end of the frame, which takes all of the last places of the plan, and requests for restarts from their places."""
+    ending = Draft()
+    (start,), (end,), (goal,), (failed,), last = map(ending.port, ("start", "end", "goal", "failed", "last"))
     if plan.due:  # added before `finish`, so that a run which is ending does not wait for a time that only the goal needs
-        builder.transition("overtaken", Rule("overtaken", Ending()), whole.last, [end])
-    builder.transition("finish", Rule("finish", Due(plan.due) if plan.due else Always()), whole.last, [end])
+        ending.transition("overtaken", Rule("overtaken", Ending()), last, [end])
+    ending.transition("finish", Rule("finish", Due(plan.due) if plan.due else Always()), last, [end])
     # Rules of `end` are asked in this order: failures first, then restarts; the goal is only looked at when there are neither.
-    builder.transition("ended_by_failure", Rule("ended_by_failure", Failing()), [end], [failed])
-    if builder.restart_places:
-        restarting = builder.net.place("restarting")
+    ending.transition("ended_by_failure", Rule("ended_by_failure", Failing()), [end], [failed])
+    if restarts:
+        restarting = ending.net.place("restarting")
         # Each request to restart is taken by a firing of its own: a second one would otherwise stay marked and restart the plan again.
-        for place in builder.restart_places:
+        for place in restarts:
+            ending.port(place)
             for source, name in ((end, "restart"), (restarting, "restart_too")):
-                builder.transition(f"{name} {place}", Rule(name), [source, place], [restarting])
-        builder.transition("begin_anew", Rule("begin_anew", restarts=True), [restarting], [start])
+                ending.transition(f"{name} {place}", Rule(name), [source, place], [restarting])
+        ending.transition("begin_anew", Rule("begin_anew", restarts=True), [restarting], [start])
     # The last two rules exclude each other, so that one of them opens whatever the world is like.
-    builder.transition("goal_holds", Rule("goal_holds", ConditionTrue(plan.goal)), [end], [goal])
-    builder.transition("goal_missing", Rule("goal_missing", ConditionFalse(plan.goal), cause=Cause.GOAL_FALSE), [end], [failed])
-    return builder.machine(goal, failed, on_failure)
-
-
-def _build(builder: Builder, step: Step, context: Context) -> None:
-    match step:
-        case ActionCall():
-            CallBlock(builder, step, context).build()
-        case Loop():
-            LoopBlock(builder, step, context).build()
-        case Choice():
-            ChoiceBlock(builder, step, context).build()
-        case Junction():
-            JunctionBlock(builder, step, context).build()
-        case _:
-            assert_never(step)
+    ending.transition("goal_holds", Rule("goal_holds", ConditionTrue(plan.goal)), [end], [goal])
+    ending.transition("goal_missing", Rule("goal_missing", ConditionFalse(plan.goal), cause=Cause.GOAL_FALSE), [end], [failed])
+    return ending

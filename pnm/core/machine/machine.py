@@ -11,7 +11,7 @@ and the first open one fires.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from enum import Enum, StrEnum
 from functools import cached_property
@@ -268,9 +268,9 @@ class Region:
     owner: int | None
     """The number of the step that holds it; None for all of the plan."""
     steps: frozenset[int]
-    first: tuple[str, ...]
+    first: Sequence[str]
     """Places that the owner marks, all at once."""
-    last: tuple[str, ...]
+    last: Sequence[str]
     """Places that are marked when all steps are done, and that the owner takes all at once."""
 
 
@@ -289,13 +289,13 @@ class PetriNetMachine:
     """For every place that marks the failure of a step, the number of the step."""
     restart_places: Mapping[str, int]
     """For every place that asks for the plan to begin anew, the call that marks it."""
-    budget_places: frozenset[str]
+    budget_places: Set[str]
     """Places that count retries, recoveries and rounds left, and those spent."""
     resource_places: Mapping[str, str]
     """For every place whose tokens calls have for themselves as long as they are under way, the name of the resource."""
     settling_places: Mapping[str, int]
     """For every place at which a call has succeeded and its effects are still to be looked for, the number of the call."""
-    alive_places: frozenset[str]
+    alive_places: Set[str]
     """Places of calls that are under way: a request may be alive, or its effects are looked for."""
     blocks: Mapping[int, tuple[str, ...]]
     """For every step, the places of its block."""
@@ -329,7 +329,7 @@ class PetriNetMachine:
     @cached_property
     def counter_places(self) -> frozenset[str]:
         """Failures, restarts asked for, and budgets: nothing starts from them, they are looked at from other places."""
-        return frozenset(self.failure_places) | frozenset(self.restart_places) | self.budget_places
+        return frozenset(self.failure_places) | frozenset(self.restart_places).union(self.budget_places)
 
     @cached_property
     def border_places(self) -> frozenset[str]:

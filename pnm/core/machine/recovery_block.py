@@ -96,13 +96,13 @@ def _in_turn(block: Block[ActionCall], numbers: tuple[int, ...], built: dict[tup
         if _is_direct(recovery):
             block.add(rule, [recovering], _direct(block, recovery), title=title)
         else:
-            entered = [*block.chains[number].first, block.name(f"uses spent {number}")]
-            block.add(rule, [recovering, block.name(f"uses left {number}")], entered, title=title)
+            entered = [*block.chains[number].first, f"uses spent {number}"]
+            block.add(rule, [recovering, f"uses left {number}"], entered, title=title)
     last = recoveries[numbers[-1]]
     if not (_is_direct(last) and last.when == TRUE):
         # It takes all tokens of `uses spent`, so it is enabled only when none is left: no inhibitor arc is needed.
-        spent = {recovering: 1, block.name(f"uses spent {first}"): recoveries[first].times}
-        block.add(Rule("give_up", action=undo), spent, [block.name("done"), block.name("failed")], title=f"give_up {names}")
+        spent = {recovering: 1, f"uses spent {first}": recoveries[first].times}
+        block.add(Rule("give_up", action=undo), spent, ["done", "failed"], title=f"give_up {names}")
     built[numbers] = [recovering]
     return built[numbers]
 
@@ -110,7 +110,7 @@ def _in_turn(block: Block[ActionCall], numbers: tuple[int, ...], built: dict[tup
 def _direct(block: Block[ActionCall], recovery: Recovery) -> list[str]:
     if recovery.then is Then.CONTINUE:
         return [succeeded_place(block)]
-    return [block.name(place) for place in _LEAVING[recovery.then]]
+    return [*_LEAVING[recovery.then]]
 
 
 def _chained(block: Block[ActionCall], recovery: Recovery, number: int) -> None:
@@ -127,16 +127,16 @@ def _chained(block: Block[ActionCall], recovery: Recovery, number: int) -> None:
     match then:
         # Back to `ready` and not to `start`: the checks before a call are made again, for the chain may have changed the world.
         case Then.RETRY:
-            goal = [block.name("ready")]
+            goal = ["ready"]
         case Then.CONTINUE:
             goal = [succeeded_place(block)]
         # After a failure the call is done as well: its successors get their tokens and skip, so that no token is left behind.
         case Then.SKIP | Then.FAIL | Then.REPLAN:
-            goal = [block.name(place) for place in _LEAVING[then]]
+            goal = [*_LEAVING[then]]
         case Then.RESTART_PLAN:
             asked = block.place(f"restart {number}")
-            block.builder.restart_places[asked] = block.step.index
-            goal = [block.name("done"), asked]
+            block.draft.restarts.append(asked)
+            goal = ["done", asked]
         case _:
             assert_never(then)
     block.add(Rule(then.value, replans=then is Then.REPLAN), [recovered], goal, title=f"{then.value} {number}")
@@ -144,19 +144,18 @@ def _chained(block: Block[ActionCall], recovery: Recovery, number: int) -> None:
 
 def succeeded_place(block: Block[ActionCall]) -> str:
     """Return the place that is marked when the request has succeeded."""
-    return block.name("returned" if block.awaited else "finished")
+    return "returned" if block.awaited else "finished"
 
 
 def abandon(block: Block[ActionCall], place: str, *announced: str, phase: str = "", action: TransitionAction | None = None) -> None:
     """Let the call fail when the run does; when the plan begins anew, it has not failed."""
-    done, failed = block.name("done"), block.name("failed")
-    starts_anew = block.builder.starts_anew
-    source, event = block.name(phase + place), place.rstrip(" ,0123456789")
+    starts_anew = block.context.starts_anew
+    source, event = phase + place, place.rstrip(" ,0123456789")
     # Ending includes restarts, which are no failures; where no restart is possible both mean the same.
     guard = Failing() if starts_anew else Ending()
     if event == "recover":
-        block.add(Rule("abandon", guard, block.step.index), [source], [done, *announced, failed], title=f"{phase}abandon")
+        block.add(Rule("abandon", guard), [source], ["done", *announced, "failed"], title=f"{phase}abandon")
     else:
-        block.add(Rule(f"abandon {event}", guard, action=action), [source], [done, *announced, failed], title=f"{phase}abandon {place}")
+        block.add(Rule(f"abandon {event}", guard, action=action), [source], ["done", *announced, "failed"], title=f"{phase}abandon {place}")
     if starts_anew:  # asked after the rule above: what is left then is a restart of the plan, which takes the token out without a failure
-        block.add(Rule(f"drop {event}", Ending(), block.step.index, action), [source], [done, *announced], title=f"{phase}drop {place}")
+        block.add(Rule(f"drop {event}", Ending(), action=action), [source], ["done", *announced], title=f"{phase}drop {place}")

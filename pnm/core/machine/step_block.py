@@ -8,97 +8,213 @@ still holds, the loop has failed.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Generic, TypeVar
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Any, Final, Generic, NamedTuple, TypeAlias, TypeVar
 
-from pnm.core.machine.builder import Builder, Context
+from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import (
-    Always,
+    Accepts,
     CallOutcome,
     ConditionFalse,
     ConditionTrue,
     ConditionUnknown,
     Due,
     Ending,
-    Region,
+    Ends,
     Rule,
     check_rule,
 )
-from pnm.core.machine.plan_graph import Cause, Choice, Flow, Junction, Loop, Moment, PlanEvent, Step
+from pnm.core.machine.plan_graph import Cause, Choice, Flow, Junction, Loop, PlanGraph, Step
+from pnm.core.net.block_net import Template
+from pnm.core.net.net import NetBuilder, Weights
 
 AnyStep = TypeVar("AnyStep", bound=Step)
 
 
+OWN: Final = -1
+"""In rules of a template, in place of the number of the call: they are about the block's own."""
+RuleOf: TypeAlias = "Callable[[Any], Rule]"
+"""A rule that follows from what the step of a block itself says, such as its precondition: made for each block."""
+
+
+class Port(StrEnum):
+    """The ports of a block, besides those around the steps that it holds."""
+
+    STARTS_AFTER = "what the start waits for"
+    ENDS_AFTER = "what the end waits for"
+    ANNOUNCES = "what waits for the start"
+    LEADS_TO = "what waits for the end"
+    RESOURCES = "resources"
+
+
+class BlockTemplate(Template):
+    """A block that steps of one shape share: its places and transitions with their rules and roles, by number."""
+
+    def __init__(self, draft: Draft, block: Block[Any] | None) -> None:
+        super().__init__(draft.net.build(), draft.ports)
+        self.kinds = tuple(rule if isinstance(rule, Rule) else rule(block) for rule in draft.rules)
+        """A rule of each transition's kind: that of the block that it was drafted for."""
+        self.rules = self.kinds if block is None or block.key is None else tuple(draft.rules)
+        self.inner = tuple(draft.inner)
+        self.initial = {self.codes[place]: tokens for place, tokens in draft.initial.items()}
+        self.failures, self.restarts = self.numbers(*draft.failures), self.numbers(*draft.restarts)
+        self.budgets, self.alive, self.settling = (self.numbers(*found) for found in (draft.budgets, draft.alive, draft.settling))
+        self.reported = tuple(number for number, rule in enumerate(self.kinds) if isinstance(rule.guard, Accepts | Ends))
+        """The transitions that reports open."""
+        self.own = tuple(
+            number
+            for number, (rule, kind) in enumerate(zip(self.rules, self.kinds, strict=True))
+            if not isinstance(rule, Rule) or isinstance(kind.guard, ConditionTrue | ConditionFalse | ConditionUnknown)
+        )
+        """The transitions whose rules are made for each block, and all others that ask for conditions."""
+
+
+class Inner(NamedTuple):
+    """Steps that a block holds, and its ports around them."""
+
+    flow: Flow
+    begin: str
+    """How the marking of the first places is called."""
+    end: str
+    """How the taking of the last places is called."""
+    context: Context
+    first: list[str]
+    last: list[str]
+
+
+@dataclass
+class Draft:
+    """Draft of a template, whose places and transitions have names as long as it is made. All of it is mutable."""
+
+    net: NetBuilder = field(default_factory=NetBuilder)
+    ports: list[str] = field(default_factory=list)
+    rules: list[Rule | RuleOf] = field(default_factory=list)
+    initial: dict[str, int] = field(default_factory=dict)
+    failures: list[str] = field(default_factory=list)
+    restarts: list[str] = field(default_factory=list)
+    budgets: list[str] = field(default_factory=list)
+    alive: list[str] = field(default_factory=list)
+    settling: list[str] = field(default_factory=list)
+    inner: list[Inner] = field(default_factory=list)
+
+    def port(self, name: str) -> list[str]:
+        """Add a port, and return it as the places that it stands for."""
+        self.ports.append(self.net.place(name))
+        return [name]
+
+    def region(self, flow: Flow, begin: str, end: str, context: Context) -> Inner:
+        """Add the ports around steps that the block holds; they are placed after it."""
+        ports = (self.port(f"{what} of {begin}") for what in ("first", "last"))
+        self.inner.append(Inner(flow, begin, end, context, *ports))
+        return self.inner[-1]
+
+    def transition(self, name: str, rule: Rule | RuleOf, inputs: Weights | Iterable[str], outputs: Iterable[str]) -> None:
+        """Add a transition and its rule."""
+        self.net.transition(name, inputs, outputs)
+        self.rules.append(rule)
+
+    def template(self, block: Block[Any] | None = None) -> BlockTemplate:
+        """Return what was drafted for a block, or for the frame."""
+        return BlockTemplate(self, block)
+
+
+@dataclass(frozen=True, slots=True)
+class Context:
+    """Context of a block: what surrounds it."""
+
+    plan: PlanGraph
+    bindings: Bindings
+    starts_anew: bool
+    """Some recovery has the whole plan begin anew."""
+    repeated: bool = False
+    """It may be entered again after it was left."""
+
+
 @dataclass
 class Block(Generic[AnyStep]):
-    """The places and transitions of one step."""
+    """The places and transitions of one step: what `build` adds to the draft of a template."""
 
-    builder: Builder
-    step: AnyStep
     context: Context
-    chains: dict[int, Region] = field(default_factory=dict)
+    step: AnyStep
+    connected: frozenset[Port]
+    """The ports that lead anywhere."""
+    delays: tuple[tuple[str, float], ...] = ()
+    """Places that the start waits for, and how long it must come after they were marked."""
+    draft: Draft = field(default_factory=Draft)
+    chains: dict[int, Inner] = field(default_factory=dict)
     """The chains of its recoveries, by number."""
 
-    @cached_property
-    def title(self) -> str:
-        """Name of the step, and prefix of its places and transitions."""
-        return str(self.step)
+    @property
+    def key(self) -> object:
+        """What the shape of the block depends on: blocks with the same differ only in what `RuleOf` makes; None for one of its own kind."""
+        return None
 
-    @cached_property
+    def template(self) -> BlockTemplate:
+        """Return the template of the block."""
+        for port in Port:
+            self.draft.port(port)
+        self.build()
+        return self.draft.template(self)
+
+    def build(self) -> None:
+        """Add all places and transitions."""
+        raise NotImplementedError
+
+    def at(self, port: Port) -> list[str]:
+        """Return the places that a port stands for: itself, if it leads anywhere."""
+        return [port] if port in self.connected else []
+
+    @property
     def awaited(self) -> list[str]:
         """Places that the end of the step waits for besides the step itself."""
-        return self.builder.into.get(PlanEvent(self.step.index, Moment.END), [])
+        return self.at(Port.ENDS_AFTER)
 
-    def enter(self, ready: str, release: float = 0.0) -> None:
+    @property
+    def release(self) -> float:
+        """Seconds after the plan's start before which the step is not entered."""
+        return 0.0
+
+    def enter(self, ready: str) -> None:
         """Wait for the orderings into the start, and for the times that it must not be earlier than."""
-        orderings = self.builder.orderings
-        waiting, ready = self.builder.into[PlanEvent(self.step.index, Moment.START)], self.name(ready)
-        delays = tuple((place, orderings[place].delay) for place in waiting if place in orderings and orderings[place].delay > 0)
-        join = Due(release, delays) if release or delays else Always()
-        if join != Always():  # asked before `join`: when the run ends, tokens pass at once instead of waiting for a release time
-            self.add(Rule("overtaken", Ending(), self.step.index, outcome=CallOutcome.WAITING), waiting, [ready])
-        self.add(Rule("join", join, self.step.index, outcome=CallOutcome.WAITING), waiting, [ready])
+        waiting = [Port.STARTS_AFTER]
+        if self.release or self.delays:  # asked before `join`: when the run ends, tokens pass at once instead of waiting for a release time
+            self.add(Rule("overtaken", Ending(), outcome=CallOutcome.WAITING), waiting, [ready])
+            join: Rule | RuleOf = lambda own: Rule("join", Due(own.release, own.delays), outcome=CallOutcome.WAITING)  # noqa: E731
+            self.add(join, waiting, [ready], title="join")
+        else:
+            self.add(Rule("join", outcome=CallOutcome.WAITING), waiting, [ready])
 
     def leave(self) -> None:
         """Mark the places that wait for the end of the step."""
-        leaving = self.builder.out_of[PlanEvent(self.step.index, Moment.END)]
         # Only `fork` takes the awaited places for good; a call looks at them earlier and puts them back.
-        self.add(Rule("fork", call=self.step.index, outcome=CallOutcome.PASSED_OVER), [self.name("done"), *self.awaited], leaving)
+        self.add(Rule("fork", outcome=CallOutcome.PASSED_OVER), ["done", *self.awaited], [Port.LEADS_TO])
 
     def budget(self, left: str, spent: str, times: int, *, refilled: bool = True) -> None:
         """Make the places that count; when the step may be entered again, what was spent comes back before it is left."""
-        self.builder.budget_places |= {self.place(left), self.place(spent)}
-        self.builder.initial[self.name(left)] = times
+        self.draft.budgets += (self.place(left), self.place(spent))
+        self.draft.initial[left] = times
         # From `done`, before `fork` is asked: the counters are full again before the block is left.
         if refilled and self.context.repeated and not self.awaited:
-            done = self.name("done")
-            self.add(Rule("refill"), [done, self.name(spent)], [done, self.name(left)], title=f"refill {left}")
+            self.add(Rule("refill"), ["done", spent], ["done", left], title=f"refill {left}")
 
-    def region(self, flow: Flow, what: str, *, repeated: bool) -> Region:
-        """Make the places around steps that this one holds."""
-        context = Context(repeated or self.context.repeated)
-        return self.builder.region(flow, self.step.index, self.name(f"{what} begins"), self.name(f"{what} ends"), context)
+    def region(self, flow: Flow, what: str, *, repeated: bool) -> Inner:
+        """Make the ports around steps that this one holds."""
+        context = replace(self.context, repeated=repeated or self.context.repeated)
+        return self.draft.region(flow, f"{self.step} {what} begins", f"{self.step} {what} ends", context)
 
-    def fire(self, rule: Rule, source: str, *targets: str) -> None:
+    def fire(self, rule: Rule | RuleOf, source: str, *targets: str, title: str = "") -> None:
         """Add a transition between places of this block."""
-        self.add(rule, [self.name(source)], [self.name(target) for target in targets])
+        self.add(rule, [source], targets, title=title)
 
-    def add(self, rule: Rule, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], *, title: str = "") -> None:
+    def add(self, rule: Rule | RuleOf, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], *, title: str = "") -> None:
         """Add a transition of this step between any places, under its title, or the name of its rule if that is unique in the block."""
-        owned = rule if rule.call is not None else rule._replace(call=self.step.index)
-        self.builder.transition(self.name(title or rule.name), owned, inputs, outputs)
+        self.draft.transition(title or (rule if isinstance(rule, Rule) else rule(self)).name, rule, inputs, outputs)
 
     def place(self, name: str) -> str:
         """Make a place of this block."""
-        place = self.builder.net.place(self.name(name))
-        self.builder.blocks.setdefault(self.step.index, []).append(place)
-        return place
-
-    def name(self, name: str) -> str:
-        """Return the full name of a place or transition of this block."""
-        return f"{self.title} {name}"
+        return self.draft.net.place(name)
 
 
 class LoopBlock(Block[Loop]):
@@ -107,8 +223,7 @@ class LoopBlock(Block[Loop]):
     def build(self) -> None:
         """Add the block to the machine."""
         head, done, failed = (self.place(name) for name in ("head", "done", "failed"))
-        left, spent = self.name("left"), self.name("spent")
-        self.builder.failure_places[failed] = self.step.index
+        self.draft.failures.append(failed)
         body = self.region(self.step.body, "body", repeated=True)
         self.enter("head")
         self.budget("left", "spent", self.step.limit)
@@ -118,8 +233,8 @@ class LoopBlock(Block[Loop]):
         all_spent = f"(not {condition}) after {self.step.limit} rounds"
         exceeded = check_rule(Cause.LOOP_LIMIT, ConditionTrue(condition))._replace(expected=all_spent)
         # Asked before `repeat`; it needs every token of `spent`, so it is enabled only when no round is left.
-        self.add(exceeded, {head: 1, spent: self.step.limit}, [done, failed])
-        self.add(Rule("repeat", ConditionTrue(condition)), [head, left], [*body.first, spent])
+        self.add(exceeded, {head: 1, "spent": self.step.limit}, [done, failed])
+        self.add(Rule("repeat", ConditionTrue(condition)), [head, "left"], [*body.first, "spent"])
         self.fire(check_rule(Cause.CONDITION_UNKNOWN, ConditionUnknown(condition)), "head", "done", "failed")
         self.fire(Rule("no_more", ConditionFalse(condition)), "head", "done")
         self.add(Rule("round_done"), body.last, [head])
@@ -132,7 +247,7 @@ class ChoiceBlock(Block[Choice]):
     def build(self) -> None:
         """Add the block to the machine."""
         head, done, failed = (self.place(name) for name in ("head", "done", "failed"))
-        self.builder.failure_places[failed] = self.step.index
+        self.draft.failures.append(failed)
         self.enter("head")
         self.fire(Rule("skip", Ending()), "head", "done")  # asked first: a run that is ending chooses no branch
         self.fire(check_rule(Cause.CONDITION_UNKNOWN, ConditionUnknown(self.step.condition)), "head", "done", "failed")

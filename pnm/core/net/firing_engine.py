@@ -8,42 +8,58 @@ so the cost of a firing does not grow with the net. `pnm.core.net.firing_rule` i
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 
 from pnm.core.net.net import Marking, PetriNet
+from pnm.core.net.when_asked import WhenAsked
 from pnm.errors import NotEnabled
 
 
 class CompiledNet:
-    """A net as adjacency lists over ids; shared by any number of engines."""
+    """A net as adjacency lists over numbers; shared by any number of engines.
+
+    What it knows of a transition or a place is worked out when it is first asked for, and kept: most transitions never fire.
+    """
 
     def __init__(self, net: PetriNet) -> None:
-        self.net = net
-        self.place_id = {place: index for index, place in enumerate(net.places)}
+        self.net, arcs = net, net.arcs_by_number
         self.transitions = net.transitions
-        self.transition_id = {transition: index for index, transition in enumerate(self.transitions)}
-        ids = self.place_id
-        self.inputs = [[(ids[place], weight) for place, weight in net.inputs[transition].items()] for transition in self.transitions]
-        self.outputs = [[(ids[place], weight) for place, weight in net.outputs[transition].items()] for transition in self.transitions]
-        # Only consumers are indexed: a change of tokens can enable or disable nothing else.
-        self.consumers: list[list[tuple[int, int]]] = [[] for _ in net.places]
-        for transition, inputs in enumerate(self.inputs):
-            for place, weight in inputs:
-                self.consumers[place].append((transition, weight))
-        self.only_input = [inputs[0][0] if len(inputs) == 1 and inputs[0][1] == 1 else None for inputs in self.inputs]
+        self.inputs = WhenAsked(arcs.inputs)
+        self.outputs = WhenAsked(arcs.outputs)
+        self.consumers = WhenAsked(arcs.consumers)
+        """Of every place. Only consumers are indexed: a change of tokens can enable or disable nothing else."""
+        self.unmarked = arcs.unmarked()
+        """For every transition that takes more than one token, how many places hold too little when none is marked; 0 for all others."""
+        self.only_input = WhenAsked(self._only_input)
         """For every transition that takes one token, its place."""
-        self.joins = [[(one, weight) for one, weight in consumers if self.only_input[one] is None] for consumers in self.consumers]
+        self.joins = WhenAsked(self._joins)
         """For every place, the consumers that take more than one token."""
-        # A place that is both input and output is first emptied and then filled: each change is small and keeps `missing` exact.
-        changes = [
-            [*((place, -weight) for place, weight in inputs), *outputs] for inputs, outputs in zip(self.inputs, self.outputs, strict=True)
-        ]
-        self.moves = [[(place, change) for place, change in all_ if not self.joins[place]] for all_ in changes]
+        self.moves = WhenAsked(partial(self._changes, counted=False))
         """For every transition, how it changes the places that no consumer counts."""
-        self.counted = [[(place, change) for place, change in all_ if self.joins[place]] for all_ in changes]
+        self.counted = WhenAsked(partial(self._changes, counted=True))
         """For every transition, how it changes those that some consumer counts."""
-        # Every input place counts as lacking at first; an initial marking is added like any other tokens.
-        self.unmarked = [0 if only is not None else len(inputs) for only, inputs in zip(self.only_input, self.inputs, strict=True)]
-        """For every transition that takes more than one token, how many places hold too little when none is marked."""
+
+    @property
+    def place_id(self) -> Mapping[str, int]:
+        """The number of every place."""
+        return self.net.place_numbers
+
+    @property
+    def transition_id(self) -> Mapping[str, int]:
+        """The number of every transition."""
+        return {transition: number for number, transition in enumerate(self.transitions)}
+
+    def _only_input(self, transition: int) -> int | None:
+        inputs = self.inputs[transition]
+        return inputs[0][0] if len(inputs) == 1 and inputs[0][1] == 1 else None
+
+    def _joins(self, place: int) -> list[tuple[int, int]]:
+        return [(one, weight) for one, weight in self.consumers[place] if self.only_input[one] is None]
+
+    def _changes(self, transition: int, *, counted: bool) -> list[tuple[int, int]]:
+        # A place that is both input and output is first emptied and then filled: each change is small and keeps `missing` exact.
+        changes = (*((place, -weight) for place, weight in self.inputs[transition]), *self.outputs[transition])
+        return [(place, change) for place, change in changes if bool(self.joins[place]) is counted]
 
 
 class Engine:
@@ -55,10 +71,11 @@ class Engine:
 
     def __init__(self, compiled: CompiledNet, marking: Mapping[str, int]) -> None:
         self.compiled = compiled
-        self.tokens = [0] * len(compiled.place_id)
+        self.tokens = [0] * len(compiled.net.places)
         self.missing = compiled.unmarked.copy()
-        for place, count in marking.items():
-            self._add(compiled.place_id[place], count)
+        # An initial marking is added like any other tokens.
+        for place, count in compiled.net.numbered(marking).items():
+            self._add(place, count)
 
     def is_enabled(self, transition: int) -> bool:
         """Return whether the marking covers the transition's preset."""

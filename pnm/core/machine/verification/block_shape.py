@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from math import isfinite
 
 from pnm.core.logic.conditions import Condition
-from pnm.core.machine.machine import After, ConditionFalse, ConditionTrue, ConditionUnknown, Due, Ends, Withheld
+from pnm.core.machine.machine import After, ConditionFalse, ConditionTrue, ConditionUnknown, Due, Ends, Rule, Withheld
 from pnm.core.machine.verification.exits import is_timed
 from pnm.core.machine.verification.part import Part, Step
 from pnm.core.net.net import Weights
@@ -35,6 +36,17 @@ def shape_of(part: Part) -> object:
     places = frozenset(_arcs_and_roles(part).values())
     owed = tuple([call is None for call in part.owed])
     return steps, len(part.supplies), places, bool(part.finals), part.cancels, part.others_restart, part.repeats, owed
+
+
+def kinds_of(rules: Iterable[tuple[Rule, Weights]]) -> tuple[object, ...]:
+    """Return all that is proved of some rules of a block, each given with what its transition takes."""
+    conditions: list[Condition] = []
+    return tuple(
+        [
+            (_kind(Step(rule.name, rule.guard, inputs, {}), conditions), rule.action, rule.gives_up, rule.outcome, rule.cause)
+            for rule, inputs in rules
+        ]
+    )
 
 
 def without_twins(part: Part) -> Part:

@@ -40,6 +40,17 @@ class Block:
     """Outputs that its start gives."""
 
 
+@dataclass(frozen=True, slots=True)
+class Connected:
+    """Blocks by the places that they are connected to."""
+
+    writers: Mapping[str, set[Owner]]
+    readers: Mapping[str, set[Owner]]
+
+
+ALONE: Final = Connected({}, {})
+
+
 class Anatomy:
     """The blocks and regions of a machine.
 
@@ -47,12 +58,18 @@ class Anatomy:
         Unsound: a place connects what it must not connect, or regions are not what the machine declares.
     """
 
-    def __init__(self, machine: PetriNetMachine) -> None:
+    def __init__(self, machine: PetriNetMachine, beside: Connected = ALONE) -> None:
+        """Take a machine apart.
+
+        Args:
+            machine: a machine, or a sample of one.
+            beside: the blocks that are left out of the sample, by the places that they give to and take from.
+        """
         self.machine = machine
         self.transitions: dict[Owner, list[str]] = {None: []}
         for name, rule in machine.rules.items():
             self.transitions.setdefault(rule.call, []).append(name)
-        self.writers, self.readers = self._owners(machine.net.outputs), self._owners(machine.net.inputs)
+        self.writers, self.readers = self._owners(machine.net.outputs, beside.writers), self._owners(machine.net.inputs, beside.readers)
         self.holding = {step.index: step for step in machine.plan.every_step if isinstance(step, Loop | Choice)}
         """The loops and choices of the plan."""
         self.region_of: dict[Owner, Region] = {}
@@ -78,8 +95,8 @@ class Anatomy:
             for region in regions:
                 self._check_entry(region)
 
-    def _owners(self, weights: Mapping[str, Weights]) -> dict[str, set[Owner]]:
-        owners: dict[str, set[Owner]] = {place: set() for place in self.machine.net.places}
+    def _owners(self, weights: Mapping[str, Weights], beside: Mapping[str, set[Owner]]) -> dict[str, set[Owner]]:
+        owners: dict[str, set[Owner]] = {place: {*beside.get(place, ())} for place in self.machine.net.places}
         for transition, connected in weights.items():
             owner = self.machine.rules[transition].call
             for place in connected:
@@ -217,7 +234,7 @@ class Anatomy:
             others_restart=bool(machine.restart_places) and owner is not None,
             repeats=owner is not None and (bool(machine.restart_places) or self.region_of[owner].owner is not None),
             resources=resources,
-            alive=machine.alive_places.intersection(places),
+            alive=frozenset(machine.alive_places & places.keys()),
             settling=frozenset(place for place in places if machine.settling_places.get(place, -1) == owner),
             owed=owed,
         )

@@ -37,7 +37,7 @@ def check_roles(machine: PetriNetMachine) -> str:
         if not places.isdisjoint(role):
             raise Unsound(f"{next(place for place in role if place in places)} has two roles")
         places.update(role)
-    moving = machine.alive_places.union(machine.settling_places)
+    moving = frozenset(machine.alive_places).union(machine.settling_places)
     if not places.isdisjoint(moving):
         raise Unsound(f"{min(places & moving)} is no place of a call that is under way")
     if missing := (places | moving).difference(machine.net.places):

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Mapping
+from typing import Final
 
-from pnm.core.machine.machine import Due, Ending, PetriNetMachine, TransitionAction
-from pnm.core.machine.plan_graph import Flow, Moment, flows
+from pnm.core.machine.blocks import MachineBlocks, PlacedRegion, PlacedStep
+from pnm.core.machine.machine import Due, Ending, PetriNetMachine, Rule, TransitionAction
+from pnm.core.machine.plan_graph import ActionCall, Flow, Moment, Ordering, PlanEvent, PlanGraph, flows, in_order
+from pnm.core.machine.step_block import Port
 from pnm.core.machine.verification.decompose import Block
 from pnm.core.machine.verification.part import Unsound
 
@@ -19,8 +22,7 @@ def check_flows(machine: PetriNetMachine) -> None:
     Raises:
         Unsound: it lacks one, or has one that the plan has not.
     """
-    owned: list[tuple[int | None, Flow]] = [(None, machine.plan.flow)]
-    owned += ((step.index, flow) for step in machine.plan.every_step for flow in flows(step))
+    owned = _flows(machine.plan)
     steps = Counter((owner, frozenset(step.index for step in flow.steps)) for owner, flow in owned if flow.steps)
     regions = Counter((region.owner, region.steps) for region in machine.regions if region.steps)
     for owner, members in (steps - regions) + (regions - steps):
@@ -31,6 +33,95 @@ def check_flows(machine: PetriNetMachine) -> None:
         raise Unsound(f"no place keeps {ordering}")
     for ordering in kept - wanted:
         raise Unsound(f"the plan does not ask for {ordering}")
+
+
+def _flows(plan: PlanGraph) -> list[tuple[int | None, Flow]]:
+    """Return all flows of a plan, each with the step that holds it."""
+    return [(None, plan.flow), *((step.index, flow) for step in plan.every_step for flow in flows(step))]
+
+
+def check_places(machine: PetriNetMachine, blocks: MachineBlocks) -> None:
+    """Check that the places between the blocks of a machine connect what the plan has them connect, in an order without a cycle.
+
+    Raises:
+        Unsound: one does not, or a delay or a release time is not waited for.
+    """
+    _check_order(machine.plan, blocks)
+    resources = machine.net.numbered(machine.resource_places)
+    connected = bytearray(blocks.count_places)
+    """For every place between blocks, 1 if a block takes from it, 2 if one gives to it, 3 if both."""
+    places = transitions = 0
+    for block in blocks.placed:
+        if block.transition != transitions or block.place < places:
+            raise Unsound(f"the block of {block.title} overlaps another")
+        places, transitions = block.place + len(block.template.places), transitions + len(block.template.transitions)
+        delays: dict[str, float] = {}
+        for number, found in enumerate(block.ports):
+            port = None if block.step is None or number >= len(_PORTS) else _PORTS[number]
+            takes = bool(block.template.consumers[~number])  # an end that looks at places gives them back: it still is who takes from them
+            for place in found if takes or ~number in block.template.giving else ():
+                region = blocks.segment_of(place)
+                if isinstance(region, PlacedRegion):
+                    meant = region.stands_for(place)
+                    is_good = not connected[place] & (1 if takes else 2) and _connects(block, port, region.owner, meant, takes=takes)
+                    connected[place] |= 1 if takes else 2
+                    if port is Port.STARTS_AFTER and isinstance(meant, Ordering) and meant.delay:
+                        delays[blocks.place_name(place)] = meant.delay
+                else:  # what the frame has besides is looked at with its block
+                    is_good = block.step is None or (port is Port.RESOURCES and place in resources)
+                if not is_good:
+                    raise Unsound(f"{blocks.place_name(place)} connects what it must not connect")
+        release = block.step.release if isinstance(block.step, ActionCall) and not block.step.under_way else 0.0
+        for transition, _ in block.template.consumers[~_PORTS.index(Port.STARTS_AFTER)] if release or delays else ():
+            number = block.transition + transition
+            inputs = [blocks.place_name(place) for place, _ in blocks.inputs(number)]
+            _check_times(blocks.transition_name(number), blocks.rule(number), inputs, release, delays)
+    for region in blocks.regions:
+        for place in range(region.place, region.place + region.count):
+            if connected[place] != 3:
+                raise Unsound(f"{blocks.place_name(place)} does not connect two blocks")
+
+
+_PORTS: Final = tuple(Port)
+_EVENTS: Final = {Port.STARTS_AFTER: Moment.START, Port.ENDS_AFTER: Moment.END, Port.ANNOUNCES: Moment.START, Port.LEADS_TO: Moment.END}
+
+
+def _check_order(plan: PlanGraph, blocks: MachineBlocks) -> None:
+    """Check that the regions are the flows of the plan, and that every flow has an order of its events."""
+    wanted = sorted((one for one in _flows(plan) if one[1].steps), key=_owner)
+    if wanted != sorted(((region.owner, region.inner.flow) for region in blocks.regions if region.inner.flow.steps), key=_owner):
+        raise Unsound("the steps of the plan are not those of the regions")
+    for owner, flow in wanted:
+        position = {event: number for number, event in enumerate(plan.in_order() if owner is None else in_order(flow))}
+        steps = ((PlanEvent(step.index, Moment.START), PlanEvent(step.index, Moment.END)) for step in flow.steps)
+        for before, after in (*((ordering.before, ordering.after) for ordering in flow.orderings), *steps):
+            if position[before] >= position[after]:
+                raise Unsound(f"blocks wait for each other: {before} < {after}")
+
+
+def _owner(found: tuple[int | None, Flow]) -> int:
+    return -1 if found[0] is None else found[0]
+
+
+def _connects(block: PlacedStep, port: Port | None, owner: int | None, meant: Ordering | PlanEvent | None, *, takes: bool) -> bool:
+    """Return whether a place is connected to a port as what it stands for: that of an event, or one around steps that the block holds."""
+    step = None if block.step is None else block.step.index
+    if port is None or step is None:  # around the steps that it holds: it gives to the first places, and takes from the last
+        return owner == step and (meant is None or (isinstance(meant, PlanEvent) and takes is (meant.moment is Moment.END)))
+    if port not in _EVENTS:
+        return False
+    event = PlanEvent(step, _EVENTS[port])
+    if isinstance(meant, Ordering):
+        return event == (meant.after if takes else meant.before)
+    return event == meant and takes is (event.moment is Moment.START)
+
+
+def _check_times(name: str, rule: Rule, inputs: Iterable[str], release: float, delays: Mapping[str, float]) -> None:
+    """Check that a transition which takes from what the start waits for waits for the times as well."""
+    seconds, since = (rule.guard.seconds, dict(rule.guard.since)) if isinstance(rule.guard, Due) else (0.0, {})
+    is_early = seconds < release or any(since.get(place, 0.0) < delays[place] for place in inputs if place in delays)
+    if is_early and not isinstance(rule.guard, Ending):
+        raise Unsound(f"{name} does not wait for the times that the plan gives")
 
 
 def check_events(machine: PetriNetMachine, block: Block, transitions: Collection[str]) -> None:
@@ -53,12 +144,9 @@ def check_events(machine: PetriNetMachine, block: Block, transitions: Collection
     part = block.part
     last = part.outputs | part.finals | part.records
     for name in transitions:
-        guard, outputs = rules[name].guard, net.outputs[name].keys()
-        if entered := [place for place in net.inputs[name] if place in delays]:
-            seconds, since = (guard.seconds, dict(guard.since)) if isinstance(guard, Due) else (0.0, {})
-            is_early = seconds < release or any(since.get(place, 0.0) < delays[place] for place in entered)
-            if is_early and not isinstance(guard, Ending):
-                raise Unsound(f"{name} does not wait for the times that the plan gives")
+        outputs = net.outputs[name].keys()
+        if not delays.keys().isdisjoint(net.inputs[name]):
+            _check_times(name, rules[name], net.inputs[name], release, delays)
         if not outputs.isdisjoint(part.ends) and not outputs <= last:
             raise Unsound(f"{name} marks what waits for the end of step {owner}, and goes on")
     if block.early:

@@ -29,11 +29,13 @@ keeps them, and for that case every wait for resources has another way out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from graphlib import CycleError, TopologicalSorter
 from math import isfinite
-from typing import Final
+from typing import Final, TypeVar
 
+from pnm.core.machine.blocks import MachineBlocks, PlacedRegion, PlacedStep, built_from
 from pnm.core.machine.machine import (
     Adopted,
     ConditionTrue,
@@ -42,13 +44,16 @@ from pnm.core.machine.machine import (
     Withheld,
 )
 from pnm.core.machine.plan_graph import ActionCall
-from pnm.core.machine.verification.block_shape import shape_of
-from pnm.core.machine.verification.decompose import Anatomy, Block, Event
+from pnm.core.machine.verification.block_shape import kinds_of, shape_of
+from pnm.core.machine.verification.decompose import Anatomy, Block, Connected, Event, Owner
 from pnm.core.machine.verification.explore import Exploration, NeverFires, explore_part, never_fire
 from pnm.core.machine.verification.part import Inside, Part, Unsound, step_of
 from pnm.core.machine.verification.place_roles import check_roles
-from pnm.core.machine.verification.plan_in_net import check_events, check_flows
+from pnm.core.machine.verification.plan_in_net import check_events, check_flows, check_places
+from pnm.core.net.net import Marking, PetriNet, Weights
 from pnm.errors import check_kinds
+
+V = TypeVar("V")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -91,19 +96,23 @@ def verify(machine: PetriNetMachine) -> Proof:
         Unsound: it is not, or not of the form that `pnm.core.machine` makes.
     """
     check_kinds("verify", {"machine": (machine, PetriNetMachine)})
-    check_flows(machine)
-    anatomy = Anatomy(machine)
-    proved: set[_Proved] = set()
+    if (blocks := built_from(machine)) is None:
+        check_flows(machine)
+        anatomy = Anatomy(machine)
+    else:  # one block of each kind is looked at, and of all others how they are connected
+        check_places(machine, blocks)
+        anatomy = _anatomy_of_sample(machine, blocks)
+    taken, proved = anatomy.machine, set[_Proved]()
     waits: dict[Event, set[Event]] = {}
-    for owner in anatomy.writers[machine.goal_place]:
+    for owner in anatomy.writers[taken.goal_place]:
         for name in anatomy.transitions[owner]:
-            if machine.goal_place in machine.net.outputs[name] and machine.rules[name].guard != ConditionTrue(machine.plan.goal):
+            if taken.goal_place in taken.net.outputs[name] and taken.rules[name].guard != ConditionTrue(taken.plan.goal):
                 raise Unsound(f"{name} marks the goal place without asking for the goal")
     for owner in anatomy.transitions:
         block = anatomy.block(owner)
         if owner is not None and not block.part.ends:
             raise Unsound(f"nothing waits for the end of step {owner}")
-        check_events(machine, block, anatomy.transitions[owner])
+        check_events(taken, block, anatomy.transitions[owner])
         anatomy.note_waits(block, waits)
         shape = _proved(block.part)
         proved.add(shape)
@@ -114,6 +123,79 @@ def verify(machine: PetriNetMachine) -> Proof:
     except CycleError as error:
         raise Unsound(f"blocks wait for each other: {error.args[1]}") from error
     return Proof(len(machine.plan.calls), len(proved), sum(shape.explored.states for shape in proved), machine)
+
+
+def _anatomy_of_sample(machine: PetriNetMachine, blocks: MachineBlocks) -> Anatomy:
+    """Return the anatomy of the frame and of one block of each kind, with all that these are connected to.
+
+    Blocks of one template are of one kind if what their own rules ask is alike, as far as the proof looks at it, their ports lead
+    somewhere or not alike, and they stand in the same region in the same way.
+    """
+    kinds: dict[object, PlacedStep] = {}
+    regions = {step.index: region for region in blocks.regions for step in region.inner.flow.steps}
+    for block in blocks.placed:
+        if block.step is None:
+            kinds[id(block)] = block
+        else:
+            region, ports = regions.get(block.step.index), tuple(map(bool, block.ports))
+            kinds.setdefault((id(block.template), id(region), ports, *_borders(block, region), kinds_of(blocks.own_rules(block))), block)
+    chosen = [*kinds.values()]
+    own = {number for block in chosen for number in range(block.place, block.place + len(block.template.places))}
+    own.update(number for block in chosen if block.step is not None for places in block.ports for number in places)
+    own.update(number for region in blocks.regions if not region.inner.flow.steps for number in (*region.first, *region.last))
+    return Anatomy(_restricted(machine, blocks, chosen, own), _beside(blocks, own))
+
+
+def _borders(block: PlacedStep, region: PlacedRegion | None) -> tuple[bool, ...]:
+    """Return whether the block is entered, and left, directly from what holds it."""
+    first_border = 0 if region is None else region.place + len(region.inner.flow.orderings)
+    return tuple(any(place >= first_border for place in places) for places in block.ports[:4])
+
+
+def _restricted(machine: PetriNetMachine, blocks: MachineBlocks, chosen: Sequence[PlacedStep], own: set[int]) -> PetriNetMachine:
+    """Return the machine with these blocks and places alone."""
+    names = {number: blocks.place_name(number) for number in sorted(own)}
+    transitions = [number for block in chosen for number in range(block.transition, block.transition + len(block.template.transitions))]
+    titles = {number: blocks.transition_name(number) for number in transitions}
+    if len({*names.values(), *titles.values()}) < len(names) + len(titles):
+        raise Unsound("a name is used twice")
+
+    def arcs(of: Callable[[int], Iterable[tuple[int, int]]]) -> dict[str, Weights]:
+        return {title: {names[place]: weight for place, weight in of(number) if place in own} for number, title in titles.items()}
+
+    def roles(found: Mapping[int, V]) -> dict[str, V]:
+        return {names[number]: found[number] for number in names if number in found}
+
+    numbered = machine.net.numbered
+    return replace(
+        machine,
+        net=PetriNet(tuple(names.values()), arcs(blocks.inputs), arcs(blocks.outputs)),
+        initial=Marking(roles(numbered(machine.initial))),
+        rules={title: blocks.rule(number) for number, title in titles.items()},
+        failure_places=roles(numbered(machine.failure_places)),
+        restart_places=roles(numbered(machine.restart_places)),
+        budget_places=frozenset(names[number] for number in machine.net.numbers(machine.budget_places) if number in own),
+        resource_places=roles(numbered(machine.resource_places)),
+        settling_places=roles(numbered(machine.settling_places)),
+        alive_places=frozenset(names[number] for number in machine.net.numbers(machine.alive_places) if number in own),
+        orderings={name: one for number, name in names.items() if (one := blocks.ordering(number)) is not None},
+        regions=tuple(
+            replace(
+                region, first=[names[one] for one in placed.first if one in own], last=[names[one] for one in placed.last if one in own]
+            )
+            for region, placed in zip(machine.regions, blocks.regions, strict=True)
+        ),
+    )
+
+
+def _beside(blocks: MachineBlocks, own: set[int]) -> Connected:
+    """Return which blocks the places are connected to through ports."""
+
+    def owners(linked: Mapping[int, Sequence[tuple[PlacedStep, int]]]) -> dict[str, set[Owner]]:
+        found = ((place, linked[place]) for place in own & linked.keys())
+        return {blocks.place_name(place): {block.step.index if block.step else None for block, _ in all_} for place, all_ in found}
+
+    return Connected(owners(blocks.writers), owners(blocks.readers))
 
 
 def _check_reached(anatomy: Anatomy, block: Block, explored: Exploration) -> None:
@@ -163,7 +245,7 @@ def explore(machine: PetriNetMachine) -> int:
     check_roles(machine)
     explored = explore_part(
         Part(
-            places=machine.net.places,
+            places=tuple(machine.net.places),
             steps=tuple(step_of(machine, name) for name in machine.rules),
             initial=machine.initial,
             failures=frozenset(machine.failure_places),
@@ -174,7 +256,7 @@ def explore(machine: PetriNetMachine) -> int:
             goal=machine.goal_place,
             restarts=frozenset(machine.restart_places),
             resources=frozenset(machine.resource_places),
-            alive=machine.alive_places,
+            alive=frozenset(machine.alive_places),
             settling=frozenset(machine.settling_places),
             owed=tuple(step.index for step in machine.plan.steps if isinstance(step, ActionCall)),
         )
