@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import json
 import re
-from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import pairwise, takewhile
+from itertools import takewhile
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -21,6 +20,7 @@ from planner_bridge.view.view import view_of
 from pnm.journal.records import TaskAccepted
 from tests.support.e2e.deployment import ProblemDeployment
 from tests.support.e2e.page.journals import steps
+from tests.support.e2e.page.lit_up import WATCH, in_order, told
 from tests.support.e2e.page.serving import asked
 from tests.support.e2e.plan_deployment import ClientProgram, Serving
 from tests.support.files import ROOT, written
@@ -38,20 +38,6 @@ serves:
 """
 SIZES = {"wide": (1280, 900), "narrow": (400, 800)}
 REFUSED = re.compile("409 \\(Conflict\\)|403 \\(Forbidden\\)")
-WATCH = """
-window.seen = [];
-const note = (changes) => {
-  const batch = [];
-  for (const { target, oldValue } of changes) {
-    const { step, state } = target.dataset;
-    if (step && state && state !== oldValue) batch.push([target.closest("svg").dataset.run, Number(step), state]);
-  }
-  if (batch.length) window.seen.push(batch);
-};
-const what = { subtree: true, attributeFilter: ["data-state"], attributeOldValue: true };
-addEventListener("DOMContentLoaded", () => new MutationObserver(note).observe(document.getElementById("picture"), what));
-"""
-"""Notes which boxes of the plan change their states, all that do so at the same time together."""
 
 
 @dataclass(frozen=True)
@@ -95,18 +81,6 @@ def at(node: Node, record: int) -> View:
     view = Reader(node.journal).at(record, view_of)
     assert view is not None
     return view
-
-
-def told(journal: Path) -> list[tuple[str, int, str]]:
-    """Every state that a call has had, in the order of the journal."""
-    reader, last, changes = Reader(journal), dict[str, str](), list[tuple[str, int, str]]()
-    for step in steps(journal):
-        view = reader.at(step.number, view_of)
-        for key, call in view.calls.items() if view else ():
-            if last.get(key) != call.state:
-                changes.append((call.run, call.index, call.state))
-                last[key] = call.state
-    return changes
 
 
 def send(page: Page, goal: str) -> None:
@@ -214,20 +188,6 @@ def nobody_else_controls(page: Page, node: Node) -> None:
         assert refused[0] == 403
         assert "only who has the token" in refused[1]
     assert steps(node.journal)[-1].number == before
-
-
-def in_order(seen: list[list[tuple[str, int, str]]], kept: list[tuple[str, int, str]]) -> None:
-    """What has lit up is in the journal, and in its order: all that was seen at one time is before what was seen later."""
-    places = defaultdict[tuple[str, int, str], list[int]](list)
-    for number, change in enumerate(kept):
-        places[change].append(number)
-    batches = [[places[run, step, state] for run, step, state in batch] for batch in seen]
-    assert all(all(batch) for batch in batches), "nothing is shown that is not so"
-    for before, after in pairwise(batches):
-        assert max(map(min, before)) < min(map(max, after))
-    assert {state for batch in seen for _, _, state in batch} >= {"running", "succeeded"}
-    lit = [change for batch in seen for change in batch if change[2] == "running"]
-    assert len(lit) >= 8
 
 
 def goes_back(page: Page, node: Node) -> None:
