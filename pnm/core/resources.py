@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, insort
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, KeysView, Mapping
 from dataclasses import dataclass
 from itertools import takewhile
 from math import inf
@@ -78,6 +78,8 @@ class Resources:
         """By request, the claims that wait, and how each stands in line."""
         self._lines: dict[str, list[_Rank]] = {}
         """For every resource, how those stand in line that wait for it, in order."""
+        self._told: set[UUID] = set()
+        """Of those in line, the requests that were told that their turn has come, or that what they wait for is withheld."""
         self._joined = 0
         """How many claims have come into line so far."""
         self._listeners: defaultdict[UUID | None, list[Callable[[], None]]] = defaultdict(list)
@@ -229,12 +231,10 @@ class Resources:
         """Return the requests in line whose claims would be granted if they were made again."""
         return frozenset(request for request, (_, claim) in self._line.items() if self.is_free(claim))
 
-    def is_concerned(self, request: UUID) -> bool:
-        """Return whether the request stands in line and its claim would be granted now, or has come to wait for what is withheld."""
-        if request not in self._line:
-            return False
-        _, claim = self._line[request]
-        return self.is_free(claim) or bool(self.withheld_from(claim.names))
+    def concerned(self, requests: KeysView[UUID]) -> list[UUID]:
+        """Return those of the requests in line that were told something which is still so, those in front first."""
+        claims = (self._line[request][1] for _, _, request in sorted(self._line[request][0] for request in requests & self._told))
+        return [claim.request for claim in claims if self.is_free(claim) or self.withheld_from(claim.names)]
 
     def listen(self, listener: Callable[[], None], task: UUID | None = None) -> Callable[[], None]:
         """Call the listener when a claim in line would be granted if it were made again, and when what one waits for is withheld.
@@ -271,7 +271,9 @@ class Resources:
 
     def _tell(self, ranks: Iterable[_Rank]) -> None:
         """Tell the tasks of claims in line, those in front first, and whoever listens to all."""
-        tasks = dict.fromkeys(self._line[request][1].task for _, _, request in ranks)
+        requests = [request for _, _, request in ranks]
+        self._told.update(requests)
+        tasks = dict.fromkeys(self._line[request][1].task for request in requests)
         for task in (*tasks, None) if tasks else ():
             self._call(task)
 
@@ -292,6 +294,7 @@ class Resources:
         if request not in self._line:
             return None
         rank, claim = self._line.pop(request)
+        self._told.discard(request)
         for name in claim.names:
             line = self._lines[name]
             del line[bisect_left(line, rank)]
@@ -323,6 +326,8 @@ class RunClaims:
         # state
         self.waiting: dict[int, UUID] = {}
         """By place, the requests that stand in line."""
+        self._places: dict[UUID, int] = {}
+        """By request, where it is waited for."""
         self._had: dict[int, UUID] = {}
         """For every call that has resources, the request that has them."""
 
@@ -335,7 +340,7 @@ class RunClaims:
         if self.resources.is_free(claim):
             return True
         self.resources.take(claim)
-        self.waiting[place] = claim.request
+        self.waiting[place], self._places[claim.request] = claim.request, place
         return False
 
     def take(self, call: int, claim: Claim) -> None:
@@ -367,14 +372,14 @@ class RunClaims:
         """No longer wait at the place; return whether it did."""
         if place not in self.waiting:
             return False
-        self.resources.withdraw(self.waiting.pop(place))
+        request = self.waiting.pop(place)
+        self._places.pop(request, None)
+        self.resources.withdraw(request)
         return True
 
     def served(self) -> list[int]:
         """Return the places that wait and where the claim may be granted now, or has come to wait for what is withheld."""
-        if not self.waiting:
-            return []
-        return [place for place, request in self.waiting.items() if self.resources.is_concerned(request)]
+        return [self._places[request] for request in self.resources.concerned(self._places.keys())] if self.waiting else []
 
     def end(self, kept: Collection[UUID], open_calls: Mapping[UUID, str]) -> None:
         """Wait for nothing, and give everything back but what these requests have; those that are open keep what they have."""

@@ -175,7 +175,7 @@ class MachineIndex:
         staying = tuple([self.firings[one] for one in by_guard if not isinstance(guards[one], _LEAVING)])
         is_passage = len(self._consumers[place]) == len(staying) == 1 and staying[0].guarded is Always and not staying[0].acts
         passage, count = staying[0] if is_passage else None, len(self._consumers[place])
-        guard = staying[0].rule.guard if len(staying) == 1 and not staying[0].counts else None
+        guard = staying[0].rule.guard if len(staying) == 1 and not (staying[0].counts or staying[0].takes) else None
         limit = guard.seconds if isinstance(guard, After) else None
         return Decision(tuple(by_guard), self.firings, staying, passage, limit, len(by_guard) < count, len(staying) < count, knows)
 

@@ -43,7 +43,10 @@ _SEND, _SUCCEEDED, _SUCCESS = TransitionAction.SEND, CallOutcome.SUCCEEDED, Outc
 
 
 class Run(RunView):
-    """A machine, its marking and the requests of its calls; made as `RunView` says. The mutable state is what is set there."""
+    """A machine, its marking and the requests of its calls.
+
+    It is made as `RunView` says; its mutable state is what is set there.
+    """
 
     def retire(self, kept: Collection[UUID] = ()) -> None:
         """Give back all resources but those of the requests kept: the run is not carried on. Open requests keep their resources."""

@@ -211,6 +211,8 @@ def test_nobody_has_too_much_everybody_is_served_and_equals_in_order(
         had_its_turn, turn = turn, {one.number for one in workers if one.waits and fair.may(one)}
         assert turn - had_its_turn <= told <= turn, "whoever has its turn is told, and nobody else"
         told.clear()
+        served = sorted((one for one in fair.came if one.number in turn), key=lambda one: -one.priority)
+        assert pool.concerned(dict.fromkeys(one.request for one in pool.line).keys()) == [one.claim.request for one in served]
         assert pool.outranked() == outranked(pool, capacities)
         used = Counter(name for one in pool.held for name in one.names)
         assert all(count <= capacities.get(name, 1) for name, count in used.items())
