@@ -58,6 +58,8 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help="put the tables, or the limits, into their file")
     parser.add_argument("--gate", action="store_true", help="fail if something has become much slower")
     arguments = parser.parse_args()
+    if arguments.write and arguments.only:
+        parser.error("--write puts all rows onto the page, and needs them: leave out --only")
     if arguments.gate:
         if arguments.write:
             gate.store()
