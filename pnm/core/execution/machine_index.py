@@ -213,8 +213,9 @@ class MachineIndex:
 
     def _firing(self, transition: int) -> Firing:
         rule, taken = self._rules.rule(transition), self._inputs[transition]
-        inputs, outputs = (tuple(place for place, _ in arcs[transition]) for arcs in (self._inputs, self._outputs))
-        fails = tuple(place for place in outputs if place in self.failures)
+        inputs = tuple([place for place, _ in taken])
+        outputs = tuple([place for place, _ in self._outputs[transition]])
+        fails = tuple([place for place in outputs if place in self.failures])
         is_call = rule.call is not None and rule.call < len(self._calls)
         takes = not self.resources.isdisjoint(inputs) and rule.action is not TransitionAction.ADOPT
         gives, turns = not self.resources.isdisjoint(outputs), bool(fails) or not self.restarts.isdisjoint((*inputs, *outputs))
@@ -227,7 +228,7 @@ class MachineIndex:
             rule.call if is_call else None,
             inputs,
             outputs,
-            tuple(place for place in outputs if place not in self.records),
+            tuple([place for place in outputs if place not in self.records]),
             (inputs[0], outputs[0]) if is_step else None,
             fails,
             takes=takes,

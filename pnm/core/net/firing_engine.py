@@ -8,7 +8,6 @@ so the cost of a firing does not grow with the net. `pnm.core.net.firing_rule` i
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 
 from pnm.core.net.net import Marking, PetriNet
 from pnm.core.net.when_asked import WhenAsked
@@ -34,10 +33,8 @@ class CompiledNet:
         """For every transition that takes one token, its place."""
         self.joins = WhenAsked(self._joins)
         """For every place, the consumers that take more than one token."""
-        self.moves = WhenAsked(partial(self._changes, counted=False))
-        """For every transition, how it changes the places that no consumer counts."""
-        self.counted = WhenAsked(partial(self._changes, counted=True))
-        """For every transition, how it changes those that some consumer counts."""
+        self.changes = WhenAsked(self._changes)
+        """For every transition, how it changes the places that no consumer counts, and how those that some consumer counts."""
 
     @property
     def place_id(self) -> Mapping[str, int]:
@@ -54,12 +51,12 @@ class CompiledNet:
         return inputs[0][0] if len(inputs) == 1 and inputs[0][1] == 1 else None
 
     def _joins(self, place: int) -> list[tuple[int, int]]:
-        return [(one, weight) for one, weight in self.consumers[place] if self.only_input[one] is None]
+        return [(one, weight) for one, weight in self.consumers[place] if self.unmarked[one]]
 
-    def _changes(self, transition: int, *, counted: bool) -> list[tuple[int, int]]:
+    def _changes(self, transition: int) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
         # A place that is both input and output is first emptied and then filled: each change is small and keeps `missing` exact.
-        changes = (*((place, -weight) for place, weight in self.inputs[transition]), *self.outputs[transition])
-        return [(place, change) for place, change in changes if bool(self.joins[place]) is counted]
+        changes, joins = [*[(place, -weight) for place, weight in self.inputs[transition]], *self.outputs[transition]], self.joins
+        return [change for change in changes if not joins[change[0]]], [change for change in changes if joins[change[0]]]
 
 
 class Engine:
@@ -97,9 +94,10 @@ class Engine:
             short = {places[place]: weight * times - tokens[place] for place, weight in inputs if tokens[place] < weight * times}
             if short:
                 raise NotEnabled(compiled.transitions[transition], short)
-        for place, change in compiled.moves[transition]:
+        moved, counted = compiled.changes[transition]
+        for place, change in moved:
             tokens[place] += change * times
-        for place, change in compiled.counted[transition]:
+        for place, change in counted:
             self._add(place, change * times)
 
     def _add(self, place: int, count: int) -> None:

@@ -120,8 +120,8 @@ MISTAKES: Final = (
         (
             Change(
                 "pnm/core/machine/call_block.py",
-                'self.add(Rule("retry", call=call), [recover, budget], [ready, spent], title=f"{phase}retry")',
-                'self.add(Rule("retry", call=call), [recover, budget], [ready, budget], title=f"{phase}retry")',
+                'self.add(Rule("retry"), [recover, budget], [ready, spent], title=f"{phase}retry")',
+                'self.add(Rule("retry"), [recover, budget], [ready, budget], title=f"{phase}retry")',
             ),
         ),
         "a_call_is_tried_as_often_as_it_may_be",

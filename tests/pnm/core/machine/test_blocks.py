@@ -1,0 +1,151 @@
+"""Blocks share templates, and nothing is different for it: neither the machine nor its proof, which looks at every block all the same."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields, replace
+from math import inf
+from random import Random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pnm.core.logic.conditions import Holds
+from pnm.core.machine.blocks import MachineBlocks, PlacedStep, built_from
+from pnm.core.machine.call_block import CallBlock
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
+from pnm.core.machine.step_block import Port
+from pnm.core.machine.verification.part import Unsound
+from pnm.core.machine.verification.verify import verify
+from pnm.core.net.net import PetriNet
+from tests.support.runs.mutation.machines import random_machine, random_plan
+from tests.support.runs.plan_graphs import plan
+
+
+def written_out(machine: PetriNetMachine) -> PetriNetMachine:
+    """The same machine, with everything by name: made of no blocks."""
+    net = machine.net
+    arcs = ({name: dict(weights) for name, weights in found.items()} for found in (net.inputs, net.outputs))
+    return replace(machine, net=PetriNet(tuple(net.places), *arcs), rules=dict(machine.rules))
+
+
+def blocks_of(machine: PetriNetMachine) -> MachineBlocks:
+    found = built_from(machine)
+    assert found is not None
+    return found
+
+
+def as_text(machine: PetriNetMachine) -> list[str]:
+    def text(found: object) -> str:
+        match found:
+            case PetriNet():
+                arcs = ((name, dict(found.inputs[name]), dict(found.outputs[name])) for name in found.transitions)
+                return str((list(found.places), list(arcs)))
+            case _ if hasattr(found, "items"):
+                return str([(name, repr(value)) for name, value in found.items()])
+            case set() | frozenset() | _ if hasattr(found, "isdisjoint"):
+                return str(sorted(found))  # type: ignore[call-overload]
+            case tuple():
+                return str([(one.owner, sorted(one.steps), [*one.first], [*one.last]) for one in found])
+        return repr(found)
+
+    return [text(getattr(machine, field.name)) for field in fields(machine) if field.name != "plan"]
+
+
+@settings(deadline=None)
+@given(st.integers(0, 10_000))
+def test_a_machine_is_the_same_if_no_block_shares_its_template(number: int) -> None:
+    graph = random_plan(Random(number))
+    shared = as_text(generate(graph))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(CallBlock, "key", None)
+        assert as_text(generate(graph)) == shared
+
+
+@settings(deadline=None)
+@given(st.integers(0, 10_000))
+def test_arcs_by_number_are_those_by_name(number: int) -> None:
+    machine = random_machine(number)
+    by_blocks, by_name = machine.net.arcs_by_number, written_out(machine).net.arcs_by_number
+    assert isinstance(by_blocks, MachineBlocks)
+    assert not isinstance(by_name, MachineBlocks)
+    for transition in range(len(machine.net.transitions)):
+        assert [*by_blocks.inputs(transition)] == [*by_name.inputs(transition)]
+        assert [*by_blocks.outputs(transition)] == [*by_name.outputs(transition)]
+    for place in range(len(machine.net.places)):
+        assert [*by_blocks.consumers(place)] == [*by_name.consumers(place)]
+    assert by_blocks.unmarked() == by_name.unmarked()
+
+
+@pytest.mark.parametrize("number", range(30))
+def test_the_proof_of_a_sample_is_that_of_the_whole(number: int) -> None:
+    machine = random_machine(number)
+    assert built_from(machine) is not None
+    assert built_from(written_out(machine)) is None
+    assert verify(machine) == verify(written_out(machine))
+
+
+def test_calls_of_one_shape_share_a_template_whatever_they_ask() -> None:
+    calls = (
+        ActionCall(index, GroundAction(f"a{index}", precondition=Holds((f"p{index}",)), duration=6.0 + index), latest_start=9.0 + index)
+        for index in range(50)
+    )
+    machine = generate(PlanGraph(tuple(calls)))
+    blocks = blocks_of(machine)
+    assert len({id(block.template) for block in blocks.placed if block.step}) == 1
+    assert machine.rules["a7()#7 start"].guard != machine.rules["a8()#8 start"].guard
+    verify(machine)
+
+
+def exchanged(machine: PetriNetMachine, call: int, change: Callable[[PlacedStep], PlacedStep]) -> PetriNetMachine:
+    """Change the block of one call, behind the back of the machine."""
+    blocks = blocks_of(machine)
+    (number,) = (number for number, block in enumerate(blocks.placed) if block.step and block.step.index == call)
+    blocks.placed[number] = change(blocks.placed[number])
+    return machine
+
+
+def with_port(port: Port, *places: int) -> Callable[[PlacedStep], PlacedStep]:
+    number = [*Port].index(port)
+    return lambda block: replace(block, ports=(*block.ports[:number], places, *block.ports[number + 1 :]))
+
+
+def test_no_block_is_trusted_because_others_are_like_it() -> None:
+    def chain() -> PetriNetMachine:
+        return generate(plan(5, "0e<1s", "1e<2s", "2e<3s", "3e<4s"))
+
+    verify(chain())
+    places = [block.ports for block in blocks_of(chain()).placed]
+    other, own = places[2][0], places[3][0]
+    for broken, why in (
+        (exchanged(chain(), 2, with_port(Port.STARTS_AFTER, *other)), "connects what it must not connect"),
+        (exchanged(chain(), 2, with_port(Port.STARTS_AFTER)), "does not connect two blocks"),
+        (exchanged(chain(), 2, with_port(Port.STARTS_AFTER, *own, *other)), "connects what it must not connect"),
+        (exchanged(chain(), 2, with_port(Port.STARTS_AFTER, 1)), "connects what it must not connect"),
+        (exchanged(chain(), 2, lambda block: replace(block, place=block.place - 1)), "overlaps another"),
+    ):
+        with pytest.raises(Unsound, match=why):
+            verify(broken)
+
+
+def test_what_a_call_itself_says_is_looked_at_for_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    machine = generate(plan(5))
+    verify(machine)
+    timeout = CallBlock.timeout
+    monkeypatch.setattr(CallBlock, "timeout", property(lambda block: inf if block.step.index == 3 else timeout.fget(block)))  # type: ignore[attr-defined]
+    with pytest.raises(Unsound, match=r"a3\(\)#3 running has no exit that is sure to open in finite time"):
+        verify(machine)
+
+
+def test_a_release_is_waited_for_in_each_block(monkeypatch: pytest.MonkeyPatch) -> None:
+    graph = plan(4)
+    graph = replace(graph, steps=tuple(replace(call, release=5.0 + call.index) for call in graph.calls))
+    machine = generate(graph)
+    verify(machine)
+    release = CallBlock.release
+    monkeypatch.setattr(CallBlock, "release", property(lambda block: 1.0 if block.step.index == 2 else release.fget(block)))  # type: ignore[attr-defined]
+    with pytest.raises(Unsound, match=r"a2\(\)#2 join does not wait for the times"):
+        verify(machine)
