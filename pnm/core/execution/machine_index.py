@@ -142,7 +142,7 @@ class MachineIndex:
     def __init__(self, machine: PetriNetMachine) -> None:
         net, self._rules = machine.compiled, rules_by_number(machine)
         self._inputs, self._outputs, self._consumers, self._names = net.inputs, net.outputs, net.consumers, net.transitions
-        self._moves, self._counted = net.moves, net.counted
+        self._changes = net.changes
         self._places = net.net.places
         self._calls = calls = machine.plan.calls
         numbered = net.net.numbered
@@ -219,7 +219,8 @@ class MachineIndex:
         is_call = rule.call is not None and rule.call < len(self._calls)
         takes = not self.resources.isdisjoint(inputs) and rule.action is not TransitionAction.ADOPT
         gives, turns = not self.resources.isdisjoint(outputs), bool(fails) or not self.restarts.isdisjoint((*inputs, *outputs))
-        is_step = not self._counted[transition] and [change for _, change in self._moves[transition]] == [-1, 1]
+        moved, counted = self._changes[transition]
+        is_step = not counted and [change for _, change in moved] == [-1, 1]
         tells = rule.cause is not None or rule.gives_up or rule.outcome is CallOutcome.ALREADY_TRUE
         return Firing(
             transition,
