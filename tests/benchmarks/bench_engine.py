@@ -5,7 +5,9 @@ The unit is one turn of a plain Python loop over integers, measured in the same 
 
 from __future__ import annotations
 
+import gc
 import sys
+import tracemalloc
 from pathlib import Path
 from uuid import UUID
 
@@ -81,16 +83,30 @@ def main() -> None:
         machine = generate(plan)
         made = seconds(lambda: generate(plan), 1)
         proved = seconds(lambda: verify(machine), 1)
-        machine.compiled  # noqa: B018
+        compiled = seconds(lambda: machine.compiled, 1)
         ran = seconds(lambda: inline(Run(machine, Layered(KnowledgeBase()), id=UUID(int=1))), 1)
         print(
             f"{calls} calls ({len(machine.net.transitions)} transitions), per call: "
-            f"generate {made / calls / unit:.0f}, prove {proved / calls / unit:.0f}, run inline {ran / calls / unit:.0f} units; "
-            f"{made:.2f} + {proved:.2f} + {ran:.2f} s"
+            f"generate {made / calls / unit:.0f}, prove {proved / calls / unit:.0f}, compile {compiled / calls / unit:.0f}, "
+            f"run inline {ran / calls / unit:.0f} units; {made:.2f} + {proved:.2f} + {compiled:.2f} + {ran:.2f} s; "
+            f"{kept(plan) / calls:.0f} bytes"
         )
 
     checked_calls(unit)
     proofs()
+
+
+def kept(plan: PlanGraph) -> int:
+    """The bytes of a machine that was proved and compiled."""
+    gc.collect()
+    tracemalloc.start()
+    machine = generate(plan)
+    verify(machine)
+    machine.compiled  # noqa: B018
+    gc.collect()
+    found, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    return found
 
 
 def checked_calls(unit: float) -> None:

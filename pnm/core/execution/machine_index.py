@@ -209,7 +209,7 @@ class MachineIndex:
 
     def _opened(self, key: tuple[int, OutcomeKind | None]) -> tuple[tuple[int, int], ...]:
         call, kind = key
-        return tuple([(one, self._inputs[one][0][0]) for one in self._rules.reported(call) if _admits(self._rules.like(one), kind)])
+        return tuple([(one, self._inputs[one][0][0]) for one, rule in self._rules.reported(call) if _admits(rule, kind)])
 
     def _firing(self, transition: int) -> Firing:
         rule, taken = self._rules.rule(transition), self._inputs[transition]

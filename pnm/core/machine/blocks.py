@@ -43,8 +43,8 @@ class RulesByNumber(Protocol):
     def like(self, transition: int) -> Rule:
         """Return a rule of the same kind; what it says of its call may be that of another."""
 
-    def reported(self, call: int) -> Sequence[int]:
-        """Return the transitions of the call that reports open."""
+    def reported(self, call: int) -> Sequence[tuple[int, Rule]]:
+        """Return the transitions of the call that reports open, each with a rule of the same kind."""
 
 
 class RulesByName(ByName[Rule]):
@@ -59,17 +59,17 @@ class _NamedRules:
     """Rules by number of a machine that has them by name."""
 
     def __init__(self, rules: Iterable[Rule]) -> None:
-        self._rules, self._reported = [*rules], dict[int, list[int]]()
+        self._rules, self._reported = [*rules], dict[int, list[tuple[int, Rule]]]()
         for transition, rule in enumerate(self._rules):
             if isinstance(rule.guard, Accepts | Ends):
-                self._reported.setdefault(rule.guard.call, []).append(transition)
+                self._reported.setdefault(rule.guard.call, []).append((transition, rule))
 
     def rule(self, transition: int) -> Rule:
         return self._rules[transition]
 
     like = rule
 
-    def reported(self, call: int) -> Sequence[int]:
+    def reported(self, call: int) -> Sequence[tuple[int, Rule]]:
         return self._reported[call]
 
 
@@ -148,7 +148,9 @@ class MachineBlocks(BlockArcs[PlacedStep]):
         self.regions: list[PlacedRegion] = []
         self.parts: Sequence[object] = ()
         """What the machine was made of."""
+        # the last ones that were made are kept: those of one block are asked for together
         self._own: tuple[int, CallBlock] | None = None
+        self._titled: tuple[PlacedStep | None, str] = None, ""
 
     def place_name(self, place: int) -> str:
         """Return the name of a place."""
@@ -158,7 +160,10 @@ class MachineBlocks(BlockArcs[PlacedStep]):
     def transition_name(self, transition: int) -> str:
         """Return the name of a transition."""
         block = self.placed[self.index_of(transition)]
-        return block.transition_name(transition - block.transition)
+        if self._titled[0] is not block:
+            self._titled = block, str(block.title)
+        name = block.template.transitions[transition - block.transition]
+        return name if block.title is None else f"{self._titled[1]} {name}"
 
     # --- rules --------------------------------------------------------------------------------
 
@@ -194,17 +199,17 @@ class MachineBlocks(BlockArcs[PlacedStep]):
         found = region.stands_for(place) if isinstance(region, PlacedRegion) else None
         return found if isinstance(found, Ordering) else None
 
-    def reported(self, call: int) -> Sequence[int]:
-        """Return the transitions of the call that reports open."""
+    def reported(self, call: int) -> Sequence[tuple[int, Rule]]:
+        """Return the transitions of the call that reports open, each with a rule of the same kind."""
         block = self.placed[self._block_of[call]]
-        return [block.transition + number for number in block.template.reported]
+        return [(block.transition + number, block.template.kinds[number]) for number in block.template.reported]
 
     @cached_property
     def _block_of(self) -> Mapping[int | None, int]:
         return {block.step.index if block.step else None: index for index, block in enumerate(self.placed)}
 
     def _call_block(self, index: int) -> CallBlock:
-        """Return the block of a call by itself; the last one is kept, because rules of one are asked for together."""
+        """Return the block of a call by itself."""
         if self._own is None or self._own[0] != index:
             block = self.placed[index]
             assert isinstance(block.step, ActionCall), "only rules of calls are made for each"

@@ -76,13 +76,7 @@ class Placed:
 
     def place_name(self, number: int) -> str:
         """Return the name of a place of its own."""
-        return self._named(self.template.places[number])
-
-    def transition_name(self, number: int) -> str:
-        """Return the name of a transition."""
-        return self._named(self.template.transitions[number])
-
-    def _named(self, name: str) -> str:
+        name = self.template.places[number]
         return name if self.title is None else f"{self.title} {name}"
 
     def arcs(self, arcs: _Codes) -> list[tuple[int, int]]:

@@ -10,7 +10,9 @@ more than it began with. A run that is paused goes on when it is resumed, and ea
 paused finitely often.
 
 `explore` walks through all states: the oracle, for machines of a few calls. `verify` is linear
-in the number of calls, and trusts nothing but the net and the rules. Every block (the transitions
+in the number of calls, and trusts nothing but the net and the rules. A machine as it was generated has its blocks from templates: one
+block of each kind is looked at as described here, and of all others what is their own: what their ports stand for, and what their
+rules ask (`check_places`, `kinds_of`). A machine of which any part was exchanged is looked at block by block. Every block (the transitions
 of one step) is explored on its own, once per shape, with its inputs supplied at any moment and
 what it holds taken as one step that comes to an end; at every place some exit opens in finite
 time for any answer; every place between blocks has one writing and one reading block, neighbours
