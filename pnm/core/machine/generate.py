@@ -1,6 +1,7 @@
 """The frame around all steps: where a machine begins, and where it ends in goal or failed.
 
-What blocks are built with: the net so far, its roles, and which places connect which steps.
+Between the two the blocks of all steps are placed one after the other, each by the template that steps of its shape share, and connected
+by the places that stand for orderings.
 """
 
 from __future__ import annotations
@@ -118,9 +119,8 @@ class Builder:
             if ends not in out_of:
                 region.last.append(region.border(ends))
                 out_of[ends] = [region.last[-1]]
-        if (
-            not inner.flow.steps
-        ):  # an empty region still needs a place between entering and leaving it, so that the owner has something to take
+        # An empty region still needs a place between entering and leaving it, so that the owner has something to take.
+        if not inner.flow.steps:
             region.first = region.last = [region.border(None)]
         self._waiting.extend((step, inner.context) for step in inner.flow.steps)
         return region

@@ -1,4 +1,6 @@
-"""The block of any step: how it is entered, and how it is left.
+"""The block of any step, drafted as a template: how it is entered, and how it is left.
+
+Names are those within the block, and what connects it to others are its ports: so all steps of one shape can share it.
 
 Loops, choices and junctions.
 
@@ -31,8 +33,6 @@ from pnm.core.net.block_net import Template
 from pnm.core.net.net import NetBuilder, Weights
 
 AnyStep = TypeVar("AnyStep", bound=Step)
-
-
 OWN: Final = -1
 """In rules of a template, in place of the number of the call: they are about the block's own."""
 RuleOf: TypeAlias = "Callable[[Any], Rule]"

@@ -48,8 +48,7 @@ def check_places(machine: PetriNetMachine, blocks: MachineBlocks) -> None:
     """
     _check_order(machine.plan, blocks)
     resources = machine.net.numbered(machine.resource_places)
-    connected = bytearray(blocks.count_places)
-    """For every place between blocks, 1 if a block takes from it, 2 if one gives to it, 3 if both."""
+    connected = bytearray(blocks.count_places)  # for every place between blocks, 1 if one takes from it, 2 if one gives to it, 3 if both
     places = transitions = 0
     for block in blocks.placed:
         if block.transition != transitions or block.place < places:

@@ -84,7 +84,10 @@ class Proof:
     @property
     def never(self) -> tuple[NeverFires, ...]:
         """Transitions that can never fire; every other one fires for some answers of servers and of the world."""
-        blocks = map(Anatomy(self.machine).block, dict.fromkeys(rule.call for rule in self.machine.rules.values()))
+        machine, net = self.machine, self.machine.net
+        # each rule and each arc is made once, for all of them are asked for
+        named = replace(machine, net=PetriNet(tuple(net.places), dict(net.inputs), dict(net.outputs)), rules=dict(machine.rules))
+        blocks = map(Anatomy(named).block, dict.fromkeys(rule.call for rule in named.rules.values()))
         return tuple(never for block in blocks for never in never_fire(block.part, _proved(block.part).explored))
 
     def __str__(self) -> str:
