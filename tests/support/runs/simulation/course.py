@@ -137,7 +137,8 @@ class Course:
                     await self._live(life)
                     if self._done.is_set():
                         break
-            story.beliefs = next(node.beliefs for node in self._nodes if node.beliefs is not None)
+            # Of two that came to the end, the later one has written after the other.
+            story.beliefs = next(node.beliefs for node in reversed(self._nodes) if node.beliefs is not None)
         except TimeoutError:
             story.failures.append(f"not over within {LIMIT:g} s")
         story.truth = KnowledgeBase(self._fleet.robots.world.truth.facts())
