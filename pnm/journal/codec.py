@@ -60,7 +60,7 @@ class Codec:
         self._classes = {kind.__name__: kind for kind in classes}
         self._writers: dict[type, Callable[[Any], object]] = {}
         self._readers: dict[str | None, Callable[[dict[str, Any]], Any]] = {}
-        self._encoder = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False)
+        self._encoder = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False, check_circular=False)
         self._decoder = json.JSONDecoder(object_hook=self._hook())
 
     def including(self, classes: Iterable[type]) -> Codec:
@@ -98,7 +98,7 @@ class Codec:
     def _writer(self, kind: type) -> Callable[[Any], object]:
         plain = self.plain
         if kind is tuple:
-            return lambda value: [plain(item) for item in value]
+            return lambda value: value if _PLAIN.issuperset(map(type, value)) else [plain(item) for item in value]
         if kind is UUID:
             return lambda value: {_TAG: "id", "hex": value.hex}
         if self._classes.get(kind.__name__) is kind:
@@ -131,7 +131,7 @@ class Codec:
             for name, default, empty, short in written:
                 held = getattr(value, name)
                 if held is not default and (held or type(held) is not empty):
-                    entry[name] = plain(held) if short is None else short.write(held)
+                    entry[name] = held if type(held) in _PLAIN else plain(held) if short is None else short.write(held)
             return entry
 
         return write
@@ -151,7 +151,7 @@ class Codec:
                 return None
 
     def _facts(self, value: Mapping[tuple[str, ...], object]) -> object:
-        return [[fluent, self.plain(held)] for fluent, held in value.items()]
+        return [[fluent, held if type(held) in _PLAIN else self.plain(held)] for fluent, held in value.items()]
 
     def _mapping(self, value: Mapping[object, object]) -> object:
         plain = self.plain

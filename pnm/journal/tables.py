@@ -12,10 +12,12 @@ from sqlalchemy.sql.functions import FunctionElement
 from pnm.files.database.driver import Layout
 
 _TABLES: Final = MetaData()
+_Number: Final = BigInteger().with_variant(Integer, "sqlite")
+"""The number of a record: in SQLite, where integers have 64 bits anyway, a key of this type needs no index beside the table."""
 records: Final = Table(
     "records",
     _TABLES,
-    Column("sequence", BigInteger, primary_key=True, autoincrement=False),
+    Column("sequence", _Number, primary_key=True, autoincrement=False),
     Column("epoch", Integer, nullable=False),
     Column("time", Double, nullable=False),
     Column("text", Text, nullable=False),
@@ -23,7 +25,7 @@ records: Final = Table(
 segments: Final = Table(
     "segments",
     _TABLES,
-    Column("first", BigInteger, primary_key=True, autoincrement=False),
+    Column("first", _Number, primary_key=True, autoincrement=False),
     Column("wall", Double, nullable=False),
 )
 tasks: Final = Table(

@@ -6,10 +6,11 @@ pools and types, is not needed, and costs more than a commit does.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
+from types import TracebackType
 from typing import TYPE_CHECKING
 
 from pnm.errors import PnmError
@@ -44,6 +45,7 @@ class Database:
         self._read_only = read_only
         self._is_durable = is_durable
         self._driver: Driver | None = None
+        self._translated = _Translated(self._drop)
         self.connect()
 
     @property
@@ -57,7 +59,7 @@ class Database:
             return
         from sqlalchemy.schema import CreateTable  # here, because it takes 0.15 s
 
-        with self._translated():
+        with self._translated:
             if isinstance(self.place, Path):
                 driver: Driver = Sqlite(self.place, read_only=self._read_only, is_durable=self._is_durable)
             else:
@@ -72,14 +74,14 @@ class Database:
 
     def run(self, statement: Executable, **values: object) -> Rows:
         """Execute a statement, in the transaction if there is one; return its rows."""
-        with self._translated():
+        with self._translated:
             driver, sql, constants = self._prepared(statement)
             return driver.run(sql, {**constants, **values})
 
     def run_many(self, statement: Executable, rows: Sequence[Mapping[str, object]]) -> None:
         """Execute a statement without constants for each row."""
         if rows:
-            with self._translated():
+            with self._translated:
                 driver, sql, _ = self._prepared(statement)
                 driver.run_many(sql, rows)
 
@@ -92,45 +94,45 @@ class Database:
         """
         if is_new:
             self.connect()
-        with self._translated():
+        with self._translated:
             if self._driver is None:
                 raise DatabaseError("there is no connection")
             self._driver.begin()
         try:
             yield
-            with self._translated():
+            with self._translated:
                 self._control("COMMIT")
         except BaseException:
             if self._driver is not None:
-                with suppress(DatabaseError), self._translated():
+                with suppress(DatabaseError), self._translated:
                     self._control("ROLLBACK")
             raise
 
     def wait(self, seconds: float) -> None:
         """Wait until something was announced in the database, or for so long."""
         self.connect()
-        with self._translated():
+        with self._translated:
             assert self._driver is not None
             self._driver.wait(seconds)
 
     def announce(self) -> None:
         """Have those go on that wait for something to be announced."""
         self.connect()
-        with self._translated():
+        with self._translated:
             assert self._driver is not None
             self._driver.announce()
 
     def shrink(self) -> None:
         """Give space back that is not needed any more."""
         self.connect()
-        with self._translated():
+        with self._translated:
             assert self._driver is not None
             self._driver.shrink()
 
     def close(self) -> None:
         """Close the connection."""
         if self._driver is not None:
-            with suppress(DatabaseError), self._translated():
+            with suppress(DatabaseError), self._translated:
                 self._driver.close()
             self._driver = None
 
@@ -144,18 +146,27 @@ class Database:
         assert self._driver is not None
         return self._driver, *_compiled(statement, self._driver.dialect)
 
-    @contextmanager
-    def _translated(self) -> Iterator[None]:
-        """Have errors of drivers be a `DatabaseError`; the connection is dropped after one that it does not survive."""
-        try:
-            yield
-        except PnmError:
-            raise
-        except Exception as error:  # of pg8000, which raises what it comes across when a server goes away
-            if self._driver is not None and not self._driver.survives:
-                with suppress(Exception):
-                    self._driver.close()
-                self._driver = None
+    def _drop(self) -> None:
+        """Forget a connection that an error has ended."""
+        if self._driver is not None and not self._driver.survives:
+            with suppress(Exception):
+                self._driver.close()
+            self._driver = None
+
+
+class _Translated:
+    """Has errors of drivers be a `DatabaseError`; the connection is dropped after one that it does not survive."""
+
+    def __init__(self, drop: Callable[[], None]) -> None:
+        self._drop = drop
+
+    def __enter__(self) -> None:
+        """Begin what a driver does."""
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
+        # Anything else: pg8000 raises what it comes across when a server goes away.
+        if isinstance(error, Exception) and not isinstance(error, PnmError):
+            self._drop()
             raise DatabaseError(_reason(error)) from error
 
 
