@@ -16,7 +16,7 @@ from planner_bridge.cli.journal import chosen_journal, errors_of_journals
 from planner_bridge.cli.options import FILE, Seconds, as_json_option, command, problem_in, searching
 from planner_bridge.explanations.answer import Answer, Known
 from planner_bridge.explanations.goal_now import why_goal
-from planner_bridge.explanations.limited_search import SECONDS, TimeLimit
+from planner_bridge.explanations.limited_search import SECONDS, AnswerLimit
 from planner_bridge.explanations.needed_call import why_call_of_plan
 from planner_bridge.explanations.new_plan import why_replanned
 from planner_bridge.explanations.other_action import why_not
@@ -90,7 +90,7 @@ def _of_problem(problem: Problem, called: str | None, other: str | None, seconds
     """Return the answers about the plan of a problem."""
     unwanted = None if other is None else _call(problem, other, "--not")
     wanted = None if called is None or called.strip("# ").isdecimal() else _call(problem, called, "--call")
-    limit = TimeLimit.of(seconds)
+    limit = AnswerLimit.of(seconds)
     with searching(DEFAULT_PLANNER, seconds):
         found = limit.first_plan(problem, improve=_IMPROVE)
         if unwanted is not None:

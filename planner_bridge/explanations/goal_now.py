@@ -8,7 +8,7 @@ import zlib
 from collections.abc import Iterable
 
 from planner_bridge.explanations.answer import Answer
-from planner_bridge.explanations.limited_search import SECONDS, TimeLimit
+from planner_bridge.explanations.limited_search import SECONDS, AnswerLimit
 from planner_bridge.explanations.no_plan import why_no_plan
 from planner_bridge.explanations.plan_overview import why_plan
 from planner_bridge.explanations.smallest_change import what_would_help
@@ -46,11 +46,11 @@ def settled(world: KnowledgeBase, under_way: Iterable[Iterable[UnderWay]]) -> Kn
 
 def answered(text: str, world: KnowledgeBase) -> tuple[Answer, ...]:
     """Return the answers about the goal of a problem that was packed, from a world."""
-    problem, limit = problem_now(unpacked(text), world), TimeLimit.of(SECONDS)
+    problem, limit = problem_now(unpacked(text), world), AnswerLimit.of(SECONDS)
     return why_goal(problem, limit.first_plan(problem), limit)
 
 
-def why_goal(problem: Problem, found: PlanningResult, limit: TimeLimit) -> tuple[Answer, ...]:
+def why_goal(problem: Problem, found: PlanningResult, limit: AnswerLimit) -> tuple[Answer, ...]:
     """Return what each call of a plan is for; or why there is none, and what would help.
 
     Args:

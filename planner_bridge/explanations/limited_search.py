@@ -18,7 +18,7 @@ _LEAST: Final = 0.02
 
 
 @dataclass(frozen=True)
-class TimeLimit:
+class AnswerLimit:
     """The moment at which a question has to be answered, on the clock of this process."""
 
     end: float
@@ -26,9 +26,9 @@ class TimeLimit:
     """What was looked at already, by the identity of the problem: mutable state."""
 
     @staticmethod
-    def of(seconds: float) -> TimeLimit:
+    def of(seconds: float) -> AnswerLimit:
         """Return the limit that ends in so many seconds."""
-        return TimeLimit(time.monotonic() + seconds)
+        return AnswerLimit(time.monotonic() + seconds)
 
     @property
     def left(self) -> float:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from planner_bridge.explanations.answer import Answer, Known, Solves, Unsolvable, counted, listed
-from planner_bridge.explanations.limited_search import TimeLimit
+from planner_bridge.explanations.limited_search import AnswerLimit
 from planner_bridge.model.plan import PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.reachability import Achiever, Literal, Reachability, literal_of
@@ -29,7 +29,7 @@ _DEPTH: Final = 12
 """Facts on the way from the goal to where it ends."""
 
 
-def why_no_plan(problem: Problem, found: PlanningResult, limit: TimeLimit) -> Answer:
+def why_no_plan(problem: Problem, found: PlanningResult, limit: AnswerLimit) -> Answer:
     """Return why there is no plan.
 
     Args:
@@ -58,7 +58,7 @@ def _as_known(answer: Answer) -> Answer:
 # --- what cannot be reached ------------------------------------------------------------------------
 
 
-def _unreachable(problem: Problem, limit: TimeLimit) -> list[tuple[Condition, Answer]]:
+def _unreachable(problem: Problem, limit: AnswerLimit) -> list[tuple[Condition, Answer]]:
     """Return the parts of the goal that cannot be reached, with the reasons; none if that is not found out."""
     if (reachability := limit.reached(problem)) is None:
         return []
@@ -66,7 +66,7 @@ def _unreachable(problem: Problem, limit: TimeLimit) -> list[tuple[Condition, An
     return [(part, tree.why(part)) for part in conjuncts(problem.goal) if reachability.of(part)]
 
 
-def why_unreachable(problem: Problem, condition: Condition, limit: TimeLimit) -> Answer | None:
+def why_unreachable(problem: Problem, condition: Condition, limit: AnswerLimit) -> Answer | None:
     """Return why a condition can never come true; None if it can, as far as reachability shows."""
     dead_ends = _unreachable(replace(problem, goal=condition, constraints=()), limit)
     return Answer(f"{condition} can never be true", Known.RELAXATION, tuple(answer for _, answer in dead_ends)) if dead_ends else None
@@ -187,7 +187,7 @@ def _closed(others: int) -> str:
 # --- what excludes each other ----------------------------------------------------------------------
 
 
-def _exclusions(problem: Problem, limit: TimeLimit) -> Iterator[Answer]:
+def _exclusions(problem: Problem, limit: AnswerLimit) -> Iterator[Answer]:
     """Yield which parts of the goal exclude each other: together proved impossible, and none of them can be left out of that."""
     if problem.has_tasks:
         return
@@ -225,7 +225,7 @@ def _exclusions(problem: Problem, limit: TimeLimit) -> Iterator[Answer]:
     yield Answer(text, Known.SEARCH, reasons, (claim,))
 
 
-def _alone(problem: Problem, part: Condition, limit: TimeLimit) -> Iterator[Answer]:
+def _alone(problem: Problem, part: Condition, limit: AnswerLimit) -> Iterator[Answer]:
     asked = replace(problem, goal=part)
     if plan := limit.solve(asked).plan:
         yield Answer(f"{part} alone has a plan with {counted(len(plan.steps), 'call')}", Known.PLAN, (), (Solves(asked, plan),))

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from planner_bridge.explanations.answer import Answer, Best, Claim, Known, Solves, Unsolvable, counted
-from planner_bridge.explanations.limited_search import TimeLimit
+from planner_bridge.explanations.limited_search import AnswerLimit
 from planner_bridge.explanations.no_plan import why_no_plan, why_unreachable
 from planner_bridge.model.forbidden_actions import unused_name
 from planner_bridge.model.grounding import ground_action, initial_knowledge
@@ -75,7 +75,7 @@ class Forced:
         return replace(plan, steps=tuple(steps))
 
 
-def why_not(problem: Problem, action: PlanStep, found: PlanningResult, limit: TimeLimit) -> Answer:
+def why_not(problem: Problem, action: PlanStep, found: PlanningResult, limit: AnswerLimit) -> Answer:
     """Return why a plan does not use an action.
 
     Args:

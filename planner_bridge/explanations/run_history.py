@@ -38,7 +38,7 @@ class Trouble:
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class HeldResources:
     """Resources that a request had for itself, from when until when; None while it has them."""
 
     action: str
@@ -118,7 +118,7 @@ class JournalHistory:
         self.replay = Replay()
         self.tasks: dict[UUID, TaskHistory] = {}
         self.runs: dict[UUID, RunHistory] = {}
-        self.held: dict[UUID, Held] = {}
+        self.held: dict[UUID, HeldResources] = {}
         """What requests had for themselves."""
         self.time = 0.0
 
@@ -167,10 +167,10 @@ class JournalHistory:
         now = {claim.request: claim for claim in self.replay.resources.held}
         for request, held in self.held.items():
             if request not in now and held.until is None:
-                self.held[request] = Held(held.action, held.names, held.since, self.time)
+                self.held[request] = HeldResources(held.action, held.names, held.since, self.time)
         for request, claim in now.items():
             if request not in self.held and request in self.replay.requests:
-                self.held[request] = Held(str(self.replay.requests[request].action), claim.names, self.time)
+                self.held[request] = HeldResources(str(self.replay.requests[request].action), claim.names, self.time)
 
 
 class _Noting(Observer):

@@ -14,7 +14,7 @@ from itertools import product
 from typing import Final, TypeAlias
 
 from planner_bridge.explanations.answer import Answer, Known, NoSmallerChange, Solves, counted, listed
-from planner_bridge.explanations.limited_search import TimeLimit
+from planner_bridge.explanations.limited_search import AnswerLimit
 from planner_bridge.model.plan import Plan, PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.reachability import Literal, Reachability, TooLarge, literal_of
@@ -68,7 +68,7 @@ class Labels:
     of_literal: dict[Literal, frozenset[Label]] = field(default_factory=dict)
     is_complete: bool = True
 
-    def settle(self, goal: Condition, limit: TimeLimit) -> frozenset[Label]:
+    def settle(self, goal: Condition, limit: AnswerLimit) -> frozenset[Label]:
         """Return the labels of the goal."""
         found, is_settled = self.of(goal), False
         while not is_settled:
@@ -121,7 +121,7 @@ def _by_size(label: Label) -> tuple[int, list[tuple[str, bool]]]:
     return len(label), sorted((str(subject), truth) for subject, truth in label)
 
 
-def what_would_help(problem: Problem, limit: TimeLimit, reason: Answer) -> Answer:
+def what_would_help(problem: Problem, limit: AnswerLimit, reason: Answer) -> Answer:
     """Return the smallest changes of facts after which there is a plan.
 
     Args:
@@ -134,7 +134,7 @@ def what_would_help(problem: Problem, limit: TimeLimit, reason: Answer) -> Answe
     fixed, proved, is_exhaustive = frozenset(_facts_in(reachability, problem.goal)), 0, reason.known.is_certain
     for size in range(1, _MOST + 1):
         labels = Labels(reachability, fixed, size)
-        of_goal = labels.settle(problem.goal, TimeLimit.of(limit.left * _FOR_LABELS))
+        of_goal = labels.settle(problem.goal, AnswerLimit.of(limit.left * _FOR_LABELS))
         is_reachable = frozenset() in of_goal  # if nothing were undone: then any fact may be the one
         facts = (frozenset({literal}) for literal in _facts(problem, reachability, fixed)) if is_reachable else of_goal
         try:
@@ -182,7 +182,7 @@ class _Tried:
     all_proved: bool
 
 
-def _try(problem: Problem, candidates: Iterable[Label], limit: TimeLimit) -> _Tried:
+def _try(problem: Problem, candidates: Iterable[Label], limit: AnswerLimit) -> _Tried:
     """Look for plans after each of the changes, until there are enough."""
     found: list[tuple[Label, Problem, Plan]] = []
     all_proved = True

@@ -374,9 +374,6 @@ def goal_of(task: ReplayedTask | None) -> KeptGoal | None:
     return KeptGoal(log, current, task.replay.now, trajectories[-1] if trajectories else None, task.used)
 
 
-# --- reasons -------------------------------------------------------------------------------
-
-
 _HAPPENED: Final = {
     Cause.ABORTED: "was aborted",
     Cause.CANCELED: "was cancelled",

@@ -26,7 +26,7 @@ _CLOSING: Final = re.compile(r"(?:[)\s]|;[^\r\n]*)*")
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
+class SourceText:
     """A text and the name of its file. The mutable state is the warnings about it so far."""
 
     file: str
@@ -59,7 +59,7 @@ class Atom:
 
     text: str
     offset: int
-    source: Source = field(repr=False)
+    source: SourceText = field(repr=False)
 
     def __str__(self) -> str:
         """Show the word in quotes, for errors."""
@@ -77,7 +77,7 @@ class Group:
 
     items: tuple[Node, ...]
     offset: int
-    source: Source = field(repr=False)
+    source: SourceText = field(repr=False)
 
     def __str__(self) -> str:
         """Show how the list begins, for errors."""
@@ -149,14 +149,14 @@ def parse(text: str, file: str) -> tuple[Node, ...]:
     >>> [str(part) for part in parse("(move ?r - robot) ; ignored", "example.pddl")]
     ['(move ...)']
     """
-    return _Parser(Source(file, text)).parse()
+    return _Parser(SourceText(file, text)).parse()
 
 
 @dataclass(slots=True)
 class _Parser:
     """A parser with a stack of its own. The mutable state is the lists that are open."""
 
-    source: Source
+    source: SourceText
     items: list[Node] = field(default_factory=list)
     """The parts so far of the innermost open list."""
     stack: list[tuple[int, list[Node]]] = field(default_factory=list)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from planner_bridge.explanations.answer import Answer, Known
-from planner_bridge.explanations.limited_search import TimeLimit
+from planner_bridge.explanations.limited_search import AnswerLimit
 from planner_bridge.explanations.no_plan import why_no_plan
 from planner_bridge.model.forbidden_actions import ForbiddenCall, forbid
 from planner_bridge.model.plan import PlanningResult, PlanningStatus
@@ -20,7 +20,7 @@ GAVE_UP = PlanningResult(PlanningStatus.TIMED_OUT, message="after 1 s")
 
 
 def why(problem: Problem) -> Answer:
-    limit = TimeLimit.of(30)
+    limit = AnswerLimit.of(30)
     found = limit.first_plan(problem)
     assert found.plan is None
     return why_no_plan(problem, found, limit)
@@ -42,7 +42,7 @@ def test_the_tree_of_a_closed_door_ends_at_its_lock() -> None:
 
 
 def test_a_search_that_gave_up_proves_nothing() -> None:
-    answer = why_no_plan(hard(), GAVE_UP, TimeLimit.of(0.0))
+    answer = why_no_plan(hard(), GAVE_UP, AnswerLimit.of(0.0))
     assert [(part.known, part.claims) for part in answer.every()] == [(Known.NOT_PROVED, ())]
     assert "time-out: after 1 s" in answer.statement
 
@@ -58,7 +58,7 @@ def test_goals_that_exclude_each_other_are_named_without_the_others() -> None:
 def test_goals_of_which_it_is_not_known_whether_each_is_possible_are_not_said_to_exclude_each_other() -> None:
     problem = house("(open door)", "(and (at r1 yard) (at r1 hall))")
     found = PlanningResult(PlanningStatus.UNSOLVABLE)
-    (conflict,) = why_no_plan(problem, found, TimeLimit.of(0.0)).reasons
+    (conflict,) = why_no_plan(problem, found, AnswerLimit.of(0.0)).reasons
     assert conflict.statement == "(and (at r1 yard) (at r1 hall)) is impossible"
     assert {reason.known for reason in conflict.reasons} == {Known.NOT_PROVED}
 

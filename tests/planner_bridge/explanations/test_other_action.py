@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from planner_bridge.explanations.answer import Answer, Best, Known, Unsolvable
-from planner_bridge.explanations.limited_search import TimeLimit
+from planner_bridge.explanations.limited_search import AnswerLimit
 from planner_bridge.explanations.other_action import Forced, why_not
 from planner_bridge.model.plan import PlanningResult, PlanningStatus, PlanStep
 from planner_bridge.model.problem import Problem
@@ -19,7 +19,7 @@ from tests.support.pddl.problems import hard, matches, rooms, tanks
 
 
 def ask(problem: Problem, action: str, *arguments: str, seconds: float = 30.0) -> Answer:
-    limit = TimeLimit.of(seconds)
+    limit = AnswerLimit.of(seconds)
     return why_not(problem, PlanStep(action, arguments), limit.first_plan(problem), limit)
 
 
@@ -69,7 +69,7 @@ def test_without_time_nothing_is_proved() -> None:
     problem = hard(4)
     name, schema = next(iter(problem.domain.actions.items()))
     arguments = tuple(problem.objects_by_type[variable.types[0]][0] for variable in schema.parameters)
-    answer = why_not(problem, PlanStep(name, arguments), found, TimeLimit.of(0.0))
+    answer = why_not(problem, PlanStep(name, arguments), found, AnswerLimit.of(0.0))
     assert answer.known in (Known.NOT_PROVED, Known.RELAXATION)
 
 
@@ -90,7 +90,7 @@ def test_a_plan_of_the_forced_problem_is_one_of_the_problem_with_the_action(prob
         assert checked.false == []
 
 
-class NeverSure(TimeLimit):
+class NeverSure(AnswerLimit):
     """The planner never proves that a plan is best."""
 
     def solve(self, problem: Problem, *, share: float = 1.0, improve: float = 0.0) -> PlanningResult:
@@ -99,7 +99,7 @@ class NeverSure(TimeLimit):
 
 
 def test_a_gap_between_plans_that_are_not_proved_best_is_not_called_proved() -> None:
-    problem, limit = house("(open door)", "(has r1 cup)"), NeverSure(TimeLimit.of(30).end)
+    problem, limit = house("(open door)", "(has r1 cup)"), NeverSure(AnswerLimit.of(30).end)
     answer = why_not(problem, PlanStep("move", ("r1", "hall", "yard")), limit.first_plan(problem), limit)
     assert answer.statement == "the best plan found that uses move(r1, hall, yard) is worse by 2 calls: 4 against 2 calls"
     assert answer.known is Known.PLAN

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from planner_bridge.explanations.answer import Answer, Known, NoSmallerChange
-from planner_bridge.explanations.limited_search import TimeLimit
+from planner_bridge.explanations.limited_search import AnswerLimit
 from planner_bridge.explanations.no_plan import why_no_plan
 from planner_bridge.explanations.smallest_change import what_would_help
 from planner_bridge.model.forbidden_actions import ForbiddenCall, forbid
@@ -21,7 +21,7 @@ from tests.support.pddl.problems import rooms, tanks
 
 
 def help_for(problem: Problem) -> Answer:
-    limit = TimeLimit.of(30)
+    limit = AnswerLimit.of(30)
     return what_would_help(problem, limit, why_no_plan(problem, limit.first_plan(problem), limit))
 
 
@@ -80,13 +80,13 @@ def test_numbers_are_not_changed_and_that_is_said() -> None:
 
 def test_without_a_proof_that_there_is_no_plan_no_change_is_called_smallest() -> None:
     unsure = Answer("no plan was found", Known.NOT_PROVED)
-    answer = what_would_help(house(), TimeLimit.of(30), unsure)
+    answer = what_would_help(house(), AnswerLimit.of(30), unsure)
     assert not any(isinstance(claim, NoSmallerChange) for part in answer.every() for claim in part.claims)
     assert answer.reasons[-1].known is Known.NOT_PROVED
 
 
 def test_what_has_too_many_facts_is_not_looked_through() -> None:
-    problem, limit = house("(open door)", "(and (at r1 yard) (at r1 hall))"), TimeLimit.of(30)
+    problem, limit = house("(open door)", "(and (at r1 yard) (at r1 hall))"), AnswerLimit.of(30)
     reached = limit.reached(problem)
     assert reached is not None
     reached.count = MOST_ACTIONS
@@ -99,7 +99,7 @@ def test_without_time_nothing_is_found_and_nothing_proved() -> None:
 
 
 def help_for_at_once(problem: Problem) -> Answer:
-    return what_would_help(problem, TimeLimit.of(0.0), Answer("there is no plan", Known.RELAXATION))
+    return what_would_help(problem, AnswerLimit.of(0.0), Answer("there is no plan", Known.RELAXATION))
 
 
 def test_a_call_that_is_forbidden_might_be_used_again() -> None:
@@ -121,7 +121,7 @@ def test_one_fact_that_two_others_follow_from_is_found() -> None:
     assert "if (z) were true: a plan with 3 calls" in [part.statement for part in help_for(small("(r)")).reasons]
 
 
-class SlowAtOneFact(TimeLimit):
+class SlowAtOneFact(AnswerLimit):
     """The planner gives up where a single fact was changed."""
 
     def solve(self, problem: Problem, *, share: float = 1.0, improve: float = 0.0) -> PlanningResult:
@@ -129,7 +129,7 @@ class SlowAtOneFact(TimeLimit):
 
 
 def test_where_the_planner_gives_up_no_change_is_called_smallest() -> None:
-    limit = SlowAtOneFact(TimeLimit.of(30).end)
+    limit = SlowAtOneFact(AnswerLimit.of(30).end)
     answer = what_would_help(small("(p)"), limit, Answer("there is no plan", Known.RELAXATION))
     assert answer.statement == "there would be a plan with two facts changed"
     assert answer.reasons[-1] == Answer("it is not proved that no change of one fact is enough", Known.NOT_PROVED)

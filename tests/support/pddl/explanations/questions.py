@@ -9,7 +9,7 @@ from pathlib import Path
 from random import Random
 
 from planner_bridge.explanations.answer import Answer
-from planner_bridge.explanations.limited_search import SECONDS, TimeLimit
+from planner_bridge.explanations.limited_search import SECONDS, AnswerLimit
 from planner_bridge.explanations.needed_call import why_call_of_plan
 from planner_bridge.explanations.no_plan import why_no_plan
 from planner_bridge.explanations.other_action import why_not
@@ -53,7 +53,7 @@ def ask(problems: Sequence[Problem], count: int, seed: int = 0) -> Iterator[Aske
         random = Random(f"{seed} {number}")
         problem = _otherwise(random.choice(problems), random)
         clock, processor = time.perf_counter(), time.process_time()
-        limit = TimeLimit.of(SECONDS)
+        limit = AnswerLimit.of(SECONDS)
         found = limit.first_plan(problem)
         asks_for_other = random.random() < 0.45
         if asks_for_other and (action := _action(problem, random)):
