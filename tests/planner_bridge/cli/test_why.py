@@ -85,8 +85,8 @@ def test_a_run_is_explained_and_other_ways_in_the_middle_of_it(tmp_path: Path) -
     assert achieve(*DELIVERY, journal=journal).goal_reached
     assert pnm("why", "--journal", str(journal)).stdout == "the goal of the problem is over: goal_reached: the goal holds [observed]\n"
     assert pnm("why", "--journal", str(journal), "--replan").stdout.startswith("there was no new plan")
-    waits = pnm("why", "--journal", str(journal), "--to", "30").stdout
+    waits = pnm("why", "--journal", str(journal), "--to", "28").stdout
     assert "#6 unload(r1, parcel2, kitchen) waits" in waits
-    now = pnm("why", *DELIVERY, "--journal", str(journal), "--to", "30").stdout
+    now = pnm("why", *DELIVERY, "--journal", str(journal), "--to", "28").stdout
     assert "for the goal (at parcel2 kitchen)" in now
     assert "load(r1, parcel2, store)" not in now, "it is done"
