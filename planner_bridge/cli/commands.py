@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
+from planner_bridge.cli.consoles.on_stderr import searching
 from planner_bridge.cli.options import (
     FILE,
     Seconds,
@@ -31,7 +32,6 @@ from planner_bridge.cli.options import (
     planning,
     planning_within,
     problem_in,
-    searching,
     write,
 )
 from pnm.errors import InputError
@@ -104,7 +104,7 @@ def plan(
     as_json: bool,
 ) -> int:
     """Find and print a plan."""
-    from planner_bridge.cli.console import SafeConsole
+    from planner_bridge.cli.consoles.safe_console import SafeConsole
     from planner_bridge.model.plan import PlanningStatus
     from planner_bridge.ordering.plan_to_graph import plan_graph
     from planner_bridge.planning.kairos import DEFAULT_PLANNER, IMPROVE
@@ -205,7 +205,7 @@ def net(
         with searching(planner, planner_timeout):
             result = solve(loaded, planner=planner, timeout=planner_timeout, improve=improve)
         if result.plan is None:
-            from planner_bridge.cli.console import SafeConsole
+            from planner_bridge.cli.consoles.safe_console import SafeConsole
 
             SafeConsole(stderr=True).print_reason("no plan:", result.reason)
             return 1
@@ -276,7 +276,7 @@ def demo(story: str) -> int:
 
     `mall`, over ROS 2: several tasks that share a robot, with people who interrupt it and answer late.
     """
-    from planner_bridge.cli.console import SafeConsole
+    from planner_bridge.cli.consoles.safe_console import SafeConsole
     from planner_bridge.cli.demo import show_delivery, show_mall
 
     return show_mall(SafeConsole()) if story == "mall" else show_delivery(SafeConsole())
@@ -296,7 +296,7 @@ class _Warnings(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Print a warning."""
-        from planner_bridge.cli.console import SafeConsole
+        from planner_bridge.cli.consoles.safe_console import SafeConsole
 
         for line in self.format(record).split("\n"):
             SafeConsole(stderr=True).print_text(line)

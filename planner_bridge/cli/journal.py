@@ -16,7 +16,7 @@ import click
 from rich.console import Console
 from rich.text import Text
 
-from planner_bridge.cli.console import SafeConsole
+from planner_bridge.cli.consoles.safe_console import SafeConsole
 from planner_bridge.cli.options import ViewingCommand, check_output, command, force_option, timeline_option, view_option, write
 from planner_bridge.node.journal_place import latest_journal
 from planner_bridge.tasks.result import TASKS

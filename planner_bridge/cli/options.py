@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from functools import wraps
@@ -16,15 +15,14 @@ from typing import TYPE_CHECKING, Any, Final, ParamSpec
 
 import click
 
+from planner_bridge.cli.consoles.on_stderr import print_warnings
 from planner_bridge.model.problem import Problem
-from planner_bridge.pipeline.loading import load, warning_lines
+from planner_bridge.pipeline.loading import load
 from planner_bridge.view.control.commands import Controlled
-from pnm.errors import InputError, PnmError, Position, Tolerated
+from pnm.errors import InputError, PnmError, Position
 from pnm.files.database.place import Place, place_of
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from planner_bridge.view.process import PageProcess
     from pnm.actions.faults import Faults
     from pnm.journal.kept import JournalChoice
@@ -196,34 +194,6 @@ def chosen_files(domain: Path | None, problem: Path | None, plan_file: Path | No
     return domain, problem
 
 
-def searching(planner: str, limit: float) -> AbstractContextManager[object]:
-    """Return what shows on stderr, while it is entered, that a planner is being asked; see `waiting`."""
-    return waiting(planner_words(planner, limit)) if sys.stderr.isatty() else nullcontext()
-
-
-def planner_words(planner: str, limit: float) -> str:
-    """Return what is being waited for while a planner is asked."""
-    return f"{planner} is looking for a plan, {limit:g} s at most"
-
-
-def waiting(text: str, console: Console | None = None) -> AbstractContextManager[object]:
-    """Return what shows, while it is entered, what is being waited for with its limit, and for how long already; on terminals only.
-
-    Args:
-        text: what is waited for, with its limit.
-        console: that of the output; by default stderr.
-    """
-    from rich.console import Console  # here, because most commands have no use for it
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    console = console or Console(stderr=True)
-    if not console.is_terminal:
-        return nullcontext()
-    progress = Progress(SpinnerColumn(), TextColumn(f"{text}:", markup=False), TimeElapsedColumn(), console=console, transient=True)
-    progress.add_task("")
-    return progress
-
-
 def problem_in(domain: Path, problem: Path, *, for_its_goal: bool = False) -> Problem:
     """Read a problem; warnings about its files go to stderr. One that is for its goal has to ask for something."""
     loaded = load(domain, problem)
@@ -268,12 +238,6 @@ def write_files(texts: Mapping[Path, str], *, force: bool) -> None:
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror}") from error
         print(f"wrote {path}", file=sys.stderr)
-
-
-def print_warnings(warnings: Iterable[Tolerated]) -> None:
-    """Print warnings about files on stderr."""
-    for line in warning_lines(warnings):
-        print(line, file=sys.stderr)
 
 
 class Output(Enum):

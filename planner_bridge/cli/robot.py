@@ -12,7 +12,7 @@ import click
 from rich.console import Console
 from rich.text import Text
 
-from planner_bridge.cli.console import SafeConsole
+from planner_bridge.cli.consoles.safe_console import SafeConsole
 from planner_bridge.cli.options import (
     FILE,
     Seconds,

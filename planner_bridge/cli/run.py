@@ -13,7 +13,9 @@ from tempfile import TemporaryDirectory
 
 import click
 
-from planner_bridge.cli.console import ConsoleObserver, SafeConsole, print_result
+from planner_bridge.cli.consoles.on_stderr import print_warnings
+from planner_bridge.cli.consoles.run_console import ConsoleObserver, print_result
+from planner_bridge.cli.consoles.safe_console import SafeConsole
 from planner_bridge.cli.options import (
     GIVEN,
     Files,
@@ -34,7 +36,6 @@ from planner_bridge.cli.options import (
     journal_options,
     knowledge_option,
     planning,
-    print_warnings,
     problem_in,
     quiet_option,
     sensing_option,

@@ -17,7 +17,8 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Column, Table
 
-from planner_bridge.cli.console import EventLines, SafeConsole, ToldFailures
+from planner_bridge.cli.consoles.event_lines import EventLines, ToldFailures
+from planner_bridge.cli.consoles.safe_console import SafeConsole
 from planner_bridge.cli.options import Seconds, as_json_option, command, options
 from pnm.clock import run_async
 from pnm.core.machine.requests import OutcomeKind

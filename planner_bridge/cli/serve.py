@@ -65,8 +65,8 @@ def serve(files: tuple[Path, ...], view: int | None, controls: bool, **given: Pa
     What follows --ros-args is for ROS 2; options come before parameters that are given there, and before files of parameters.
     """
     # here, because these take their time to import, which `pnm serve --help` need not wait for
-    from planner_bridge.cli.console import SafeConsole
-    from planner_bridge.cli.node_console import NodeConsole, NodePage
+    from planner_bridge.cli.consoles.node_console import NodeConsole, NodePage
+    from planner_bridge.cli.consoles.safe_console import SafeConsole
     from planner_bridge.node.journal_place import NONE
     from planner_bridge.node.node_log import NodeObserver
     from planner_bridge.node.serve import serve

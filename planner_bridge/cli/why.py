@@ -11,9 +11,10 @@ from typing import Final
 
 import click
 
-from planner_bridge.cli.console import SafeConsole
+from planner_bridge.cli.consoles.on_stderr import searching
+from planner_bridge.cli.consoles.safe_console import SafeConsole
 from planner_bridge.cli.journal import chosen_journal, errors_of_journals
-from planner_bridge.cli.options import FILE, Seconds, as_json_option, command, problem_in, searching
+from planner_bridge.cli.options import FILE, Seconds, as_json_option, command, problem_in
 from planner_bridge.explanations.answer import Answer, Known
 from planner_bridge.explanations.goal_now import why_goal
 from planner_bridge.explanations.limited_search import SECONDS, AnswerLimit

@@ -51,11 +51,6 @@ def read_answer(text: str) -> object:
         return text
 
 
-def printable(text: str) -> str:
-    """Return the text without control characters: it may come from files and other machines, and must not control the terminal."""
-    return "".join(letter if letter.isprintable() else " " if letter.isspace() else "\N{REPLACEMENT CHARACTER}" for letter in text)
-
-
 def _wording(meta: str) -> str:
     try:
         data = json.loads(meta) if meta else None

@@ -13,7 +13,8 @@ import termios
 from typing import Final, TextIO
 
 from pnm.core.logic.computed_values import MISSING, Question
-from pnm.knowledge.sources.person_text import LIMIT, message_text, printable, question_text, read_answer
+from pnm.files.text import printable
+from pnm.knowledge.sources.person_text import LIMIT, message_text, question_text, read_answer
 from pnm.knowledge.sources.source import Asker, SourceError
 
 _LINE: Final = 4096

@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any, Final, TypeAlias
 
 from pnm.errors import PnmError
-from pnm.knowledge.sources.person_text import printable
+from pnm.files.text import printable
 from pnm.ros.node.messages import import_type, to_message
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.node.service_client import until_true

@@ -13,9 +13,9 @@ from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import Cause
 from pnm.core.net.net import Marking
 from pnm.errors import InputError
+from pnm.files.text import printable
 from pnm.files.yaml_nodes import parse_value
 from pnm.knowledge.sources.memory import read_value, write_value
-from pnm.knowledge.sources.person_text import printable
 from pnm.knowledge.sources.source import SourceError
 from pnm.ros.knowledge.knowledge_source import uuid_field
 from pnm.tasks import Code, MadePlan, OnConflict, StepState, TaskEnding, TaskStatus, TaskStep, TraceEvent, Wanted

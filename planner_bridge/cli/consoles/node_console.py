@@ -7,8 +7,9 @@ import sys
 from collections.abc import Iterable
 from uuid import UUID
 
-from planner_bridge.cli.console import EventLines, SafeConsole, ToldFailures
-from planner_bridge.cli.options import print_warnings
+from planner_bridge.cli.consoles.event_lines import EventLines, ToldFailures
+from planner_bridge.cli.consoles.on_stderr import print_warnings
+from planner_bridge.cli.consoles.safe_console import SafeConsole
 from planner_bridge.node.node_log import NodeObserver, journal_words, standing_words
 from planner_bridge.view.control.operator import Operator
 from planner_bridge.view.process import PageProcess

@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import re
-import sys
-import textwrap
 from contextlib import ExitStack
-from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple
-from uuid import UUID
+from typing import Final, NamedTuple
 
-from rich.console import Console
-from rich.markup import escape
-from rich.text import Text
-
-from planner_bridge.cli.options import planner_words, waiting
+from planner_bridge.cli.consoles.event_lines import EventLines
+from planner_bridge.cli.consoles.on_stderr import planner_words, waiting
+from planner_bridge.cli.consoles.safe_console import INDENT, SafeConsole
 from planner_bridge.model.plan import Plan, PlanningResult
 from planner_bridge.tasks.replanning import PlanAgain, ResumePlan
 from planner_bridge.tasks.result import ConstraintResult, TaskResult, Violation
@@ -27,91 +20,9 @@ from pnm.core.machine.machine import PetriNetMachine, Rule
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from pnm.core.machine.verification.verify import Proof
-from pnm.knowledge.sources.person_text import printable
-from pnm.tasks import TraceKind
 
 _STEP: Final = re.compile(r" *[0-9.]+( s)? +")
 """When a step of a plan comes, in front of it."""
-_INDENT: Final = 9
-"""Columns before what belongs to the line above."""
-
-
-class SafeConsole(Console):
-    """A console that neither fails when its reader has closed the pipe nor prints control characters."""
-
-    def on_broken_pipe(self) -> None:
-        """Write to the null device from now on: whatever is running goes on undisturbed."""
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-    def print(self, *objects: Any, **options: Any) -> None:
-        """Print texts without control characters and without what UTF-8 cannot encode."""
-        safe = ("\n".join(map(printable, part.split("\n"))) if isinstance(part, str) else part for part in objects)
-        super().print(*safe, **options)
-
-    def print_text(self, text: str, head: str = "") -> None:
-        """Print a text behind its head, which may have markup: on a terminal in lines that are not too long, behind the head as well."""
-        indent = Text.from_markup(head).cell_len
-        lines = textwrap.wrap(text, max(20, self.width - indent), break_on_hyphens=False) if self.is_terminal else [text]
-        first, *others = lines or [""]
-        self.print(f"{head}{escape(first)}", *(" " * indent + escape(line) for line in others), sep="\n", highlight=False, soft_wrap=True)
-
-    def print_reason(self, head: str, reason: str) -> None:
-        """Print a reason behind its head, which may have markup: on a terminal each part on lines of its own that are not too long."""
-        lines = [reason]
-        if self.is_terminal:
-            parts = re.split(r"(?<=;) ", reason)
-            lines = [line for part in parts for line in textwrap.wrap(part, max(20, self.width - _INDENT), break_on_hyphens=False)]
-            if Text.from_markup(head).cell_len >= _INDENT:
-                lines = ["", *lines]
-        first, *others = lines
-        self.print(
-            f"{head} {escape(first)}".rstrip(),
-            *(" " * _INDENT + escape(line) for line in others),
-            sep="\n",
-            highlight=False,
-            soft_wrap=True,
-        )
-
-
-@dataclass
-class EventLines:
-    """Prints one line per event: the seconds since the beginning, a label, a word and a text.
-
-    Args:
-        label: what every line has after the time.
-        began: the time from which seconds count; that of the first line when None. Mutable state.
-    """
-
-    console: SafeConsole
-    label: str = ""
-    began: float | None = None
-
-    def print(self, now: float, word: str, text: str) -> None:
-        """Print a line; the word may have markup."""
-        if self.began is None:
-            self.began = now
-        self.console.print_text(text, f"  {now - self.began:8.2f} s  {escape(self.label)}{word} ")
-
-
-@dataclass
-class ToldFailures:
-    """Has a failure told once: that of a call does not say again what its request has ended with.
-
-    The mutable state is how the last requests have ended, by task and call.
-    """
-
-    ends: dict[tuple[UUID, str], str] = field(default_factory=dict)
-
-    def text(self, task: UUID, kind: int, subject: str, text: str) -> str:
-        """Return what is to be said of an event of a task, behind its subject."""
-        match kind:
-            case TraceKind.ENDED:
-                self.ends[task, subject] = text
-            case TraceKind.FAILED if self.ends.pop((task, subject.rpartition("#")[0]), "") == text:
-                return "it is not tried again"
-            case TraceKind.STATE if text.startswith("over"):
-                self.ends = {key: end for key, end in self.ends.items() if key[0] != task}
-        return text
 
 
 class _News(NamedTuple):
@@ -210,7 +121,7 @@ class ConsoleObserver(TaskObserver):
         if self._is_verbose:
             net = machine.net
             size = f"{len(net.places)} places, {len(net.transitions)} transitions, {len(machine.orderings)} orderings"
-            self._console.print_text(f"{size}; proved {proof}", " " * _INDENT)
+            self._console.print_text(f"{size}; proved {proof}", " " * INDENT)
 
     def sent(self, call: ActionCall, request: Request, now: float) -> None:
         """Print that a call starts, or is tried again and why."""
@@ -324,7 +235,7 @@ def print_result(console: SafeConsole, result: TaskResult) -> None:
         times = f" {_count(preference.violated, 'time')}" if preference.violated else ""
         lines.append(f"preference {preference.name or '(without a name)'} is {preference.status}{times}")
     for line in lines:
-        console.print_text(line, " " * _INDENT)
+        console.print_text(line, " " * INDENT)
 
 
 def _constraint(result: ConstraintResult) -> str:
