@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Generic, Protocol, TypeAlias, TypeVar
 
-from pnm.core.net.net import PetriNet
+from pnm.core.net.net import PetriNet, unmarked_at_first
 
 _Codes: TypeAlias = tuple[tuple[int, int], ...]
 """Places, or ports as negative numbers from -1 downwards, and the weights of the arcs that connect them to one transition."""
@@ -37,7 +37,7 @@ class Template:
                 consumers[code].append((transition, weight))
         self.consumers = {code: tuple(found) for code, found in consumers.items()}
         """For every place and port, the transitions that take from it, and how much."""
-        self.unmarked = [0 if len(arcs) == 1 and arcs[0][1] == 1 else len(arcs) for arcs in self.inputs]
+        self.unmarked = [*map(unmarked_at_first, self.inputs)]
         """As `Arcs.unmarked`, but for the transitions that take from ports."""
         self.giving = frozenset(code for arcs in self.outputs for code, _ in arcs)
         """The places and ports that some transition gives to."""
@@ -157,8 +157,7 @@ class BlockArcs(Generic[AnyPlaced]):
             template = block.template
             counts += template.unmarked
             for number in template.taking:
-                inputs = block.arcs(template.inputs[number])
-                counts[block.transition + number] = 0 if len(inputs) == 1 and inputs[0][1] == 1 else len(inputs)
+                counts[block.transition + number] = unmarked_at_first(block.arcs(template.inputs[number]))
         return counts
 
     @cached_property

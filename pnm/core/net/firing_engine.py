@@ -36,16 +36,6 @@ class CompiledNet:
         self.changes = WhenAsked(self._changes)
         """For every transition, how it changes the places that no consumer counts, and how those that some consumer counts."""
 
-    @property
-    def place_id(self) -> Mapping[str, int]:
-        """The number of every place."""
-        return self.net.place_numbers
-
-    @property
-    def transition_id(self) -> Mapping[str, int]:
-        """The number of every transition."""
-        return {transition: number for number, transition in enumerate(self.transitions)}
-
     def _only_input(self, transition: int) -> int | None:
         inputs = self.inputs[transition]
         return inputs[0][0] if len(inputs) == 1 and inputs[0][1] == 1 else None

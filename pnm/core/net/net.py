@@ -48,6 +48,11 @@ class Arcs(Protocol):
         """Return for every transition from how many places it takes; 0 for those that take one token from one place."""
 
 
+def unmarked_at_first(inputs: Sequence[tuple[int, int]]) -> int:
+    """Return how many places a transition takes from, given by number and weight; 0 if it takes one token from one place."""
+    return 0 if len(inputs) == 1 and inputs[0][1] == 1 else len(inputs)
+
+
 @dataclass(frozen=True)
 class PetriNet:
     """Places and transitions by name, in the order in which they were added, and the arcs between them."""
@@ -66,9 +71,10 @@ class PetriNet:
     @cached_property
     def arcs_by_number(self) -> Arcs:
         """Its arcs by number."""
-        source = self.inputs.source if isinstance(self.inputs, ArcsByName) else None
-        is_whole = source is not None and isinstance(self.outputs, ArcsByName) and self.outputs.source is source
-        return source if is_whole and source is not None else _NamedArcs(self)
+        inputs, outputs = self.inputs, self.outputs
+        if isinstance(inputs, ArcsByName) and isinstance(outputs, ArcsByName) and inputs.source is outputs.source:
+            return inputs.source
+        return _NamedArcs(self)
 
     def numbered(self, found: Mapping[str, V]) -> Mapping[int, V]:
         """Return what is known of some places by their numbers."""
@@ -171,7 +177,7 @@ class _NamedArcs:
         return self._consumers[place]
 
     def unmarked(self) -> list[int]:
-        return [0 if len(inputs) == 1 and inputs[0][1] == 1 else len(inputs) for inputs in self._inputs]
+        return [*map(unmarked_at_first, self._inputs)]
 
 
 @dataclass

@@ -48,7 +48,7 @@ def fork_join(length: int, width: int = 8) -> PetriNet:
 def firings(compiled: CompiledNet, first: str) -> int:
     """Fire until nothing is enabled, following the tokens; return the number of firings."""
     engine = Engine(compiled, {first: 1})
-    agenda, fired = [compiled.place_id[first]], 0
+    agenda, fired = [compiled.net.place_numbers[first]], 0
     while agenda:
         place = agenda.pop()
         for transition, _ in compiled.consumers[place]:

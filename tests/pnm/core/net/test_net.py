@@ -57,7 +57,7 @@ def test_engine_definition_and_matrix_equation_agree(run: tuple[PetriNet, Markin
     engine, dense = Engine(compiled, marking), np.array(tokens(net, marking))
     incidence = np.array(net.incidence(), dtype=np.int64).reshape(len(net.transitions), len(net.places))
     for transition, times in firings:
-        number = compiled.transition_id[transition]
+        number = compiled.transitions.index(transition)
         if is_enabled(net, marking, transition, times):
             vector = np.zeros(len(net.transitions), dtype=np.int64)
             vector[number] = times
@@ -67,7 +67,7 @@ def test_engine_definition_and_matrix_equation_agree(run: tuple[PetriNet, Markin
         assert tokens(net, marking) == dense.tolist() == engine.tokens
         assert (dense >= 0).all()
         assert engine.missing == missing_inputs(net, marking)
-        assert enabled(net, marking) == tuple(one for one in net.transitions if engine.is_enabled(compiled.transition_id[one]))
+        assert enabled(net, marking) == tuple(one for one in net.transitions if engine.is_enabled(compiled.transitions.index(one)))
 
 
 @given(runs())
@@ -84,7 +84,7 @@ def test_a_refused_firing_says_what_is_missing_and_changes_nothing(run: tuple[Pe
         with pytest.raises(NotEnabled) as by_definition:
             fire(net, marking, transition, times)
         with pytest.raises(NotEnabled) as by_engine:
-            engine.fire(compiled.transition_id[transition], times)
+            engine.fire(compiled.transitions.index(transition), times)
         assert by_definition.value.missing == by_engine.value.missing == lacking
         assert by_definition.value.transition == by_engine.value.transition == transition
         assert (dict(marking), engine.tokens, engine.missing) == before
@@ -100,7 +100,7 @@ def test_firing_n_times_at_once_is_firing_n_times(run: tuple[PetriNet, Marking, 
         singly, engine = marking, Engine(compiled, marking)
         for _ in range(times):
             singly = fire(net, singly, transition)
-            engine.fire(compiled.transition_id[transition])
+            engine.fire(compiled.transitions.index(transition))
         marking = fire(net, marking, transition, times)
         assert singly == marking == engine.marking()
 
@@ -137,7 +137,7 @@ def test_engines_of_one_compiled_net_do_not_share_a_marking(run: tuple[PetriNet,
     compiled = CompiledNet(net)
     engine, other = Engine(compiled, marking), Engine(compiled, marking)
     for transition in enabled(net, marking)[:1]:
-        engine.fire(compiled.transition_id[transition])
+        engine.fire(compiled.transitions.index(transition))
     assert other.marking() == marking
     assert other.missing == missing_inputs(net, marking)
 
