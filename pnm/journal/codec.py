@@ -15,7 +15,8 @@ from dataclasses import MISSING as NO_DEFAULT
 from dataclasses import Field, fields, is_dataclass
 from enum import Enum
 from functools import lru_cache
-from operator import attrgetter
+from json.encoder import encode_basestring as _quoted
+from math import isfinite
 from types import ModuleType
 from typing import Any, Final, NamedTuple
 from uuid import UUID
@@ -58,9 +59,8 @@ class Codec:
 
     def __init__(self, classes: Iterable[type]) -> None:
         self._classes = {kind.__name__: kind for kind in classes}
-        self._writers: dict[type, Callable[[Any], object]] = {}
+        self._writers = _Writers(self._writer)
         self._readers: dict[str | None, Callable[[dict[str, Any]], Any]] = {}
-        self._encoder = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False, check_circular=False)
         self._decoder = json.JSONDecoder(object_hook=self._hook())
 
     def including(self, classes: Iterable[type]) -> Codec:
@@ -69,7 +69,7 @@ class Codec:
 
     def text(self, value: object) -> str:
         """Return the value as JSON text; raise `Undecodable` for one of another class."""
-        text = self._encoder.encode(self.plain(value))
+        text = self._writers[type(value)](value)
         # half of a surrogate pair, such as a terminal gives for a byte that is no UTF-8, is a text for Python, but not for a database
         return text if text.isascii() else _SURROGATE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
@@ -85,54 +85,44 @@ class Codec:
 
     # --- writing ------------------------------------------------------------------------------
 
-    def plain(self, value: object) -> object:
-        """Return the value in terms of JSON."""
-        kind = type(value)
-        if kind in _PLAIN:
-            return value
-        writer = self._writers.get(kind)
-        if writer is None:
-            writer = self._writers[kind] = self._writer(kind)
-        return writer(value)
-
-    def _writer(self, kind: type) -> Callable[[Any], object]:
-        plain = self.plain
+    def _writer(self, kind: type) -> Callable[[Any], str]:
+        written = self._written
         if kind is tuple:
-            return lambda value: value if _PLAIN.issuperset(map(type, value)) else [plain(item) for item in value]
+            return self._array
         if kind is UUID:
-            return lambda value: {_TAG: "id", "hex": value.hex}
+            return lambda value: f'{{"{_TAG}":"id","hex":"{value.hex}"}}'
         if self._classes.get(kind.__name__) is kind:
             return self._class_writer(kind)
         if issubclass(kind, list):
-            return lambda value: {_TAG: "list", "items": [plain(item) for item in value]}
+            return lambda value: f'{{"{_TAG}":"list","items":{self._array(value)}}}'
         if issubclass(kind, frozenset | set):
-            return lambda value: {_TAG: "set", "items": sorted((plain(item) for item in value), key=json.dumps)}
+            return lambda value: f'{{"{_TAG}":"set","items":[{",".join(sorted(map(written, value)))}]}}'
         if issubclass(kind, Mapping):
             return self._mapping
         if issubclass(kind, bytes | bytearray):
-            return lambda value: {_TAG: "bytes", "hex": value.hex()}
+            return lambda value: f'{{"{_TAG}":"bytes","hex":"{value.hex()}"}}'
         if kind is type(MISSING):
-            return lambda value: {_TAG: "missing"}
+            return lambda value: f'{{"{_TAG}":"missing"}}'
         for base in (bool, int, float, str):  # of a foreign library, such as numpy
             if issubclass(kind, base):
-                return base
+                return lambda value: written(base(value))
         raise Undecodable(f"a journal has no {kind.__module__}.{kind.__qualname__}")
 
-    def _class_writer(self, kind: Any) -> Callable[[Any], object]:
-        plain, tag = self.plain, kind.__name__
+    def _class_writer(self, kind: Any) -> Callable[[Any], str]:
+        writers, begin = self._writers, f'{{"{_TAG}":{_quoted(kind.__name__)}'
         if issubclass(kind, Enum):
-            return lambda value: {_TAG: tag, "name": value.name}
+            return lambda value: f'{begin},"name":{_quoted(value.name)}}}'
         if issubclass(kind, tuple):
-            return lambda value: {_TAG: tag, "items": [plain(item) for item in value]}
-        written = [(field.name, *_default(field), self._short(field)) for field in fields(kind) if field.init]
+            return lambda value: f'{begin},"items":{self._array(value)}}}'
+        parts = [(field.name, f",{_quoted(field.name)}:", *_default(field), self._short(field)) for field in fields(kind) if field.init]
 
-        def write(value: Any) -> object:
-            entry: dict[str, object] = {_TAG: tag}
-            for name, default, empty, short in written:
+        def write(value: Any) -> str:
+            text = begin
+            for name, label, default, empty, short in parts:
                 held = getattr(value, name)
                 if held is not default and (held or type(held) is not empty):
-                    entry[name] = held if type(held) in _PLAIN else plain(held) if short is None else short.write(held)
-            return entry
+                    text += label + (writers[type(held)](held) if short is None else short.write(held))
+            return text + "}"
 
         return write
 
@@ -140,24 +130,32 @@ class Codec:
         """Return how a field is written whose type says what it has, so that no tag need say it."""
         match field.type:
             case "UUID":
-                return _Short(attrgetter("hex"), _uuid)
+                return _Short(_hex, _uuid)
             case "tuple[UUID, ...]":
-                return _Short(lambda ids: [id.hex for id in ids], lambda texts: tuple(map(_uuid, texts)))
+                return _Short(lambda ids: f"[{','.join(map(_hex, ids))}]", lambda texts: tuple(map(_uuid, texts)))
             case "Changes" | "Mapping[Fluent, Value | Unknown]":
                 return _Short(self._facts, lambda pairs: {tuple(fluent): value for fluent, value in pairs})
             case str(name) if issubclass(kind := self._classes.get(name, object), Enum):
-                return _Short(attrgetter("name"), lambda member: kind[member])
+                return _Short(lambda member: _quoted(member.name), lambda name: kind[name])
             case _:
                 return None
 
-    def _facts(self, value: Mapping[tuple[str, ...], object]) -> object:
-        return [[fluent, held if type(held) in _PLAIN else self.plain(held)] for fluent, held in value.items()]
+    def _array(self, value: Iterable[object]) -> str:
+        writers = self._writers
+        return f"[{','.join([writers[type(item)](item) for item in value])}]"
 
-    def _mapping(self, value: Mapping[object, object]) -> object:
-        plain = self.plain
+    def _facts(self, value: Mapping[tuple[str, ...], object]) -> str:
+        writers, array = self._writers, self._array
+        return f"[{','.join([f'[{array(fluent)},{writers[type(held)](held)}]' for fluent, held in value.items()])}]"
+
+    def _mapping(self, value: Mapping[object, object]) -> str:
+        written = self._written
         if all(type(key) is str for key in value) and _TAG not in value:
-            return {key: plain(item) for key, item in value.items()}
-        return {_TAG: "map", "items": [[plain(key), plain(item)] for key, item in value.items()]}
+            return f"{{{','.join([f'{written(key)}:{written(item)}' for key, item in value.items()])}}}"
+        return f'{{"{_TAG}":"map","items":{self._array(value.items())}}}'
+
+    def _written(self, value: object) -> str:
+        return self._writers[type(value)](value)
 
     # --- reading ------------------------------------------------------------------------------
 
@@ -224,10 +222,30 @@ def _then(reader: Callable[[dict[str, Any]], Any]) -> Callable[[dict[str, Any]],
     return lambda entry: reader({name: _whole(item) for name, item in entry.items()})
 
 
+class _Writers(dict[type, Callable[[Any], str]]):
+    """What writes the values of a class as JSON text, made at the first of them. There are no JSON values in between: they cost as much."""
+
+    def __init__(self, make: Callable[[type], Callable[[Any], str]]) -> None:
+        super().__init__(
+            {
+                str: _quoted,
+                int: int.__repr__,
+                float: _number,
+                bool: {True: "true", False: "false"}.__getitem__,
+                type(None): lambda _: "null",
+            }
+        )
+        self._make = make
+
+    def __missing__(self, kind: type) -> Callable[[Any], str]:
+        writer = self[kind] = self._make(kind)
+        return writer
+
+
 class _Short(NamedTuple):
     """How the values of a field are written and read whose type says what they are."""
 
-    write: Callable[[Any], object]
+    write: Callable[[Any], str]
     read: Callable[[Any], Any]
 
 
@@ -248,6 +266,14 @@ _ARRAYS: Final[Mapping[type, Callable[[Any], Any]]] = {
     list: lambda items: tuple([item if type(item) in _PLAIN else _whole(item) for item in items]),
     _List: lambda value: list(value.items),
 }
+
+
+def _number(value: float) -> str:
+    return float.__repr__(value) if isfinite(value) else json.dumps(value)
+
+
+def _hex(identity: UUID) -> str:
+    return f'"{identity.hex}"'
 
 
 @lru_cache(maxsize=10_000)

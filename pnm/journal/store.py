@@ -19,6 +19,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Lock
+from types import TracebackType
 from typing import Final, NamedTuple
 
 from sqlalchemy import Executable
@@ -175,13 +176,25 @@ class JournalFile:
     def _run_one(self, statement: Executable, **values: object) -> int:
         return int(self._database.run(statement, **values)[0][0])
 
-    @contextmanager
-    def _guarded(self, verb: str) -> Iterator[None]:
-        with self._lock:
-            try:
-                yield
-            except DatabaseError as error:
-                raise JournalError(f"the journal {self.place} cannot be {verb}: {error}") from error
+    def _guarded(self, verb: str) -> _Guarded:
+        return _Guarded(self._lock, f"the journal {self.place} cannot be {verb}")
+
+
+class _Guarded:
+    """The connection for one thread at a time; what is wrong with the database is wrong with the journal."""
+
+    def __init__(self, lock: Lock, failed: str) -> None:
+        self._lock = lock
+        self._failed = failed
+
+    def __enter__(self) -> None:
+        """Wait for the connection."""
+        self._lock.acquire()
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
+        self._lock.release()
+        if isinstance(error, DatabaseError):
+            raise JournalError(f"{self._failed}: {error}") from error
 
 
 class Holding(NamedTuple):
