@@ -26,6 +26,7 @@ from pnm.core.execution.events import (
     Restarted,
     Resume,
     Send,
+    Settled,
     SingleStep,
     Stop,
     Store,
@@ -85,8 +86,6 @@ class Executor:
         self._timer: asyncio.TimerHandle | None = None
         self._leaving: list[Callable[[], None]] = []
         self._waiting: set[KnowledgeChanged | ResourcesChanged] = set()
-        self._settled: dict[UUID, OutcomeKind] = {}
-        """By request, how a person says that it ends."""
         self._progress: asyncio.Event | None = None
         """What those wait for who wait until something has happened."""
         self.ended = False
@@ -113,13 +112,8 @@ class Executor:
         return any(machine.rules[machine.compiled.transitions[fired]].action is TransitionAction.SEND for fired in self.run.fired)
 
     def settle(self, request: UUID, kind: OutcomeKind) -> None:
-        """Have a request that is under way end in this way, because a person says so, as soon as its server is done with it.
-
-        Until then its robot is at work, and keeps what it has.
-        """
-        self._settled[request] = kind
-        if self._journal.may_act():
-            self._client.cancel(request)
+        """Have a request that is under way end in this way, because a person says so, as soon as its server is done with it."""
+        self._inbox.put_nowait(Settled(request, kind))
 
     @property
     def paused(self) -> bool:
@@ -184,9 +178,8 @@ class Executor:
         return self.run.result()
 
     def _hear(self, report: Report) -> None:
-        if isinstance(report, Ended) and report.request in self._settled:
-            self._take_in(_as_said(report, self._settled.pop(report.request)))
-        elif self._source and self._leaving and isinstance(report, Ended) and self._is_doubtful(report):
+        report = self.run.as_settled(report)
+        if self._source and self._leaving and isinstance(report, Ended) and self._is_doubtful(report):
             self._start(report.request, self._ask_what_has_become(report, self._source))
         else:
             self._take_in(report)
@@ -320,14 +313,6 @@ class Executor:
         if event not in self._waiting:
             self._waiting.add(event)
             self._inbox.put_nowait(event)
-
-
-def _as_said(end: Ended, kind: OutcomeKind) -> Ended:
-    """Return the end of a request as a person has said that it is, with the words of its server; its result only if that is one."""
-    outcome = end.outcome
-    result = outcome.result if outcome.kind is OutcomeKind.SUCCEEDED else {}  # of a goal that was cancelled it is what fields begin with
-    said = f"a person says that it {'is done' if kind is OutcomeKind.SUCCEEDED else 'has failed'}; its server said: {outcome.kind.value}"
-    return Ended(end.request, Outcome(kind, result, f"{said}, {outcome.message}" if outcome.message else said))
 
 
 def _is_cancelled() -> bool:

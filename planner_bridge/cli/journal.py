@@ -176,7 +176,7 @@ def _print_state(state: Replay, console: Console) -> None:
 
 def _as_json(step: Step, state: Replay) -> dict[str, Any]:
     """Return a record, and what has come of it."""
-    record = TASKS.plain(step.record)
+    record = json.loads(TASKS.text(step.record))
     entry: dict[str, Any] = {"number": step.number, "time": step.time, "record": record, "words": list(words(step, state))}
     if isinstance(step.record, Happened):
         run = state.runs[step.record.run].run

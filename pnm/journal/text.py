@@ -15,6 +15,7 @@ from pnm.core.execution.events import (
     Restarted,
     Resume,
     Send,
+    Settled,
     SingleStep,
     Stop,
     Tick,
@@ -98,6 +99,8 @@ def event_text(event: Event, replay: Replay) -> str:
             return "resume"
         case SingleStep():
             return "step: one call may begin"
+        case Settled(request, kind):
+            return f"a person says how {_name(request, replay)} ends: {kind.value}"
         case Answered(_, value, message):
             return f"answer {message or repr(value)}"
         case Accepted(request):

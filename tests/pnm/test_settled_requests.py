@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 from uuid import UUID
 
 import pytest
 
+from planner_bridge.tasks.result import TASKS
+from pnm.core.execution.events import Begin, Cancel, Command, Reattach, Restarted, Settled
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import TRUE
@@ -15,9 +19,16 @@ from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Report, Request
+from pnm.core.resources import Resources
 from pnm.executor import Executor
+from pnm.journal.journal import NO_JOURNAL, Journal
+from pnm.journal.kept import Durability
+from pnm.journal.resume import replayed
+from pnm.journal.store import JournalFile
+from pnm.journal.written_journal import WrittenJournal
 
 BINDINGS = Bindings({"look": Binding(store={"place": "seen"}, retries=0)})
+LOOK = PlanGraph((ActionCall(0, GroundAction("look")),), (), goal=TRUE)
 
 
 class Client:
@@ -42,10 +53,9 @@ class Client:
 @pytest.mark.parametrize(("ends", "seen"), [(OutcomeKind.CANCELED, None), (OutcomeKind.ABORTED, None), (OutcomeKind.SUCCEEDED, "nowhere")])
 def test_what_a_server_gives_back_that_was_stopped_is_no_result(ends: OutcomeKind, seen: str | None) -> None:
     async def course() -> tuple[bool, object]:
-        plan = PlanGraph((ActionCall(0, GroundAction("look")),), (), goal=TRUE)
         knowledge = Layered(KnowledgeBase(), KnowledgeBase())
         client = Client(ends)
-        executor = Executor(Run(generate(plan, BINDINGS), knowledge, bindings=BINDINGS, id=UUID(int=1)), client)
+        executor = Executor(Run(generate(LOOK, BINDINGS), knowledge, bindings=BINDINGS, id=UUID(int=1)), client)
         running = asyncio.ensure_future(executor.execute())
         await client.accepted.wait()
         executor.settle(client.requests[0], OutcomeKind.SUCCEEDED)
@@ -54,3 +64,52 @@ def test_what_a_server_gives_back_that_was_stopped_is_no_result(ends: OutcomeKin
         return result.goal, value if value == "nowhere" else None
 
     assert asyncio.run(asyncio.wait_for(course(), 60)) == (True, seen)
+
+
+def settled_run(journal: Journal) -> tuple[Run, UUID]:
+    """A run with a request that was accepted, and about which a person has said that it is done."""
+    machine, knowledge = generate(LOOK, BINDINGS), Layered(KnowledgeBase(), KnowledgeBase())
+    run = journal.make_run(machine, knowledge, id=UUID(int=1), bindings=BINDINGS, goal_fields=lambda _: None)
+    done: list[Command] = []
+    journal.handle(run, Begin(), 0.0, done.extend)
+    (request,) = run.open_requests
+    journal.handle(run, Accepted(request), 1.0, done.extend)
+    journal.handle(run, Settled(request, OutcomeKind.SUCCEEDED), 2.0, done.extend)
+    assert done[-1] == Cancel(request)
+    return run, request
+
+
+def test_what_a_person_has_said_is_known_to_the_next_process(tmp_path: Path) -> None:
+    async def one_process() -> UUID:
+        journal = WrittenJournal(JournalFile(tmp_path / "journal", Durability.PROCESS_CRASH, 0.0), TASKS)
+        journal.begin(KnowledgeBase(), Resources())
+        return settled_run(journal)[1]  # and dies, before the server has confirmed the end
+
+    request = asyncio.run(one_process())
+    (again,) = replayed(tmp_path / "journal", TASKS).runs.values()
+    commands = again.run.handle(Restarted(), 3.0)
+    assert isinstance(commands[0], Reattach)
+    assert commands[1] == Cancel(request), "the process before may have died when this was kept, and not done yet"
+    end = again.run.as_settled(Ended(request, Outcome(OutcomeKind.CANCELED)))
+    assert isinstance(end, Ended)
+    assert end.outcome.kind is OutcomeKind.SUCCEEDED
+
+
+def test_what_has_ended_is_not_settled_any_more() -> None:
+    run, request = settled_run(NO_JOURNAL)
+    run.handle(Ended(request, Outcome(OutcomeKind.SUCCEEDED)), 3.0)
+    late = Ended(request, Outcome(OutcomeKind.ABORTED))
+    assert run.as_settled(late) == late
+    assert run.handle(Settled(request, OutcomeKind.ABORTED), 4.0) == []
+    assert run.result().goal
+
+
+def test_a_run_that_takes_over_a_request_knows_what_a_person_has_said() -> None:
+    run, request = settled_run(NO_JOURNAL)
+    (taken,) = run.handover.under_way
+    plan = PlanGraph((replace(LOOK.calls[0], under_way=True),), (), goal=TRUE)
+    successor = Run(generate(plan, BINDINGS), run.knowledge, id=UUID(int=2), bindings=BINDINGS, adopted={0: taken})
+    successor.take_the_place_of(run, 3.0)
+    end = successor.as_settled(Ended(request, Outcome(OutcomeKind.CANCELED)))
+    assert isinstance(end, Ended)
+    assert end.outcome.kind is OutcomeKind.SUCCEEDED

@@ -16,7 +16,7 @@ from pnm.core.execution.call_results import Explanation, Failure
 from pnm.core.logic.computed_values import Question
 from pnm.core.machine.machine import Rule
 from pnm.core.machine.plan_graph import ActionCall
-from pnm.core.machine.requests import Ended, Outcome, Report, Request
+from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Report, Request
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,28 @@ class Answered:
     """Why there is no value, when there is none."""
 
 
-Event: TypeAlias = Begin | Restarted | KnowledgeChanged | ResourcesChanged | Tick | Stop | Pause | Resume | SingleStep | Answered | Report
+@dataclass(frozen=True, slots=True)
+class Settled:
+    """A person says how a request ends: it is cancelled, and ends in this way once its server is done with it.
+
+    Until then its robot is at work, and keeps what it has.
+    """
+
+    request: UUID
+    kind: OutcomeKind
+
+    def end(self, report: Ended) -> Ended:
+        """Return the end of the request, with the words of its server; with its result only if that is one."""
+        heard = report.outcome
+        result = heard.result if heard.kind is OutcomeKind.SUCCEEDED else {}  # of a goal that was cancelled it is what fields begin with
+        how = "is done" if self.kind is OutcomeKind.SUCCEEDED else "has failed"
+        said = f"a person says that it {how}; its server said: {heard.kind.value}"
+        return Ended(self.request, Outcome(self.kind, result, f"{said}, {heard.message}" if heard.message else said))
+
+
+Event: TypeAlias = (
+    Begin | Restarted | KnowledgeChanged | ResourcesChanged | Tick | Stop | Pause | Resume | SingleStep | Answered | Settled | Report
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ from pnm.core.execution.call_results import Explanation
 from pnm.core.execution.events import (
     Answered,
     Begin,
+    Cancel,
     Command,
     Event,
     KnowledgeChanged,
@@ -24,6 +25,7 @@ from pnm.core.execution.events import (
     Restarted,
     Resume,
     Send,
+    Settled,
     SingleStep,
     Stop,
     Tick,
@@ -57,6 +59,7 @@ class Run(RunView):
         # Answers of people are known here as well, and what they are being asked is not asked again.
         subjects = (subject_of(self.machine.plan, call.index) for call in self.machine.plan.calls)
         questions = self._questions.inherit(old._questions, frozenset(subjects))
+        self._state.settled.update(old._state.settled)
         old.retire(self.open_requests)  # now that this one has claimed what it adopts, which is therefore not free for a moment
         if old.pausing:  # before `Begin`, so that nothing starts during a pause of the old one
             self.handle(old.pausing, now)
@@ -77,7 +80,7 @@ class Run(RunView):
                 self._agenda.ask_for_timer_anew()
                 for sent in self._calls.open.values():  # the answer to a dead process is not heard: the limit for the next one begins anew
                     self._guards.postpone(sent)
-                self._commands += (*self._questions.again(), *self._calls.again())
+                self._commands += (*self._questions.again(), *self._calls.again(), *map(Cancel, state.settled))
                 self._agenda.ask_undecided()
             case KnowledgeChanged():
                 self._agenda.ask_about_knowledge(state.now)
@@ -99,6 +102,11 @@ class Run(RunView):
             case Answered(identity, value, message):
                 place = self._questions.answered(identity, value, message)
                 self._agenda.places.extend([] if place is None else [place])
+            case Settled(request) if request in self._calls.open:
+                state.settled[request] = event
+                self._commands.append(Cancel(request))
+            case Settled():  # it has ended meanwhile
+                pass
             case Postponed(request):
                 self._guards.postpone(self._calls.open.get(request))
             case Feedback():  # it moves no token
@@ -127,6 +135,7 @@ class Run(RunView):
             return
         kind = None
         if isinstance(report, Ended):
+            self._state.settled.pop(report.request, None)
             outcome, kind, now = report.outcome, report.outcome.kind, self._state.now
             if not self._calls.is_accepted(call) and kind not in BEFORE_ACCEPTANCE:
                 self._take(call, None)  # a client may leave out what goes without saying

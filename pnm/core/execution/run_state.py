@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from itertools import compress, count
 from math import inf
+from uuid import UUID
 
 from pnm.core.execution.call_results import CallResults
-from pnm.core.execution.events import Pause, Resume, SingleStep, Stop
+from pnm.core.execution.events import Pause, Resume, Settled, SingleStep, Stop
 from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.machine_index import MachineIndex
 from pnm.core.knowledge_base import Layered
@@ -128,6 +129,8 @@ class RunState:
     """Whether one call may send its request although the run is paused."""
     ending: bool = False
     """Whether nothing more is started."""
+    settled: dict[UUID, Settled] = field(default_factory=dict)
+    """By request that is under way, how a person says that it ends."""
     adopted: dict[int, UnderWay] = field(default_factory=dict)
     """Requests of another run that are still to be taken over, by call."""
     marked_at: dict[int, float] = field(default_factory=dict)

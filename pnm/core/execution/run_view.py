@@ -19,7 +19,7 @@ from pnm.core.knowledge_base import Layered
 from pnm.core.machine.bindings import Bindings, WhenLost
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
-from pnm.core.machine.requests import Accepted, Ended
+from pnm.core.machine.requests import Accepted, Ended, Report
 from pnm.core.net.firing_engine import Engine
 from pnm.core.net.net import Marking
 from pnm.core.resources import Resources, RunClaims
@@ -177,6 +177,11 @@ class RunView:
         """Return what to do if nobody knows how a request has ended."""
         call = self._calls.open.get(request)
         return WhenLost.REPLAN if call is None else self._calls.binding(call).when_lost
+
+    def as_settled(self, report: Report) -> Report:
+        """Return the end of a request as a person has said that it ends; anything else as it is."""
+        settled = self._state.settled.get(report.request)
+        return settled.end(report) if settled is not None and isinstance(report, Ended) else report
 
     def limit(self, call: ActionCall) -> float:
         """Return how many seconds a call may take from its acceptance; 0 for an operation on knowledge."""
