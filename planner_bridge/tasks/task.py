@@ -22,6 +22,7 @@ from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from pnm.core.machine.verification.verify import Proof
 from pnm.core.net.net import Marking
+from pnm.errors import counted
 from pnm.journal.replay import ReplayedTask
 from pnm.tasks import Code, StepState, TaskEnding, TaskListener, TaskState, TaskStatus, TaskStep, TraceEvent, TraceKind, Wanted
 
@@ -216,9 +217,8 @@ class Task(TaskObserver):
     def planned(self, plan: Plan) -> None:
         """Note that a plan was found."""
         self.plans += 1
-        self.note(
-            TraceKind.PLANNED, "", f"{len(plan.steps)} calls: {', '.join(map(str, plan.steps[:5]))}{', …' if len(plan.steps) > 5 else ''}"
-        )
+        first = f"{', '.join(map(str, plan.steps[:5]))}{', …' if len(plan.steps) > 5 else ''}"
+        self.note(TraceKind.PLANNED, "", f"{counted(len(plan.steps), 'call')}: {first}")
 
     def unplanned(self, result: PlanningResult) -> None:
         """Note that no plan was found."""
