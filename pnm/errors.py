@@ -88,6 +88,15 @@ class RosError(PnmError):
     """ROS 2 is not there, does not start, or does not answer in time."""
 
 
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, in the plural if need be.
+
+    >>> counted(1, "operand"), counted(2, "operand")
+    ('1 operand', '2 operands')
+    """
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def suggestion(name: str, known: Collection[str]) -> str:
     """Return a suggestion of the nearest known name ("did you mean …?"), or nothing when none is near; the first of equally near ones."""
     near = get_close_matches(name, known, 1)

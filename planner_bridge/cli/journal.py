@@ -118,13 +118,16 @@ def resume_run(journal: Place) -> int:
     from planner_bridge.cli.run import run  # here, because a look at a journal needs nothing of it
 
     with errors_of_journals():
-        tasks, (folder, *given) = summaries(journal, TASKS), command_of(journal, TASKS) or ("",)
+        tasks, command = summaries(journal, TASKS), command_of(journal, TASKS)
+    if not tasks and command != ():
+        raise InputError(f"{journal} has no task: the process died before it began one; give its command again")
+    folder, *given = command or ("",)
     if not folder:
         again = "start `pnm serve` again, with the files and options that it had, and it goes on"
         raise InputError(f"{journal} is the journal of a node: {again}; `pnm history {journal}` lists its tasks")
-    if not tasks or tasks[-1].ending:
-        _print_task(tasks[-1], SafeConsole()) if tasks else print("no tasks")
-        return 0 if tasks and tasks[-1].ending and tasks[-1].ending.code is Code.GOAL_REACHED else 1
+    if ending := tasks[-1].ending:
+        _print_task(tasks[-1], SafeConsole())
+        return 0 if ending.code is Code.GOAL_REACHED else 1
     place = str(journal.resolve()) if isinstance(journal, Path) else journal.text
     try:
         os.chdir(folder)

@@ -120,11 +120,6 @@ class Answer:
             yield from reason._with_depth(depth + 1)
 
 
-def counted(number: int, what: str) -> str:
-    """Return how many there are of something, in words."""
-    return f"{number} {what}{'' if number == 1 else 's'}"
-
-
 def listed(texts: list[str], word: str = "and", most: int = 4) -> str:
     """Return the texts as a list of words; of many the first ones, and how many more there are."""
     shown = texts if len(texts) <= most else [*texts[: most - 1], f"{len(texts) - most + 1} more"]

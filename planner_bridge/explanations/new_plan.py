@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
-from planner_bridge.explanations.answer import Answer, Known, counted, listed
+from planner_bridge.explanations.answer import Answer, Known, listed
 from planner_bridge.explanations.run_history import JournalHistory, RunHistory, TaskHistory, Trouble
 from planner_bridge.tasks.replanning import GiveUp, PlanAgain, ResumePlan
 from pnm.core.machine.plan_graph import ActionCall, Recovery
+from pnm.errors import counted
 
 _SHOWN = 6
 

@@ -11,13 +11,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from planner_bridge.explanations.answer import Answer, Known, Solves, Unsolvable, counted, listed
+from planner_bridge.explanations.answer import Answer, Known, Solves, Unsolvable, listed
 from planner_bridge.explanations.limited_search import AnswerLimit
 from planner_bridge.model.plan import PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.reachability import Achiever, Literal, Reachability, literal_of
 from pnm.core.logic.conditions import All, Compare, Condition, Not, conjunction, conjuncts, fluents, ground
 from pnm.core.logic.expressions import NOTHING, Environment, fluent_text
+from pnm.errors import counted
 
 _WAYS: Final = 3
 """Actions that are looked at for each fact; others are counted."""

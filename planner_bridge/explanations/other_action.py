@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Final
 
-from planner_bridge.explanations.answer import Answer, Best, Claim, Known, Solves, Unsolvable, counted
+from planner_bridge.explanations.answer import Answer, Best, Claim, Known, Solves, Unsolvable
 from planner_bridge.explanations.limited_search import AnswerLimit
 from planner_bridge.explanations.no_plan import why_no_plan, why_unreachable
 from planner_bridge.model.forbidden_actions import unused_name
@@ -22,6 +22,7 @@ from pnm.core.logic.domain import ActionSchema, Declaration
 from pnm.core.logic.effects import Set, ground_effects
 from pnm.core.logic.evaluation import observed, unmet
 from pnm.core.logic.expressions import Constant, Environment, Fluent, ValueOf, ground_expression
+from pnm.errors import counted
 
 _IMPROVE: Final = 0.3
 """Seconds for which a better plan is looked for, with the action and without it."""

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from planner_bridge.explanations.answer import Answer, Known, Solves, counted, listed
+from planner_bridge.explanations.answer import Answer, Known, Solves, listed
 from planner_bridge.explanations.needed_call import Course
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Problem
+from pnm.errors import counted
 
 
 def why_plan(problem: Problem, plan: Plan) -> Answer:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Final
 from uuid import UUID
 
-from planner_bridge.explanations.answer import Answer, Known, counted, listed
+from planner_bridge.explanations.answer import Answer, Known, listed
 from planner_bridge.explanations.call_timing import why_now
 from planner_bridge.explanations.needed_call import why_call
 from planner_bridge.explanations.new_plan import why_failed, why_replanned
 from planner_bridge.explanations.run_history import JournalHistory, RunHistory, TaskHistory
 from pnm.core.logic.computed_values import Unanswered
 from pnm.core.machine.machine import CallOutcome
-from pnm.errors import InputError, suggestion
+from pnm.errors import InputError, counted, suggestion
 from pnm.files.database.place import Place
 
 _BEGINNING: Final = 4

@@ -13,13 +13,14 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Final, TypeAlias
 
-from planner_bridge.explanations.answer import Answer, Known, NoSmallerChange, Solves, counted, listed
+from planner_bridge.explanations.answer import Answer, Known, NoSmallerChange, Solves, listed
 from planner_bridge.explanations.limited_search import AnswerLimit
 from planner_bridge.model.plan import Plan, PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.reachability import Literal, Reachability, TooLarge, literal_of
 from pnm.core.logic.conditions import Compare, Condition
 from pnm.core.logic.expressions import NOTHING, Environment, Fluent, Value, choices, fluent_text
+from pnm.errors import counted
 
 _MOST: Final = 3
 """Facts that are changed, at most."""

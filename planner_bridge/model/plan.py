@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
+from pnm.errors import counted
+
 
 @dataclass(frozen=True, slots=True)
 class PlanStep:
@@ -35,7 +37,7 @@ class Plan:
     def __str__(self) -> str:
         if not self.steps:
             return "nothing to do: the goal holds, or comes by itself"
-        parts = [f"{len(self.steps)} calls", *([f"{self.makespan:.1f} s"] if self.temporal else ())]
+        parts = [counted(len(self.steps), "call"), *([f"{self.makespan:.1f} s"] if self.temporal else ())]
         parts += [f"cost {self.cost:g}"] if self.cost is not None else ()
         head = ", ".join((*parts, *(["no plan is better"] if self.is_best else ())))
         lines = (

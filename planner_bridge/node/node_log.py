@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from pnm.core.machine.verification.verify import Proof
-from pnm.errors import Tolerated
+from pnm.errors import Tolerated, counted
 from pnm.tasks import EVENTS, ServedWorld, TaskCommands, Tasks
 
 
-def journal_words(place: str, going_on: int) -> str:
-    """Return where tasks are kept in words."""
+def journal_words(place: str, going_on: int | None) -> str:
+    """Return where tasks are kept in words, and what goes on from there."""
     if not place:
         return "journal: none, tasks end with this process"
-    tasks = f"; {going_on} task{'' if going_on == 1 else 's'} of another process go{'es' if going_on == 1 else ''} on" if going_on else ""
-    return f"journal: {place}{tasks}"
+    if going_on is None:
+        return f"journal: {place}"
+    tasks = f"{counted(going_on, 'task')} of another process go{'es' if going_on == 1 else ''} on" if going_on else ""
+    return f"journal: {place}; {tasks or 'goes on with what was known'}"
 
 
 def standing_words(place: str, holder: str) -> str:
@@ -37,8 +39,8 @@ class NodeObserver:
     def standing_by(self, place: str, holder: str) -> None:
         """Note that another process holds the journal, and that it is waited for."""
 
-    def journalled(self, place: str, going_on: int) -> None:
-        """Note where tasks are kept, empty if nowhere, and how many of another process go on."""
+    def journalled(self, place: str, going_on: int | None) -> None:
+        """Note where tasks are kept, empty if nowhere, and how many of another process go on; None if none has kept anything there."""
 
     def configured(self, tasks: Tasks, commands: TaskCommands, world: ServedWorld) -> None:
         """Note that there will be tasks, which can be listened to; how they are commanded here, and the world that they share."""

@@ -331,7 +331,7 @@ class ServingNode:
     async def _resume(self, place: Place | None, origin: str, stack: AsyncExitStack) -> tuple[Journal, Replay | None]:
         """Open the journal when no other process holds it; the time of what goes on in it goes on as well."""
         if place is None:
-            self._observer.journalled("", 0)
+            self._observer.journalled("", None)
             return NO_JOURNAL, None
         options = self._options
         if isinstance(place, Path) and not options.journal:
@@ -341,7 +341,7 @@ class ServingNode:
         taken = await stand_by(choice, TASKS, origin, partial(self._observer.standing_by, str(place)))
         journal, replay = taken.write(self.fenced.set_result), taken.replay
         stack.callback(journal.close)
-        self._observer.journalled(str(place), len(replay.unfinished) if replay else 0)
+        self._observer.journalled(str(place), len(replay.unfinished) if replay else None)
         if replay:
             continue_from(replay.now)
         return journal, replay

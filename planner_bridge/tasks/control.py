@@ -183,6 +183,11 @@ class TaskControl:
         """Be paused from the beginning, as in a process that has died; `pause` follows."""
         self._is_unpaused.clear()
 
+    def conclude(self, reason: str) -> None:
+        """Be over from the beginning, as in a process that has died: whoever listened has heard of it there."""
+        self.state, self.reason = TaskState.OVER, reason
+        self.over.set()
+
     def resume(self) -> None:
         """Go on after a pause: with the rest of the plan if that still works."""
         if self.is_paused:

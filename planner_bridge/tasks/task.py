@@ -22,6 +22,8 @@ from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from pnm.core.machine.verification.verify import Proof
 from pnm.core.net.net import Marking
+from pnm.errors import counted
+from pnm.journal.replay import ReplayedTask
 from pnm.tasks import Code, StepState, TaskEnding, TaskListener, TaskState, TaskStatus, TaskStep, TraceEvent, TraceKind, Wanted
 
 TRACE: Final = 200
@@ -193,6 +195,14 @@ class Task(TaskObserver):
         self.trace.append(event)
         self.listener.happened(event)
 
+    def restore(self, kept: ReplayedTask) -> None:
+        """Note what has become of the task in another process: the calls that have ended, and its ending if it is over."""
+        results = (replayed.result or replayed.run.interim_result() for replayed in kept.runs)
+        self.ended_calls = sum(call.attempts - call.is_under_way for result in results for call in result.calls)
+        if kept.ending is not None:
+            self.ending = kept.ending
+            self.control.conclude(kept.ending.message)
+
     def end(self, ending: TaskEnding) -> None:
         """End the task."""
         self.control.enter(TaskState.OVER, ending.message)
@@ -207,9 +217,8 @@ class Task(TaskObserver):
     def planned(self, plan: Plan) -> None:
         """Note that a plan was found."""
         self.plans += 1
-        self.note(
-            TraceKind.PLANNED, "", f"{len(plan.steps)} calls: {', '.join(map(str, plan.steps[:5]))}{', …' if len(plan.steps) > 5 else ''}"
-        )
+        first = f"{', '.join(map(str, plan.steps[:5]))}{', …' if len(plan.steps) > 5 else ''}"
+        self.note(TraceKind.PLANNED, "", f"{counted(len(plan.steps), 'call')}: {first}")
 
     def unplanned(self, result: PlanningResult) -> None:
         """Note that no plan was found."""

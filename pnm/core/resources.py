@@ -23,7 +23,7 @@ from operator import itemgetter
 from typing import Final, TypeAlias
 from uuid import UUID
 
-from pnm.errors import PnmError, RunError
+from pnm.errors import PnmError, RunError, counted
 
 _Rank: TypeAlias = tuple[int, float, UUID]
 """How a claim stands in line, the least in front: higher priorities, then earlier claims; with its request."""
@@ -112,7 +112,7 @@ class Resources:
         """
         for name, capacity in capacities.items():
             if capacity != self.capacity(name):
-                raise RunError(f"the machine was generated for {capacity} calls with {name}; {self.capacity(name)} may have it")
+                raise RunError(f"the machine was generated for {counted(capacity, 'call')} with {name}; {self.capacity(name)} may have it")
 
     def is_free(self, claim: Claim) -> bool:
         """Return whether the claim would be granted now."""

@@ -168,8 +168,10 @@ def summaries(place: Place, codec: Codec) -> tuple[TaskSummary, ...]:
         kept.close()
 
 
-def command_of(place: Place, codec: Codec) -> tuple[str, ...]:
-    """Return what the command line was given that has begun a journal, in which folder first; nothing if it is that of a node.
+def command_of(place: Place, codec: Codec) -> tuple[str, ...] | None:
+    """Return what the command line was given that has begun a journal, in which folder first.
+
+    It is empty if the journal is that of a node, None if there is nothing in it yet.
 
     Raises:
         JournalError: it is no journal, or one of another version.
@@ -180,7 +182,7 @@ def command_of(place: Place, codec: Codec) -> tuple[str, ...]:
         for _, row in kept.rows(kept.last_segment() - 1):
             began = codec.value(row.text)
             return began.command if isinstance(began, SharedBegan) else ()
-        return ()
+        return None
     finally:
         kept.close()
 

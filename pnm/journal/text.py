@@ -22,6 +22,7 @@ from pnm.core.execution.events import (
 )
 from pnm.core.knowledge_base import statement_text
 from pnm.core.machine.requests import Accepted, Ended, Feedback, Postponed
+from pnm.errors import counted
 from pnm.journal.records import (
     EndConfirmed,
     Happened,
@@ -52,7 +53,7 @@ def words(step: Step, replay: Replay) -> tuple[str, ...]:
             return (f"reported {delta_text(record)}",)
         case RunMade(_, _, name):
             run = replay.runs[record.run].run
-            return (f"a machine for {name}: {len(run.machine.plan.calls)} calls, {len(run.machine.net.places)} places",)
+            return (f"a machine for {name}: {counted(len(run.machine.plan.calls), 'call')}, {len(run.machine.net.places)} places",)
         case Happened(run_id, event):
             sent = (f"  sends {command.request.action}" for command in step.commands if isinstance(command, Send))
             return (event_text(event, replay), *(f"  fires {name}" for name in step.fired), *_changes(record), *sent)

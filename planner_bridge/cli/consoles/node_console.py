@@ -36,7 +36,7 @@ class NodeConsole(NodeObserver):
         """Print the proof of a plan."""
         self._console.print(f"[bold]plan[/]     {plan}: proved {proof}", highlight=False, soft_wrap=True)
 
-    def journalled(self, place: str, going_on: int) -> None:
+    def journalled(self, place: str, going_on: int | None) -> None:
         """Print where tasks are kept."""
         self._console.print(journal_words(place, going_on), highlight=False, soft_wrap=True, markup=False)
 
@@ -78,7 +78,7 @@ class NodePage(NodeObserver):
         self._page = page
         self._given = given
 
-    def journalled(self, place: str, going_on: int) -> None:
+    def journalled(self, place: str, going_on: int | None) -> None:
         """Show the journal."""
         if place:
             self._page.follow(self._given or place)

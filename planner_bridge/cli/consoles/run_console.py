@@ -20,6 +20,7 @@ from pnm.core.machine.machine import PetriNetMachine, Rule
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from pnm.core.machine.verification.verify import Proof
+from pnm.errors import counted
 
 _STEP: Final = re.compile(r" *[0-9.]+( s)? +")
 """When a step of a plan comes, in front of it."""
@@ -208,7 +209,7 @@ class ConsoleObserver(TaskObserver):
         """Print what follows a failed run."""
         match decision:
             case ResumePlan(rest):
-                text = f"the rest of the plan still works: going on with {len(rest.calls)} calls in a new machine"
+                text = f"the rest of the plan still works: going on with {counted(len(rest.calls), 'call')} in a new machine"
             case PlanAgain(forbidden, why):
                 without = f"; not again: {', '.join(sorted(map(str, forbidden)))}" if forbidden else ""
                 text = f"a new plan is needed: {why}{without}"
@@ -227,12 +228,12 @@ def print_result(console: SafeConsole, result: TaskResult) -> None:
         console.print_reason("[bold red]goal[/]     not reached:", result.reason)
     sent = sum(call.attempts for call in result.calls)
     assumed = sum(call.assumed for call in result.calls)
-    unreported = f"; {_count(assumed, 'result')} believed, which no sensor confirms (docs/guides/sensing.md)" if assumed else ""
+    unreported = f"; {counted(assumed, 'result')} believed, which no sensor confirms (docs/guides/sensing.md)" if assumed else ""
     planned = ((result.plans, "plan"), (result.replans, "replan")) if result.plans or not result.episodes else ()
-    counts = ", ".join(_count(number, word) for number, word in (*planned, (sent, "request"), (len(result.failures), "failure")))
+    counts = ", ".join(counted(number, word) for number, word in (*planned, (sent, "request"), (len(result.failures), "failure")))
     lines = [f"{counts}{unreported}", *map(_constraint, result.constraints)]
     for preference in result.preferences:
-        times = f" {_count(preference.violated, 'time')}" if preference.violated else ""
+        times = f" {counted(preference.violated, 'time')}" if preference.violated else ""
         lines.append(f"preference {preference.name or '(without a name)'} is {preference.status}{times}")
     for line in lines:
         console.print_text(line, " " * INDENT)
@@ -243,7 +244,3 @@ def _constraint(result: ConstraintResult) -> str:
         return f"constraint {result.constraint} is {result.status}"
     more = len(result.violations) - 1
     return f"constraint {result.violations[0]}{f', and for {more} more choices of objects' if more else ''}"
-
-
-def _count(number: int, word: str) -> str:
-    return f"{number} {word}{'' if number == 1 else 's'}"

@@ -11,11 +11,12 @@ from planner_bridge.pddl.read.requirements import Leniency
 from planner_bridge.pddl.read.symbols import CONSTRAINTS
 from planner_bridge.pddl.read.terms import TermScope
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, wrong
-from planner_bridge.pddl.syntax.words import TimeSpecifier, counted, new_name, time
+from planner_bridge.pddl.syntax.words import TimeSpecifier, new_name, time
 from pnm.core.logic.conditions import Condition, ForAll, conjunction
 from pnm.core.logic.domain import Preference
 from pnm.core.logic.expressions import Variable
 from pnm.core.logic.trajectory import Constraint
+from pnm.errors import counted
 
 T = TypeVar("T")
 

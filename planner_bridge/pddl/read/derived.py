@@ -11,11 +11,12 @@ from planner_bridge.pddl.read.requirements import Leniency
 from planner_bridge.pddl.read.symbols import SymbolTable
 from planner_bridge.pddl.read.terms import TermScope
 from planner_bridge.pddl.syntax.expressions import Group, Node, wrong
-from planner_bridge.pddl.syntax.words import CONNECTIVES, counted, new_name, operands, show_types
+from planner_bridge.pddl.syntax.words import CONNECTIVES, new_name, operands, show_types
 from pnm.core.logic.conditions import polarities
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.expressions import Variable
 from pnm.core.logic.rules import DerivationRule
+from pnm.errors import counted
 
 DERIVED: Final = ":derived"
 

@@ -8,9 +8,10 @@ from typing import TypeAlias
 from planner_bridge.pddl.read.requirements import REFUSED_IN_INIT, Leniency
 from planner_bridge.pddl.read.terms import TermScope
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, wrong
-from planner_bridge.pddl.syntax.words import counted, is_number, number, operands, time
+from planner_bridge.pddl.syntax.words import is_number, number, operands, time
 from pnm.core.logic.effects import TimedChange
 from pnm.core.logic.expressions import Constant, Fluent, Value, fluent_text
+from pnm.errors import counted
 
 _Change: TypeAlias = tuple[Fluent, Value]
 

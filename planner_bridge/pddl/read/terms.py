@@ -10,10 +10,10 @@ from typing import Final
 from planner_bridge.pddl.read.requirements import Refused
 from planner_bridge.pddl.read.symbols import SymbolTable
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, wrong
-from planner_bridge.pddl.syntax.words import Types, counted, is_number, number, operands, show_types, unknown
+from planner_bridge.pddl.syntax.words import Types, is_number, number, operands, show_types, unknown
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, Expression, Fluent, ValueOf, Variable
-from pnm.errors import InputError
+from pnm.errors import InputError, counted
 
 _MANY: Final = (range(2, sys.maxsize), "at least 2")
 OPERANDS: Final[Mapping[str, tuple[range, str]]] = {"+": _MANY, "*": _MANY, "-": (range(1, 3), "1 or 2"), "/": (range(2, 3), "2")}

@@ -10,7 +10,7 @@ from typing import Final, Literal, TypeAlias, get_args
 
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, wrong
 from pnm.core.logic.effects import OPERATIONS
-from pnm.errors import InputError
+from pnm.errors import InputError, counted
 
 Types = tuple[str, ...]
 
@@ -101,15 +101,6 @@ def operands(node: Group, count: int) -> tuple[Node, ...]:
     if len(node.rest) != count:
         raise wrong(node, f"'{node.head}' takes {counted(count, 'operand')}, found {len(node.rest)}")
     return node.rest
-
-
-def counted(count: int, noun: str) -> str:
-    """Return a number with its noun, in the plural if need be.
-
-    >>> counted(1, "operand"), counted(2, "operand")
-    ('1 operand', '2 operands')
-    """
-    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def number_text(value: float) -> str:

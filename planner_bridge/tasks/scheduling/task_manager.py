@@ -105,8 +105,8 @@ class TaskManager:
         for kept in replay.tasks.values():
             wanted, self._order = kept.accepted.wanted, max(self._order, kept.accepted.order)
             task = Task(wanted, kept.accepted.order, self._listener, self._loop.time, observers, stopwatch or Stopwatch())
-            if kept.ending is not None:
-                task.ending = kept.ending
+            task.restore(kept)
+            if task.ending:
                 self._tasks.remember(task)
             elif wrong := self._understand(task, self._start.reader(task), kept):
                 unreadable.append((task, kept, wrong))

@@ -19,6 +19,7 @@ from pnm.core.pictures.net_layout import GAP, ROW, STACK, TITLE, BlockKey, Block
 from pnm.core.pictures.plan_layout import laid_out
 from pnm.core.pictures.step_words import cut, facts_of, held, numbers
 from pnm.core.pictures.svg import picture
+from pnm.errors import counted
 
 _ACROSS: Final = 2
 """Blocks beside each other."""
@@ -78,7 +79,7 @@ def net_svg(machine: PetriNetMachine, title: str = "") -> str:
     drawn = [f'<path class="rule" d="M0 {at:g}H{width:g}"/><text x="8" y="{at + 15:g}">{escape(name)}</text>' for name, at in titles]
     for placed in blocks.values():
         drawn += _block(machine, placed, stands)
-    return picture("net", title or f"a machine of {len(machine.plan.calls)} calls", _STYLE, width, height, drawn)
+    return picture("net", title or f"a machine of {counted(len(machine.plan.calls), 'call')}", _STYLE, width, height, drawn)
 
 
 def _section(flow: Flow, layouts: Mapping[BlockKey, BlockLayout], top: float, group: int) -> Iterator[_Placed]:

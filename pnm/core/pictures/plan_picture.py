@@ -18,6 +18,7 @@ from pnm.core.machine.plan_graph import PlanGraph
 from pnm.core.pictures.plan_layout import Arrow, Cell, PlanLayout, laid_out
 from pnm.core.pictures.step_words import cut, facts_of, held, numbers, words_of
 from pnm.core.pictures.svg import picture
+from pnm.errors import counted
 
 _BOX: Final = (196, 46)
 """Width and height of a box, in pixels."""
@@ -59,7 +60,7 @@ def plan_svg(plan: PlanGraph, title: str = "", *, style: str = _STYLE) -> str:
             drawn.append(f'<path class="rule" d="M0 0H{width}"/><text x="8" y="16">{escape(name)}</text>')
         drawn += (*_section(layout, width), "</g>")
         height += 2 * _MARGIN[1] + max(layout.rows - 1, 0) * _PITCH[1] + _BOX[1] + max(layout.lines - 1, 0) * _BETWEEN
-    return picture("plan", title or f"a plan of {len(plan.calls)} calls", style, width, height, drawn)
+    return picture("plan", title or f"a plan of {counted(len(plan.calls), 'call')}", style, width, height, drawn)
 
 
 def _section(layout: PlanLayout, width: int) -> Iterator[str]:

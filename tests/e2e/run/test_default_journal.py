@@ -42,7 +42,7 @@ def test_a_killed_node_goes_on_without_any_option_and_history_finds_its_journal(
         assert found.ended() == 0, str(found)
         assert f"journal: {place}" in found.err
         assert all(map(json.loads, found.out))
-    assert journal_line(serve(deployment)) == place
+    assert journal_line(serve(deployment)) == f"{place}; goes on with what was known"
 
 
 def test_nodes_of_other_names_and_files_have_other_journals(deployment: PlanDeployment) -> None:

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
+from pnm.journal.store import Durability, JournalFile
 from tests.support.e2e.deployment import ProblemDeployment
 from tests.support.files import written
 from tests.support.processes import LIMIT, Program, pnm, result
@@ -83,6 +84,8 @@ def test_a_journal_of_other_files_or_of_a_node_is_refused_with_what_to_do(root: 
         assert wrong.returncode == 2
         assert words in wrong.stderr
     assert pnm("resume", str(tmp_path / "missing.journal")).returncode == 2
+    JournalFile(tmp_path / "new.journal", Durability.PROCESS_CRASH, 0.0).close()
+    assert "has no task: the process died before it began one" in pnm("resume", str(tmp_path / "new.journal")).stderr
 
 
 def test_a_plan_by_hand_is_kept_as_well_and_its_values_belong_to_it(root: Path, tmp_path: Path) -> None:

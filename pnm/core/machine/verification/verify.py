@@ -53,7 +53,7 @@ from pnm.core.machine.verification.part import Inside, Part, Unsound, step_of
 from pnm.core.machine.verification.place_roles import check_roles
 from pnm.core.machine.verification.plan_in_net import check_events, check_flows, check_places
 from pnm.core.net.net import Marking, PetriNet, Weights
-from pnm.errors import check_kinds
+from pnm.errors import check_kinds, counted
 
 V = TypeVar("V")
 
@@ -91,7 +91,7 @@ class Proof:
         return tuple(never for block in blocks for never in never_fire(block.part, _proved(block.part).explored))
 
     def __str__(self) -> str:
-        return f"sound: {self.calls} calls of {self.shapes} shapes, {self.states} states explored"
+        return f"sound: {counted(self.calls, 'call')} of {counted(self.shapes, 'shape')}, {self.states} states explored"
 
 
 def verify(machine: PetriNetMachine) -> Proof:

@@ -239,7 +239,7 @@ def test_all_plans_of_a_runner_share_resources(tmp_path: Path) -> None:
 def test_a_machine_made_for_other_capacities_is_refused() -> None:
     graph = PlanGraph((ActionCall(0, GroundAction("act", resources=("arm",))),))
     shared = Resources({"arm": 2})
-    with pytest.raises(RunError, match="generated for 1 calls with arm; 2 may have it"):
+    with pytest.raises(RunError, match="generated for 1 call with arm; 2 may have it"):
         Run(generate(graph), Layered(KnowledgeBase()), id=UUID(int=1), resources=shared)
     machine = generate(graph, capacities=shared.capacities)
     assert Run(machine, Layered(KnowledgeBase()), id=UUID(int=1), resources=shared).machine.capacities == {"arm": 2}

@@ -22,7 +22,7 @@ from pnm.journal.store import Durability, JournalFile
 from pnm.journal.written_journal import WrittenJournal
 from pnm.language.plan import parse_plans
 from pnm.language.runner import Program
-from pnm.tasks import Code, TaskEnding, TaskListener, TraceEvent, TraceKind, Wanted
+from pnm.tasks import Code, TaskEnding, TaskListener, TaskRefused, TaskState, TraceEvent, TraceKind, Wanted
 from tests.support.pddl.problems import fleet
 from tests.support.tasks.scenarios.successors import Successors
 
@@ -130,6 +130,42 @@ def test_a_task_that_has_begun_goes_on_before_those_of_higher_priority_that_wait
                 await heard.over.wait()
         assert {ending.code for ending in heard.endings.values()} == {Code.GOAL_REACHED}
         assert [*heard.endings] == [begun.id, waiting.id]
+        await second.manager.close()
+        second.journal.close()
+
+    run_async(main(), virtual=True)
+
+
+def test_a_task_that_was_over_is_over_in_the_next_process_and_one_that_goes_on_has_ended_as_many_calls(tmp_path: Path) -> None:
+    problem, past, going_on = fleet(robots=2), Wanted(UUID(int=1), "r0 there"), Wanted(UUID(int=2), "r1 far")
+
+    async def main() -> None:
+        robots = simulated_backend(problem, SETTINGS.bindings)
+        processes = Successors(problem, SETTINGS, robots, tmp_path / "journal", GOALS)
+        first, heard = await processes.first(), Heard()
+        first.manager.listen(heard)
+        first.manager.begin(past)
+        await heard.over.wait()
+        first.manager.begin(going_on)
+        for _ in range(2):
+            heard.sent.clear()
+            await heard.sent.wait()
+        before = {status.id: status for status in first.manager.status()}
+        assert (before[past.id].state, before[past.id].reason) == (TaskState.OVER, "the goal holds")
+        await first.die()
+
+        second, replay = await processes.next()
+        heard = Heard()
+        second.manager.listen(heard)
+        second.manager.restore(replay)
+        after = {status.id: status for status in second.manager.status()}
+        assert after[past.id] == before[past.id]
+        assert (after[past.id].ended, after[going_on.id].ended) == (2, before[going_on.id].ended) == (2, 1)
+        assert not heard.endings, "its clients have heard of it"
+        with pytest.raises(TaskRefused, match="is over"):
+            await second.manager.cancel(past.id)
+        await heard.over.wait()
+        assert {status.id: status.ended for status in second.manager.status()} == {past.id: 2, going_on.id: 2}
         await second.manager.close()
         second.journal.close()
 
