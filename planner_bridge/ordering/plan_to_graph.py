@@ -18,6 +18,7 @@ from planner_bridge.ordering.causal_links import CausalLinks, HappeningKind, Ord
 from planner_bridge.ordering.enclosing_actions import delay_enclosing_starts
 from planner_bridge.ordering.partial_order import PartialOrder
 from planner_bridge.ordering.threats import threats
+from planner_bridge.ordering.writers import Writers
 from pnm.core.logic.conditions import fluents, names
 from pnm.core.logic.effects import Set, TimedChange, When, every_effect
 from pnm.core.logic.expressions import Fluent, expression_fluents
@@ -92,21 +93,18 @@ def check_order(graph: PlanGraph, problem: Problem, links: CausalLinks, *, proje
 
 def _with_lasting_effects(graph: PlanGraph, order: PartialOrder, links: CausalLinks) -> PlanGraph:
     """Return the graph with what is expected at the end of each call of its start effects: those that nothing else can overwrite before."""
-    writers: dict[Fluent, list[int]] = {}
-    for number, happening in enumerate(order.happenings):
+    writers = {fluent: Writers[None](order) for call in graph.calls for fluent in links.writes[PlanEvent(call.index, Moment.START)]}
+    for number, happening in enumerate(order.happenings if writers else ()):
         changed = happening.changes if isinstance(happening, TimedChange) else links.writes[happening] if happening else ()
-        for fluent in changed:
-            writers.setdefault(fluent, []).append(number)
+        for fluent in writers.keys() & changed:
+            writers[fluent].add(number, None)
     calls = []
     for call in graph.calls:
-        start, end = (order.number[PlanEvent(call.index, moment)] for moment in Moment)
-        lasting = frozenset(
-            fluent
-            for fluent in links.writes[PlanEvent(call.index, Moment.START)]
-            if all(order.comes_before(writer, start) or order.comes_before(end, writer) for writer in writers.get(fluent, ()))
-        )
+        start, end = (order.number(call.index, moment) for moment in Moment)
+        started = links.writes[PlanEvent(call.index, Moment.START)]
+        lasting = frozenset(fluent for fluent in started if not writers[fluent].between(start, end))
         calls.append(replace(call, lasting=lasting) if lasting else call)
-    return replace(graph, steps=tuple(calls)) if any(call.lasting for call in calls) else graph
+    return replace(graph, steps=tuple(calls)) if writers else graph
 
 
 def calls_of(problem: Problem, plan: Plan, first: int = 0) -> list[ActionCall]:
