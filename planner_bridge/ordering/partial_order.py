@@ -6,13 +6,13 @@ it starts before one that is its latest start.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
-from heapq import heapify, heappop, heappush
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from math import inf
 from typing import Final, TypeAlias
 
 from pnm.core.logic.effects import TimedChange
-from pnm.core.machine.plan_graph import Moment, PlanEvent, PlanGraph, PlanGraphError
+from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, PlanEvent, PlanGraphError
+from pnm.core.net.topological_order import topological_order
 
 NEAR: Final = 1e-4
 """Times that differ by less are the same: planners separate events by 0.001."""
@@ -34,26 +34,37 @@ class PartialOrder:
         PlanGraphError: orderings and timed changes contradict each other.
     """
 
-    def __init__(self, graph: PlanGraph, timed: Sequence[TimedChange]) -> None:
-        self._graph = graph
-        keys: list[PlanEvent | TimedChange] = [PlanEvent(call.index, moment) for call in graph.calls for moment in Moment]
+    def __init__(
+        self, calls: Sequence[ActionCall], orderings: Iterable[Ordering], timed: Sequence[TimedChange] = (), due: float = 0.0
+    ) -> None:
+        """Order the happenings.
+
+        Args:
+            calls: of the plan.
+            orderings: of its graph.
+            timed: what changes by itself.
+            due: before this the goal is not looked at.
+        """
+        self._calls = calls
+        keys: list[PlanEvent | TimedChange] = [PlanEvent(call.index, moment) for call in calls for moment in Moment]
         planned = [*map(self._time_of_event, keys)]  # type: ignore[arg-type]
         self._makespan = max(planned, default=0.0)
         preceding: list[list[int]] = [[] for _ in (*keys, *timed)]
-        for first, second in direct_orderings(graph, timed):
+        for first, second in direct_orderings(calls, orderings, timed):
             preceding[_position(second, len(keys))].append(_position(first, len(keys)))
-        begun = [2 * call.index for call in graph.calls if call.under_way]
+        begun = [2 * call.index for call in calls if call.under_way]
         for key in begun:
             planned[key] = -inf  # so that they come first
         keys += timed
-        in_order = in_planned_order(preceding, [*planned, *(change.time for change in timed)])[len(begun) :]
+        planned += [change.time for change in timed]
+        in_order = topological_order(preceding, planned.__getitem__)[len(begun) :]
+        if len(in_order) < len(preceding) - len(begun):
+            raise PlanGraphError("the orderings of the plan and the times at which facts change contradict each other")
         self.happenings: tuple[Happening, ...] = (None, *[keys[key] for key in in_order], None)
         self._numbers = [0] * len(keys)
         for number, key in enumerate(in_order, 1):
             self._numbers[key] = number
-        at_last = (
-            number for key, number in zip(keys, self._numbers, strict=True) if isinstance(key, PlanEvent) or key.time <= graph.due + NEAR
-        )
+        at_last = (number for key, number in zip(keys, self._numbers, strict=True) if isinstance(key, PlanEvent) or key.time <= due + NEAR)
         self._preceding: list[Collection[int]] = [
             (),
             *[[self._numbers[earlier] for earlier in preceding[key]] for key in in_order],
@@ -77,7 +88,7 @@ class PartialOrder:
                 return self._makespan
 
     def _time_of_event(self, event: PlanEvent) -> float:
-        call = self._graph.calls[event.call]
+        call = self._calls[event.call]
         return call.planned + (call.action.duration or 0.0 if event.moment is Moment.END else 0.0)
 
     def comes_before(self, first: int, second: int) -> bool:
@@ -105,38 +116,14 @@ def _position(key: _Key, events: int) -> int:
     return 2 * key.call + (key.moment is Moment.END) if isinstance(key, PlanEvent) else events + key
 
 
-def in_planned_order(preceding: Sequence[Sequence[int]], times: Sequence[float]) -> list[int]:
-    """Return the numbers in an order in which each comes after all that precede it: of those that may be next always the earliest.
-
-    Raises:
-        PlanGraphError: some precede each other.
-    """
-    missing = [*map(len, preceding)]
-    following: list[list[int]] = [[] for _ in preceding]
-    for number, earlier in enumerate(preceding):
-        for one in earlier:
-            following[one].append(number)
-    ready = [(times[number], number) for number, count in enumerate(missing) if not count]
-    heapify(ready)
-    in_order: list[int] = []
-    while ready:
-        _, first = heappop(ready)
-        in_order.append(first)
-        for number in following[first]:
-            missing[number] -= 1
-            if not missing[number]:
-                heappush(ready, (times[number], number))
-    if len(in_order) < len(preceding):
-        raise PlanGraphError("the orderings of the plan and the times at which facts change contradict each other")
-    return in_order
-
-
-def direct_orderings(graph: PlanGraph, timed: Sequence[TimedChange]) -> Iterator[tuple[_Key, _Key]]:
+def direct_orderings(
+    calls: Iterable[ActionCall], orderings: Iterable[Ordering], timed: Sequence[TimedChange]
+) -> Iterator[tuple[_Key, _Key]]:
     """Yield which event, or timed change by its number, comes directly before which."""
     yield from ((number - 1, number) for number in range(1, len(timed)))
-    for ordering in graph.orderings:
+    for ordering in orderings:
         yield ordering.before, ordering.after
-    for call in graph.calls:
+    for call in calls:
         start, end = PlanEvent(call.index, Moment.START), PlanEvent(call.index, Moment.END)
         yield start, end
         for number, change in enumerate(timed):
