@@ -21,6 +21,7 @@ from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from itertools import chain
 from math import inf
+from typing import NamedTuple
 
 from planner_bridge.ordering.enclosing_actions import SLACK
 from pnm.core.knowledge_base import KnowledgeBase
@@ -44,8 +45,7 @@ class HappeningKind(IntEnum):
     """An over-all condition begins to be read."""
 
 
-@dataclass(frozen=True, slots=True)
-class _FluentReader:
+class _FluentReader(NamedTuple):
     """A reader of a fluent: a point event, or an over-all condition until it closes."""
 
     call: int
@@ -118,7 +118,7 @@ class CausalLinks:
 
     def relevant_of(self, fluents: frozenset[Fluent]) -> frozenset[Fluent]:
         """Return what the fluents rest on, as far as it can order anything."""
-        return frozenset(fluent for fluent in self.knowledge.rests_on(fluents) if fluent[0] in self.relevant)
+        return frozenset([fluent for fluent in self.knowledge.rests_on(fluents) if fluent[0] in self.relevant])
 
     def add_timed_change(self, time: float, changed: Mapping[Fluent, Value]) -> None:
         """Add a change of fluents by themselves; calls that end before it and could not have gone on get a deadline.
@@ -163,8 +163,9 @@ class CausalLinks:
     def _add_point(self, waits: PlanEvent, releases: PlanEvent, reads: frozenset[Fluent], now: float) -> None:
         """Add the reads, and what `releases` writes, at one point in time: it waits as `waits`, and later events wait for `releases`."""
         writes = self.writes[releases]
+        self.open_conditions = [one for one in self.open_conditions if one[2] > now]
         # A write that leaves an over-all condition true may do so only because of the values of its other fluents.
-        relied = [group - writes for call, group, until in self.open_conditions if until > now and call != waits.call and group & writes]
+        relied = [group - writes for call, group, _ in self.open_conditions if call != waits.call and group & writes]
         # Reads before writes: an event that does both waits for others and not for itself.
         for fluent in sorted(reads.union(*relied)):
             self._after_writer(fluent, waits, now)

@@ -104,6 +104,10 @@ class PartialOrder:
             reached |= new
         return False
 
+    def is_change(self, number: int) -> bool:
+        """Return whether a happening is a timed change."""
+        return number in self._changes
+
     def is_ahead(self, first: int, change: int) -> bool:
         """Return whether the change is one by itself, before which the first, an event, is planned for; or the initial state."""
         if change not in self._changes:

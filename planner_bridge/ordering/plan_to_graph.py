@@ -105,8 +105,9 @@ def _with_lasting_effects(calls: Sequence[ActionCall], order: PartialOrder, link
     writers = {fluent: Writers[None](order) for call in calls for fluent in links.writes[PlanEvent(call.index, Moment.START)]}
     for number, happening in enumerate(order.happenings if writers else ()):
         changed = happening.changes if isinstance(happening, TimedChange) else links.writes[happening] if happening else ()
-        for fluent in writers.keys() & changed:
-            writers[fluent].add(number, None)
+        for fluent in changed:
+            if fluent in writers:
+                writers[fluent].add(number, None)
     found = []
     for call in calls:
         start, end = (order.number(call.index, moment) for moment in Moment)

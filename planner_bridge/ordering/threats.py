@@ -145,7 +145,8 @@ class _Trace:
 
 def record(state: KnowledgeBase, changed: Mapping[Fluent, _Value]) -> None:
     """Record what a happening writes."""
-    state.record({fluent: False if value is None else value for fluent, value in changed.items()})
+    if changed:
+        state.record({fluent: False if value is None else value for fluent, value in changed.items()})
 
 
 def wrong_writer(trace: _Trace, need: _Need) -> int | None:

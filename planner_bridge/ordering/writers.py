@@ -11,7 +11,6 @@ from bisect import bisect_left, bisect_right
 from typing import Generic, NamedTuple, TypeVar
 
 from planner_bridge.ordering.partial_order import PartialOrder
-from pnm.core.logic.effects import TimedChange
 
 T = TypeVar("T")
 
@@ -28,25 +27,21 @@ class Before(NamedTuple):
 class Writers(Generic[T]):
     """The happenings that write a fluent, by number, and the value that each leaves. The mutable state is all of it: they are added."""
 
+    __slots__ = ("_order", "_runs", "numbers", "values")
+
     def __init__(self, order: PartialOrder) -> None:
         self._order = order
         self.numbers: list[int] = []
         self.values: list[T] = []
-        self._run: list[int] = []
-        """For every writer, the run it belongs to."""
-        self._runs: list[tuple[int, int]] = []
-        """The positions of the first and the last of every run."""
+        self._runs: list[int] = []
+        """The positions at which the runs begin."""
 
     def add(self, number: int, value: T) -> None:
         """Add a writer of a greater number than those before."""
-        order, position = self._order, len(self.numbers)
-        changes = [isinstance(order.happenings[one], TimedChange) for one in (*self.numbers[-1:], number)]
-        if position and not any(changes) and order.comes_before(self.numbers[-1], number):
-            self._runs[-1] = self._runs[-1][0], position
-        else:
-            self._runs.append((position, position))
-        self._run.append(len(self._runs) - 1)
-        self.numbers.append(number)
+        order, numbers = self._order, self.numbers
+        if not numbers or order.is_change(number) or order.is_change(numbers[-1]) or not order.comes_before(numbers[-1], number):
+            self._runs.append(len(numbers))
+        numbers.append(number)
         self.values.append(value)
 
     def before(self, number: int, *, itself: bool = False) -> Before:
@@ -56,7 +51,7 @@ class Writers(Generic[T]):
         while position >= 0:
             if self._order.comes_before(self.numbers[position], number):
                 found.last.append(position)
-                position = self._runs[self._run[position]][0]
+                position = self._runs[bisect_right(self._runs, position) - 1]
             else:
                 found.loose.append(position)
             position -= 1
@@ -67,10 +62,11 @@ class Writers(Generic[T]):
         found, position = list[int](), bisect_right(self.numbers, number)
         while position < len(self.numbers):
             if self._order.comes_before(number, self.numbers[position]):
-                position = self._runs[self._run[position]][1]
+                run = bisect_right(self._runs, position)
+                position = self._runs[run] if run < len(self._runs) else len(self.numbers)
             else:
                 found.append(position)
-            position += 1
+                position += 1
         return found
 
     def between(self, first: int, last: int) -> list[int]:
