@@ -102,7 +102,7 @@ def check_order(graph: PlanGraph, order: PartialOrder, problem: Problem, links: 
 
 def _with_lasting_effects(calls: Sequence[ActionCall], order: PartialOrder, links: CausalLinks) -> tuple[ActionCall, ...]:
     """Return the calls with what is expected at the end of each call of its start effects: those that nothing else can overwrite before."""
-    writers = {fluent: Writers[None](order) for call in calls for fluent in links.writes[PlanEvent(call.index, Moment.START)]}
+    writers = {fluent: Writers[None](order, None) for call in calls for fluent in links.writes[PlanEvent(call.index, Moment.START)]}
     for number, happening in enumerate(order.happenings if writers else ()):
         changed = happening.changes if isinstance(happening, TimedChange) else links.writes[happening] if happening else ()
         for fluent in changed:

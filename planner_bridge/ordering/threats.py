@@ -120,8 +120,7 @@ class _Trace:
         for fluent, value in changed.items():
             writers = self.writers.get(fluent)
             if writers is None:
-                writers = self.writers[fluent] = Writers(self.order)
-                writers.add(0, self.state.value(fluent) if before is None else before)
+                writers = self.writers[fluent] = Writers(self.order, self.state.value(fluent) if before is None else before)
             writers.add(writer, value)
         self.changed.append(changed)
         record(self.state, changed)

@@ -25,21 +25,24 @@ class Before(NamedTuple):
 
 
 class Writers(Generic[T]):
-    """The happenings that write a fluent, by number, and the value that each leaves. The mutable state is all of it: they are added."""
+    """The happenings that write a fluent, by number, and the value that each leaves; the initial state is the first of them.
+
+    The mutable state is all of it: they are added.
+    """
 
     __slots__ = ("_order", "_runs", "numbers", "values")
 
-    def __init__(self, order: PartialOrder) -> None:
+    def __init__(self, order: PartialOrder, initial: T) -> None:
         self._order = order
-        self.numbers: list[int] = []
-        self.values: list[T] = []
-        self._runs: list[int] = []
+        self.numbers = [0]
+        self.values = [initial]
+        self._runs = [0]
         """The positions at which the runs begin."""
 
     def add(self, number: int, value: T) -> None:
         """Add a writer of a greater number than those before."""
         order, numbers = self._order, self.numbers
-        if not numbers or order.is_change(number) or order.is_change(numbers[-1]) or not order.comes_before(numbers[-1], number):
+        if order.is_change(number) or order.is_change(numbers[-1]) or not order.comes_before(numbers[-1], number):
             self._runs.append(len(numbers))
         numbers.append(number)
         self.values.append(value)
