@@ -171,18 +171,6 @@ def short_pauses() -> Iterator[None]:
         gc.unfreeze()
 
 
-@contextmanager
-def no_collection() -> Iterator[None]:
-    """Collect no garbage: for work that keeps nearly all that it makes, which would be searched for garbage again and again."""
-    is_usual = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if is_usual:
-            gc.enable()
-
-
 _TOGETHER: Final = 1e-9
 """Seconds that virtual time does not tell apart: sums of the same durations differ by how they were rounded."""
 

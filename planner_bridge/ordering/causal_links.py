@@ -16,11 +16,12 @@ times, if the constraint depends on times other than a deadline.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from itertools import chain
 from math import inf
+from typing import NamedTuple
 
 from planner_bridge.ordering.enclosing_actions import SLACK
 from pnm.core.knowledge_base import KnowledgeBase
@@ -28,7 +29,7 @@ from pnm.core.logic.conditions import All, Condition, conjuncts, fluents
 from pnm.core.logic.effects import TimedChange, read, read_early, written
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNKNOWN, Fluent, State, Unknown, Value
-from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent
 
 
 class HappeningKind(IntEnum):
@@ -44,8 +45,7 @@ class HappeningKind(IntEnum):
     """An over-all condition begins to be read."""
 
 
-@dataclass(frozen=True, slots=True)
-class _FluentReader:
+class _FluentReader(NamedTuple):
     """A reader of a fluent: a point event, or an over-all condition until it closes."""
 
     call: int
@@ -118,7 +118,7 @@ class CausalLinks:
 
     def relevant_of(self, fluents: frozenset[Fluent]) -> frozenset[Fluent]:
         """Return what the fluents rest on, as far as it can order anything."""
-        return frozenset(fluent for fluent in self.knowledge.rests_on(fluents) if fluent[0] in self.relevant)
+        return frozenset([fluent for fluent in self.knowledge.rests_on(fluents) if fluent[0] in self.relevant])
 
     def add_timed_change(self, time: float, changed: Mapping[Fluent, Value]) -> None:
         """Add a change of fluents by themselves; calls that end before it and could not have gone on get a deadline.
@@ -163,8 +163,9 @@ class CausalLinks:
     def _add_point(self, waits: PlanEvent, releases: PlanEvent, reads: frozenset[Fluent], now: float) -> None:
         """Add the reads, and what `releases` writes, at one point in time: it waits as `waits`, and later events wait for `releases`."""
         writes = self.writes[releases]
+        self.open_conditions = [one for one in self.open_conditions if one[2] > now]
         # A write that leaves an over-all condition true may do so only because of the values of its other fluents.
-        relied = [group - writes for call, group, until in self.open_conditions if until > now and call != waits.call and group & writes]
+        relied = [group - writes for call, group, _ in self.open_conditions if call != waits.call and group & writes]
         # Reads before writes: an event that does both waits for others and not for itself.
         for fluent in sorted(reads.union(*relied)):
             self._after_writer(fluent, waits, now)
@@ -202,10 +203,10 @@ class CausalLinks:
             if fluent not in protected:
                 protected.append(fluent)
 
-    def plan_graph(self, calls: Iterable[ActionCall], goal: Condition) -> PlanGraph:
-        """Return the plan graph; of two orderings between the same calls only the stronger is kept."""
+    def timed_calls(self, calls: Sequence[ActionCall]) -> Sequence[ActionCall]:
+        """Return the calls with the times that they must keep."""
         bound = self.clocked.union(self.releases, self.deadlines, self.latest_starts)
-        timed = tuple(
+        return [
             replace(
                 call,
                 release=max(call.release, self.releases.get(call.index, 0.0), call.planned if call.index in self.clocked else 0.0),
@@ -215,10 +216,31 @@ class CausalLinks:
             if call.index in bound
             else call
             for call in calls
-        )
-        # A goal that time itself fulfils last must not be looked at before.
-        due = max((self.changed_at.get(fluent, 0.0) for fluent in self.relevant_of(fluents(goal, self.knowledge))), default=0.0)
-        return PlanGraph(timed, tuple(_strongest(self.orderings)), goal, self.knowledge.rules, due)
+        ]
+
+    def due(self, goal: Condition) -> float:
+        """Return when time itself has done its part for the goal, which must not be looked at before."""
+        return max((self.changed_at.get(fluent, 0.0) for fluent in self.relevant_of(fluents(goal, self.knowledge))), default=0.0)
+
+    def strongest(self) -> list[Ordering]:
+        """Return the orderings, of those between the same calls the strongest.
+
+        `start of a < x` is merged into `end of a < x`, and `x < end of b` into `x < start of b`.
+        """
+        orderings, merged = self.orderings, dict[tuple[PlanEvent, PlanEvent], list[Fluent]]()
+        for (before, after), protected in sorted(orderings.items(), key=_by_call):
+            for stronger in (  # an ordering implied by a stronger one would cost a place of its own, and order nothing
+                (PlanEvent(before.call, Moment.END), PlanEvent(after.call, Moment.START)),
+                (PlanEvent(before.call, Moment.END), after),
+                (before, PlanEvent(after.call, Moment.START)),
+            ):
+                if stronger in orderings:
+                    merged.setdefault(stronger, []).extend(protected)
+                    break
+            else:
+                merged.setdefault((before, after), []).extend(protected)
+        found = sorted(merged.items(), key=_by_call)
+        return [Ordering(before, after, tuple(dict.fromkeys(protected))) for (before, after), protected in found]
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,23 +257,6 @@ class _PartialState:
         return self.whole.objects(types)
 
 
-def _strongest(orderings: dict[tuple[PlanEvent, PlanEvent], list[Fluent]]) -> list[Ordering]:
-    """Merge `start of a < x` into `end of a < x`, and `x < end of b` into `x < start of b`."""
-    merged: dict[tuple[PlanEvent, PlanEvent], list[Fluent]] = {}
-    for (before, after), protected in sorted(orderings.items(), key=_by_call):
-        for stronger in (  # an ordering implied by a stronger one would cost a place of its own, and order nothing
-            (PlanEvent(before.call, Moment.END), PlanEvent(after.call, Moment.START)),
-            (PlanEvent(before.call, Moment.END), after),
-            (before, PlanEvent(after.call, Moment.START)),
-        ):
-            if stronger in orderings:
-                merged.setdefault(stronger, []).extend(protected)
-                break
-        else:
-            merged.setdefault((before, after), []).extend(protected)
-    return [Ordering(before, after, tuple(dict.fromkeys(protected))) for (before, after), protected in sorted(merged.items(), key=_by_call)]
-
-
-def _by_call(item: tuple[tuple[PlanEvent, PlanEvent], list[Fluent]]) -> tuple[int, int, str, str]:
+def _by_call(item: tuple[tuple[PlanEvent, PlanEvent], object]) -> tuple[int, int, bool, bool]:
     (before, after), _ = item
-    return before.call, after.call, before.moment.value, after.moment.value
+    return before.call, after.call, before.moment is Moment.START, after.moment is Moment.START

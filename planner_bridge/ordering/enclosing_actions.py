@@ -11,34 +11,34 @@ offset from them, plus 1 % slack: a plan may leave no slack at all, and real rob
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
 from pnm.core.logic.expressions import Fluent
-from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
+from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, PlanEvent
 
 SLACK: Final = 0.01
 """The share of its duration by which an action starts later than it could, if its end must come late enough for others or for time."""
 
 
-def delay_enclosing_starts(plan: PlanGraph) -> PlanGraph:
-    """Return the plan with the orderings that let every enclosing action start late enough."""
+def delay_enclosing_starts(calls: Sequence[ActionCall], orderings: Sequence[Ordering]) -> tuple[Sequence[ActionCall], Sequence[Ordering]]:
+    """Return the calls and orderings of a plan with those orderings that let every enclosing action start late enough."""
     protected: dict[int, list[Fluent]] = {}
-    for ordering in plan.orderings:
+    for ordering in orderings:
         # An end that another event must precede; the start of a call that is under way cannot be delayed any more.
-        if ordering.after.moment is Moment.END and not plan.calls[ordering.after.call].under_way:
+        if ordering.after.moment is Moment.END and not calls[ordering.after.call].under_way:
             protected.setdefault(ordering.after.call, []).extend(ordering.protects)
     if not protected:
-        return plan
-    events = _EventGraph(plan)
+        return calls, orderings
+    events = _EventGraph(calls, orderings)
     added: list[Ordering] = []
     releases: dict[int, float] = {}
     for index in sorted(protected):  # in a fixed order, because each round adds orderings that the next one sees
         start = PlanEvent(index, Moment.START)
         # Only the outermost action gets slack: an inner one that starts later might outlast the one around it.
         slack = 0.0 if events.is_enclosed(index, protected) else SLACK
-        starts_at = events.time(start) + slack * (plan.calls[index].action.duration or 0.0)
+        starts_at = events.time(start) + slack * (calls[index].action.duration or 0.0)
         enclosed = events.enclosed(index)
         predecessors = events.predecessors(index, enclosed)
         # Something inside waits for a release time, which no delay after an event can stand for.
@@ -50,24 +50,23 @@ def delay_enclosing_starts(plan: PlanGraph) -> PlanGraph:
                 # A predecessor that the plan had earlier is waited for directly, without a delay.
                 delay = 0.0 if anchor == event else starts_at - events.time(anchor)
                 added.append(Ordering(anchor, start, tuple(dict.fromkeys(protected[index])), delay))
-    if not (added or releases):
-        return plan
-    calls = (replace(call, release=max(call.release, releases[call.index])) if call.index in releases else call for call in plan.calls)
-    return replace(plan, steps=tuple(calls), orderings=(*plan.orderings, *added))
+    late = [replace(call, release=max(call.release, releases[call.index])) if call.index in releases else call for call in calls]
+    return late, (*orderings, *added)
 
 
 @dataclass
 class _EventGraph:
     """The events of a plan with their planned times and their direct predecessors and successors."""
 
-    plan: PlanGraph
+    calls: Sequence[ActionCall]
+    orderings: Sequence[Ordering]
     before: dict[PlanEvent, set[PlanEvent]] = field(default_factory=dict)
     after: dict[PlanEvent, set[PlanEvent]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for call in self.plan.calls:
+        for call in self.calls:
             self.order(PlanEvent(call.index, Moment.START), PlanEvent(call.index, Moment.END))
-        for ordering in self.plan.orderings:
+        for ordering in self.orderings:
             self.order(ordering.before, ordering.after)
 
     def order(self, first: PlanEvent, second: PlanEvent) -> None:
@@ -75,7 +74,7 @@ class _EventGraph:
         self.after.setdefault(first, set()).add(second)
 
     def time(self, event: PlanEvent) -> float:
-        call = self.plan.calls[event.call]
+        call = self.calls[event.call]
         return call.planned + (0.0 if event.moment is Moment.START else call.action.duration or 0.0)
 
     def is_enclosed(self, call: int, others: Iterable[int]) -> bool:
@@ -113,7 +112,7 @@ class _EventGraph:
     def is_released(self, event: PlanEvent, start: PlanEvent) -> bool:
         """Whether the event comes after the start because of the release time of a call that leads to it."""
         late = {other for other in (event, *_reachable(event, self.before)) if self.time(other) > self.time(start)}
-        return any(other.moment is Moment.START and self.plan.calls[other.call].release for other in late)
+        return any(other.moment is Moment.START and self.calls[other.call].release for other in late)
 
 
 def _sorted(events: set[PlanEvent]) -> list[PlanEvent]:

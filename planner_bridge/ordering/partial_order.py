@@ -6,13 +6,13 @@ it starts before one that is its latest start.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from graphlib import CycleError, TopologicalSorter
-from heapq import heappop, heappush
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from math import inf
 from typing import Final, TypeAlias
 
 from pnm.core.logic.effects import TimedChange
-from pnm.core.machine.plan_graph import Moment, PlanEvent, PlanGraph, PlanGraphError
+from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, PlanEvent, PlanGraphError
+from pnm.core.net.topological_order import topological_order
 
 NEAR: Final = 1e-4
 """Times that differ by less are the same: planners separate events by 0.001."""
@@ -27,93 +27,107 @@ _Key: TypeAlias = PlanEvent | int
 class PartialOrder:
     """The happenings of a plan, numbered in one order that its graph allows, as near to the planned times as there is one.
 
-    Sets of happenings are numbers whose bits say which belong to them. The starts of calls that are under way belong to the
-    initial state.
+    The starts of calls that are under way belong to the initial state. What comes before what is searched for when it is asked: the
+    orderings of a plan that follow from its causal links lead directly, or in few steps, from a writer to its readers and to the next.
 
     Raises:
         PlanGraphError: orderings and timed changes contradict each other.
     """
 
-    def __init__(self, graph: PlanGraph, timed: Sequence[TimedChange]) -> None:
-        self._graph = graph
-        events = [PlanEvent(call.index, moment) for call in graph.calls for moment in Moment]
-        begun = {event for event in events if event.moment is Moment.START and graph.calls[event.call].under_way}
-        self._makespan = max(map(self.time, events), default=0.0)
-        keys: dict[_Key, Happening] = {event: event for event in events if event not in begun} | dict(enumerate(timed))
-        preceding: dict[_Key, list[_Key]] = {key: [] for key in keys}
-        for first, second in direct_orderings(graph, timed):
-            if first not in begun:
-                preceding[second].append(first)
-        in_order = in_planned_order(preceding, {key: self.time(happening) for key, happening in keys.items()})
-        self.happenings: tuple[Happening, ...] = (None, *(keys[key] for key in in_order), None)
-        numbers: dict[_Key, int] = {key: number for number, key in enumerate(in_order, 1)}
-        self.number = dict.fromkeys(begun, 0) | {key: number for key, number in numbers.items() if isinstance(key, PlanEvent)}
-        at_last = [numbers[key] for key in keys if isinstance(key, PlanEvent) or timed[key].time <= graph.due + NEAR]
-        direct = [[], *([numbers[earlier] for earlier in preceding[key]] for key in in_order), at_last]
-        self.before: list[int] = []
-        """For every happening, those that come before it."""
-        self.after = [0] * len(direct)
-        """For every happening, those that come after it."""
-        for number, directly_before in enumerate(direct):
-            bits = 1 if number else 0
-            for earlier in directly_before:
-                bits |= self.before[earlier] | 1 << earlier
-            self.before.append(bits)
-        for number in range(len(direct) - 1, 0, -1):
-            for earlier in (0, *direct[number]):
-                self.after[earlier] |= self.after[number] | 1 << number
-        self.ahead = {
-            number: 1
-            | sum(1 << event for event in self.number.values() if event and self.time(self.happenings[event]) < change.time - NEAR)
-            for number, change in enumerate(self.happenings)
-            if isinstance(change, TimedChange)
-        }
-        """For every timed change, the events that are planned for before it, and the initial state."""
+    def __init__(
+        self, calls: Sequence[ActionCall], orderings: Iterable[Ordering], timed: Sequence[TimedChange] = (), due: float = 0.0
+    ) -> None:
+        """Order the happenings.
+
+        Args:
+            calls: of the plan.
+            orderings: of its graph.
+            timed: what changes by itself.
+            due: before this the goal is not looked at.
+        """
+        self._calls = calls
+        keys: list[PlanEvent | TimedChange] = [PlanEvent(call.index, moment) for call in calls for moment in Moment]
+        planned = [*map(self._time_of_event, keys)]  # type: ignore[arg-type]
+        self._makespan = max(planned, default=0.0)
+        preceding: list[list[int]] = [[] for _ in (*keys, *timed)]
+        for first, second in direct_orderings(calls, orderings, timed):
+            preceding[_position(second, len(keys))].append(_position(first, len(keys)))
+        begun = [2 * call.index for call in calls if call.under_way]
+        for key in begun:
+            planned[key] = -inf  # so that they come first
+        keys += timed
+        planned += [change.time for change in timed]
+        in_order = topological_order(preceding, planned.__getitem__)[len(begun) :]
+        if len(in_order) < len(preceding) - len(begun):
+            raise PlanGraphError("the orderings of the plan and the times at which facts change contradict each other")
+        self.happenings: tuple[Happening, ...] = (None, *[keys[key] for key in in_order], None)
+        self._numbers = [0] * len(keys)
+        for number, key in enumerate(in_order, 1):
+            self._numbers[key] = number
+        at_last = (number for key, number in zip(keys, self._numbers, strict=True) if isinstance(key, PlanEvent) or key.time <= due + NEAR)
+        self._preceding: list[Collection[int]] = [
+            (),
+            *[[self._numbers[earlier] for earlier in preceding[key]] for key in in_order],
+            frozenset(at_last),
+        ]
+        """For every happening, those that come directly before it."""
+        self._changes = {number: change.time for number, change in enumerate(self.happenings) if isinstance(change, TimedChange)}
+
+    def number(self, call: int, moment: Moment) -> int:
+        """Return the number of an event; 0 for the start of a call that is under way."""
+        return self._numbers[2 * call + (moment is Moment.END)]
 
     def time(self, happening: Happening) -> float:
         """Return the planned time of an event, the time of a change, or the planned end of everything."""
         match happening:
-            case PlanEvent(index, moment):
-                call = self._graph.calls[index]
-                return call.planned + (call.action.duration or 0.0 if moment is Moment.END else 0.0)
+            case PlanEvent():
+                return self._time_of_event(happening)
             case TimedChange(time):
                 return time
             case None:
                 return self._makespan
 
+    def _time_of_event(self, event: PlanEvent) -> float:
+        call = self._calls[event.call]
+        return call.planned + (call.action.duration or 0.0 if event.moment is Moment.END else 0.0)
+
     def comes_before(self, first: int, second: int) -> bool:
         """Return whether the first comes before the second, or is the same, in every order."""
-        return first == second or bool(self.before[second] >> first & 1)
+        if first == second or not first or first in self._preceding[second]:
+            return True
+        reached = {number for number in self._preceding[second] if number > first}
+        new = reached
+        while new:  # numbers rise along every ordering: what has a smaller one cannot come later
+            new = {number for one in new for number in self._preceding[one] if number >= first} - reached
+            if first in new:
+                return True
+            reached |= new
+        return False
+
+    def is_change(self, number: int) -> bool:
+        """Return whether a happening is a timed change."""
+        return number in self._changes
+
+    def is_ahead(self, first: int, change: int) -> bool:
+        """Return whether the change is one by itself, before which the first, an event, is planned for; or the initial state."""
+        if change not in self._changes:
+            return False
+        happening = self.happenings[first]
+        return not first or (isinstance(happening, PlanEvent) and self._time_of_event(happening) < self._changes[change] - NEAR)
 
 
-def in_planned_order(preceding: Mapping[_Key, Sequence[_Key]], times: Mapping[_Key, float]) -> list[_Key]:
-    """Return the keys in an order in which each comes after all that precede it: of those that may be next always the earliest.
-
-    Raises:
-        PlanGraphError: some precede each other.
-    """
-    sorter = TopologicalSorter(preceding)
-    try:
-        sorter.prepare()
-    except CycleError as error:
-        raise PlanGraphError("the orderings of the plan and the times at which facts change contradict each other") from error
-    position = {key: number for number, key in enumerate(preceding)}
-    in_order: list[_Key] = []
-    ready: list[tuple[float, int, _Key]] = []
-    while sorter.is_active():
-        for key in sorter.get_ready():
-            heappush(ready, (times[key], position[key], key))
-        in_order.append(heappop(ready)[-1])
-        sorter.done(in_order[-1])
-    return in_order
+def _position(key: _Key, events: int) -> int:
+    return 2 * key.call + (key.moment is Moment.END) if isinstance(key, PlanEvent) else events + key
 
 
-def direct_orderings(graph: PlanGraph, timed: Sequence[TimedChange]) -> Iterator[tuple[_Key, _Key]]:
+def direct_orderings(
+    calls: Iterable[ActionCall], orderings: Iterable[Ordering], timed: Sequence[TimedChange]
+) -> Iterator[tuple[_Key, _Key]]:
     """Yield which event, or timed change by its number, comes directly before which."""
     yield from ((number - 1, number) for number in range(1, len(timed)))
-    for ordering in graph.orderings:
+    for ordering in orderings:
         yield ordering.before, ordering.after
-    for call in graph.calls:
+    for call in calls:
         start, end = PlanEvent(call.index, Moment.START), PlanEvent(call.index, Moment.END)
         yield start, end
         for number, change in enumerate(timed):

@@ -18,12 +18,14 @@ from planner_bridge.ordering.causal_links import CausalLinks, HappeningKind, Ord
 from planner_bridge.ordering.enclosing_actions import delay_enclosing_starts
 from planner_bridge.ordering.partial_order import PartialOrder
 from planner_bridge.ordering.threats import threats
+from planner_bridge.ordering.writers import Writers
 from pnm.core.logic.conditions import fluents, names
 from pnm.core.logic.effects import Set, TimedChange, When, every_effect
 from pnm.core.logic.expressions import Fluent, expression_fluents
 from pnm.core.logic.rules import Rules
 from pnm.core.logic.trajectory import instances, names_in
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph, PlanGraphError
+from pnm.core.net.no_collection import no_collection
 from pnm.errors import check_kinds
 
 _DIGITS: Final = 5
@@ -37,6 +39,7 @@ _NETWORK: Final[Fluent] = ("order of tasks",)
 """Stands for a fluent that every event writes."""
 
 
+@no_collection()
 def plan_graph(problem: Problem, plan: Plan, under_way: Sequence[ActionCall] = ()) -> PlanGraph:
     """Return the calls of the plan with the orderings that its causal links demand.
 
@@ -57,10 +60,10 @@ def plan_graph(problem: Problem, plan: Plan, under_way: Sequence[ActionCall] = (
             links.add_timed_change(time, problem.timed[index].changes)
         else:
             links.add_happening(kind, steps[index], round(plan.steps[index].start + plan.steps[index].duration, _DIGITS), time)
-    graph = delay_enclosing_starts(links.plan_graph(calls, problem.goal))
-    return _with_lasting_effects(graph, check_order(graph, problem, links, projected=True), links)
+    return _checked(problem, calls, links, projected=True)
 
 
+@no_collection()
 def deordered(problem: Problem, calls: tuple[ActionCall, ...], order: Iterable[PlanEvent]) -> PlanGraph:
     """Return the calls with the orderings that their causal links demand, given one executable order of their events."""
     positions = {event: float(position) for position, event in enumerate(order)}
@@ -74,39 +77,44 @@ def deordered(problem: Problem, calls: tuple[ActionCall, ...], order: Iterable[P
             links.add_happening(HappeningKind.OPEN, call, end, now)
         else:
             links.add_happening(HappeningKind.END, call, end, now)
-    graph = delay_enclosing_starts(links.plan_graph(calls, problem.goal))
-    return _with_lasting_effects(graph, check_order(graph, problem, links, projected=False), links)
+    return _checked(problem, calls, links, projected=False)
 
 
-def check_order(graph: PlanGraph, problem: Problem, links: CausalLinks, *, projected: bool) -> PartialOrder:
-    """Return the partial order of the graph, every order of which is as good as the plan; see `threats` for what is given.
+def _checked(problem: Problem, calls: Sequence[ActionCall], links: CausalLinks, *, projected: bool) -> PlanGraph:
+    """Return the plan graph, every order of which is as good as the plan."""
+    calls, orderings = delay_enclosing_starts(links.timed_calls(calls), links.strongest())
+    due = links.due(problem.goal)
+    order = PartialOrder(calls, orderings, problem.timed, due)
+    graph = PlanGraph(_with_lasting_effects(calls, order, links), tuple(orderings), problem.goal, links.knowledge.rules, due)
+    check_order(graph, order, problem, links, projected=projected)
+    return graph
+
+
+def check_order(graph: PlanGraph, order: PartialOrder, problem: Problem, links: CausalLinks, *, projected: bool) -> None:
+    """Check that every order of a graph is as good as the plan; see `threats` for what is given.
 
     Raises:
         PlanGraphError: some order brings a wrong value to a reader.
     """
-    order = PartialOrder(graph, problem.timed)
     for threat in threats(graph, order, problem, links, projected=projected):
         raise PlanGraphError(f"an ordering is missing: {threat}")
-    return order
 
 
-def _with_lasting_effects(graph: PlanGraph, order: PartialOrder, links: CausalLinks) -> PlanGraph:
-    """Return the graph with what is expected at the end of each call of its start effects: those that nothing else can overwrite before."""
-    writers: dict[Fluent, list[int]] = {}
-    for number, happening in enumerate(order.happenings):
+def _with_lasting_effects(calls: Sequence[ActionCall], order: PartialOrder, links: CausalLinks) -> tuple[ActionCall, ...]:
+    """Return the calls with what is expected at the end of each call of its start effects: those that nothing else can overwrite before."""
+    writers = {fluent: Writers[None](order, None) for call in calls for fluent in links.writes[PlanEvent(call.index, Moment.START)]}
+    for number, happening in enumerate(order.happenings if writers else ()):
         changed = happening.changes if isinstance(happening, TimedChange) else links.writes[happening] if happening else ()
         for fluent in changed:
-            writers.setdefault(fluent, []).append(number)
-    calls = []
-    for call in graph.calls:
-        start, end = (order.number[PlanEvent(call.index, moment)] for moment in Moment)
-        lasting = frozenset(
-            fluent
-            for fluent in links.writes[PlanEvent(call.index, Moment.START)]
-            if all(order.comes_before(writer, start) or order.comes_before(end, writer) for writer in writers.get(fluent, ()))
-        )
-        calls.append(replace(call, lasting=lasting) if lasting else call)
-    return replace(graph, steps=tuple(calls)) if any(call.lasting for call in calls) else graph
+            if fluent in writers:
+                writers[fluent].add(number, None)
+    found = []
+    for call in calls:
+        start, end = (order.number(call.index, moment) for moment in Moment)
+        started = links.writes[PlanEvent(call.index, Moment.START)]
+        lasting = frozenset(fluent for fluent in started if not writers[fluent].between(start, end))
+        found.append(replace(call, lasting=lasting) if lasting else call)
+    return tuple(found)
 
 
 def calls_of(problem: Problem, plan: Plan, first: int = 0) -> list[ActionCall]:

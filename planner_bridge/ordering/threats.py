@@ -17,13 +17,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import NamedTuple, TypeAlias
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.causal_links import CausalLinks, OrderKept
 from planner_bridge.ordering.partial_order import NEAR, PartialOrder
+from planner_bridge.ordering.writers import Writers
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
 from pnm.core.logic.conditions import Condition, fluents
 from pnm.core.logic.effects import Effects, TimedChange, changes, decided
@@ -32,8 +33,6 @@ from pnm.core.logic.expressions import UNKNOWN, Fluent, Unknown, Value, same_val
 from pnm.core.machine.plan_graph import Moment, PlanEvent, PlanGraph
 
 _Value: TypeAlias = Value | Unknown | None
-_Writers: TypeAlias = dict[_Value, int]
-"""The writers of every value of a fluent: a set of happenings."""
 
 
 class _Need(NamedTuple):
@@ -61,7 +60,6 @@ class _Intrusion:
 
     span: _Span
     writer: int
-    changed: Mapping[Fluent, _Value]
     others: tuple[_Need, ...]
     """What else decides whether the condition holds."""
     leaves_true: bool
@@ -78,10 +76,11 @@ class _Trace:
     projected: bool
     """Whether the state is the one after all calls that are under way, and not the one before their ends."""
     needs: list[_Need] = field(default_factory=list)
-    intrusions: list[_Intrusion] = field(default_factory=list)
-    writers: dict[Fluent, _Writers] = field(default_factory=dict)
-    spans: dict[Fluent | int, list[_Span]] = field(default_factory=dict)
-    """By fluent, and by the happening with which they begin."""
+    changed: list[Mapping[Fluent, _Value]] = field(default_factory=list)
+    """What every happening writes."""
+    writers: dict[Fluent, Writers[_Value]] = field(default_factory=dict)
+    spans: dict[int, list[_Span]] = field(default_factory=dict)
+    """By the happening with which they begin."""
     begun: dict[_Span, tuple[_Need, ...]] = field(default_factory=dict)
     """What each span needs when it begins."""
     end_effects: dict[int, Effects] = field(default_factory=dict)
@@ -89,13 +88,10 @@ class _Trace:
 
     def __post_init__(self) -> None:
         for call in self.graph.calls:
-            first, last = (self.order.number[PlanEvent(call.index, moment)] for moment in Moment)
+            first, last = (self.order.number(call.index, moment) for moment in Moment)
             for part, mentioned in self.links.throughout[call.index]:
                 if mentioned:
-                    span = _Span(first, last, part, mentioned)
-                    keys: tuple[Fluent | int, ...] = (*mentioned, first)
-                    for key in keys:
-                        self.spans.setdefault(key, []).append(span)
+                    self.spans.setdefault(first, []).append(_Span(first, last, part, mentioned))
             if call.under_way:
                 self.end_effects[call.index] = decided(call.action.end_effects, self.state)
         for number, happening in enumerate(self.order.happenings):
@@ -122,41 +118,57 @@ class _Trace:
 
     def _write(self, writer: int, changed: Mapping[Fluent, _Value], before: _Value = None) -> None:
         for fluent, value in changed.items():
-            writers = self.writers.setdefault(fluent, {self.state.value(fluent) if before is None else before: 1})
-            writers[value] = writers.get(value, 0) | 1 << writer
-        self.state.update({fluent: False if value is None else value for fluent, value in changed.items()})
+            writers = self.writers.get(fluent)
+            if writers is None:
+                writers = self.writers[fluent] = Writers(self.order, self.state.value(fluent) if before is None else before)
+            writers.add(writer, value)
+        self.changed.append(changed)
+        record(self.state, changed)
         for span in self.spans.get(writer, ()):
             self.begun[span] = tuple(self._reads(writer, span.fluents, afterwards=True))
             self.needs += self.begun[span] if writer else ()
-        for span in dict.fromkeys(span for fluent in changed for span in self.spans.get(fluent, ())):
-            if not (self.order.comes_before(writer, span.first) or self.order.comes_before(span.last, writer)):
-                others = tuple(self._reads(writer, span.fluents - changed.keys()))
-                self.intrusions.append(_Intrusion(span, writer, changed, others, evaluate(span.condition, self.state) is True))
+
+    def intrusions(self, state: KnowledgeBase) -> Iterator[_Intrusion]:
+        """Yield all intrusions, while the happenings are carried through once more from this state on."""
+        intruding: dict[int, dict[_Span, None]] = {}
+        for span in chain.from_iterable(self.spans.values()):
+            for writers in (self.writers[fluent] for fluent in span.fluents if fluent in self.writers):
+                for writer in writers.between(span.first, span.last):
+                    intruding.setdefault(writer, {})[span] = None
+        for writer, changed in enumerate(self.changed if intruding else ()):
+            record(state, changed)
+            for span in intruding.get(writer, ()):
+                others = tuple(_Need(writer, fluent, state.value(fluent)) for fluent in sorted(span.fluents - changed.keys()))
+                yield _Intrusion(span, writer, others, evaluate(span.condition, state) is True)
+
+
+def record(state: KnowledgeBase, changed: Mapping[Fluent, _Value]) -> None:
+    """Record what a happening writes."""
+    if changed:
+        state.record({fluent: False if value is None else value for fluent, value in changed.items()})
 
 
 def wrong_writer(trace: _Trace, need: _Need) -> int | None:
     """Return a writer of another value that some order has last before the reader; None if the need is met in every order."""
-    if need.fluent not in trace.writers:
+    writers, order, reader = trace.writers.get(need.fluent), trace.order, need.reader
+    if writers is None:
         return None
-    order, reader, right, wrong = trace.order, need.reader, 0, 0
-    for value, writers in trace.writers[need.fluent].items():
-        if value is need.value or same_value(value, need.value):
-            right |= writers
-        else:
-            wrong |= writers
-    if need.afterwards:  # its own effects count; what may come later is judged as an intrusion
-        earlier = order.before[reader] | 1 << reader
-        right, wrong = right & earlier, wrong & earlier
-    else:
-        right, wrong = right & order.before[reader], wrong & ~(order.after[reader] | 1 << reader)
-    while right and wrong:
-        last = right.bit_length() - 1
-        right ^= 1 << last
-        wrong &= ~(order.before[last] | order.ahead.get(last, 0))
-    for change, ahead in order.ahead.items():
-        if ahead >> reader & 1:
-            wrong &= ~(1 << change)
-    return wrong.bit_length() - 1 if wrong else None
+    last, loose = writers.before(reader, itself=need.afterwards)
+    # Just after the reader its own effects count; what may come later is judged as an intrusion.
+    candidates = last if need.afterwards else [*last, *loose, *writers.not_after(reader)]
+    wrong = [writers.numbers[one] for one in candidates if not _is_same(writers.values[one], need.value)]
+    if not wrong:
+        return None
+    right = [writers.numbers[one] for one in last if _is_same(writers.values[one], need.value)]
+    for writer in wrong:
+        covered = any(order.comes_before(writer, one) or order.is_ahead(writer, one) for one in right)
+        if not covered and not order.is_ahead(reader, writer):
+            return writer
+    return None
+
+
+def _is_same(value: _Value, needed: _Value) -> bool:
+    return value is needed or same_value(value, needed)
 
 
 def is_harmless(trace: _Trace, intrusion: _Intrusion) -> bool:
@@ -165,11 +177,11 @@ def is_harmless(trace: _Trace, intrusion: _Intrusion) -> bool:
     change = order.happenings[writer]
     if isinstance(change, TimedChange) and order.time(order.happenings[span.last]) <= change.time + NEAR:
         return True
-    begun, changed = trace.begun[span], intrusion.changed
+    begun, changed = trace.begun[span], trace.changed[writer]
     if all(need.fluent in changed and same_value(changed[need.fluent], need.value) for need in begun):
         return True
-    begins_before = order.comes_before(span.first, writer) or order.ahead.get(writer, 0) >> span.first & 1
-    return bool(begins_before) and intrusion.leaves_true and all(wrong_writer(trace, need) is None for need in intrusion.others)
+    begins_before = order.comes_before(span.first, writer) or order.is_ahead(span.first, writer)
+    return begins_before and intrusion.leaves_true and all(wrong_writer(trace, need) is None for need in intrusion.others)
 
 
 def threats(graph: PlanGraph, order: PartialOrder, problem: Problem, links: CausalLinks, *, projected: bool) -> Iterator[str]:
@@ -193,7 +205,7 @@ def threats(graph: PlanGraph, order: PartialOrder, problem: Problem, links: Caus
             case None:
                 return "the goal" if number else "the initial state"
 
-    for intrusion in trace.intrusions:
+    for intrusion in trace.intrusions(initial_knowledge(problem)):
         if not is_harmless(trace, intrusion):
             span = intrusion.span
             yield f"{named(intrusion.writer)} may come between {named(span.first)} and {named(span.last)}, which needs {span.condition}"
@@ -213,5 +225,6 @@ def points_kept(graph: PlanGraph, order: PartialOrder, kept: OrderKept, links: C
     for call in graph.calls:
         start, end = (PlanEvent(call.index, moment) for moment in Moment)
         for first, last in ((start, end),) if call.action.duration is None else ((start, start), (end, end)):
-            if order.number[first] and (kept.fluents is None or kept.fluents & links.writes[last]):
-                yield order.number[first], order.number[last]
+            waits, leads = order.number(*first), order.number(*last)
+            if waits and (kept.fluents is None or kept.fluents & links.writes[last]):
+                yield waits, leads

@@ -14,7 +14,7 @@ from pathlib import Path
 from time import sleep
 from typing import Final, TypeAlias
 
-from pnm.clock import no_collection
+from pnm.core.net.no_collection import no_collection
 from pnm.errors import InputError, PnmError
 from pnm.files.database.place import Place
 from pnm.journal.codec import Codec, Undecodable

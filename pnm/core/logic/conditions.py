@@ -170,24 +170,29 @@ def choices_in(condition: Condition, count: Count, around: int = 0) -> int:
 
 def fluents(condition: Condition, state: State, env: Environment = NOTHING) -> frozenset[Fluent]:
     """Return every ground fluent the truth of the condition may depend on."""
-    return frozenset(_fluents(condition, state, env))
+    found: set[Fluent] = set()
+    _add_fluents(found, condition, state, env)
+    return frozenset(found)
 
 
-def _fluents(condition: Condition, state: State, env: Environment) -> Iterator[Fluent]:
+def _add_fluents(found: set[Fluent], condition: Condition, state: State, env: Environment) -> None:
     match condition:
         case Holds(fluent):
-            yield bind(fluent, env)
+            found.add(bind(fluent, env))
+        case All(operands) | Any(operands):
+            for operand in operands:
+                _add_fluents(found, operand, state, env)
         case Compare(_, left, right):
-            yield from expression_fluents(left, env)
-            yield from expression_fluents(right, env)
+            found.update(expression_fluents(left, env))
+            found.update(expression_fluents(right, env))
         case Computed(data):
-            yield from fluents_in(data, env)
+            found.update(fluents_in(data, env))
         case ForAll(variables, body) | Exists(variables, body):
             for inner in choices(variables, state, env):
-                yield from _fluents(body, state, inner)
+                _add_fluents(found, body, state, inner)
         case _:
             for operand in operands_of(condition):
-                yield from _fluents(operand, state, env)
+                _add_fluents(found, operand, state, env)
 
 
 def names(condition: Condition) -> frozenset[str]:
@@ -245,7 +250,7 @@ def ground(condition: Condition, env: Environment) -> Condition:
         case Holds(fluent):
             return Holds(bind(fluent, env))
         case All(operands):
-            return All(tuple([ground(operand, env) for operand in operands]))
+            return All(tuple([ground(operand, env) for operand in operands])) if operands else condition
         case Not(operand):
             return Not(ground(operand, env))
         case Compare(operation, left_value, right_value):

@@ -220,6 +220,8 @@ def read(effects: Effects, state: State) -> frozenset[Fluent]:
     reads: set[Fluent] = set()
     for effect, env in expanded(effects, state):
         match effect:
+            case Set(_, Constant(), "assign"):
+                pass
             case Set(fluent, value, operation):
                 reads.update(expression_fluents(value, env))
                 if operation != "assign":
@@ -234,6 +236,8 @@ def read(effects: Effects, state: State) -> frozenset[Fluent]:
 
 def read_early(effects: Effects, state: State) -> frozenset[Fluent]:
     """Return every fluent that end effects read when the action starts: in their early conditions."""
+    if all(isinstance(effect, Set) for effect in effects):
+        return frozenset()
     early = ((effect.condition, env) for effect, env in expanded(effects, state) if isinstance(effect, When) and effect.early)
     return frozenset(fluent for condition, env in early for fluent in fluents(condition, state, env))
 

@@ -183,14 +183,16 @@ class MachineBlocks(BlockArcs[PlacedStep]):
     def own_rules(self, block: PlacedStep) -> list[tuple[Rule, Weights]]:
         """Return the rules that are made for the block alone, each with what its transition takes, if its times count from there.
 
+        What they say of their call may be that of another.
         With them come all others that ask for conditions: it matters to the proof which conditions are the same.
         """
-        found: list[tuple[Rule, Weights]] = []
+        found, index = list[tuple[Rule, Weights]](), self.index_of(block.transition)
         for number in block.template.own:
-            transition = block.transition + number
-            rule = self.rule(transition)
+            made = block.template.rules[number]
+            rule = made if isinstance(made, Rule) else made(self._call_block(index))
             counts = isinstance(rule.guard, Due) and rule.guard.since
-            found.append((rule, {self.place_name(place): weight for place, weight in self.inputs(transition)} if counts else {}))
+            inputs = block.arcs(block.template.inputs[number]) if counts else ()
+            found.append((rule, {self.place_name(place): weight for place, weight in inputs}))
         return found
 
     def ordering(self, place: int) -> Ordering | None:

@@ -16,6 +16,7 @@ from pnm.core.machine.call_block import CallBlock
 from pnm.core.machine.machine import Always, ConditionFalse, ConditionTrue, Due, Ending, Failing, OnFailure, PetriNetMachine, Rule
 from pnm.core.machine.plan_graph import ActionCall, Cause, Choice, Junction, Loop, Moment, PlanEvent, PlanGraph, Step, Then
 from pnm.core.machine.step_block import Block, BlockTemplate, ChoiceBlock, Context, Draft, Inner, JunctionBlock, LoopBlock, Port
+from pnm.core.net.no_collection import no_collection
 from pnm.core.resources import check_capacity
 from pnm.errors import check_kinds
 
@@ -126,6 +127,7 @@ class Builder:
         return region
 
 
+@no_collection()
 def generate(
     plan: PlanGraph,
     bindings: Bindings | None = None,

@@ -7,7 +7,6 @@ time-triggered plans included. Planners make plans of calls alone; people write 
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import Enum, StrEnum
@@ -22,6 +21,7 @@ from pnm.core.logic.conditions import TRUE, Condition, names
 from pnm.core.logic.effects import Effects, names_written
 from pnm.core.logic.expressions import Fluent, fluent_text
 from pnm.core.logic.rules import NO_RULES, Rules
+from pnm.core.net.topological_order import topological_order
 from pnm.core.resources import check_capacity
 from pnm.errors import PnmError
 
@@ -366,19 +366,17 @@ class PlanGraph:
 
 
 def _check_orderings(flow: Flow) -> None:
-    beside = Counter(step.index for step in flow.steps)
-    calls = {step.index: step for step in flow.steps if isinstance(step, ActionCall)}
+    beside = {step.index: step for step in flow.steps}
     for ordering in flow.orderings:
-        for event in (ordering.before, ordering.after):
-            if event.call not in beside:
+        for event, special in ((ordering.before, Moment.START), (ordering.after, Moment.END)):
+            if (step := beside.get(event.call)) is None:
                 raise PlanGraphError(f"{ordering} names a step that is not in the plan, or not beside the other")
+            if event.moment is special and (not isinstance(step, ActionCall) or step.recoveries):
+                raise PlanGraphError(f"{ordering} speaks of the {special.value} of a step that is no call, or has recoveries of its own")
         if not 0.0 <= ordering.delay < inf:
             raise PlanGraphError(f"{ordering} would wait for {ordering.delay} seconds; expected a number from 0")
         if ordering.delay and ordering.after.moment is Moment.END:
             raise PlanGraphError(f"{ordering} would delay an end, which comes when the action's time is up")
-        for event, special in ((ordering.before, Moment.START), (ordering.after, Moment.END)):
-            if event.moment is special and (event.call not in calls or calls[event.call].recoveries):
-                raise PlanGraphError(f"{ordering} speaks of the {special.value} of a step that is no call, or has recoveries of its own")
 
 
 def in_order(flow: Flow) -> tuple[PlanEvent, ...]:
@@ -387,12 +385,16 @@ def in_order(flow: Flow) -> tuple[PlanEvent, ...]:
     Raises:
         PlanGraphError: there is none.
     """
-    before = {PlanEvent(step.index, moment): list[PlanEvent]() for step in flow.steps for moment in Moment}
-    for step in flow.steps:
-        before[PlanEvent(step.index, Moment.END)].append(PlanEvent(step.index, Moment.START))
+    events = [PlanEvent(step.index, moment) for step in flow.steps for moment in Moment]
+    starts = {step.index: 2 * number for number, step in enumerate(flow.steps)}
+    before: list[list[int]] = [[number - 1] if number % 2 else [] for number in range(len(events))]
     for ordering in flow.orderings:
-        before[ordering.after].append(ordering.before)
-    try:
-        return tuple(TopologicalSorter(before).static_order())
-    except CycleError as error:
-        raise PlanGraphError(f"the orderings form a cycle: {' < '.join(map(str, error.args[1]))}") from error
+        (earlier, moment), (later, its_moment) = ordering.before, ordering.after
+        before[starts[later] + (its_moment is Moment.END)].append(starts[earlier] + (moment is Moment.END))
+    found = topological_order(before)
+    if len(found) < len(events):
+        try:
+            TopologicalSorter({events[number]: [events[one] for one in earlier] for number, earlier in enumerate(before)}).prepare()
+        except CycleError as error:
+            raise PlanGraphError(f"the orderings form a cycle: {' < '.join(map(str, error.args[1]))}") from error
+    return tuple([events[number] for number in found])

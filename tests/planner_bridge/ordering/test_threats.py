@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Domain, Problem
+from planner_bridge.ordering.partial_order import PartialOrder
 from planner_bridge.ordering.plan_to_graph import causal_links, check_order, plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.planning.validate import why_invalid
@@ -33,7 +34,9 @@ FACTS = ("p", "q", "r")
 
 
 def check(problem: Problem, graph: PlanGraph, *, projected: bool = False) -> None:
-    check_order(graph, problem, causal_links(problem, [call.action for call in graph.calls]), projected=projected)
+    links = causal_links(problem, [call.action for call in graph.calls])
+    order = PartialOrder(graph.calls, graph.orderings, problem.timed, graph.due)
+    check_order(graph, order, problem, links, projected=projected)
 
 
 def is_noticed(problem: Problem, graph: PlanGraph) -> bool:

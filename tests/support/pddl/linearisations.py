@@ -91,7 +91,7 @@ def _relation(problem: Problem, graph: PlanGraph) -> dict[Key, set[Key]]:
     before: dict[Key, set[Key]] = {event: set() for event in planned}
     for number, change in enumerate(problem.timed):
         before[number] = {event for event, time in planned.items() if time < change.time - NEAR}
-    for first, second in direct_orderings(graph, problem.timed):
+    for first, second in direct_orderings(graph.calls, graph.orderings, problem.timed):
         before[second].add(first)
     return before
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 from math import isfinite
 
 from pnm.core.logic.conditions import Condition
-from pnm.core.machine.machine import After, ConditionFalse, ConditionTrue, ConditionUnknown, Due, Ends, Rule, Withheld
+from pnm.core.machine.machine import After, ConditionFalse, ConditionTrue, ConditionUnknown, Due, Ends, Guard, Rule, Withheld
 from pnm.core.machine.verification.exits import is_timed
-from pnm.core.machine.verification.part import Part, Step
+from pnm.core.machine.verification.part import Inside, Part
 from pnm.core.net.net import Weights
 
 
@@ -22,7 +22,7 @@ def shape_of(part: Part) -> object:
     steps = tuple(
         [
             (
-                _kind(step, conditions),
+                _kind(step.guard, step.inputs, conditions),
                 step.action,
                 step.gives_up,
                 step.outcome,
@@ -41,12 +41,7 @@ def shape_of(part: Part) -> object:
 def kinds_of(rules: Iterable[tuple[Rule, Weights]]) -> tuple[object, ...]:
     """Return all that is proved of some rules of a block, each given with what its transition takes."""
     conditions: list[Condition] = []
-    return tuple(
-        [
-            (_kind(Step(rule.name, rule.guard, inputs, {}), conditions), rule.action, rule.gives_up, rule.outcome, rule.cause)
-            for rule, inputs in rules
-        ]
-    )
+    return tuple([(_kind(rule.guard, inputs, conditions), rule.action, rule.gives_up, rule.outcome, rule.cause) for rule, inputs in rules])
 
 
 def without_twins(part: Part) -> Part:
@@ -100,9 +95,9 @@ def _arcs_and_roles(part: Part) -> dict[str, object]:
     return places
 
 
-def _kind(step: Step, conditions: list[Condition]) -> object:
+def _kind(guard: Guard | Inside, inputs: Weights, conditions: list[Condition]) -> object:
     """Return what is proved of a guard: when it opens, as far as the world does not decide, and which conditions are the same."""
-    match guard := step.guard:
+    match guard:
         case ConditionTrue(condition) | ConditionFalse(condition) | ConditionUnknown(condition):
             if condition not in conditions:  # only whether two guards have the same condition matters: then exactly one of them opens
                 conditions.append(condition)
@@ -112,7 +107,7 @@ def _kind(step: Step, conditions: list[Condition]) -> object:
         case After():
             return After, is_timed(guard)
         case Due(_, since):
-            return Due, is_timed(guard), all(place in step.inputs for place, _ in since)
+            return Due, is_timed(guard), all(place in inputs for place, _ in since)
         case Withheld(_, seconds):
             return Withheld, isfinite(seconds)
         case _:

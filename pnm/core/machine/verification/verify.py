@@ -53,6 +53,7 @@ from pnm.core.machine.verification.part import Inside, Part, Unsound, step_of
 from pnm.core.machine.verification.place_roles import check_roles
 from pnm.core.machine.verification.plan_in_net import check_events, check_flows, check_places
 from pnm.core.net.net import Marking, PetriNet, Weights
+from pnm.core.net.no_collection import no_collection
 from pnm.errors import check_kinds, counted
 
 V = TypeVar("V")
@@ -94,6 +95,7 @@ class Proof:
         return f"sound: {counted(self.calls, 'call')} of {counted(self.shapes, 'shape')}, {self.states} states explored"
 
 
+@no_collection()
 def verify(machine: PetriNetMachine) -> Proof:
     """Prove the machine sound.
 
