@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from planner_bridge.model.plan_simulation import NotApplicable, PlanSimulation, snapshot
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.effects import Changes, changes
-from pnm.core.logic.expressions import same_value
+from pnm.core.logic.effects import Changes, changes, written
+from pnm.core.logic.expressions import UNKNOWN, Fluent, same_value
 from pnm.core.machine.plan_graph import ActionCall, Moment, PlanEvent
 from pnm.errors import PnmError
 
@@ -19,36 +19,34 @@ if TYPE_CHECKING:
 
 
 class NotProjectable(PnmError):
-    """What will be so cannot be known: a call cannot end in the projected state, or nobody has said yet whether it goes on."""
+    """A call cannot end in the projected state."""
 
 
 def projected_state(state: KnowledgeBase, runs: Iterable[RunView]) -> KnowledgeBase:
     """Return the state once the calls of these runs have ended as the domain says.
 
-    Calls that have ended count as well, as long as their effects are still looked for.
+    Calls that have ended count as well, as long as their effects are still looked for. What a call writes that has begun, and is being
+    cancelled or not accepted yet, is unknown.
 
     Raises:
-        NotProjectable: one of them cannot end, is being cancelled, or has begun before it was accepted.
+        NotProjectable: one of them cannot end.
     """
-    runs, numbers = tuple(runs), count()
-    simulation = PlanSimulation(snapshot(state))
+    simulation, numbers, unknown = PlanSimulation(snapshot(state)), count(), set[Fluent]()
     for run in runs:
         for call in run.settling:
             simulation.state.update(_still_to_come(run, call, simulation.state, state))
-    for run in runs:
         going_on = {request.request: request for request in run.under_way()}
-        for request, call in run.open_calls.items():
-            if request not in going_on and _has_begun(call, state):
-                raise NotProjectable(f"{call} has begun, and is not accepted yet or is being cancelled")
-        simulation.running |= {
-            next(numbers): replace(request.call.action, end_effects=request.intended.end_effects) for request in going_on.values()
-        }
+        for call in (call for request, call in run.open_calls.items() if request not in going_on and _has_begun(call, state)):
+            unknown.update(written((*call.action.start_effects, *call.action.end_effects), state))
+        for request in going_on.values():
+            simulation.running[next(numbers)] = replace(request.call.action, end_effects=request.intended.end_effects)
     actions = dict(simulation.running)
     try:
         for number, action in actions.items():
             simulation.advance([(PlanEvent(number, Moment.END), action)])
     except NotApplicable as error:
         raise NotProjectable(f"{actions[error.call]} would {error.stage} although {error.observed}") from error
+    simulation.state.update(dict.fromkeys(unknown, UNKNOWN))
     return simulation.state
 
 
