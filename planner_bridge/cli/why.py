@@ -25,9 +25,9 @@ from planner_bridge.explanations.run_history import JournalHistory
 from planner_bridge.explanations.run_questions import call_meant, task_meant, why_call_of_run, why_so
 from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.plan import Plan, PlanStep
-from planner_bridge.model.plan_simulation import NotProjectable, projected_state
 from planner_bridge.model.plan_text import read_plan
 from planner_bridge.model.problem import Problem
+from planner_bridge.model.projected_state import NotProjectable, projected_state
 from planner_bridge.planning.kairos import DEFAULT_PLANNER
 from pnm.errors import InputError, Position, suggestion
 
@@ -119,7 +119,7 @@ def _in_the_middle(problem: Problem, journal: str, task: str | None, last: int |
     if not meant.runs:
         raise InputError(f"{meant.name} has no plan yet, so its goal is not known")
     try:
-        world = projected_state(history.replay.world, meant.runs[-1].replayed.run.under_way())
+        world = projected_state(history.replay.world, (run.replayed.run for run in history.runs.values() if not run.is_over))
     except NotProjectable as error:
         raise InputError(f"what will be so when the calls under way have ended is not known: {error}") from error
     now = problem_now(problem, world, history.time - history.replay.began)

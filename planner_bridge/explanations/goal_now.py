@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import pickle
 import zlib
-from collections.abc import Iterable
 
 from planner_bridge.explanations.answer import Answer
 from planner_bridge.explanations.limited_search import SECONDS, AnswerLimit
@@ -14,9 +13,7 @@ from planner_bridge.explanations.plan_overview import why_plan
 from planner_bridge.explanations.smallest_change import what_would_help
 from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.plan import PlanningResult
-from planner_bridge.model.plan_simulation import projected_state, snapshot
 from planner_bridge.model.problem import Problem
-from pnm.core.execution.handover import UnderWay
 from pnm.core.knowledge_base import KnowledgeBase
 
 
@@ -30,18 +27,6 @@ def unpacked(text: str) -> Problem:
     problem = pickle.loads(zlib.decompress(base64.b64decode(text)))
     assert isinstance(problem, Problem)
     return problem
-
-
-def settled(world: KnowledgeBase, under_way: Iterable[Iterable[UnderWay]]) -> KnowledgeBase:
-    """Return the world as it will be when the calls of every run have ended; while a robot moves, say, it is nowhere.
-
-    Raises:
-        NotProjectable: one of them cannot end.
-    """
-    world = snapshot(world)
-    for calls in under_way:
-        world = projected_state(world, calls)
-    return world
 
 
 def answered(text: str, world: KnowledgeBase) -> tuple[Answer, ...]:

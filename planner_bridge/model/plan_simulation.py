@@ -1,13 +1,13 @@
 """Plan simulation: the progression of a state through the starts and ends of a plan's actions (PDDL 2.1, section 8).
 
-Besides, the projected state after the running actions have ended, and the progression of trajectory constraints.
+Besides, the progression of trajectory constraints.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final, Literal
+from typing import Final, Literal
 
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition
@@ -17,9 +17,6 @@ from pnm.core.logic.expressions import Fluent, Value
 from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, progressed
 from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
 from pnm.errors import PnmError
-
-if TYPE_CHECKING:
-    from pnm.core.execution.handover import UnderWay
 
 Stage = Literal["start", "end", "go on"]
 _NOTHING: Final[Mapping[Fluent, Value]] = {}
@@ -78,22 +75,6 @@ class PlanSimulation:
     def _demand(self, call: int, stage: Stage, condition: Condition) -> None:
         if evaluate(condition, self.state) is not True:
             raise NotApplicable(call, stage, condition, self.state)
-
-
-class NotProjectable(PnmError):
-    """An action that is running cannot end in the projected state."""
-
-
-def projected_state(state: KnowledgeBase, running: Iterable[UnderWay]) -> KnowledgeBase:
-    """Return the state once these calls have ended with their modelled effects; `NotProjectable` if one of them cannot."""
-    actions = {request.call.index: request.call.action for request in running}
-    simulation = PlanSimulation(snapshot(state), dict(actions))
-    try:
-        for number, action in actions.items():
-            simulation.advance([(PlanEvent(number, Moment.END), action)])
-    except NotApplicable as error:
-        raise NotProjectable(f"{actions[error.call]} would {error.stage} although {error.observed}") from error
-    return simulation.state
 
 
 class ConstraintProgression:

@@ -3,13 +3,15 @@
 Greedy action elimination (Nakhost and Müller, Action Elimination and Plan Neighborhood Graph Search, 2010): a step is left out, and
 with it all steps that cannot be carried out then; if the goal is reached all the same, and at no higher cost, the plan stays so.
 Steps without which no part of the plan reaches the goal (`indispensable`) are not tried, and where one of them is lost the rest need not
-be looked at: robots wait for this.
+be looked at: robots wait for this. When the time is over, the plan stays as it is by then.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import inf
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from planner_bridge.model.grounding import ground_step, initial_knowledge
@@ -36,17 +38,21 @@ _Moment: TypeAlias = tuple[float, int, int]
 """A time, what happens then, and the number of the step or of the timed change."""
 
 
-def reduced(problem: Problem, result: PlanningResult, parsed: kairos.Problem | None = None) -> PlanningResult:
+def reduced(problem: Problem, result: PlanningResult, parsed: kairos.Problem | None = None, *, until: float = inf) -> PlanningResult:
     """Return the result with a plan that has no needless step; one of a task network, or with preferences, is more than a way to a goal.
 
-    `parsed` is the problem as Kairos reads it, if that is there already.
+    Args:
+        problem: what the plan is for.
+        result: a plan, or none.
+        parsed: the problem as Kairos reads it, if that is there already.
+        until: when to stop looking, on the clock of `time.monotonic`; the plan may have needless steps then.
     """
     plan = result.plan
     if plan is None or problem.network or problem.has_preferences or len(plan.steps) > MAX_STEPS:
         return result
     if problem.metric is not None:
         plan = replace(plan, cost=_cost(problem, plan, last_state(problem, plan)))
-    shorter = _Elimination(problem, plan).without_needless()
+    shorter = _Elimination(problem, plan).without_needless(until)
     is_shorter = len(shorter.steps) < len(plan.steps)
     return result if is_shorter and validate(problem, shorter, parsed) else replace(result, plan=shorter)
 
@@ -114,8 +120,8 @@ class _Elimination:
     def _lasts(self, index: int) -> bool:
         return bool(self._first.temporal and self._first.steps[index].duration)
 
-    def without_needless(self) -> Plan:
-        """Return the plan without its needless steps.
+    def without_needless(self, until: float) -> Plan:
+        """Return the plan without its needless steps, as far as they are found by then.
 
         What happens at one moment happens in the simulation one after the other, so its results have still to be validated.
         """
@@ -123,6 +129,8 @@ class _Elimination:
         for position, moment in enumerate(self._moments):
             _, kind, index = moment
             if kind == _START and index not in self._lost and index not in self._needed:
+                if time.monotonic() >= until:
+                    break
                 self._try_without(index, position, simulation)
             try:
                 self._advance(simulation, moment, self._lost)

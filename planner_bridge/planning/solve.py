@@ -1,12 +1,13 @@
 """Problem → plan: solve → search → Kairos in this process, or an engine in a process of its own; a portfolio searches with several.
 
 Every plan is validated before it is returned (`planner_bridge.planning.validate`). A limit in seconds bounds every
-search, and a search can be cancelled from another thread.
+search, and what its plan does not need is left out in what remains of it; a search can be cancelled from another thread.
 """
 
 from __future__ import annotations
 
 import threading
+import time
 from typing import TYPE_CHECKING, Final
 
 from planner_bridge.model.plan import CancelToken, PlanningResult
@@ -36,12 +37,12 @@ def solve(
     cancel: CancelToken | None = None,
     executor: Executor | None = None,
 ) -> PlanningResult:
-    """Search for a plan, at most `timeout` seconds, validate it, and leave out what it does not need.
+    """Search for a plan, validate it, and leave out what it does not need, at most `timeout` seconds.
 
     Args:
         problem: what is to be solved.
         planner: kairos, an engine of unified-planning, ``race`` for several at once, or ``race:kairos,aries`` for these.
-        timeout: seconds that the search may take, besides the time to load a planner.
+        timeout: seconds that the search may take, besides the time to load a planner; a plan that is found late keeps what it has.
         improve: seconds for which Kairos looks for a better plan once there is one, at most; 0 for the first plan.
         cancel: set from another thread to end the search.
         executor: runs the planners of a portfolio; a process pool by default.
@@ -53,13 +54,16 @@ def solve(
     check_seconds("the search for a plan", timeout)
     check_seconds("the search for a better plan", improve)
     stop, timeout = cancel or threading.Event(), min(timeout, _LONGEST)
+    until = time.monotonic() + timeout
     if planner == PORTFOLIO or planner.startswith(_PORTFOLIO_OF):
         from planner_bridge.planning.portfolio import solve_with_portfolio  # here, because most searches use one planner
 
         members = None if planner == PORTFOLIO else _portfolio_members(planner)
-        return reduced(problem, solve_with_portfolio(problem, planners=members, timeout=timeout, executor=executor, cancel=stop))
+        found = solve_with_portfolio(problem, planners=members, timeout=timeout, executor=executor, cancel=stop)
+        return reduced(problem, found, until=until)
     parsed = parse_for_kairos(problem) if planner == DEFAULT_PLANNER else None  # once, for its search and its validator
-    return reduced(problem, validated(problem, search(problem, planner, timeout, stop, improve=improve, parsed=parsed), parsed), parsed)
+    found = search(problem, planner, timeout, stop, improve=improve, parsed=parsed)
+    return reduced(problem, validated(problem, found, parsed), parsed, until=until)
 
 
 def check_planner(planner: str, cancel: CancelToken | None = None) -> None:

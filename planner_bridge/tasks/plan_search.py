@@ -15,8 +15,8 @@ from uuid import UUID
 from planner_bridge.model.forbidden_actions import ANY, ForbiddenCall, forbid
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus
-from planner_bridge.model.plan_simulation import projected_state
 from planner_bridge.model.problem import Problem
+from planner_bridge.model.projected_state import projected_state
 from planner_bridge.ordering.forecast import Forecast, awaited, with_forecasts
 from planner_bridge.ordering.interference import avoid_interference, optimistic_state, read_write_sets
 from planner_bridge.ordering.plan_to_graph import calls_of
@@ -28,7 +28,7 @@ from planner_bridge.tasks.plan_execution import PlanExecution
 from planner_bridge.tasks.replanning import History
 from planner_bridge.tasks.task import Task
 from pnm.clock import in_own_thread
-from pnm.core.execution.handover import UnderWay
+from pnm.core.execution.run_view import RunView
 from pnm.core.logic.conditions import TRUE
 from pnm.core.logic.expressions import fluent_text
 from pnm.core.machine.plan_graph import ActionCall, PlanGraph
@@ -205,7 +205,7 @@ class PlanSearch:
             facts = world.facts()
             try:
                 if await execution.at_rest():
-                    return (await self.plan(forbidden, execution.run.under_way()))[0]
+                    return (await self.plan(forbidden, execution.run))[0]
                 return await self.in_turn(partial(self.plan, forbidden))
             except NoPlan:
                 if is_last:  # nothing new has been reported between the attempts, or it has not helped
@@ -218,14 +218,12 @@ class PlanSearch:
 
     # --- attempts -------------------------------------------------------------------------------
 
-    async def plan(
-        self, forbidden: frozenset[ForbiddenCall], under_way: tuple[UnderWay, ...] | None = None
-    ) -> tuple[Plan | None, tuple[Conflict, ...]]:
+    async def plan(self, forbidden: frozenset[ForbiddenCall], run: RunView | None = None) -> tuple[Plan | None, tuple[Conflict, ...]]:
         """Attempt to find a plan with the planner.
 
         Args:
             forbidden: the calls that it may not use.
-            under_way: the calls that go on meanwhile, of a run that is succeeded by another; None if there is no run.
+            run: one that goes on meanwhile, and is succeeded by another; None if there is none.
 
         Raises:
             NoPlan: there is none.
@@ -235,15 +233,15 @@ class PlanSearch:
         """
         context = self._context
         self._control.check()
-        if under_way is None:
+        if run is None:
             self._begin()
-        now = forbid(self._monitor.now(projected_state(context.world, under_way) if under_way else None), forbidden)
-        going_on = [open_request.call for open_request in under_way or ()]
+        going_on = [request.call for request in run.under_way()] if run else []
+        now = forbid(self._monitor.now(projected_state(context.world, (run,)) if run and going_on else None), forbidden)
         self._control.reserved = None  # while it plans anew, the last plan must not keep others away
         context.observer.planning(context.settings.planner)
         running = context.scheduler.running_calls(context.task)  # now, and not when the planner has answered
         weighs = context.on_conflict is OnConflict.PLAN_AROUND
-        forecasts = context.scheduler.forecasts(context.task) if weighs and now.is_timed and under_way is None else {}
+        forecasts = context.scheduler.forecasts(context.task) if weighs and now.is_timed and run is None else {}
         result, conflicts = await self._solve(now), tuple[Conflict, ...]()
         if result.plan is None:
             context.observer.unplanned(result)

@@ -124,15 +124,14 @@ class ViewApp:
 
     async def _do(self, request: Request) -> Response:
         """Have a command carried out."""
-        return await self._control.do(request, self._settled)
+        return await self._control.do(request, self._projected)
 
-    async def _settled(self) -> KnowledgeBase:
+    async def _projected(self) -> KnowledgeBase:
         """Return the world as it will be when what is under way has ended."""
-        from planner_bridge.explanations.goal_now import settled  # here, because it takes its time to import
+        from planner_bridge.model.projected_state import projected_state  # here, because it takes its time to import
 
         def told(story: Story) -> KnowledgeBase:
-            runs = [run.replayed.run.under_way() for run in story.runs.values() if not run.is_over]
-            return settled(story.replay.world, runs)
+            return projected_state(story.replay.world, (run.replayed.run for run in story.runs.values() if not run.is_over))
 
         world = await self._feed.asked((await self._feed.newest()).number, told, self._past)
         if world is None:

@@ -26,6 +26,10 @@ _STEP: Final = re.compile(r" *[0-9.]+( s)? +")
 """When a step of a plan comes, in front of it."""
 
 
+_SOON: Final = 0.2
+"""Seconds within which a call that is being cancelled ends, if its server does nothing more: that it is late is not printed then."""
+
+
 class _News(NamedTuple):
     """What has happened to a call and is printed with what follows from it: when, in which word, to what, why, and in detail."""
 
@@ -145,11 +149,12 @@ class ConsoleObserver(TaskObserver):
             self._wait_for_more(call, _News(now, "[red]wrong[/] ", call.action, str(cause.cause), failure.details))
 
     def fired(self, transition: str, rule: Rule, now: float) -> None:
-        """Print that a call has passed its limit; how it ends is printed when that is known."""
-        if (limit := passed_limit(rule)) is not None and rule.call in self._actions:
-            self._print(
-                now, "[yellow]late[/]  ", f"{self._actions[rule.call]}: it has not ended within {limit:g} s, and is being cancelled"
-            )
+        """Print that a call has passed its limit, unless it ends as soon as it is cancelled: how it ends is printed when that is known."""
+        call, limit = rule.call, passed_limit(rule)
+        if limit is not None and call is not None and call in self._actions:
+            cause = f"it has not ended within {limit:g} s, and is being cancelled"
+            news = self._news[call] = _News(now, "[yellow]late[/]  ", self._actions[call], cause, "")
+            asyncio.get_running_loop().call_later(_SOON, self._print_late, call, news)
 
     def spared(self, call: ActionCall, now: float) -> None:
         """Print that a call is not needed."""
@@ -158,6 +163,7 @@ class ConsoleObserver(TaskObserver):
     def ended(self, call: ActionCall, outcome: Outcome, now: float) -> None:
         """Print how a request ended; of one without success together with what follows."""
         if outcome.kind is OutcomeKind.SUCCEEDED:
+            self._news.pop(call.index, None)
             self._print(now, "[green]done[/]  ", str(call.action.operation or call.action))
         else:
             self._wait_for_more(call, _News(now, "[red]ended[/] ", call.action, outcome.kind.value, outcome.message))
@@ -178,9 +184,13 @@ class ConsoleObserver(TaskObserver):
 
     def _wait_for_more(self, call: ActionCall, news: _News) -> None:
         """Print the news at the end of what happens at this moment, unless it is printed with what follows from it."""
-        if not self._news:
-            asyncio.get_running_loop().call_soon(self._print_news)
         self._news[call.index] = news
+        asyncio.get_running_loop().call_soon(self._print_news)
+
+    def _print_late(self, call: int, news: _News) -> None:
+        """Print that a call is late, if nothing has followed yet."""
+        if self._news.get(call) is news:
+            self._print_news()
 
     def _print_news(self) -> None:
         """Print what was waiting for more that has not come."""

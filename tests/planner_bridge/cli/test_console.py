@@ -61,6 +61,19 @@ def test_why_a_call_is_given_up_stands_beside_the_failure_with_its_limits(tmp_pa
     assert lines.index(late) == lines.index(f"     15.00 s  failed first(): timed_out: {why}") - 1
 
 
+def test_a_call_that_is_over_as_soon_as_it_is_cancelled_has_failed_and_was_not_late(tmp_path: Path) -> None:
+    (tmp_path / "d.pddl").write_text(TWICE)
+    (tmp_path / "p.pddl").write_text("(define (problem p) (:domain d) (:init) (:goal (b)))")
+    (tmp_path / "f.yaml").write_text("faults: [{action: first, do: hang, times: 2}]")
+    lines = pnm("run", str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl"), "--faults", str(tmp_path / "f.yaml")).stdout.splitlines()
+    begun, *after = (line for line in lines if "first()" in line and " s  " in line and "[" not in line)
+    assert begun == "      0.00 s  start  first()"
+    assert after[:2] == [
+        "     10.00 s  retry  first(): attempt 2, after timed_out: expected an end within 10 s; observed none; then cancelled on request",
+        "     20.00 s  failed first() in 2 attempts: timed_out",
+    ]
+
+
 def test_a_quiet_run_prints_how_it_ended(tmp_path: Path) -> None:
     (tmp_path / "d.pddl").write_text(TWICE)
     (tmp_path / "p.pddl").write_text("(define (problem p) (:domain d) (:init) (:goal (b)))")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from itertools import product
+from itertools import count, product
+from unittest.mock import patch
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -11,6 +13,7 @@ from planner_bridge.model.grounding import ground_action, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
 from planner_bridge.model.plan_simulation import NotApplicable, PlanSimulation
 from planner_bridge.model.problem import Problem
+from planner_bridge.planning import reduction, solve
 from planner_bridge.planning.reduction import indispensable, reduced
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
@@ -82,3 +85,32 @@ def test_the_only_step_that_makes_a_goal_true_is_indispensable_and_so_is_what_it
     steps = [("move", "r1", "a", "b"), ("sweep", "r1", "b"), ("move", "r2", "a", "b"), ("move", "r1", "b", "a")]
     actions = [ground_action(problem.domain.actions[name], tuple(arguments)) for name, *arguments in steps]
     assert indispensable(problem, actions) == {0, 1}
+
+
+TO_AND_FRO = [("move", "r1", "a", "b"), ("move", "r1", "b", "a")] * 4
+
+
+@given(st.integers(0, 9))
+def test_when_the_time_is_over_the_plan_stays_as_it_is_by_then(looks: int) -> None:
+    """What is left solves the problem; what was not looked at is kept."""
+    problem = world("(clean b)")
+    steps = [*TO_AND_FRO, ("move", "r1", "a", "b"), ("sweep", "r1", "b")]
+    plan = Plan(tuple(PlanStep(name, tuple(arguments)) for name, *arguments in steps))
+    with patch.object(reduction.time, "monotonic", side_effect=count().__next__):
+        result = reduced(problem, PlanningResult(PlanningStatus.SOLVED, plan), until=looks).plan
+    assert result is not None
+    left = [ground_action(problem.domain.actions[step.action], step.arguments) for step in result.steps]
+    assert carried_out(problem, left) == (left, True)
+    assert len(left) == max(2, len(steps) - 2 * looks)
+
+
+def test_the_limit_of_a_search_counts_for_that_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    ends, now = list[float](), reduction.time.monotonic()
+
+    def note(problem: Problem, result: PlanningResult, parsed: object, *, until: float) -> PlanningResult:
+        ends.append(until)
+        return result
+
+    monkeypatch.setattr(solve, "reduced", note)
+    assert solve.solve(world("(clean b)"), timeout=20.0, improve=0.0).plan
+    assert now + 20.0 <= ends[0] <= reduction.time.monotonic() + 20.0
