@@ -46,7 +46,7 @@ function show(model, key, detail, isNow) {
     if (detail.effects.length) blocks.push(block("Effects", list(detail.effects)));
     if (detail.needed_by.length) blocks.push(block("Needed by", waits(detail.needed_by, false)));
     if (detail.recoveries.length) blocks.push(block("Recoveries", list(detail.recoveries)));
-    blocks.push(block("Where its token is", netOf(detail)), whyOf(model, key));
+    blocks.push(block("Where its token is", netOf(detail, call.state)), whyOf(model, key));
   }
   place.replaceChildren(...blocks.filter((each) => each !== ""));
 }
@@ -146,7 +146,7 @@ const WAY = ["ready", "requested", "running", "finished", "done"];
 const BELOW = { budget: 0, spent: 0.45, withdrawing: 1.05, recover: 1.75, overdue: 2.3, settling: 2.85, stopping: 3.4, suspending: 2.85, returned: 2.3, ended: 3.4, failed: 4 };
 
 // The block of the call: its way from left to right, and below it what happens when something goes wrong.
-function netOf(detail) {
+function netOf(detail, state) {
   const at = new Map();
   let others = 0;
   const [stepX, first] = [104, 40];
@@ -191,7 +191,8 @@ function netOf(detail) {
   const width = 2 * first + 4 * stepX;
   const marked = detail.places.filter((place) => place.tokens && !/budget|spent/.test(place.name)).map((place) => place.name);
   const opens = detail.transitions.filter((transition) => transition.is_enabled).map((transition) => transition.name);
-  const said = marked.length ? `marked: ${marked.join(", ")}` : "it has left its block, or has not reached it yet";
+  const elsewhere = state === "waiting" ? "it has not reached the block of this call yet" : "it has left the block: the call is over";
+  const said = marked.length ? `marked: ${marked.join(", ")}` : elsewhere;
   return el("div", { id: "net" }, svg("svg", { viewBox: `0 0 ${width} ${height}`, width, height, role: "img", "aria-label": said }, ...lines, ...places),
     el("p", { class: "soft" }, said + (opens.length && marked.length ? `; next may fire: ${[...new Set(opens)].join(", ")}` : "")));
 }

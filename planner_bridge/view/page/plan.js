@@ -10,7 +10,7 @@ let shown = new Map(); // the calls as they were shown last
 let marked = ""; // the call that is shown as the chosen one
 const KEY = ["waiting", "running", "succeeded", "failed", "skipped"];
 
-document.getElementById("plan-key").replaceChildren(...KEY.flatMap((name) => [el("span", { class: "swatch", "data-state": name }, SIGNS[name]), words(name === "succeeded" ? "done" : name)]));
+document.getElementById("plan-key").replaceChildren(...KEY.map((name) => el("span", {}, el("span", { class: "swatch", "data-state": name }, SIGNS[name]), words(name === "succeeded" ? "done" : name))));
 
 // Draws the plan of a run if it is another one than before; the picture of a run never changes.
 export async function showPlan(model, run, choose) {
@@ -56,7 +56,7 @@ const boxOf = (run, key) => (key.startsWith(`${run}/`) ? boxes.get(Number(key.sl
 
 function badgeOf(box) {
   const rect = box.querySelector("rect");
-  const [x, y] = [Number(rect.getAttribute("x")), Number(rect.getAttribute("y"))];
+  const [x, y] = [Number(rect.getAttribute("x")) + 12, Number(rect.getAttribute("y")) - 3]; // beside the facts that arrows bring, not on them
   const badge = svg("g", { class: "badge", "aria-hidden": "true" }, svg("circle", { cx: x, cy: y, r: 9 }), svg("text", { x, y: y + 4 }), svg("text", { x: x + 22, y: y - 4 }));
   box.append(badge);
   return badge;

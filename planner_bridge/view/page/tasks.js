@@ -58,7 +58,8 @@ function showNeeds(model, tasks, isNow) {
   const before = troubles.filter((trouble) => !isOpen(trouble));
   const place = document.getElementById("needs");
   const wasOpen = place.querySelector("details")?.open;
-  place.replaceChildren(...questions, ...troubles.filter(isOpen).map((trouble) => troubleOf(model, trouble, true)));
+  const needs = [...questions, ...troubles.filter(isOpen).map((trouble) => troubleOf(model, trouble, true))];
+  place.replaceChildren(...(needs.length || !tasks.length ? needs : [el("p", { class: "soft" }, "nothing")]));
   if (before.length) {
     const more = el("details", {}, el("summary", {}, `${before.length} ${before.length > 1 ? "troubles" : "trouble"} before, and what followed`),
       ...before.slice(0, 50).map((trouble) => troubleOf(model, trouble, true)));

@@ -67,6 +67,7 @@ function draw(place, model, { layout, width, left, narrow, end, lanes, planned }
     tops.set(name, y + extra);
     y += extra + PLANNED + 3 + lane.rows * ROW + GAP;
   }
+  if (!lanes.size) parts.push(svg("text", { class: "soft", x: left + 8, y: TOP + 14 }, "nothing has begun yet"));
   for (const [, bar] of planned) {
     if (tops.has(bar.lane)) parts.push(svg("rect", { class: "planned", x: x(bar.from), y: tops.get(bar.lane), width: Math.max(2, x(bar.to) - x(bar.from)), height: PLANNED, rx: 2 }, svg("title", {}, `planned: ${bar.action}`)));
   }

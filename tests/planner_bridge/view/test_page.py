@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, FloatRect, Page, expect
 
 from planner_bridge.view.follow import Reader
 from planner_bridge.view.view import view_of
@@ -70,6 +70,7 @@ def test_calls_light_up_as_the_journal_grows(page: Page, delivery: Path, growing
     with page_of(growing.place) as url:
         page.goto(url)
         shows(page, 5)
+        expect(page.locator("#lanes")).to_contain_text("nothing has begun yet")
         happened = [step.number for step in steps(delivery) if isinstance(step.record, Happened) and (step.commands or step.fired)]
         for record in [*happened[::3], growing.longest]:
             growing.grow(record)
@@ -92,10 +93,47 @@ def test_a_failure_can_be_read_and_what_followed(page: Page, delivery: Path) -> 
         expect(need.locator(".observed")).to_have_text("the way is blocked")
         page.get_by_role("button", name="Live").click()
         expect(page.locator("#status")).to_have_text("● live")
+        expect(page.locator("#needs > p")).to_have_text("nothing")
         expect(page.locator("#cuts li")).to_have_count(2)
         expect(page.locator("#cuts li").last).to_contain_text(f"not again: {FAILING}")
         expect(page.locator("#cuts li").last).to_contain_text("added: ")
         page.close()
+
+
+def test_what_is_said_of_a_call_s_token_is_so_also_where_it_is_elsewhere(page: Page, delivery: Path) -> None:
+    view = Reader(delivery).at(20, view_of)
+    assert view is not None
+    with page_of(delivery) as url:
+        page.goto(url)
+        page.get_by_label("record", exact=True).fill("20")
+        shows(page, 20)
+        for state, said in (("succeeded", "it has left the block"), ("waiting", "it has not reached the block"), ("running", "marked: ")):
+            key = next(key for key, call in view.calls.items() if call.state == state)
+            page.locator("#call-choice").select_option(value=key)
+            expect(page.locator("#net")).to_contain_text(said)
+        page.close()
+
+
+def test_the_signs_of_calls_and_words_of_the_key_stand_where_they_can_be_read(page: Page, delivery: Path) -> None:
+    page.set_viewport_size({"width": 400, "height": 800})
+    with page_of(delivery) as url:
+        page.goto(url)
+        shows(page, Reader(delivery).newest().number)
+        for entry in page.locator(".key > span").all():
+            box = entry.bounding_box()
+            assert box
+            assert box["height"] < 30, "a sign and its word are in one line"
+        facts, signs = page.locator("#picture .fact").all(), page.locator("#picture .badge circle").all()
+        assert facts
+        assert signs
+        boxes = [(fact.bounding_box(), sign.bounding_box()) for fact in facts for sign in signs]
+        assert not [pair for pair in boxes if pair[0] and pair[1] and _overlap(pair[0], pair[1])]
+        page.close()
+
+
+def _overlap(one: FloatRect, other: FloatRect) -> bool:
+    beside = one["x"] + one["width"] <= other["x"] or other["x"] + other["width"] <= one["x"]
+    return not (beside or one["y"] + one["height"] <= other["y"] or other["y"] + other["height"] <= one["y"])
 
 
 def test_why_a_call_is_there_is_answered_when_it_is_asked(page: Page, delivery: Path) -> None:
