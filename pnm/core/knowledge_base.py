@@ -225,6 +225,8 @@ class KnowledgeBase:
 
     def senses(self, names: frozenset[str]) -> bool:
         """Return whether all fluents of these names are sensed."""
+        if not self._sensed:
+            return not names
         return (self.rules.base(names) if self._derived else names) <= self._sensed.keys()
 
     def lag(self, names: Iterable[str]) -> float:

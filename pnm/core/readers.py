@@ -15,18 +15,19 @@ class Readers(Generic[Reader]):
     """An index from fluents, and names of fluents, to those who read them. The mutable state is what the constructor sets."""
 
     def __init__(self) -> None:
-        self._reads: dict[Reader, Reads] = {}
+        self.reads: dict[Reader, Reads] = {}
+        """What each of them reads."""
         self._of: dict[Fluent | str, set[Reader]] = {}
         self._of_all: set[Reader] = set()
 
     def __len__(self) -> int:
-        return len(self._reads)
+        return len(self.reads)
 
     def add(self, reader: Reader, reads: Reads) -> None:
         """Have changes of what it reads concern a reader; of everything, if it is not known what that is. Only the first time counts."""
-        if reader in self._reads:
+        if reader in self.reads:
             return
-        self._reads[reader] = reads
+        self.reads[reader] = reads
         if reads is None:
             self._of_all.add(reader)
         else:
@@ -36,7 +37,7 @@ class Readers(Generic[Reader]):
     def remove(self, reader: Reader) -> None:
         """Have no change concern a reader."""
         self._of_all.discard(reader)
-        for read in self._reads.pop(reader, None) or ():
+        for read in self.reads.pop(reader, None) or ():
             readers = self._of[read]
             readers.discard(reader)
             if not readers:

@@ -256,8 +256,11 @@ class Calls:
             return _NOTHING
         if action is _BEGIN:
             attempt.accepted, attempt.unanswered, start = now, None, attempt.intended.start
+            if not start:
+                attempt.begun = {}
+                return _NOTHING
             attempt.begun = values_before(start, self.world)  # before they are written, for a rollback if the call ends without success
-            return self._write(start) if start else _NOTHING
+            return self._write(start)
         if action is _FINISH:
             closed = self._closed[call]
             is_constant = closed is not None and closed.effects is not None

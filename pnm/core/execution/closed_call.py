@@ -14,8 +14,8 @@ from pnm.core.execution.effect_checks import Intention, intention
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import TRUE
-from pnm.core.logic.effects import Effects, Set, facts, names_written
-from pnm.core.logic.expressions import Constant, Fluent, Unknown, Value, same_value
+from pnm.core.logic.effects import Effects, Set, names_written
+from pnm.core.logic.expressions import Constant, Fluent, Unknown, Value, is_number, same_value
 from pnm.core.machine.bindings import open_parameters, own_values
 from pnm.core.machine.plan_graph import ActionCall
 
@@ -84,9 +84,10 @@ def _constant_effects(call: ActionCall) -> ConstantEffects | None:
     action = call.action
     if action.expected != TRUE or not (_are_constant(action.start_effects) and _are_constant(action.end_effects)):
         return None
-    seen, at_start, at_end = intention(call, _SEEING), facts(action.start_effects, _SEEING), facts(action.end_effects, _SEEING)
-    done = () if at_start is None or at_end is None else tuple((at_start | at_end).items())
-    return ConstantEffects(replace(seen, expected={}), seen.expected, done)
+    seen = intention(call, _SEEING)
+    changed = seen.start | seen.end
+    done = () if any(map(is_number, changed.values())) else tuple(changed.items())
+    return ConstantEffects(Intention(seen.start, seen.end, seen.end_effects), seen.expected, done)
 
 
 def _are_constant(effects: Effects) -> bool:

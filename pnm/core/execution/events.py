@@ -9,7 +9,7 @@ Who listens to a run: one empty method per moment. Progress, traces and journals
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 from uuid import UUID
 
 from pnm.core.execution.call_results import Explanation, Failure
@@ -203,3 +203,7 @@ class Observer:
 
     def orphaned(self, report: Report, now: float) -> None:
         """Note a report that nothing waits for: late, repeated, or about an unknown request."""
+
+
+SILENT: Final = Observer()
+"""Is not told what takes time to find out, for nobody listens to it."""

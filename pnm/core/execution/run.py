@@ -14,6 +14,7 @@ from uuid import UUID
 
 from pnm.core.execution.call_results import Explanation
 from pnm.core.execution.events import (
+    SILENT,
     Answered,
     Begin,
     Cancel,
@@ -33,7 +34,7 @@ from pnm.core.execution.events import (
     Withdraw,
 )
 from pnm.core.execution.guards import NEVER, OPENS
-from pnm.core.execution.machine_index import Decision, Firing
+from pnm.core.execution.machine_index import Decision, Firing, Site
 from pnm.core.execution.questions import subject_of
 from pnm.core.execution.run_view import RunView
 from pnm.core.logic.computed_values import Question, Unanswered
@@ -149,66 +150,68 @@ class Run(RunView):
 
     def _take(self, call: int, kind: OutcomeKind | None) -> bool:
         """Fire the transition of the call that the end of its request in this way opens, or its acceptance, if there is one."""
-        tokens = self._tokens
-        for number, place in self._index.opened[call, kind]:
-            if tokens[place] and not self._engine.missing[number]:
-                self._fire(self._index.firings[number], None)  # one at most: the request is waited for at one place at a time
+        site, tokens = self._index.of_calls[call], self._tokens
+        for firing in site.shape.opened[kind]:
+            if tokens[site.place + firing.inputs[0]] and not self._engine.missing[site.transition + firing.number]:
+                self._fire(site, firing, None)  # one at most: the request is waited for at one place at a time
                 return True
         return False
 
     def _settle(self) -> None:
         """Fire open transitions until there is none, then ask to be woken at the next moment."""
-        places, reports, tokens, decisions = self._places, self._reports, self._tokens, self._index.places
+        places, reports, tokens, missing = self._places, self._reports, self._tokens, self._engine.missing
+        sites, codes = self._index.sites, self._index.codes
         while places or reports:
             # ends of operations on knowledge first: no other call sees the operation done and its own call not
             if reports:
                 self._report(reports.popleft())
             elif tokens[place := places.popleft()]:  # otherwise the token has gone since it was put on the agenda
-                decision = decisions[place]
-                if decision.passage is None:
-                    self._decide(place, decision)
-                elif not self._engine.missing[decision.passage.number]:
-                    self._fire(decision.passage, place)
+                site = sites[place]
+                decision = site.shape.decisions[codes[place]]
+                if (passage := decision.passage) is None:
+                    self._decide(place, site, decision)
+                elif not missing[site.transition + passage.number]:
+                    self._fire(site, passage, place)
         if (time := self._agenda.next_timer()) is not None and not self._state.over:
             self._commands.append(Wake(time))
 
-    def _decide(self, place: int, decision: Decision) -> None:
+    def _decide(self, place: int, site: Site, decision: Decision) -> None:
         """Fire the first open transition that takes from the place; if there is none, note when to ask again."""
         state = self._state
         now, again, asking = state.now, NEVER, False
         if state.ending or state.pause:
             firings, waiting = decision.firings, decision.awaits
-        elif decision.limit is not None and (until := self._marked_at[place] + decision.limit) > now:  # as below, at once
+        elif (limit := decision.limit) is not None and (until := self._guards.waits_until(site, limit, place)) > now:  # as below, at once
             self._agenda.wait(place, listens=False)
             if until < NEVER:
                 self._agenda.set_timer(place, until)
             return
         else:
             firings, waiting = decision.staying, decision.stays
-        missing, guards, asks = self._engine.missing, self._guards, self._calls.asks
+        missing, guards, asks, first = self._engine.missing, self._guards, self._calls.asks, site.transition
         for firing in firings:
             # a transition that lacks nothing but resources is asked all the same: its call has to stand in line for them
-            if firing.counts and missing[firing.number] and not (firing.takes and guards.lacks_resources(firing.number)):
+            if firing.counts and missing[first + firing.number] and not (firing.takes and guards.lacks_resources(first + firing.number)):
                 continue
             if asking and not firing.is_moment:
                 continue
             try:
-                if (firing.takes or state.pause) and self._is_put_off(firing, place):
+                if (firing.takes or state.pause) and self._is_put_off(site, firing, place):
                     waiting = True
                     break  # the rules after this one are asked when it may be asked itself
-                opens = OPENS[firing.guarded](guards, firing.rule.guard, firing, place)
+                opens = OPENS[firing.guarded](guards, site, firing, place)
                 # what effects depend on is asked before the firing, which cannot wait for answers
-                if asks and opens <= now and (call := firing.rule.call) is not None:
-                    self._calls.compute_intention(firing.rule.action, call, guards.context(call, place))
+                if asks and opens <= now and (call := site.step_of(firing)) is not None:
+                    self._calls.compute_intention(firing.action, call, guards.context(call, place))
             except Unanswered as needed:
                 # an earlier rule goes first as soon as its question is answered, so no later one may fire meanwhile but timers, which
                 # no question stops; and nothing is claimed during that time, for answers of people may take long
-                self._ask(place, firing.rule.call, needed.question)
+                self._ask(place, site.step_of(firing), needed.question)
                 self._leave_line(place)
                 waiting = asking = True
                 continue
             if opens <= now:
-                self._fire(firing, place)
+                self._fire(site, firing, place)
                 return
             waiting = True
             if opens < again:
@@ -228,11 +231,11 @@ class Run(RunView):
         else:
             self._agenda.set_timer(place, needed.until)
 
-    def _is_put_off(self, firing: Firing, place: int) -> bool:
+    def _is_put_off(self, site: Site, firing: Firing, place: int) -> bool:
         """Return whether the transition must wait: for the end of a pause, or for the resources of its call."""
-        state, begins = self._state, firing.takes or firing.rule.action is TransitionAction.SEND
+        state, begins = self._state, firing.takes or firing.action is TransitionAction.SEND
         if not state.pause or state.is_stepping or not begins:  # what is sent goes on
-            return firing.takes and not self._guards.has_resources(firing, place)
+            return firing.takes and not self._guards.has_resources(site, firing, place)
         self._leave_line(place)
         return True
 
@@ -241,43 +244,51 @@ class Run(RunView):
         if self._claims.leave(place):
             self._agenda.places.extend(self._claims.served())
 
-    def _fire(self, firing: Firing, place: int | None) -> None:
+    def _fire(self, site: Site, firing: Firing, place: int | None) -> None:
         """Fire a transition that was decided on at the place, or opened by a report.
 
         The order within matters. Before the tokens move: what explains the firing is looked at in the state that led to it, and
         resources are claimed and requests made for where the call then is. After: resources are given back, and failures noted,
         which change whether the run is ending; then the places marked are put on the agenda, and the undecided ones if it is.
         """
-        now, call = self._state.now, firing.call
+        now, number = self._state.now, site.transition + firing.number
         if firing.matters:
-            self._fire_apart(firing, place)
+            self._fire_apart(site, firing, place)
         else:
-            if call is not None:
+            if (call := firing.call if site.call is None else site.call) is not None:
                 if (outcome := firing.outcome) is not None:
                     self._results.turned(outcome, call, now, outcome is _SUCCEEDED and self._calls.is_assumed(call))
-                if (action := firing.rule.action) is not None:
+                if (action := firing.action) is not None:
                     self._perform(action, call, place, now)
-            if (step := firing.step) is not None:
-                left, marked = step
-                tokens = self._tokens
-                tokens[left] -= 1
-                tokens[marked] += 1
+            if (move := firing.move) is None:
+                self._engine.fire(number)
+                self._leave_and_mark(site, firing, now)
+            else:
+                taken, given = move
+                left = site.place + taken if taken >= 0 else site.ports[~taken][0]
+                marked = site.place + given if given >= 0 else site.ports[~given][0]
+                if self._counted[marked]:
+                    self._engine.fire(number)
+                else:
+                    self._tokens[left] -= 1
+                    self._tokens[marked] += 1
                 if left in self._undecided or left in self._noted:
                     self._leave(left)
                 self._marked_at[marked] = now
-                self._places.extend(firing.decided)
-            else:
-                self._engine.fire(firing.number)
-                self._leave_and_mark(firing, now)
-        self._fired.append(firing.number)
-        self.observer.fired(firing.name, firing.rule, now)
+                if firing.decided:
+                    self._places.append(marked)
+        self._fired.append(number)
+        if self.observer is not SILENT:
+            self.observer.fired(self._index.names[number], self._index.rules[number], now)
 
-    def _fire_apart(self, firing: Firing, place: int | None) -> None:
+    def _fire_apart(self, site: Site, firing: Firing, place: int | None) -> None:
         """Fire a transition that matters to more than its call."""
-        rule, call, state, marked_at = firing.rule, firing.call, self._state, self._state.now
+        number, state, marked_at = site.transition + firing.number, self._state, self._state.now
+        rule = self._index.rules[number] if firing.tells or firing.fails else firing.rule
+        call, step = firing.call if site.call is None else site.call, site.step_of(firing)
         check = None if rule.cause is None else self._guards.explain_check(rule, place)
-        if firing.takes and rule.call is not None:
-            self._claims.take(rule.call, self._guards.claim(firing, place))
+        if firing.takes and step is not None:
+            self._claims.take(step, self._guards.claim(site, firing, place))
         if call is not None:
             if (outcome := firing.outcome) is not None:
                 self._results.turned(outcome, call, state.now, outcome is _SUCCEEDED and self._calls.is_assumed(call))
@@ -285,39 +296,43 @@ class Run(RunView):
                 self._tell(rule, call, place, None if firing.fails else check)
             if check and check.cause is Cause.INVARIANT_FALSE:
                 self._calls.interrupt(call, state.now)
-            if rule.action is not None:
-                self._perform(rule.action, call, place, state.now)
+            if firing.action is not None:
+                self._perform(firing.action, call, place, state.now)
         if check is not None:
             self._results.last_check = check
-        if rule.action is TransitionAction.ADOPT and call is not None:
+        if firing.action is TransitionAction.ADOPT and call is not None:
             marked_at = state.adopted.pop(call).accepted  # its limits count from there
-        self._engine.fire(firing.number)
+        self._engine.fire(number)
         # After the firing: only now are the tokens of the resources back on their places, for other calls to take.
-        if firing.gives and rule.call is not None:
-            self._give(rule, rule.call)
-        lacking = tuple(self._guards.withheld(rule.guard, place)) if firing.fails and isinstance(rule.guard, Withheld) else ()
-        failures = [self._results.failed(self._index.failures[place], state.now, check, rule, lacking) for place in firing.fails]
+        if firing.gives and step is not None:
+            self._give(rule, step)
+        guard, lacking = rule.guard, tuple[str, ...]()
+        if firing.fails and isinstance(guard, Withheld):
+            lacking = tuple(self._guards.withheld(guard.call, guard, place))
+        failing = [self._index.failures[place] for place in site.all_at(firing.fails)]
+        failures = [self._results.failed(one, state.now, check, rule, lacking) for one in failing]
         begins_to_end = firing.turns and state.turn()
         for failure in failures:
             self.observer.failed(failure, state.now)
-        self._leave_and_mark(firing, marked_at)
+        self._leave_and_mark(site, firing, marked_at)
         if begins_to_end:  # everything that waits has an exit for that, which has just opened
             self._agenda.ask_undecided()
 
-    def _leave_and_mark(self, firing: Firing, marked_at: float) -> None:
+    def _leave_and_mark(self, site: Site, firing: Firing, marked_at: float) -> None:
         """Wait for nothing more at the places that tokens have left; put those that they have reached on the agenda."""
         undecided, noted, at = self._undecided, self._noted, self._marked_at
-        for left in firing.inputs:
+        for left in site.all_at(firing.inputs):
             if left in undecided or left in noted:
                 self._leave(left)
-        for marked in firing.outputs:
+        for marked in site.all_at(firing.outputs):
             at[marked] = marked_at
-        self._places.extend(firing.decided)
+        self._places.extend(site.all_at(firing.decided))
 
     def _leave(self, place: int) -> None:
         """Wait for nothing more at a place that a token has left."""
         self._agenda.leave(place)
-        self._leave_line(place)
+        if self._claims.waiting:
+            self._leave_line(place)
         if place in self._noted:
             self._commands.extend(map(Withdraw, self._guards.forget(place)))
 

@@ -60,7 +60,7 @@ class Agenda:
 
     def leave(self, place: int) -> None:
         """Do not ask a place again, if it was undecided."""
-        if self.undecided.pop(place, None) is not None and self._index.places[place].listens:
+        if self.undecided.pop(place, None) is not None and place in self._readers.reads:
             self._readers.remove(place)
 
     def set_timer(self, place: int, time: float) -> None:
@@ -86,7 +86,7 @@ class Agenda:
         self._asked = self._world.changes, self._local.changes
         is_due = self._timers and self._timers[0][0] <= now  # then time may have decided as well, whatever has changed
         if world is None or local is None or is_due or self._world.rules is not self._index.rules_of_facts:
-            self.places.extend([place for place in self.undecided if self._index.places[place].listens])
+            self.places.extend([place for place in self.undecided if self._index.decision(place).listens])
         elif concerned := self._readers.concerned(world):
             self.places.extend(sorted(concerned, key=self.undecided.__getitem__))
 
@@ -133,8 +133,11 @@ class RunState:
     """By request that is under way, how a person says that it ends."""
     adopted: dict[int, UnderWay] = field(default_factory=dict)
     """Requests of another run that are still to be taken over, by call."""
-    marked_at: dict[int, float] = field(default_factory=dict)
+    marked_at: list[float] = field(init=False)
     """When places were marked last."""
+
+    def __post_init__(self) -> None:
+        self.marked_at = [self.now] * len(self.engine.tokens)
 
     def begin(self) -> list[int]:
         """Begin the run; return the places that are marked at first, and at which something is decided."""
@@ -144,7 +147,8 @@ class RunState:
         self.origin = self.now if self.origin is None else self.origin
         marked = compress(count(), self.engine.tokens)
         first = [place for place in marked if place not in self.index.records]
-        self.marked_at.update(dict.fromkeys(first, self.now))
+        for place in first:
+            self.marked_at[place] = self.now
         return first
 
     def follow(self, asked: Stop | Pause | Resume | SingleStep) -> None:

@@ -9,7 +9,7 @@ from uuid import UUID
 
 from pnm.core.execution.call_requests import Calls, GoalFields
 from pnm.core.execution.call_results import CallResult, CallResults, RunResult
-from pnm.core.execution.events import Command, Observer, Pause
+from pnm.core.execution.events import SILENT, Command, Observer, Pause
 from pnm.core.execution.guards import Guards
 from pnm.core.execution.handover import Handover, UnderWay, check_adoption
 from pnm.core.execution.machine_index import index_of
@@ -70,7 +70,7 @@ class RunView:
         self.machine, self.knowledge, self.id = machine, knowledge, id
         self.resources = Resources(machine.capacities) if resources is None else resources
         self.task = id if task is None else task
-        self.observer = observer or Observer()
+        self.observer = observer or SILENT
         self._index = index_of(machine)
         # state
         self._engine = Engine(machine.compiled, machine.initial)
@@ -89,7 +89,7 @@ class RunView:
         self._claims = RunClaims(self.resources, self.task, priority)
         self._guards = Guards(self._state, self._calls, self._claims, self._questions)
         # parts of these, for what every firing looks at
-        self._tokens, self._marked_at = self._engine.tokens, self._state.marked_at
+        self._tokens, self._counted, self._marked_at = self._engine.tokens, machine.compiled.counted, self._state.marked_at
         self._places, self._undecided, self._noted = self._agenda.places, self._agenda.undecided, self._questions.noted
         # last, because it may be refused; until then nothing of the shared resources is touched
         self.resources.check_capacities(machine.capacities)

@@ -43,6 +43,9 @@ class RulesByNumber(Protocol):
     def like(self, transition: int) -> Rule:
         """Return a rule of the same kind; what it says of its call may be that of another."""
 
+    def is_shared(self, transition: int) -> bool:
+        """Return whether the rule is that of all blocks with the same template, but for the step that it says it is about."""
+
     def reported(self, call: int) -> Sequence[tuple[int, Rule]]:
         """Return the transitions of the call that reports open, each with a rule of the same kind."""
 
@@ -68,6 +71,9 @@ class _NamedRules:
         return self._rules[transition]
 
     like = rule
+
+    def is_shared(self, transition: int) -> bool:
+        return True
 
     def reported(self, call: int) -> Sequence[tuple[int, Rule]]:
         return self._reported[call]
@@ -179,6 +185,11 @@ class MachineBlocks(BlockArcs[PlacedStep]):
         """Return a rule of the same kind, with the same arcs; what it says of its call may be that of another."""
         block = self.placed[self.index_of(transition)]
         return block.template.kinds[transition - block.transition]
+
+    def is_shared(self, transition: int) -> bool:
+        """Return whether the rule is that of all blocks with the same template, but for the step that it says it is about."""
+        block = self.placed[self.index_of(transition)]
+        return isinstance(block.template.rules[transition - block.transition], Rule)
 
     def own_rules(self, block: PlacedStep) -> list[tuple[Rule, Weights]]:
         """Return the rules that are made for the block alone, each with what its transition takes, if its times count from there.

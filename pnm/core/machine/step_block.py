@@ -142,7 +142,8 @@ class Block(Generic[AnyStep]):
     """The ports that lead anywhere."""
     delays: tuple[tuple[str, float], ...] = ()
     """Places that the start waits for, and how long it must come after they were marked."""
-    draft: Draft = field(default_factory=Draft)
+    draft: Draft = field(init=False)
+    """Of its template, once that is being made."""
     chains: dict[int, Inner] = field(default_factory=dict)
     """The chains of its recoveries, by number."""
 
@@ -153,6 +154,7 @@ class Block(Generic[AnyStep]):
 
     def template(self) -> BlockTemplate:
         """Return the template of the block."""
+        self.draft = Draft()
         for port in Port:
             self.draft.port(port)
         self.build()

@@ -7,14 +7,14 @@ for every port the places that it stands for; arcs, consumers and names follow f
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Generic, Protocol, TypeAlias, TypeVar
 
 from pnm.core.net.net import PetriNet, unmarked_at_first
 
-_Codes: TypeAlias = tuple[tuple[int, int], ...]
+_Codes: TypeAlias = "Iterable[tuple[int, int]]"
 """Places, or ports as negative numbers from -1 downwards, and the weights of the arcs that connect them to one transition."""
 
 
@@ -41,6 +41,10 @@ class Template:
         """As `Arcs.unmarked`, but for the transitions that take from ports."""
         self.giving = frozenset(code for arcs in self.outputs for code, _ in arcs)
         """The places and ports that some transition gives to."""
+        self.reading = tuple(~number for number in range(len(ports)) if consumers[~number])
+        """The ports that some transition takes from."""
+        self.counted = frozenset(code for arcs in self.inputs if unmarked_at_first(arcs) for code, _ in arcs if code >= 0)
+        """The places, ports apart, that some transition takes from which takes more than one token."""
         self.taking = tuple(number for number, arcs in enumerate(self.inputs) if any(code < 0 for code, _ in arcs))
         """The transitions that take from ports."""
 
@@ -79,6 +83,10 @@ class Placed:
         name = self.template.places[number]
         return name if self.title is None else f"{self.title} {name}"
 
+    def all_at(self, codes: Iterable[int]) -> list[int]:
+        """Return the places that have these codes in the template: its own by their numbers, those of ports by negative ones."""
+        return [place for place, _ in self.arcs((code, 1) for code in codes)]
+
     def arcs(self, arcs: _Codes) -> list[tuple[int, int]]:
         """Return arcs of the template as they are in the net."""
         found: list[tuple[int, int]] = []
@@ -91,6 +99,11 @@ class Placed:
 
 
 AnyPlaced = TypeVar("AnyPlaced", bound=Placed)
+
+
+def whole(net: PetriNet) -> Placed:
+    """Return a net as one block."""
+    return Placed(Template(net, ()), None, 0, 0, ())
 
 
 class BlockArcs(Generic[AnyPlaced]):
@@ -159,6 +172,20 @@ class BlockArcs(Generic[AnyPlaced]):
             for number in template.taking:
                 counts[block.transition + number] = unmarked_at_first(block.arcs(template.inputs[number]))
         return counts
+
+    def counted(self) -> bytearray:
+        """Return for every place whether some transition takes from it which takes more than one token."""
+        found = bytearray(self.count_places)
+        for block in self.placed:
+            template = block.template
+            for code in template.counted:
+                found[block.place + code] = True
+            for number in template.taking:
+                arcs = block.arcs(template.inputs[number])
+                if unmarked_at_first(arcs):
+                    for place, _ in arcs:
+                        found[place] = True
+        return found
 
     @cached_property
     def readers(self) -> Mapping[int, list[tuple[AnyPlaced, int]]]:

@@ -29,12 +29,14 @@ class CompiledNet:
         """Of every place. Only consumers are indexed: a change of tokens can enable or disable nothing else."""
         self.unmarked = arcs.unmarked()
         """For every transition that takes more than one token, how many places hold too little when none is marked; 0 for all others."""
+        self.counted = arcs.counted()
+        """For every place, whether some consumer takes more than one token."""
         self.only_input = WhenAsked(self._only_input)
         """For every transition that takes one token, its place."""
         self.joins = WhenAsked(self._joins)
         """For every place, the consumers that take more than one token."""
         self.changes = WhenAsked(self._changes)
-        """For every transition, how it changes the places that no consumer counts, and how those that some consumer counts."""
+        """For every transition, how it changes the places that are not counted, and how those that are."""
 
     def _only_input(self, transition: int) -> int | None:
         inputs = self.inputs[transition]
@@ -45,8 +47,8 @@ class CompiledNet:
 
     def _changes(self, transition: int) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
         # A place that is both input and output is first emptied and then filled: each change is small and keeps `missing` exact.
-        changes, joins = [*[(place, -weight) for place, weight in self.inputs[transition]], *self.outputs[transition]], self.joins
-        return [change for change in changes if not joins[change[0]]], [change for change in changes if joins[change[0]]]
+        changes, counted = [*[(place, -weight) for place, weight in self.inputs[transition]], *self.outputs[transition]], self.counted
+        return [change for change in changes if not counted[change[0]]], [change for change in changes if counted[change[0]]]
 
 
 class Engine:

@@ -47,6 +47,9 @@ class Arcs(Protocol):
     def unmarked(self) -> list[int]:
         """Return for every transition from how many places it takes; 0 for those that take one token from one place."""
 
+    def counted(self) -> bytearray:
+        """Return for every place whether some transition takes from it which takes more than one token."""
+
 
 def unmarked_at_first(inputs: Sequence[tuple[int, int]]) -> int:
     """Return how many places a transition takes from, given by number and weight; 0 if it takes one token from one place."""
@@ -178,6 +181,13 @@ class _NamedArcs:
 
     def unmarked(self) -> list[int]:
         return [*map(unmarked_at_first, self._inputs)]
+
+    def counted(self) -> bytearray:
+        found = bytearray(len(self._consumers))
+        for inputs in filter(unmarked_at_first, self._inputs):
+            for place, _ in inputs:
+                found[place] = True
+        return found
 
 
 @dataclass

@@ -104,7 +104,7 @@ def test_only_places_that_read_what_has_changed_need_to_be_asked_again(data: st.
     agenda, index = readable.run._agenda, readable.run._index
 
     def ask_all(now: float) -> None:
-        agenda.places.extend([place for place in agenda.undecided if index.places[place].listens])
+        agenda.places.extend([place for place in agenda.undecided if index.decision(place).listens])
 
     agenda.ask_about_knowledge = ask_all  # type: ignore[method-assign]
     now = 0.0
@@ -157,7 +157,7 @@ def test_a_condition_over_all_is_looked_at_when_something_changes_that_it_reads(
         scene.run.handle(Accepted(request), 0.0)
     scene.change(DONE[0], True)
     asked: list[int] = []
-    scene.run._decide = lambda place, _: asked.append(place)  # type: ignore[method-assign]
+    scene.run._decide = lambda place, *_: asked.append(place)  # type: ignore[method-assign]
     scene.run.handle(KnowledgeChanged(), 0.0)
     assert len(asked) == isinstance(condition, Computed), "nothing reads what has changed; of a computed value nobody knows"
     del scene.run._decide

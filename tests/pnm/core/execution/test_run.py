@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pnm.core.execution.events import Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tick, Wake
-from pnm.core.execution.guards import Guards
-from pnm.core.execution.machine_index import Firing
+from pnm.core.execution.guards import OPENS, Guards
+from pnm.core.execution.machine_index import Firing, Site
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import Holds, Not
@@ -271,14 +271,14 @@ def test_what_guards_answer_does_not_depend_on_the_order_in_which_they_are_asked
     for request in ids_sent(run.handle(Begin(), 0.0)):
         outcome = data.draw(st.sampled_from([None, OutcomeKind.SUCCEEDED, OutcomeKind.ABORTED]))
         run.handle(Accepted(request) if outcome is None else Ended(request, Outcome(outcome)), 1.0)
-    places = [place for place, tokens in enumerate(run._engine.tokens) if tokens]
-    pairs = [(one, place) for place in places for one in run._index.places[place].firings if run._engine.is_enabled(one.number)]
+    index, marked = run._index, [place for place, tokens in enumerate(run._engine.tokens) if tokens]
+    asked = [(index.sites[place], one, place) for place in marked for one in index.decision(place).firings if not one.counts]
 
-    def answers(order: list[tuple[Firing, int]]) -> dict[tuple[Firing, int], float]:
+    def answers(order: list[tuple[Site, Firing, int]]) -> dict[tuple[int, int], float]:
         guards = Guards(run._state, run._calls, run._claims, run._questions)
-        return {pair: guards.opens(*pair) for pair in order}
+        return {(one[1].number, one[2]): OPENS[one[1].guarded](guards, *one) for one in order}
 
-    assert answers(data.draw(st.permutations(pairs))) == answers(pairs)
+    assert answers(data.draw(st.permutations(asked))) == answers(asked)
 
 
 def test_the_limit_for_the_acceptance_of_a_request_begins_anew_when_it_is_postponed() -> None:

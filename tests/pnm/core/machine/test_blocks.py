@@ -21,15 +21,8 @@ from pnm.core.machine.step_block import Port
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import verify
 from pnm.core.net.net import PetriNet
-from tests.support.runs.mutation.machines import random_machine, random_plan
+from tests.support.runs.mutation.machines import random_machine, random_plan, written_out
 from tests.support.runs.plan_graphs import plan
-
-
-def written_out(machine: PetriNetMachine) -> PetriNetMachine:
-    """The same machine, with everything by name: made of no blocks."""
-    net = machine.net
-    arcs = ({name: dict(weights) for name, weights in found.items()} for found in (net.inputs, net.outputs))
-    return replace(machine, net=PetriNet(tuple(net.places), *arcs), rules=dict(machine.rules))
 
 
 def blocks_of(machine: PetriNetMachine) -> MachineBlocks:

@@ -24,6 +24,7 @@ from pnm.core.machine.plan_graph import (
     Step,
     Then,
 )
+from pnm.core.net.net import PetriNet
 
 CONDITIONS: tuple[Condition, ...] = (TRUE, TRUE, Holds(("powered",)), Not(Holds(("free",))), Holds(("free",)))
 
@@ -77,3 +78,10 @@ def _call(random: Random, index: int) -> ActionCall:
         resources=("arm",) if random.random() < 0.3 else (),
     )
     return ActionCall(index, action, release=random.choice([0.0, 0.0, 5.0]), deadline=random.choice([float("inf"), float("inf"), 60.0]))
+
+
+def written_out(machine: PetriNetMachine) -> PetriNetMachine:
+    """The same machine, with everything by name: made of no blocks."""
+    net = machine.net
+    arcs = ({name: dict(weights) for name, weights in found.items()} for found in (net.inputs, net.outputs))
+    return replace(machine, net=PetriNet(tuple(net.places), *arcs), rules=dict(machine.rules))
