@@ -2,9 +2,10 @@
 
 usage: python tests/benchmarks/bench_journal.py [engine] [failures] [replays] [recoveries]
 
-The engine: a run whose requests are answered at once, with every event committed to a file, and without; in turn, several times. A
-failure: from knowing of it to the begin of the next plan, as in `bench_replanning`. A replay: of runs with 100000 firings. A recovery:
-100 tasks, each with a machine and a request that is out, from opening the file until every one of them goes on.
+The engine: a run whose requests are answered at once, with every event committed to a file, and without; in turn, several times: as an
+executor carries it out, and with its events alone, without an event loop. A failure: from knowing of it to the begin of the next plan,
+as in `bench_replanning`. A replay: of runs with 100000 firings. A recovery: 100 tasks, each with a machine and a request that is out,
+from opening the file until every one of them goes on.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import sqlite3
 import sys
 import tempfile
 import time
-from contextlib import closing
+from contextlib import closing, nullcontext
 from functools import partial
 from pathlib import Path
 from statistics import median
@@ -53,7 +54,7 @@ from pnm.journal.store import JournalFile
 from pnm.journal.written_journal import WrittenJournal
 from pnm.language.runner import PlanRunner
 from pnm.tasks import Wanted
-from tests.support.e2e.page.busy_run import answered, rounds, with_journal, without_journal
+from tests.support.e2e.page.busy_run import answered, executed, kept, rounds, with_journal, without_journal
 from tests.support.pddl.problems import fleet
 from tests.support.runs.timing import FailureClock, seconds
 
@@ -65,24 +66,31 @@ UNDER_WAY = 100
 def engine(folder: Path) -> None:
     machine = generate(rounds(CALLS))
     machine.compiled  # noqa: B018
-    took: list[float] = []
 
-    def work(journal: Journal, world: KnowledgeBase) -> int:
-        took.append(seconds(lambda: answered(machine, journal, world), 1))
-        return CALLS
+    def handled(journal: Journal, world: KnowledgeBase) -> float:
+        return seconds(lambda: answered(machine, journal, world), 1)
+
+    async def as_executed(file: Path | None, durability: Durability) -> float:
+        with short_pauses(), kept(file, durability) if file else nullcontext((NO_JOURNAL, KnowledgeBase())) as (journal, world):
+            began = time.perf_counter()
+            await executed(machine, journal, world)
+            return time.perf_counter() - began
 
     for durability in Durability:
-        took.clear()
+        name, found = durability.name.lower().replace("_", " "), dict[str, list[tuple[float, float]]]()
         for turn in range(7):
-            file = folder / f"{durability.value}{turn}"
-            without_journal(work)
-            with_journal(work, file, durability)
-        without, kept, size = took[::2], took[1::2], file.stat().st_size
-        ratio = min(kept) / min(without)
-        name = durability.name.lower().replace("_", " ")
-        bound = "at most 3" if durability is Durability.PROCESS_CRASH else "no bound"
-        times = f"{1e6 * min(kept) / CALLS:.0f} / {1e6 * min(without) / CALLS:.0f} us"
-        print(f"engine per call, {name}: with / without a journal = {ratio:.2f} ({bound}); {times}, {size / CALLS:.0f} bytes in the file")
+            file, other = folder / f"{durability.value}{turn}", folder / f"{durability.value}{turn}e"
+            found.setdefault("with an executor", []).append(
+                (asyncio.run(as_executed(None, durability)), asyncio.run(as_executed(other, durability)))
+            )
+            found.setdefault("events alone", []).append((without_journal(handled), with_journal(handled, file, durability)))
+        for what, pairs in found.items():
+            without, with_one = (min(times) / CALLS for times in zip(*pairs, strict=True))
+            bound = "at most 3" if durability is Durability.PROCESS_CRASH else "no bound"
+            print(
+                f"a call, {what}, {name}: with / without a journal = {with_one / without:.2f} ({bound}); "
+                f"{1e6 * with_one:.0f} / {1e6 * without:.0f} us, {file.stat().st_size / CALLS:.0f} bytes in the file"
+            )
 
 
 async def pursued(problem: Problem, settings: Settings, robots: SimulatedBackend, clock: FailureClock, file: Path | None) -> None:
@@ -108,13 +116,13 @@ def failures(folder: Path) -> None:
         problem = load(ROOT / "domains" / file.parent.name / "domain.pddl", file)
         settings = Settings(improve=0.0, limits=limits, on_failure=OnFailure.CONTINUE_OTHERS, on_change=OnChange.EAGER)
         for seed in range(16):
-            for kept in (True, False) if seed % 2 else (False, True):
+            for is_kept in (True, False) if seed % 2 else (False, True):
                 faults = Faults(tuple(Fault(name, FaultKind.ABORT, chance=0.2) for name in problem.domain.actions), seed=seed)
                 clock, backend = FailureClock(), SimulatedBackend(robots_of(problem, Bindings(), faults, speed=50.0))
-                path = folder / f"{number}.{seed}" if kept else None
+                path = folder / f"{number}.{seed}" if is_kept else None
                 run_async(pursued(problem, settings, backend, clock, path), virtual=False)
-                found[kept] += (whole - planner for whole, planner in clock.found)
-    times = {kept: 1000 * median(every) for kept, every in found.items()}
+                found[is_kept] += (whole - planner for whole, planner in clock.found)
+    times = {is_kept: 1000 * median(every) for is_kept, every in found.items()}
     extra = times[True] - times[False]
     counts = " and ".join(str(len(every)) for every in found.values())
     print(

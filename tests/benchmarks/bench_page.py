@@ -12,6 +12,7 @@ from __future__ import annotations
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from statistics import median
@@ -28,7 +29,7 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.generate import generate
 from pnm.journal.journal import Journal
 from tests.support.e2e.page.browser import browser
-from tests.support.e2e.page.busy_run import Work, answered, rounds, with_journal
+from tests.support.e2e.page.busy_run import answered, rounds, with_journal
 from tests.support.e2e.page.journals import GrowingJournal
 from tests.support.e2e.page.serving import page_of
 from tests.support.runs.timing import seconds
@@ -69,7 +70,7 @@ def opened(chromium: Browser, url: str) -> Page:
     return page
 
 
-def kept(work: Work, file: Path) -> None:
+def kept(work: Callable[[Journal, KnowledgeBase], int], file: Path) -> None:
     """Do some work with a journal, on a thread: on this one the browser has its event loop."""
     with ThreadPoolExecutor(1) as thread:
         thread.submit(with_journal, work, file).result()

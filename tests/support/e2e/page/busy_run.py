@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeAlias
+from typing import TypeVar
 from uuid import UUID
 
 from planner_bridge.tasks.result import TASKS
@@ -14,8 +15,9 @@ from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import PetriNetMachine, Rule
 from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, PlanEvent, PlanGraph
-from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
+from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Report, Request
 from pnm.core.resources import Resources
+from pnm.executor import Executor
 from pnm.journal.journal import NO_JOURNAL, Journal, RunOptions
 from pnm.journal.kept import Durability
 from pnm.journal.store import JournalFile
@@ -68,23 +70,56 @@ def answered(machine: PetriNetMachine, journal: Journal, world: KnowledgeBase, r
     return count.count
 
 
-Work: TypeAlias = Callable[[Journal, KnowledgeBase], int]
+class AtOnce:
+    """Servers that carry everything out in the next round of the event loop."""
+
+    def send(self, request: Request, report: Callable[[Report], object], /) -> None:
+        """Take a request."""
+        asyncio.get_running_loop().call_soon(self._carry_out, request.id, report)
+
+    def cancel(self, request: UUID, /) -> None:
+        """Do nothing: it is over, or about to be."""
+
+    @staticmethod
+    def _carry_out(request: UUID, report: Callable[[Report], object]) -> None:
+        report(Accepted(request))
+        report(Ended(request, Outcome(OutcomeKind.SUCCEEDED)))
 
 
-def without_journal(work: Work) -> int:
+async def executed(machine: PetriNetMachine, journal: Journal, world: KnowledgeBase) -> None:
+    """Execute a machine as a runner does, with servers that answer at once."""
+    world.update(AT_HOME)
+    options = RunOptions(id=UUID(int=1), bindings=Bindings(), goal_fields=lambda _: None, resources=Resources())
+    run = journal.make_run(machine, Layered(world), **options)
+    assert (await Executor(run, AtOnce(), journal=journal).execute()).goal
+    journal.retired(run)
+    run.retire()
+
+
+Done = TypeVar("Done")
+
+
+def without_journal(work: Callable[[Journal, KnowledgeBase], Done]) -> Done:
     """Do some work in a world of its own."""
     return work(NO_JOURNAL, KnowledgeBase())
 
 
-def with_journal(work: Work, file: Path, durability: Durability = Durability.PROCESS_CRASH) -> int:
+@contextmanager
+def kept(file: Path, durability: Durability = Durability.PROCESS_CRASH) -> Iterator[tuple[Journal, KnowledgeBase]]:
+    """A journal in this file, and a world of its own; in an event loop."""
+    journal, world = WrittenJournal(JournalFile(file, durability, 0.0), TASKS), KnowledgeBase()
+    journal.begin(world, Resources())
+    try:
+        yield journal, world
+    finally:
+        journal.close()
+
+
+def with_journal(work: Callable[[Journal, KnowledgeBase], Done], file: Path, durability: Durability = Durability.PROCESS_CRASH) -> Done:
     """Do the same with a journal in this file."""
 
-    async def do() -> int:
-        journal, world = WrittenJournal(JournalFile(file, durability, 0.0), TASKS), KnowledgeBase()
-        journal.begin(world, Resources())
-        try:
+    async def do() -> Done:
+        with kept(file, durability) as (journal, world):
             return work(journal, world)
-        finally:
-            journal.close()
 
     return asyncio.run(do())
