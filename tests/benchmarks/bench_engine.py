@@ -34,6 +34,7 @@ from pnm.core.machine.plan_graph import (
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.core.machine.verification.verify import forget_proofs, verify
 from pnm.core.net.firing_engine import CompiledNet
+from tests.support.benchmarks.executives.plans import machine as from_plan
 from tests.support.benchmarks.workloads import chain_net, checked, firings, fork_join, in_a_row, inline, loop, side_by_side
 from tests.support.runs.timing import seconds
 
@@ -94,6 +95,14 @@ def main() -> None:
 
     checked_calls(unit)
     proofs()
+    whole()
+
+
+def whole() -> None:
+    """From a plan of a planner to a machine that is proved and compiled."""
+    costs = {calls: from_plan(calls) for calls in (1_000, 10_000, 100_000)}
+    row = ", ".join(f"{calls}: {cost:.0f} us" for calls, cost in costs.items())
+    print(f"from a plan to its machine, a call: {row}; ratio 100000 / 1000 = {costs[100_000] / costs[1_000]:.2f} (at most 1.5)")
 
 
 def kept(plan: PlanGraph) -> int:
