@@ -194,6 +194,14 @@ def test_a_timed_change_that_leaves_a_condition_true_is_no_deadline() -> None:
     assert plan_graph(problem, plan).calls[0].deadline == inf
 
 
+def test_a_timed_change_in_the_middle_that_leaves_a_condition_true_is_no_limit_either() -> None:
+    text = TIMED.replace("(over all (p))", "(over all (or (p) (open)))").replace(":timed", ":disjunctive-preconditions :timed")
+    init = "(:init (p) (open) (at 5 (not (p))))"
+    problem = parse_problem(f"(define (problem p) (:domain d) {init} (:goal (done)))", parse_domain(text))
+    (hold,) = plan_graph(problem, Plan((PlanStep("hold", (), 0.0, 10.0),), temporal=True)).calls
+    assert (hold.latest_start, hold.deadline) == (inf, inf)
+
+
 def test_a_timed_change_does_not_hide_who_reads_the_fact() -> None:
     problem = parse_problem("(define (problem p) (:domain d) (:init (p) (at 5 (p))) (:goal (and (done) (gone))))", parse_domain(TIMED))
     plan = Plan((PlanStep("hold", (), 0.0, 10.0), PlanStep("remove", (), 10.001, 1.0)), temporal=True)
