@@ -55,12 +55,13 @@ def _task(task: TaskStory, now: float) -> TaskShown:
 
 def _state(task: TaskStory) -> TaskState:
     """Return how a task is doing, as far as the journal says: it does not say when a planner is asked."""
-    run = task.runs[-1].replayed.run if task.runs and not task.runs[-1].is_over else None
+    last = task.runs[-1].replayed.run if task.runs else None
+    run = None if last is None or task.runs[-1].is_over else last
     if task.ending:
         return TaskState.OVER
     if task.is_held or (run and run.pausing):
         return TaskState.PAUSING if run and not run.paused else TaskState.PAUSED
-    if run and run.begun:
+    if (run and run.begun) or (last and last.over and last.result().goal):  # with its goal there is nothing to plan again
         return TaskState.RUNNING
     if task.runs:
         return TaskState.REPLANNING

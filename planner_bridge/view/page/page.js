@@ -19,8 +19,10 @@ let chosenCall = "";
 let detail = null;
 let dirty = new Set();
 let asked = null;
+let wanted = null; // the record that is asked for, until it is there
 
 const shown = () => past ?? live;
+const here = () => wanted ?? shown().number; // where the next step begins: keys come faster than answers
 
 // --- what happens now ---
 
@@ -51,33 +53,36 @@ async function go(number) {
   asked?.abort();
   asked = new AbortController();
   const mine = asked;
+  wanted = number;
   $("way").value = number;
   try {
     const answer = await fetch(`/state?at=${number}`, { signal: mine.signal });
     const frame = await answer.json();
     if (!answer.ok) throw new Error(frame.error);
     [past] = applied(nothing(), frame);
+    if (asked === mine) wanted = null;
     draw("all");
   } catch (error) {
-    if (error.name !== "AbortError") said(`✕ ${error.message}`, true);
+    if (error.name === "AbortError") return;
+    wanted = null;
+    said(`✕ ${error.message}`, true);
   }
 }
 
 function goLive() {
   asked?.abort();
-  past = null;
+  past = wanted = null;
   draw("all");
 }
 
 function step(by) {
-  const wanted = Math.min(shown().number + by, live.number);
-  if (wanted !== shown().number && wanted > 0) go(wanted);
+  const next = Math.max(1, Math.min(here() + by, live.number));
+  if (next !== here()) go(next);
 }
 
 function toMark(by) {
-  const here = shown().number;
   const marks = [...live.events].filter(([, event]) => event.mark).map(([number]) => Number(number)).sort((a, b) => a - b);
-  const found = by < 0 ? marks.filter((number) => number < here).pop() : marks.find((number) => number > here);
+  const found = by < 0 ? marks.filter((number) => number < here()).pop() : marks.find((number) => number > here());
   if (found !== undefined) go(found);
 }
 

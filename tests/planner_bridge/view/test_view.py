@@ -122,6 +122,16 @@ def test_what_is_marked_on_the_way_through_the_records(reader: Reader, records: 
     assert marks == {**dict.fromkeys(failures, "failure"), **dict.fromkeys(replans, "replan"), **dict.fromkeys(over, "end")}
 
 
+def test_a_task_is_planned_again_after_a_failure_and_not_after_its_goal(reader: Reader, records: list[Step]) -> None:
+    (over,) = [step for step in records if isinstance(step.record, TaskOver)]
+    before_replans = [number for number, step in enumerate(records[1:]) if isinstance(step.record, RunMade)][1:]
+    states = [
+        next(iter(at(reader, step).tasks.values())).state
+        for step in (*(records[number] for number in before_replans), records[over.number - 2], over)
+    ]
+    assert states == [*["replanning"] * len(before_replans), "running", "over"]
+
+
 def told(reader: Reader, step: Step, action: str) -> CallDetail:
     """The detail of the first call of an action in the newest run."""
     view = at(reader, step)
