@@ -381,8 +381,7 @@ class GoalLoop:
         self._monitor.limit.allow(limits.allowed(plan.makespan if plan.temporal else 0.0))
         self._context.observer.planned(plan)
         with self._context.task.stopwatch.of("translate"):
-            calls = [running.call for running in under_way]
-            return await self._control.until(asyncio.to_thread(plan_graph, self._monitor.now(), plan, calls))
+            return await self._control.until(asyncio.to_thread(plan_graph, self._monitor.now(), plan, [one.call for one in under_way]))
 
     # --- the end --------------------------------------------------------------------------------
 
