@@ -262,7 +262,7 @@ class _Waiting(selectors.DefaultSelector):
 class FollowingLoop(asyncio.SelectorEventLoop):
     """An event loop on real time that may follow another clock, such as that of a simulation.
 
-    Whoever moves that clock calls something on the loop, so that it looks at its timers. Its time never goes back. It does not go on
+    What moves that clock calls something on the loop, so that it looks at its timers. Its time never goes back. It does not go on
     while the process is stopped: what has been reported meanwhile is heard before the limits for it are over.
     """
 

@@ -106,7 +106,7 @@ class Executor:
 
     def step(self) -> bool:
         """Let one request leave during a pause; return whether one has. Not to be called by observers."""
-        # At once and not through the inbox: whoever decides that it may leave does so by what is so now.
+        # At once and not through the inbox: what decides that it may leave does so by what is so now.
         self._handle(SingleStep())
         machine = self.run.machine
         return any(machine.rules[machine.compiled.transitions[fired]].action is TransitionAction.SEND for fired in self.run.fired)

@@ -19,7 +19,7 @@ from pnm.core.machine.plan_graph import Cause
 from pnm.core.net.net import Marking
 
 EVENTS: Final = logging.getLogger("pnm.events")
-"""What happens to tasks and to the node that carries them out, for whoever has a handler here: `/rosout`, by `pnm.ros.node.ros_thread`."""
+"""What happens to tasks and to the node that carries them out, for handlers here: `/rosout`, by `pnm.ros.node.ros_thread`."""
 EVENTS.propagate = False  # commands print it in their own way
 EVENTS.addHandler(logging.NullHandler())  # else Python prints warnings that have no handler
 

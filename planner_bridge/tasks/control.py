@@ -118,7 +118,7 @@ class TaskControl:
 
     @property
     def forecast(self) -> Forecast | None:
-        """What is expected of the plan; None while there is none. Whoever waits for people takes as long as they do."""
+        """What is expected of the plan; None while there is none. A wait for people takes as long as they do."""
         if self.execution and not self.execution.awaits_answers:
             return self.execution.forecast
         return None if self.footprint is None else Forecast(self.footprint)
@@ -184,7 +184,7 @@ class TaskControl:
         self._is_unpaused.clear()
 
     def conclude(self, reason: str) -> None:
-        """Be over from the beginning, as in a process that has died: whoever listened has heard of it there."""
+        """Be over from the beginning, as in a process that has died: its listeners have heard of it there."""
         self.state, self.reason = TaskState.OVER, reason
         self.over.set()
 

@@ -13,7 +13,7 @@ class Draw(Protocol):
 
 
 class Picture:
-    """The picture of values of one class: whoever draws it, which is mutable state."""
+    """The picture of values of one class: what draws it, which is mutable state."""
 
     def __init__(self) -> None:
         self.draw: Draw = lambda _: None

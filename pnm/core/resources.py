@@ -3,7 +3,7 @@
 A claim gets all that it names at once, or nothing; a request that has resources waits for no others. In line stand
 higher priorities first, then earlier claims, and a claim takes nothing that one ahead of it waits for. So no claim is
 overtaken for ever by equals, and as long as resources are given back, every claim is granted in the end.
-Whoever waits is told when its turn has come, and nobody else: what that costs does not grow with the line.
+A claim in line is told when its turn has come, and no other: what that costs does not grow with the line.
 
 A request that was given up keeps what it has: its server may still be at work. It is *withheld* until the server reports
 the end of the request, or is gone; so waits for it have a limit.
@@ -270,7 +270,7 @@ class Resources:
         self._tell(rank for rank in sorted(front) if self.is_free(self._line[rank[2]][1]))
 
     def _tell(self, ranks: Iterable[_Rank]) -> None:
-        """Tell the tasks of claims in line, those in front first, and whoever listens to all."""
+        """Tell the tasks of claims in line, those in front first, and the listeners to all."""
         requests = [request for _, _, request in ranks]
         self._told.update(requests)
         tasks = dict.fromkeys(self._line[request][1].task for request in requests)

@@ -69,7 +69,7 @@ class Codec:
 
     def text(self, value: object) -> str:
         """Return the value as JSON text; raise `Undecodable` for one of another class."""
-        text = self._writers[type(value)](value)
+        text = self._written(value)
         # half of a surrogate pair, such as a terminal gives for a byte that is no UTF-8, is a text for Python, but not for a database
         return text if text.isascii() else _SURROGATE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 

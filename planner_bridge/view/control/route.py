@@ -31,7 +31,7 @@ class Control:
 
     Args:
         what: may be controlled.
-        token: whoever has it may do so.
+        token: who has it may do so.
         channel: the way to the process that has the tasks.
     """
 

@@ -206,4 +206,4 @@ class Observer:
 
 
 SILENT: Final = Observer()
-"""Is not told what takes time to find out, for nobody listens to it."""
+"""The observer of a run that nobody observes: what takes time to find out is not worked out for it."""

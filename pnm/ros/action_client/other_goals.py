@@ -1,6 +1,6 @@
 """Goals on the action servers that this process has not sent: those of other programs, and those that this node has forgotten.
 
-Action servers publish the goals that they are at work on, and whoever subscribes later hears the last state at once. The ids of all
+Action servers publish the goals that they are at work on, and a later subscriber hears the last state at once. The ids of all
 goals of a node begin alike, in each of its processes. So a goal that begins in that way, but is unknown, is *forgotten*: a process that
 has died has sent it, and there is no journal that knows it. Its result means nothing any more, and it is cancelled until it is over.
 

@@ -17,6 +17,7 @@ from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.resources import Resources
 from pnm.errors import InputError
 from pnm.journal.format import RECORDS
+from pnm.journal.replay import Replay
 from pnm.journal.resume import replayed
 from pnm.journal.store import Durability, JournalFile
 from pnm.journal.written_journal import WrittenJournal
@@ -24,7 +25,7 @@ from pnm.language.plan import parse_plans
 from pnm.language.runner import Program
 from pnm.tasks import Code, TaskEnding, TaskListener, TaskRefused, TaskState, TraceEvent, TraceKind, Wanted
 from tests.support.pddl.problems import fleet
-from tests.support.tasks.scenarios.successors import Successors
+from tests.support.tasks.scenarios.successors import Process, Successors
 
 SETTINGS = Settings(improve=0.0, bindings=Bindings({"move": Binding(resources=("{r}",))}))
 GOALS = {"r1 there": ("at", "r1", "a2"), "r1 far": ("at", "r1", "a3"), "r0 there": ("at", "r0", "a2")}
@@ -51,6 +52,21 @@ class Heard(TaskListener):
         self.over.set()
 
 
+async def first_process(processes: Successors) -> tuple[Process, Heard]:
+    """The first process, and what is heard of its tasks."""
+    process, heard = await processes.first(), Heard()
+    process.manager.listen(heard)
+    return process, heard
+
+
+async def next_process(processes: Successors) -> tuple[Process, Replay, Heard]:
+    """The next process, which goes on with what the replay has, and what is heard of its tasks."""
+    (process, replay), heard = await processes.next(), Heard()
+    process.manager.listen(heard)
+    process.manager.restore(replay)
+    return process, replay, heard
+
+
 def test_a_plan_that_was_paused_sends_nothing_in_the_next_process_before_it_is_resumed(tmp_path: Path) -> None:
     problem, task = fleet(robots=2), Wanted(UUID(int=1), "round", is_plan=True)
     (plan,) = parse_plans(ROUND).values()
@@ -58,17 +74,13 @@ def test_a_plan_that_was_paused_sends_nothing_in_the_next_process_before_it_is_r
     async def main() -> None:
         robots = simulated_backend(problem, SETTINGS.bindings)
         processes = Successors(problem, SETTINGS, robots, tmp_path / "journal", programs={"round": Program.of(plan)})
-        first, heard = await processes.first(), Heard()
-        first.manager.listen(heard)
+        first, heard = await first_process(processes)
         first.manager.begin(task)
         await heard.sent.wait()
         await first.manager.pause(task.id, at_once=False)
         await first.die()
 
-        second, replay = await processes.next()
-        heard = Heard()
-        second.manager.listen(heard)
-        second.manager.restore(replay)
+        second, _, heard = await next_process(processes)
         await asyncio.sleep(100.0)
         assert second.link.sent == []
         await second.manager.resume(task.id)
@@ -87,17 +99,13 @@ def test_a_task_that_was_paused_because_its_node_was_inactive_goes_on_in_the_nex
     async def main() -> None:
         robots = simulated_backend(problem, SETTINGS.bindings)
         processes = Successors(problem, SETTINGS, robots, tmp_path / "journal", GOALS)
-        first, heard = await processes.first(), Heard()
-        first.manager.listen(heard)
+        first, heard = await first_process(processes)
         first.manager.begin(task)
         await heard.sent.wait()
         await first.manager.pause(None, at_once=True, is_kept=False)
         await first.die()
 
-        second, replay = await processes.next()
-        heard = Heard()
-        second.manager.listen(heard)
-        second.manager.restore(replay)
+        second, _, heard = await next_process(processes)
         async with asyncio.timeout(1000.0):
             await heard.over.wait()
         assert heard.endings[task.id].code is Code.GOAL_REACHED
@@ -113,17 +121,13 @@ def test_a_task_that_has_begun_goes_on_before_those_of_higher_priority_that_wait
     async def main() -> None:
         robots = simulated_backend(problem, SETTINGS.bindings)
         processes = Successors(problem, SETTINGS, robots, tmp_path / "journal", GOALS, limits=TaskLimits(active=1))
-        first, heard = await processes.first(), Heard()
-        first.manager.listen(heard)
+        first, heard = await first_process(processes)
         first.manager.begin(begun)
         await heard.sent.wait()
         first.manager.begin(waiting)
         await first.die()
 
-        second, replay = await processes.next()
-        heard = Heard()
-        second.manager.listen(heard)
-        second.manager.restore(replay)
+        second, _, heard = await next_process(processes)
         async with asyncio.timeout(1000.0):
             while len(heard.endings) < 2:
                 heard.over.clear()
@@ -142,8 +146,7 @@ def test_a_task_that_was_over_is_over_in_the_next_process_and_one_that_goes_on_h
     async def main() -> None:
         robots = simulated_backend(problem, SETTINGS.bindings)
         processes = Successors(problem, SETTINGS, robots, tmp_path / "journal", GOALS)
-        first, heard = await processes.first(), Heard()
-        first.manager.listen(heard)
+        first, heard = await first_process(processes)
         first.manager.begin(past)
         await heard.over.wait()
         first.manager.begin(going_on)
@@ -154,10 +157,7 @@ def test_a_task_that_was_over_is_over_in_the_next_process_and_one_that_goes_on_h
         assert (before[past.id].state, before[past.id].reason) == (TaskState.OVER, "the goal holds")
         await first.die()
 
-        second, replay = await processes.next()
-        heard = Heard()
-        second.manager.listen(heard)
-        second.manager.restore(replay)
+        second, _, heard = await next_process(processes)
         after = {status.id: status for status in second.manager.status()}
         assert after[past.id] == before[past.id]
         assert (after[past.id].ended, after[going_on.id].ended) == (2, before[going_on.id].ended) == (2, 1)
@@ -178,17 +178,13 @@ def test_what_a_task_has_begun_that_means_nothing_any_more_is_recalled_and_its_r
     async def main() -> None:
         robots = simulated_backend(problem, SETTINGS.bindings)
         processes = Successors(problem, SETTINGS, robots, tmp_path / "journal", GOALS)
-        first, heard = await processes.first(), Heard()
-        first.manager.listen(heard)
+        first, heard = await first_process(processes)
         first.manager.begin(task)
         await heard.sent.wait()
         await first.die()
 
         processes.goals = {"r1 there": GOALS["r1 there"]}
-        second, replay = await processes.next()
-        heard = Heard()
-        second.manager.listen(heard)
-        second.manager.restore(replay)
+        second, replay, heard = await next_process(processes)
         assert heard.endings[task.id].code is Code.INVALID_GOAL
         with pytest.raises(InputError, match="r1 is kept by move"):
             second.manager.begin_anew(problem)

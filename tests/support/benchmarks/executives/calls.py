@@ -12,7 +12,6 @@ from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
-from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
 from pnm.core.net.firing_engine import CompiledNet
 from pnm.core.net.net import PetriNet
 from pnm.executor import Executor
@@ -20,7 +19,7 @@ from pnm.journal.journal import NO_JOURNAL
 from tests.support.benchmarks.peers import nets
 from tests.support.benchmarks.peers.worker import Measure, each
 from tests.support.benchmarks.workloads import chain_net, checked, firings, fork_join, in_a_row, inline, loop
-from tests.support.e2e.page.busy_run import answered
+from tests.support.e2e.page.busy_run import AtOnce, answered
 
 _TURNS = 1_000_000
 
@@ -132,26 +131,9 @@ def calls_in_parallel(size: int) -> float:
     return _executed(checked_run(size, parallel=True), size)
 
 
-class _AtOnce:
-    """A client whose actions are done in the next round of the event loop."""
-
-    def goal_fields(self, action: GroundAction, /) -> tuple[str, ...] | None:
-        return None
-
-    def send(self, request: Request, report: Reporter, /) -> None:
-        asyncio.get_running_loop().call_soon(self._carry_out, request.id, report)
-
-    def _carry_out(self, request: UUID, report: Reporter) -> None:
-        report(Accepted(request))
-        report(Ended(request, Outcome(OutcomeKind.SUCCEEDED)))
-
-    def cancel(self, request: UUID, /) -> None:
-        """Nothing is under way for long."""
-
-
 def _executed(run: Run, size: int) -> float:
     async def execute() -> None:
-        assert (await Executor(run, _AtOnce()).execute()).goal
+        assert (await Executor(run, AtOnce()).execute()).goal
 
     return each(lambda: asyncio.run(execute()), size)
 
