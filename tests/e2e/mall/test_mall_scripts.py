@@ -148,3 +148,13 @@ def test_what_is_wrong_is_found(harm, said):
     harm(told)
     wrong = complaints([ONE], told)
     assert any(said in one for one in wrong) if said else not wrong, wrong
+
+
+def test_a_result_at_the_very_moment_at_which_the_next_script_begins_belongs_to_the_script_before():
+    told = Told(ONE, other := {**ONE, "name": "2"})
+    begin = first(told.visitor, event="script", about="2")
+    for line in told.visitor:
+        if line["about"] == "films" and line["event"] == "result" and line["time"] < begin["time"]:
+            line["time"] = begin["time"]
+    first(told.visitor, event="end", about="1")["time"] = begin["time"]
+    assert not complaints([ONE, other], told)

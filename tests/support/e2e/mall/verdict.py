@@ -63,12 +63,12 @@ def verdict_on(scripts: Sequence[Script], robot: Sequence[Line], visitor: Sequen
     doings = list(_doings(robot, verdict))
     verdict.wrong += _clashes(doings)
     for one in scripts:
-        begin, end = _begin_and_end(one["name"], visitor)
-        if begin is None or end is None:
+        lines = _lines_of(one["name"], visitor)
+        if not lines:
             verdict.wrong.append(f"script {one['name']} was not run to its end")
             continue
         verdict.scripts += 1
-        lines = [line for line in visitor if begin <= line["time"] <= end]
+        begin, end = lines[0]["time"], lines[-1]["time"]
         states = [line for line in visitor if line["event"] == "state"]  # they may come after the end
         _Check(one, [doing for doing in doings if begin <= doing.start <= end], lines, states, verdict).verdict_on()
     return verdict
@@ -96,9 +96,13 @@ def _clashes(doings: Iterable[Doing]) -> Iterator[str]:
                 yield f"{one.call} and {other.call} used the {resource} at the same time"
 
 
-def _begin_and_end(name: str, visitor: Sequence[Line]) -> tuple[float | None, float | None]:
-    times = {line["event"]: line["time"] for line in visitor if line["event"] in ("script", "end") and line["about"] == name}
-    return times.get("script"), times.get("end")
+def _lines_of(name: str, visitor: Sequence[Line]) -> Sequence[Line]:
+    """Return the visitor's lines from the begin of a script to its end, or nothing if one is missing.
+
+    By their order: the last line of one script and the first of the next may have the same time.
+    """
+    places = {line["event"]: place for place, line in enumerate(visitor) if line["event"] in ("script", "end") and line["about"] == name}
+    return visitor[places["script"] : places["end"] + 1] if len(places) == 2 else []
 
 
 @dataclass(frozen=True)
