@@ -8,28 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Final
 
-from pnm.core.execution.effect_checks import Intention, intention
-from pnm.core.execution.questions import EvaluationContext
-from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.execution.effect_checks import Intention
+from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import TRUE
-from pnm.core.logic.effects import Effects, Set, names_written
-from pnm.core.logic.expressions import Constant, Fluent, Unknown, Value, is_number, same_value
+from pnm.core.logic.effects import constants, names_written
+from pnm.core.logic.expressions import Fluent, Unknown, Value, is_number, same_value
 from pnm.core.machine.bindings import open_parameters, own_values
 from pnm.core.machine.plan_graph import ActionCall
-
-
-class _AllSensed(KnowledgeBase):
-    """A world that sensors report all of."""
-
-    def is_sensed(self, fluent: Fluent) -> bool:
-        """Return True."""
-        return True
-
-
-_SEEING: Final = EvaluationContext(Layered(_AllSensed()))
-"""What constant effects are computed in: they read nothing, and all that should be seen of them is wanted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,20 +61,24 @@ def closed_call(call: ActionCall) -> ClosedCall | None:
     action = call.action
     if action.operation is not None or action.given or open_parameters(action):
         return None
-    names = names_written((*action.start_effects, *action.end_effects))
+    effects = _constant_effects(call)
+    if effects is None:
+        names = names_written((*action.start_effects, *action.end_effects))
+    else:
+        names = frozenset([fluent[0] for changed in (effects.intention.start, effects.intention.end) for fluent in changed])
     is_checked = not (action.invariant == action.end_condition == action.expected == TRUE)
-    return ClosedCall(own_values(action), names, is_checked, _constant_effects(call))
+    return ClosedCall(own_values(action), names, is_checked, effects)
 
 
 def _constant_effects(call: ActionCall) -> ConstantEffects | None:
     action = call.action
-    if action.expected != TRUE or not (_are_constant(action.start_effects) and _are_constant(action.end_effects)):
+    start, end = constants(action.start_effects), constants(action.end_effects)
+    if start is None or end is None or action.expected != TRUE:
         return None
-    seen = intention(call, _SEEING)
-    changed = seen.start | seen.end
-    done = () if any(map(is_number, changed.values())) else tuple(changed.items())
-    return ConstantEffects(Intention(seen.start, seen.end, seen.end_effects), seen.expected, done)
-
-
-def _are_constant(effects: Effects) -> bool:
-    return all(isinstance(effect, Set) and effect.operation == "assign" and isinstance(effect.value, Constant) for effect in effects)
+    changed = start | end
+    visible = {
+        fluent: value for fluent, value in changed.items() if isinstance(value, bool | str) and (fluent in end or fluent in call.lasting)
+    }
+    return ConstantEffects(
+        Intention(start, end, action.end_effects), visible, () if any(map(is_number, changed.values())) else tuple(changed.items())
+    )

@@ -13,8 +13,8 @@ from typing import Final
 from weakref import WeakKeyDictionary
 
 from pnm.core.execution.closed_call import ClosedCall, closed_call
-from pnm.core.logic.compiled_condition import TruthIn, compiled
-from pnm.core.logic.conditions import All, data_in
+from pnm.core.logic.compiled_condition import CompiledCondition, compiled
+from pnm.core.logic.conditions import All
 from pnm.core.logic.effects import Set, every_effect
 from pnm.core.logic.expressions import Fluent
 from pnm.core.logic.rules import NO_RULES, Reads, read_by, reads_of
@@ -55,15 +55,6 @@ _KNOWING: Final = (ConditionTrue, ConditionFalse, ConditionUnknown, InvariantFal
 _LEAVING: Final = (Ending, Failing, CancelAsked, PauseAsked)
 """Guards that open only when a run is ending, stopped or paused."""
 _MOMENTS: Final = (After, Due)
-
-
-@dataclass(frozen=True, slots=True)
-class CompiledCondition:
-    """A condition that is the same for every run, as a function."""
-
-    truth: TruthIn
-    reads_variables: bool
-    """Whether it reads anything but facts and numbers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -352,7 +343,7 @@ class MachineIndex:
         return closed_call(self._calls[call])
 
     def _limit(self, transition: int) -> float:
-        guard = self.by_number.rule(transition).guard
+        _, guard = self.by_number.asks(transition)
         assert isinstance(guard, After), "only a wait has a limit"
         return guard.seconds
 
@@ -364,10 +355,9 @@ class MachineIndex:
         return tuple((names[place], delay) for place, delay in guard.since)
 
     def _condition(self, transition: int) -> CompiledCondition | None:
-        rule = self.by_number.rule(transition)
-        if not isinstance(rule.guard, ConditionTrue | ConditionFalse) or (self.is_call(rule.call) and self.closed[rule.call or 0] is None):
-            return None
-        return CompiledCondition(compiled(rule.guard.condition), any(True for _ in data_in(rule.guard.condition)))
+        step, guard = self.by_number.asks(transition)
+        is_open = self.is_call(step) and self.closed[step or 0] is None
+        return None if is_open or not isinstance(guard, ConditionTrue | ConditionFalse) else compiled(guard.condition)
 
 
 # An index must not hold the net that it belongs to, or none would ever be forgotten.

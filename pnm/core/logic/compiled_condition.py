@@ -3,27 +3,52 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TypeAlias
 
-from pnm.core.logic.conditions import All, Condition, Holds, Not, conjuncts
+from pnm.core.logic.conditions import All, Condition, Holds, Not, conjuncts, data_in
 from pnm.core.logic.evaluation import evaluate, negate
 from pnm.core.logic.expressions import UNKNOWN, Fluent, State, Truth
 
 TruthIn: TypeAlias = Callable[[State], Truth]
 
 
-def compiled(condition: Condition) -> TruthIn:
+@dataclass(frozen=True, slots=True)
+class CompiledCondition:
+    """A condition without free variables as a function."""
+
+    truth: TruthIn
+    reads_variables: bool
+    """Whether it reads anything but facts and numbers."""
+
+
+def compiled(condition: Condition) -> CompiledCondition:
     """Return what tells the truth of a condition without free variables in a state; raises what `evaluate` raises."""
+    parts = conjuncts(condition)
+    if (facts := _facts_only(parts)) is not None:
+        return CompiledCondition(_all_facts(facts), reads_variables=False)
+    truth = _truth_of(parts[0]) if len(parts) == 1 else _all_parts(tuple(map(_truth_of, parts)))
+    return CompiledCondition(truth, any(True for _ in data_in(condition)))
+
+
+def _facts_only(parts: tuple[Condition, ...]) -> tuple[Fluent, ...] | None:
+    facts: list[Fluent] = []
+    for part in parts:
+        if not isinstance(part, Holds):
+            return None
+        facts.append(part.fluent)
+    return tuple(facts)
+
+
+def _truth_of(condition: Condition) -> TruthIn:
     match condition:
         case Holds(fluent):
             return lambda state: value if (value := state.value(fluent)) is UNKNOWN else bool(value)
         case Not(operand):
-            truth = compiled(operand)
+            truth = _truth_of(operand)
             return lambda state: negate(truth(state))
         case All():
-            parts = conjuncts(condition)
-            facts = tuple(part.fluent for part in parts if isinstance(part, Holds))
-            return _all_facts(facts) if len(facts) == len(parts) else _all_parts(tuple(map(compiled, parts)))
+            return compiled(condition).truth
         case _:
             return lambda state: evaluate(condition, state)
 

@@ -271,9 +271,12 @@ def ground(condition: Condition, env: Environment) -> Condition:
 
 def conjuncts(condition: Condition) -> tuple[Condition, ...]:
     """Return the conditions that must all hold for this one to hold, nested conjunctions flattened."""
-    if isinstance(condition, All):
-        return tuple(part for operand in condition.operands for part in conjuncts(operand))
-    return (condition,)
+    if not isinstance(condition, All):
+        return (condition,)
+    for operand in condition.operands:
+        if isinstance(operand, All):
+            return tuple([part for operand in condition.operands for part in conjuncts(operand)])
+    return condition.operands
 
 
 def conjunction(parts: Iterable[Condition]) -> Condition:

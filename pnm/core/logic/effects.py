@@ -121,6 +121,17 @@ def changes(effects: Effects, state: State, env: Environment = NOTHING) -> Chang
     return result
 
 
+def constants(effects: Effects) -> Changes | None:
+    """Return what `changes` does in every state, if the effects do nothing but assign constants; None if there are others."""
+    result: Changes = {}
+    for effect in effects:
+        if not isinstance(effect, Set) or effect.operation != "assign" or not isinstance(effect.value, Constant):
+            return None
+        if effect.value.value is not False or effect.fluent not in result:
+            result[effect.fluent] = effect.value.value
+    return result
+
+
 def every_effect(effects: Effects) -> Iterator[Effect]:
     """Yield the effects and all effects in them, outer ones first."""
     for effect in effects:

@@ -251,7 +251,7 @@ def own_values(action: GroundAction) -> dict[str, object]:
 
 def open_parameters(action: GroundAction) -> tuple[str, ...]:
     """Return the parameters whose values the plan leaves open, without ``?``."""
-    return tuple(name for name, value in zip(action.parameters, action.arguments, strict=True) if value.startswith("?"))
+    return tuple([name for name, value in zip(action.parameters, action.arguments, strict=True) if value.startswith("?")])
 
 
 def _resolve(source: object, own: Mapping[str, object], knowledge: Lookup, find: Callable[[str], object]) -> object:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Protocol
 
-from pnm.core.machine.call_block import CallBlock
+from pnm.core.machine.call_block import CallTerms
 from pnm.core.machine.machine import (
     Accepts,
     Adopted,
@@ -28,7 +28,7 @@ from pnm.core.machine.machine import (
     Withheld,
 )
 from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, PlanEvent, PlanGraph, Step
-from pnm.core.machine.step_block import BlockTemplate, Context, Inner, Port
+from pnm.core.machine.step_block import BlockTemplate, Context, Inner
 from pnm.core.net.block_net import BlockArcs, Placed
 from pnm.core.net.net import ArcsByName, NumberedMarking, PetriNet, Weights
 from pnm.core.net.when_asked import ByName, Made, Names, NamesOf
@@ -39,6 +39,9 @@ class RulesByNumber(Protocol):
 
     def rule(self, transition: int) -> Rule:
         """Return the rule of a transition."""
+
+    def asks(self, transition: int) -> tuple[int | None, Guard]:
+        """Return the step that a transition belongs to, and its guard; what that says of its call may be that of another."""
 
     def like(self, transition: int) -> Rule:
         """Return a rule of the same kind; what it says of its call may be that of another."""
@@ -69,6 +72,10 @@ class _NamedRules:
 
     def rule(self, transition: int) -> Rule:
         return self._rules[transition]
+
+    def asks(self, transition: int) -> tuple[int | None, Guard]:
+        rule = self._rules[transition]
+        return rule.call, rule.guard
 
     like = rule
 
@@ -155,7 +162,7 @@ class MachineBlocks(BlockArcs[PlacedStep]):
         self.parts: Sequence[object] = ()
         """What the machine was made of."""
         # the last ones that were made are kept: those of one block are asked for together
-        self._own: tuple[int, CallBlock] | None = None
+        self._terms: tuple[PlacedStep | None, CallTerms | None] = None, None
         self._titled: tuple[PlacedStep | None, str] = None, ""
 
     def place_name(self, place: int) -> str:
@@ -175,11 +182,14 @@ class MachineBlocks(BlockArcs[PlacedStep]):
 
     def rule(self, transition: int) -> Rule:
         """Return the rule of a transition."""
-        index = self.index_of(transition)
-        block = self.placed[index]
-        rule = block.template.rules[transition - block.transition]
-        made = rule if isinstance(rule, Rule) else rule(self._call_block(index))
+        block = self.placed[self.index_of(transition)]
+        made = self._made(block, transition - block.transition)
         return made if block.step is None else made._replace(guard=_about(made.guard, block.step.index), call=block.step.index)
+
+    def asks(self, transition: int) -> tuple[int | None, Guard]:
+        """Return the step that a transition belongs to, and its guard; what that says of its call may be that of another."""
+        block = self.placed[self.index_of(transition)]
+        return None if block.step is None else block.step.index, self._made(block, transition - block.transition).guard
 
     def like(self, transition: int) -> Rule:
         """Return a rule of the same kind, with the same arcs; what it says of its call may be that of another."""
@@ -197,10 +207,9 @@ class MachineBlocks(BlockArcs[PlacedStep]):
         What they say of their call may be that of another.
         With them come all others that ask for conditions: it matters to the proof which conditions are the same.
         """
-        found, index = list[tuple[Rule, Weights]](), self.index_of(block.transition)
+        found = list[tuple[Rule, Weights]]()
         for number in block.template.own:
-            made = block.template.rules[number]
-            rule = made if isinstance(made, Rule) else made(self._call_block(index))
+            rule = self._made(block, number)
             counts = isinstance(rule.guard, Due) and rule.guard.since
             inputs = block.arcs(block.template.inputs[number]) if counts else ()
             found.append((rule, {self.place_name(place): weight for place, weight in inputs}))
@@ -221,15 +230,18 @@ class MachineBlocks(BlockArcs[PlacedStep]):
     def _block_of(self) -> Mapping[int | None, int]:
         return {block.step.index if block.step else None: index for index, block in enumerate(self.placed)}
 
-    def _call_block(self, index: int) -> CallBlock:
-        """Return the block of a call by itself."""
-        if self._own is None or self._own[0] != index:
-            block = self.placed[index]
+    def _made(self, block: PlacedStep, number: int) -> Rule:
+        """Return the rule of a transition of a block; what it says of its call may be that of another."""
+        rule = block.template.rules[number]
+        return rule if isinstance(rule, Rule) else rule(self._terms_of(block))
+
+    def _terms_of(self, block: PlacedStep) -> CallTerms | None:
+        """Return what the call of a block itself says."""
+        if self._terms[0] is not block:
             assert isinstance(block.step, ActionCall), "only rules of calls are made for each"
-            connected = frozenset(port for port, places in zip(Port, block.ports, strict=False) if places)
-            delays = tuple((self.place_name(place), delay) for place, delay in block.delays)
-            self._own = index, CallBlock(block.context, block.step, connected, delays)
-        return self._own[1]
+            delays = tuple([(self.place_name(place), delay) for place, delay in block.delays])
+            self._terms = block, CallTerms(block.context, block.step, delays)
+        return self._terms[1]
 
     # --- the machine --------------------------------------------------------------------------
 

@@ -59,7 +59,7 @@ from pnm.core.machine.machine import (
 from pnm.core.machine.plan_graph import ActionCall, Cause, GroundAction
 from pnm.core.machine.recovery_block import Recoveries, abandon, build_recoveries, succeeded_place
 from pnm.core.machine.requests import OutcomeKind
-from pnm.core.machine.step_block import OWN, Block, Port, RuleOf
+from pnm.core.machine.step_block import OWN, Block, Port, RuleOf, Terms
 
 _SUCCEEDED = frozenset({OutcomeKind.SUCCEEDED})
 _UNSUCCESSFUL = frozenset(OutcomeKind) - _SUCCEEDED
@@ -75,6 +75,31 @@ _RESTARTED = "restarted "
 _ANSWER = "an answer to the goal in time"
 _ALIVE = ("requested", "withdrawing", f"{_RESTARTED}requested", f"{_RESTARTED}withdrawing", "running", "overdue", "stopping", "suspending")
 """Places of a call whose request may be alive."""
+
+
+class CallTerms(Terms[ActionCall]):
+    """What a call itself says."""
+
+    @property
+    def release(self) -> float:
+        """Seconds after the plan's start before which the call must not start."""
+        return 0.0 if self.step.under_way else self.step.release  # one that is under way already has started: nothing holds it up
+
+    @property
+    def timeout(self) -> float:
+        """Seconds that its request may take."""
+        return self.context.bindings.timeout(self.step.action) if self.step.timeout is None else self.step.timeout
+
+    @cached_property
+    def may_start(self) -> Condition:
+        """What is checked before the start."""
+        # The over-all condition is checked before the start as well: the call would otherwise be cancelled as soon as it has begun.
+        return conjunction((self.step.action.precondition, _before_invariant(self.step.action, self.context.plan.rules)))
+
+    @property
+    def latest(self) -> float:
+        """Seconds after the plan's start by which it must have been sent."""
+        return min(self.step.latest_start, self.step.deadline)
 
 
 @dataclass
@@ -111,7 +136,7 @@ class CallBlock(Block[ActionCall]):
         step, binding = self.step, self.binding
         if step.recoveries:
             return None
-        is_timed = bool(self.release or self.delays), isfinite(self.latest), isfinite(step.deadline)
+        is_timed = bool(self.terms.release or self.delays), isfinite(self.terms.latest), isfinite(step.deadline)
         traits = step.under_way, self._must_happen, step.action.invariant != TRUE, self._asks_at_its_end
         limits = self.retries, binding.accept, binding.cancel, binding.when_lost
         return self.connected, self.context.repeated, is_timed, traits, limits
@@ -119,7 +144,7 @@ class CallBlock(Block[ActionCall]):
     def add(self, rule: Rule | RuleOf, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], *, title: str = "") -> None:
         """Add a transition between any places; one that leads to where a request may be alive takes the resources."""
         if resources := self.at(Port.RESOURCES):
-            like = rule if isinstance(rule, Rule) else rule(self)
+            like = rule if isinstance(rule, Rule) else rule(self.terms)
             taken, marked = inputs if isinstance(inputs, dict) else dict.fromkeys(inputs, 1), [*outputs]
             # Resources are taken and given where the boundary of the alive places is crossed, so that no transition can forget it.
             was_alive, is_alive = (not self._alive.isdisjoint(places) for places in (taken, marked))
@@ -162,30 +187,14 @@ class CallBlock(Block[ActionCall]):
         return is_open or any(may_ask(data) for part in (*own, *effects, action.end_condition, action.expected) for data in data_in(part))
 
     @cached_property
+    def terms(self) -> CallTerms:
+        """What the call itself says."""
+        return CallTerms(self.context, self.step, self.delays)
+
+    @cached_property
     def binding(self) -> Binding:
         """Limits of the action."""
         return self.context.bindings.of(self.step.action.name)
-
-    @property
-    def release(self) -> float:
-        """Seconds after the plan's start before which the call must not start."""
-        return 0.0 if self.step.under_way else self.step.release  # one that is under way already has started: nothing holds it up
-
-    @property
-    def timeout(self) -> float:
-        """Seconds that its request may take."""
-        return self.context.bindings.timeout(self.step.action) if self.step.timeout is None else self.step.timeout
-
-    @cached_property
-    def may_start(self) -> Condition:
-        """What is checked before the start."""
-        # The over-all condition is checked before the start as well: the call would otherwise be cancelled as soon as it has begun.
-        return conjunction((self.step.action.precondition, _before_invariant(self.step.action, self.context.plan.rules)))
-
-    @property
-    def latest(self) -> float:
-        """Seconds after the plan's start by which it must have been sent."""
-        return min(self.step.latest_start, self.step.deadline)
 
     @property
     def retries(self) -> int:
@@ -199,7 +208,7 @@ class CallBlock(Block[ActionCall]):
         failed = [*out, "failed"]
 
         def add(rule: Rule | RuleOf, source: str, outputs: Iterable[str]) -> None:
-            self.add(rule, [source], outputs, title=phase + (rule if isinstance(rule, Rule) else rule(self)).name)
+            self.add(rule, [source], outputs, title=phase + (rule if isinstance(rule, Rule) else rule(self.terms)).name)
 
         # First of all rules, and in the first attempt only: after a retry there is no request to adopt any more.
         if self.step.under_way and announced == self.at(Port.ANNOUNCES):
@@ -211,7 +220,7 @@ class CallBlock(Block[ActionCall]):
         self._own_checks(Cause.BEFORE, "ready")
         # Before the precondition, which cannot be evaluated for parameters without a value.
         add(check_rule(Cause.DATA_MISSING, DataMissing(OWN)), ready, self._after(Cause.DATA_MISSING, failed))
-        if isfinite(self.latest):  # before `start`, which would begin something that cannot end in time
+        if isfinite(self.terms.latest):  # before `start`, which would begin something that cannot end in time
             add(lambda own: check_rule(Cause.TOO_LATE, Due(own.latest)), ready, failed)
         # The complement follows right after it: one of the two opens for every state of the world.
         add(lambda own: Rule("start", ConditionTrue(own.may_start), action=_SEND, outcome=CallOutcome.RUNNING), ready, [requested])
@@ -355,5 +364,6 @@ class CallBlock(Block[ActionCall]):
 
 def _before_invariant(action: GroundAction, rules: Rules) -> Condition:
     """Return what of the over-all condition can be checked before the start: all that the start does not itself change."""
-    changed = names_written(action.start_effects)
-    return All(tuple(part for part in conjuncts(action.invariant) if not rules.base(names(part)) & changed))
+    parts = conjuncts(action.invariant)
+    changed = names_written(action.start_effects) if parts else frozenset()
+    return All(tuple([part for part in parts if not rules.base(names(part)) & changed]))

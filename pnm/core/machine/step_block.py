@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import cached_property
 from typing import Any, Final, Generic, NamedTuple, TypeAlias, TypeVar
 
 from pnm.core.machine.bindings import Bindings
@@ -36,7 +37,7 @@ AnyStep = TypeVar("AnyStep", bound=Step)
 OWN: Final = -1
 """In rules of a template, in place of the number of the call: they are about the block's own."""
 RuleOf: TypeAlias = "Callable[[Any], Rule]"
-"""A rule that follows from what the step of a block itself says, such as its precondition: made for each block."""
+"""A rule that follows from the `Terms` of a step, such as its precondition: made for each block."""
 
 
 class Port(StrEnum):
@@ -54,7 +55,7 @@ class BlockTemplate(Template):
 
     def __init__(self, draft: Draft, block: Block[Any] | None) -> None:
         super().__init__(draft.net.build(), draft.ports)
-        self.kinds = tuple(rule if isinstance(rule, Rule) else rule(block) for rule in draft.rules)
+        self.kinds = tuple(rule if isinstance(rule, Rule) else rule(block and block.terms) for rule in draft.rules)
         """A rule of each transition's kind: that of the block that it was drafted for."""
         self.rules = self.kinds if block is None or block.key is None else tuple(draft.rules)
         self.inner = tuple(draft.inner)
@@ -132,6 +133,21 @@ class Context:
     """It may be entered again after it was left."""
 
 
+@dataclass(frozen=True)
+class Terms(Generic[AnyStep]):
+    """What a step itself says, which is in no template: conditions, times and limits."""
+
+    context: Context
+    step: AnyStep
+    delays: tuple[tuple[str, float], ...]
+    """Places that the start waits for, and how long it must come after they were marked."""
+
+    @property
+    def release(self) -> float:
+        """Seconds after the plan's start before which the step is not entered."""
+        return 0.0
+
+
 @dataclass
 class Block(Generic[AnyStep]):
     """The places and transitions of one step: what `build` adds to the draft of a template."""
@@ -173,15 +189,17 @@ class Block(Generic[AnyStep]):
         """Places that the end of the step waits for besides the step itself."""
         return self.at(Port.ENDS_AFTER)
 
-    @property
-    def release(self) -> float:
-        """Seconds after the plan's start before which the step is not entered."""
-        return 0.0
+    @cached_property
+    def terms(self) -> Terms[AnyStep]:
+        """What the step itself says."""
+        return Terms(self.context, self.step, self.delays)
 
     def enter(self, ready: str) -> None:
         """Wait for the orderings into the start, and for the times that it must not be earlier than."""
         waiting = [Port.STARTS_AFTER]
-        if self.release or self.delays:  # asked before `join`: when the run ends, tokens pass at once instead of waiting for a release time
+        if (
+            self.terms.release or self.delays
+        ):  # asked before `join`: when the run ends, tokens pass at once instead of waiting for a release time
             self.add(Rule("overtaken", Ending(), outcome=CallOutcome.WAITING), waiting, [ready])
             join: Rule | RuleOf = lambda own: Rule("join", Due(own.release, own.delays), outcome=CallOutcome.WAITING)  # noqa: E731
             self.add(join, waiting, [ready], title="join")
@@ -212,7 +230,7 @@ class Block(Generic[AnyStep]):
 
     def add(self, rule: Rule | RuleOf, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], *, title: str = "") -> None:
         """Add a transition of this step between any places, under its title, or the name of its rule if that is unique in the block."""
-        self.draft.transition(title or (rule if isinstance(rule, Rule) else rule(self)).name, rule, inputs, outputs)
+        self.draft.transition(title or (rule if isinstance(rule, Rule) else rule(self.terms)).name, rule, inputs, outputs)
 
     def place(self, name: str) -> str:
         """Make a place of this block."""

@@ -194,4 +194,4 @@ def test_failing_parts_are_why_a_condition_does_not_hold(condition: Condition, s
 @given(CONDITIONS, ENVIRONMENTS, PICTURES)
 def test_a_compiled_condition_has_the_same_truth(condition: Condition, env: Environment, state: GivenState) -> None:
     grounded = ground(condition, env)
-    assert compiled(grounded)(state) is evaluate(grounded, state)
+    assert compiled(grounded).truth(state) is evaluate(grounded, state)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from pnm.core.logic.conditions import Holds
 from pnm.core.machine.blocks import MachineBlocks, PlacedStep, built_from
-from pnm.core.machine.call_block import CallBlock
+from pnm.core.machine.call_block import CallBlock, CallTerms
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
@@ -127,8 +127,8 @@ def test_no_block_is_trusted_because_others_are_like_it() -> None:
 def test_what_a_call_itself_says_is_looked_at_for_each(monkeypatch: pytest.MonkeyPatch) -> None:
     machine = generate(plan(5))
     verify(machine)
-    timeout = CallBlock.timeout
-    monkeypatch.setattr(CallBlock, "timeout", property(lambda block: inf if block.step.index == 3 else timeout.fget(block)))  # type: ignore[attr-defined]
+    timeout = CallTerms.timeout
+    monkeypatch.setattr(CallTerms, "timeout", property(lambda call: inf if call.step.index == 3 else timeout.fget(call)))  # type: ignore[attr-defined]
     with pytest.raises(Unsound, match=r"a3\(\)#3 running has no exit that is sure to open in finite time"):
         verify(machine)
 
@@ -138,7 +138,7 @@ def test_a_release_is_waited_for_in_each_block(monkeypatch: pytest.MonkeyPatch) 
     graph = replace(graph, steps=tuple(replace(call, release=5.0 + call.index) for call in graph.calls))
     machine = generate(graph)
     verify(machine)
-    release = CallBlock.release
-    monkeypatch.setattr(CallBlock, "release", property(lambda block: 1.0 if block.step.index == 2 else release.fget(block)))  # type: ignore[attr-defined]
+    release = CallTerms.release
+    monkeypatch.setattr(CallTerms, "release", property(lambda call: 1.0 if call.step.index == 2 else release.fget(call)))  # type: ignore[attr-defined]
     with pytest.raises(Unsound, match=r"a2\(\)#2 join does not wait for the times"):
         verify(machine)
