@@ -7,7 +7,8 @@ call that is computed anew, by `pnm.core.execution.effect_checks`, which is the 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 from pnm.core.execution.effect_checks import Intention
 from pnm.core.knowledge_base import KnowledgeBase
@@ -18,8 +19,7 @@ from pnm.core.machine.bindings import open_parameters, own_values
 from pnm.core.machine.plan_graph import ActionCall
 
 
-@dataclass(frozen=True, slots=True)
-class ConstantEffects:
+class ConstantEffects(NamedTuple):
     """Effects of a call that are the same in every state."""
 
     intention: Intention
@@ -42,8 +42,7 @@ class ConstantEffects:
         return bool(self.done)
 
 
-@dataclass(frozen=True, slots=True)
-class ClosedCall:
+class ClosedCall(NamedTuple):
     """What of a closed call does not depend on knowledge."""
 
     own: Mapping[str, object]

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from pnm.core.logic.conditions import All, Condition, Holds, Not, conjuncts, data_in
 from pnm.core.logic.evaluation import evaluate, negate
@@ -13,8 +12,7 @@ from pnm.core.logic.expressions import UNKNOWN, Fluent, State, Truth
 TruthIn: TypeAlias = Callable[[State], Truth]
 
 
-@dataclass(frozen=True, slots=True)
-class CompiledCondition:
+class CompiledCondition(NamedTuple):
     """A condition without free variables as a function."""
 
     truth: TruthIn

@@ -29,7 +29,7 @@ from functools import cached_property
 from math import isfinite
 
 from pnm.core.logic.computed_values import may_ask
-from pnm.core.logic.conditions import TRUE, All, Condition, conjunction, conjuncts, data_in, names
+from pnm.core.logic.conditions import TRUE, All, Condition, conjuncts, data_in, names
 from pnm.core.logic.effects import When, every_effect, names_written
 from pnm.core.logic.rules import Rules
 from pnm.core.machine.bindings import Binding, WhenLost
@@ -94,7 +94,9 @@ class CallTerms(Terms[ActionCall]):
     def may_start(self) -> Condition:
         """What is checked before the start."""
         # The over-all condition is checked before the start as well: the call would otherwise be cancelled as soon as it has begun.
-        return conjunction((self.step.action.precondition, _before_invariant(self.step.action, self.context.plan.rules)))
+        action = self.step.action
+        parts = (*conjuncts(action.precondition), *_before_invariant(action, self.context.plan.rules))
+        return parts[0] if len(parts) == 1 else All(parts)
 
     @property
     def latest(self) -> float:
@@ -362,8 +364,8 @@ class CallBlock(Block[ActionCall]):
                 self.add(check_rule(cause, ConditionTrue(condition)), [source], places, title=title)
 
 
-def _before_invariant(action: GroundAction, rules: Rules) -> Condition:
+def _before_invariant(action: GroundAction, rules: Rules) -> tuple[Condition, ...]:
     """Return what of the over-all condition can be checked before the start: all that the start does not itself change."""
     parts = conjuncts(action.invariant)
     changed = names_written(action.start_effects) if parts else frozenset()
-    return All(tuple([part for part in parts if not rules.base(names(part)) & changed]))
+    return tuple([part for part in parts if not rules.base(names(part)) & changed]) if changed else parts
