@@ -141,7 +141,7 @@ class CallBlock(Block[ActionCall]):
         is_timed = bool(self.terms.release or self.delays), isfinite(self.terms.latest), isfinite(step.deadline)
         traits = step.under_way, self._must_happen, step.action.invariant != TRUE, self._asks_at_its_end
         limits = self.retries, binding.accept, binding.cancel, binding.when_lost
-        return self.connected, self.context.repeated, is_timed, traits, limits
+        return self.connected, self.context.repeated, self.context.starts_anew, is_timed, traits, limits
 
     def add(self, rule: Rule | RuleOf, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], *, title: str = "") -> None:
         """Add a transition between any places; one that leads to where a request may be alive takes the resources."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, assert_never
+from typing import Any, Final, assert_never
 
 from pnm.core.machine.bindings import Bindings, is_open
 from pnm.core.machine.blocks import END, FAILED, GOAL, START, MachineBlocks, PlacedRegion, PlacedStep
@@ -17,8 +17,12 @@ from pnm.core.machine.machine import Always, ConditionFalse, ConditionTrue, Due,
 from pnm.core.machine.plan_graph import ActionCall, Cause, Choice, Junction, Loop, Moment, PlanEvent, PlanGraph, Step, Then
 from pnm.core.machine.step_block import Block, BlockTemplate, ChoiceBlock, Context, Draft, Inner, JunctionBlock, LoopBlock, Port
 from pnm.core.net.no_collection import no_collection
+from pnm.core.net.when_asked import Remembered
 from pnm.core.resources import check_capacity
 from pnm.errors import check_kinds
+
+_TEMPLATES: Final = Remembered[object, BlockTemplate]()
+"""Those that blocks of all machines share, by what they depend on."""
 
 
 class Builder:
@@ -39,7 +43,6 @@ class Builder:
         """For every step, the places that it must come later than they are marked, and by how much."""
         self._waiting: deque[tuple[Step, Context]] = deque()
         """Steps whose blocks are still to be placed."""
-        self._templates: dict[object, BlockTemplate] = {}
 
     def add_frame(self, draft: Draft, ports: Sequence[tuple[int, ...]] = ()) -> PlacedStep:
         """Place a part of the frame."""
@@ -76,9 +79,7 @@ class Builder:
                 assert_never(step)
         if (key := block.key) is None:
             return block.template()
-        if key not in self._templates:
-            self._templates[key] = block.template()
-        return self._templates[key]
+        return _TEMPLATES.get(key) or _TEMPLATES.keep(key, block.template())
 
     def _place(
         self,

@@ -1,10 +1,11 @@
-"""Values that are made when they are asked for: kept from then on, or made anew each time; names of what is known by number."""
+"""Values that are made when they are asked for: kept from then on, kept for a while, or made anew each time; names of numbers."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
 from functools import cached_property
-from typing import TypeVar, overload
+from threading import Lock
+from typing import Generic, TypeVar, overload
 
 K = TypeVar("K")
 V = TypeVar("V")
@@ -20,6 +21,32 @@ class WhenAsked(dict[K, V]):
     def __missing__(self, key: K) -> V:
         value = self[key] = self._make(key)
         return value
+
+
+class Remembered(Generic[K, V]):
+    """Values that were made once and may be needed again, by any thread: only so many, the oldest is forgotten first.
+
+    The mutable state is all of it.
+    """
+
+    def __init__(self, limit: int = 1000) -> None:
+        self._limit, self._values, self._lock = limit, dict[K, V](), Lock()
+
+    def get(self, key: K) -> V | None:
+        """Return what was kept under a key."""
+        return self._values.get(key)
+
+    def keep(self, key: K, value: V) -> V:
+        """Keep a value, and return it; if another is kept under its key already, that one."""
+        with self._lock:
+            if key not in self._values and len(self._values) >= self._limit:
+                del self._values[next(iter(self._values))]
+            return self._values.setdefault(key, value)
+
+    def forget(self) -> None:
+        """Forget all of them."""
+        with self._lock:
+            self._values.clear()
 
 
 class Made(Mapping[K, V]):

@@ -35,7 +35,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from graphlib import CycleError, TopologicalSorter
 from math import isfinite
-from typing import Final, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 from pnm.core.machine.blocks import MachineBlocks, PlacedRegion, PlacedStep, built_from
 from pnm.core.machine.machine import (
@@ -54,6 +54,7 @@ from pnm.core.machine.verification.place_roles import check_roles
 from pnm.core.machine.verification.plan_in_net import check_events, check_flows, check_places
 from pnm.core.net.net import Marking, PetriNet, Weights
 from pnm.core.net.no_collection import no_collection
+from pnm.core.net.when_asked import Remembered
 from pnm.errors import check_kinds, counted
 
 V = TypeVar("V")
@@ -66,9 +67,10 @@ class _Proved:
     explored: Exploration
 
 
-_REMEMBERED: Final = 1000
-_FOUND_GOOD: Final[dict[object, _Proved]] = {}
-"""The shapes of blocks that were explored; the oldest is forgotten first."""
+_FOUND_GOOD: Final = Remembered[object, _Proved]()
+"""The shapes of blocks that were explored."""
+_KINDS_FOUND_GOOD: Final = Remembered[object, _Proved]()
+"""The kinds of calls that were proved, in any machine."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,14 +105,18 @@ def verify(machine: PetriNetMachine) -> Proof:
         Unsound: it is not, or not of the form that `pnm.core.machine` makes.
     """
     check_kinds("verify", {"machine": (machine, PetriNetMachine)})
+    proved, kinds = set[_Proved](), dict[Owner, object]()
     if (blocks := built_from(machine)) is None:
         check_flows(machine)
         anatomy = Anatomy(machine)
     else:  # one block of each kind is looked at, and of all others how they are connected
         check_places(machine, blocks)
-        anatomy = _anatomy_of_sample(machine, blocks)
-    taken, proved = anatomy.machine, set[_Proved]()
-    waits: dict[Event, set[Event]] = {}
+        sample = _sample(machine, blocks)
+        proved.update(sample.proved)
+        kinds = sample.kinds
+        anatomy = _anatomy_of(sample, machine, blocks)
+    taken = anatomy.machine
+    waits, found = dict[Event, set[Event]](), dict[object, _Proved]()
     for owner in anatomy.writers[taken.goal_place]:
         for name in anatomy.transitions[owner]:
             if taken.goal_place in taken.net.outputs[name] and taken.rules[name].guard != ConditionTrue(taken.plan.goal):
@@ -123,40 +129,75 @@ def verify(machine: PetriNetMachine) -> Proof:
         anatomy.note_waits(block, waits)
         shape = _proved(block.part)
         proved.add(shape)
+        if owner in kinds:
+            found[kinds[owner]] = shape
         _check_reached(anatomy, block, shape.explored)
     try:
         # Each block gives its outputs once it has its inputs; without a cycle all get them, by induction.
         TopologicalSorter(waits).prepare()
     except CycleError as error:
         raise Unsound(f"blocks wait for each other: {error.args[1]}") from error
+    for kind, shape in found.items():
+        _KINDS_FOUND_GOOD.keep(kind, shape)
     return Proof(len(machine.plan.calls), len(proved), sum(shape.explored.states for shape in proved), machine)
 
 
-def _anatomy_of_sample(machine: PetriNetMachine, blocks: MachineBlocks) -> Anatomy:
-    """Return the anatomy of the frame and of one block of each kind, with all that these are connected to.
+class _Sample(NamedTuple):
+    """The blocks of a machine that are looked at."""
+
+    chosen: list[PlacedStep]
+    kinds: dict[Owner, object]
+    """The kinds of the calls among them, which other machines may have as well."""
+    proved: set[_Proved]
+    """What is known of calls of other kinds."""
+    borders: set[int]
+    """Places between those and what holds them, which is looked at."""
+
+
+def _sample(machine: PetriNetMachine, blocks: MachineBlocks) -> _Sample:
+    """Return the frame and one block of each kind that was not proved before.
 
     Blocks of one template are of one kind if what their own rules ask is alike, as far as the proof looks at it, their ports lead
-    somewhere or not alike, and they stand in the same region in the same way.
+    somewhere or not alike, and they stand in the same region in the same way. What is proved of a call that holds no other steps depends
+    on nothing else of its machine than whether it can be entered again, and what becomes of it when another step fails.
     """
-    kinds: dict[object, PlacedStep] = {}
+    sample, seen = _Sample([], {}, set(), set()), set[object]()
+    others = machine.on_failure, bool(machine.restart_places)
     regions = {step.index: region for region in blocks.regions for step in region.inner.flow.steps}
     for block in blocks.placed:
-        if block.step is None:
-            kinds[id(block)] = block
-        else:
-            region, ports = regions.get(block.step.index), tuple(map(bool, block.ports))
-            kinds.setdefault((id(block.template), id(region), ports, *_borders(block, region), kinds_of(blocks.own_rules(block))), block)
-    chosen = [*kinds.values()]
-    own = {number for block in chosen for number in range(block.place, block.place + len(block.template.places))}
+        if (step := block.step) is None:
+            sample.chosen.append(block)
+            continue
+        region, template = regions.get(step.index), block.template
+        borders = _borders(block, region)
+        like = (template, tuple(map(bool, block.ports)), *map(bool, borders), kinds_of(blocks.own_rules(block)))
+        if (kind := (*like, id(region))) in seen:
+            continue
+        seen.add(kind)
+        if isinstance(step, ActionCall) and not template.inner and region is not None:
+            everywhere = (*like, others, region.owner is None)
+            if (known := _KINDS_FOUND_GOOD.get(everywhere)) is not None:
+                sample.proved.add(known)
+                sample.borders.update(*borders)
+                continue
+            sample.kinds[step.index] = everywhere
+        sample.chosen.append(block)
+    return sample
+
+
+def _anatomy_of(sample: _Sample, machine: PetriNetMachine, blocks: MachineBlocks) -> Anatomy:
+    """Return the anatomy of a sample, with all that its blocks are connected to."""
+    chosen = sample.chosen
+    own = sample.borders.union(number for block in chosen for number in range(block.place, block.place + len(block.template.places)))
     own.update(number for block in chosen if block.step is not None for places in block.ports for number in places)
     own.update(number for region in blocks.regions if not region.inner.flow.steps for number in (*region.first, *region.last))
     return Anatomy(_restricted(machine, blocks, chosen, own), _beside(blocks, own))
 
 
-def _borders(block: PlacedStep, region: PlacedRegion | None) -> tuple[bool, ...]:
-    """Return whether the block is entered, and left, directly from what holds it."""
+def _borders(block: PlacedStep, region: PlacedRegion | None) -> list[list[int]]:
+    """Return the places at which the block is entered, and left, directly from what holds it, by its ports."""
     first_border = 0 if region is None else region.place + len(region.inner.flow.orderings)
-    return tuple(any(place >= first_border for place in places) for places in block.ports[:4])
+    return [[place for place in places if place >= first_border] for places in block.ports[:4]]
 
 
 def _restricted(machine: PetriNetMachine, blocks: MachineBlocks, chosen: Sequence[PlacedStep], own: set[int]) -> PetriNetMachine:
@@ -231,16 +272,14 @@ def _proved(part: Part) -> _Proved:
                     isinstance(way_out.guard, Withheld) and isfinite(way_out.guard.seconds) and way_out.inputs == rest for way_out in before
                 ):
                     raise Unsound(f"{step.name} has no way out for when resources that it needs are withheld")
-        proved = _Proved(explore_part(part))
-        if len(_FOUND_GOOD) == _REMEMBERED:
-            _FOUND_GOOD.pop(next(iter(_FOUND_GOOD)))
-        _FOUND_GOOD[shape] = proved
+        proved = _FOUND_GOOD.keep(shape, _Proved(explore_part(part)))
     return proved
 
 
 def forget_proofs() -> None:
-    """Forget which shapes of blocks were found good."""
-    _FOUND_GOOD.clear()
+    """Forget which shapes of blocks, and which kinds of calls, were found good."""
+    _FOUND_GOOD.forget()
+    _KINDS_FOUND_GOOD.forget()
 
 
 def explore(machine: PetriNetMachine) -> int:
