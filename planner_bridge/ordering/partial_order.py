@@ -46,7 +46,7 @@ class PartialOrder:
             due: before this the goal is not looked at.
         """
         self._calls = calls
-        keys: list[PlanEvent | TimedChange] = [PlanEvent(call.index, moment) for call in calls for moment in Moment]
+        keys: list[PlanEvent | TimedChange] = [PlanEvent(call.index, moment) for call in calls for moment in (Moment.START, Moment.END)]
         planned = [*map(self._time_of_event, keys)]  # type: ignore[arg-type]
         self._makespan = max(planned, default=0.0)
         preceding: list[list[int]] = [[] for _ in (*keys, *timed)]

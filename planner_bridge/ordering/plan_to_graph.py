@@ -110,7 +110,7 @@ def _with_lasting_effects(calls: Sequence[ActionCall], order: PartialOrder, link
                 writers[fluent].add(number, None)
     found = []
     for call in calls:
-        start, end = (order.number(call.index, moment) for moment in Moment)
+        start, end = (order.number(call.index, moment) for moment in (Moment.START, Moment.END))
         started = links.writes[PlanEvent(call.index, Moment.START)]
         lasting = frozenset(fluent for fluent in started if not writers[fluent].between(start, end))
         found.append(replace(call, lasting=lasting) if lasting else call)

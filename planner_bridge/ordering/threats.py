@@ -88,7 +88,7 @@ class _Trace:
 
     def __post_init__(self) -> None:
         for call in self.graph.calls:
-            first, last = (self.order.number(call.index, moment) for moment in Moment)
+            first, last = (self.order.number(call.index, moment) for moment in (Moment.START, Moment.END))
             for part, mentioned in self.links.throughout[call.index]:
                 if mentioned:
                     self.spans.setdefault(first, []).append(_Span(first, last, part, mentioned))
@@ -223,7 +223,7 @@ def threats(graph: PlanGraph, order: PartialOrder, problem: Problem, links: Caus
 def points_kept(graph: PlanGraph, order: PartialOrder, kept: OrderKept, links: CausalLinks) -> Iterator[tuple[int, int]]:
     """Yield the events that must keep their order: what of each waits for others, and what others wait for."""
     for call in graph.calls:
-        start, end = (PlanEvent(call.index, moment) for moment in Moment)
+        start, end = (PlanEvent(call.index, moment) for moment in (Moment.START, Moment.END))
         for first, last in ((start, end),) if call.action.duration is None else ((start, start), (end, end)):
             waits, leads = order.number(*first), order.number(*last)
             if waits and (kept.fluents is None or kept.fluents & links.writes[last]):

@@ -186,7 +186,9 @@ class CallBlock(Block[ActionCall]):
         own = [recovery.when for recovery in self.step.recoveries if Cause.AFTER in recovery.causes]
         effects = (effect.condition for effect in every_effect(action.end_effects) if isinstance(effect, When))
         is_open = bool(own) and any(argument.startswith("?") for argument in action.arguments)
-        return is_open or any(may_ask(data) for part in (*own, *effects, action.end_condition, action.expected) for data in data_in(part))
+        return is_open or any(
+            may_ask(data) for part in (*own, *effects, action.end_condition, action.expected) if part != TRUE for data in data_in(part)
+        )
 
     @cached_property
     def terms(self) -> CallTerms:

@@ -15,7 +15,7 @@ from pnm.core.machine.blocks import END, FAILED, GOAL, START, MachineBlocks, Pla
 from pnm.core.machine.call_block import CallBlock
 from pnm.core.machine.machine import Always, ConditionFalse, ConditionTrue, Due, Ending, Failing, OnFailure, PetriNetMachine, Rule
 from pnm.core.machine.plan_graph import ActionCall, Cause, Choice, Junction, Loop, Moment, PlanEvent, PlanGraph, Step, Then
-from pnm.core.machine.step_block import Block, BlockTemplate, ChoiceBlock, Context, Draft, Inner, JunctionBlock, LoopBlock, Port
+from pnm.core.machine.step_block import PORTS, Block, BlockTemplate, ChoiceBlock, Context, Draft, Inner, JunctionBlock, LoopBlock
 from pnm.core.net.no_collection import no_collection
 from pnm.core.net.when_asked import Remembered
 from pnm.core.resources import check_capacity
@@ -63,7 +63,7 @@ class Builder:
     def _template(
         self, step: Step, context: Context, ports: Sequence[Collection[int]], delays: tuple[tuple[int, float], ...]
     ) -> BlockTemplate:
-        connected = frozenset(port for port, places in zip(Port, ports, strict=True) if places)
+        connected = frozenset(port for port, places in zip(PORTS, ports, strict=True) if places)
         named = tuple((self.blocks.place_name(place), delay) for place, delay in delays)
         block: Block[Any]
         match step:

@@ -385,7 +385,7 @@ def in_order(flow: Flow) -> tuple[PlanEvent, ...]:
     Raises:
         PlanGraphError: there is none.
     """
-    events = [PlanEvent(step.index, moment) for step in flow.steps for moment in Moment]
+    events = [PlanEvent(step.index, moment) for step in flow.steps for moment in (Moment.START, Moment.END)]
     starts = {step.index: 2 * number for number, step in enumerate(flow.steps)}
     before: list[list[int]] = [[number - 1] if number % 2 else [] for number in range(len(events))]
     for ordering in flow.orderings:

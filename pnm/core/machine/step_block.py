@@ -49,6 +49,12 @@ class Port(StrEnum):
     LEADS_TO = "what waits for the end"
     RESOURCES = "resources"
 
+    __hash__ = str.__hash__  # without a call of Python: every block asks for its ports
+
+
+PORTS: Final = tuple(Port)
+"""In their order."""
+
 
 class BlockTemplate(Template):
     """A block that steps of one shape share: its places and transitions with their rules and roles, by number."""

@@ -9,7 +9,7 @@ from typing import Final
 from pnm.core.machine.blocks import MachineBlocks, PlacedRegion, PlacedStep
 from pnm.core.machine.machine import Due, Ending, PetriNetMachine, Rule, TransitionAction
 from pnm.core.machine.plan_graph import ActionCall, Flow, Moment, Ordering, PlanEvent, PlanGraph, flows, in_order
-from pnm.core.machine.step_block import Port
+from pnm.core.machine.step_block import PORTS, Port
 from pnm.core.machine.verification.decompose import Block
 from pnm.core.machine.verification.part import Unsound
 
@@ -56,7 +56,7 @@ def check_places(machine: PetriNetMachine, blocks: MachineBlocks) -> None:
         places, transitions = block.place + len(block.template.places), transitions + len(block.template.transitions)
         delays: dict[str, float] = {}
         for number, found in enumerate(block.ports):
-            port = None if block.step is None or number >= len(_PORTS) else _PORTS[number]
+            port = None if block.step is None or number >= len(PORTS) else PORTS[number]
             takes = bool(block.template.consumers[~number])  # an end that looks at places gives them back: it still is who takes from them
             for place in found if takes or ~number in block.template.giving else ():
                 region = blocks.segment_of(place)
@@ -71,7 +71,7 @@ def check_places(machine: PetriNetMachine, blocks: MachineBlocks) -> None:
                 if not is_good:
                     raise Unsound(f"{blocks.place_name(place)} connects what it must not connect")
         release = block.step.release if isinstance(block.step, ActionCall) and not block.step.under_way else 0.0
-        for transition, _ in block.template.consumers[~_PORTS.index(Port.STARTS_AFTER)] if release or delays else ():
+        for transition, _ in block.template.consumers[~PORTS.index(Port.STARTS_AFTER)] if release or delays else ():
             number = block.transition + transition
             inputs = [blocks.place_name(place) for place, _ in blocks.inputs(number)]
             _check_times(blocks.transition_name(number), blocks.rule(number), inputs, release, delays)
@@ -81,7 +81,6 @@ def check_places(machine: PetriNetMachine, blocks: MachineBlocks) -> None:
                 raise Unsound(f"{blocks.place_name(place)} does not connect two blocks")
 
 
-_PORTS: Final = tuple(Port)
 _EVENTS: Final = {Port.STARTS_AFTER: Moment.START, Port.ENDS_AFTER: Moment.END, Port.ANNOUNCES: Moment.START, Port.LEADS_TO: Moment.END}
 
 
