@@ -118,7 +118,7 @@ class CausalLinks:
 
     def relevant_of(self, fluents: frozenset[Fluent]) -> frozenset[Fluent]:
         """Return what the fluents rest on, as far as it can order anything."""
-        return frozenset([fluent for fluent in self.knowledge.rests_on(fluents) if fluent[0] in self.relevant])
+        return frozenset([fluent for fluent in self.knowledge.rests_on(fluents) if fluent[0] in self.relevant]) if fluents else fluents
 
     def add_timed_change(self, time: float, changed: Mapping[Fluent, Value]) -> None:
         """Add a change of fluents by themselves; calls that end before it and could not have gone on get a deadline.

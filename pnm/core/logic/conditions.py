@@ -171,7 +171,8 @@ def choices_in(condition: Condition, count: Count, around: int = 0) -> int:
 def fluents(condition: Condition, state: State, env: Environment = NOTHING) -> frozenset[Fluent]:
     """Return every ground fluent the truth of the condition may depend on."""
     found: set[Fluent] = set()
-    _add_fluents(found, condition, state, env)
+    if condition != TRUE:
+        _add_fluents(found, condition, state, env)
     return frozenset(found)
 
 
@@ -181,7 +182,10 @@ def _add_fluents(found: set[Fluent], condition: Condition, state: State, env: En
             found.add(bind(fluent, env))
         case All(operands) | Any(operands):
             for operand in operands:
-                _add_fluents(found, operand, state, env)
+                if isinstance(operand, Holds):  # most are, and this is asked for every call of a plan
+                    found.add(bind(operand.fluent, env))
+                else:
+                    _add_fluents(found, operand, state, env)
         case Compare(_, left, right):
             found.update(expression_fluents(left, env))
             found.update(expression_fluents(right, env))

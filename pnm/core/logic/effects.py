@@ -218,7 +218,7 @@ def possible_assignments(effects: Effects, state: State) -> Iterator[tuple[Fluen
 
 def written(effects: Effects, state: State) -> frozenset[Fluent]:
     """Return every fluent the effects may set, whether or not their conditions hold."""
-    return frozenset(fluent for fluent, _, _ in possible_assignments(effects, state))
+    return frozenset([bind(effect.fluent, env) for effect, env in expanded(effects, state) if isinstance(effect, Set)])
 
 
 def names_written(effects: Effects) -> frozenset[str]:

@@ -24,6 +24,7 @@ from pnm.core.machine.plan_graph import Cause, Moment, Ordering, PlanGraph
 from pnm.core.machine.requests import OutcomeKind
 from pnm.core.net.firing_engine import CompiledNet
 from pnm.core.net.net import Marking, PetriNet
+from pnm.core.net.no_collection import no_collection
 from pnm.core.net.time_order import TimeOrder, time_order
 
 # --- guards --------------------------------------------------------------------------------
@@ -353,7 +354,8 @@ class PetriNetMachine:
     @cached_property
     def compiled(self) -> CompiledNet:
         """The net over integers, made once and shared by all runs."""
-        return CompiledNet(self.net)
+        with no_collection():
+            return CompiledNet(self.net)
 
     @cached_property
     def time_order(self) -> TimeOrder:
