@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.simulation import robots_of
+from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.achieve import achieve_at
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import OnChange, Settings
@@ -20,14 +22,44 @@ SEEDS = range(8)
 SPEED = 50.0
 
 
-def measured(problem: Problem, bindings: Bindings, seeds: range = SEEDS) -> list[tuple[float, float]]:
-    """Pursue the goal once for every seed; one request in five is aborted."""
+_TOUR = """
+(define (domain tour) (:requirements :typing :durative-actions) (:types robot place camera)
+  (:predicates (at ?r - robot ?p - place) (linked ?a ?b - place) (inspected ?p - place))
+  (:durative-action go :parameters (?r - robot ?a ?b - place) :duration (= ?duration 0.1)
+    :condition (and (at start (at ?r ?a)) (over all (linked ?a ?b))) :effect (and (at start (not (at ?r ?a))) (at end (at ?r ?b))))
+  (:durative-action inspect :parameters (?r - robot ?a - place ?c - camera) :duration (= ?duration 0.1)
+    :condition (over all (at ?r ?a)) :effect (at end (inspected ?a))))
+"""
+
+
+def tour(calls: int) -> Problem:
+    """A robot that goes from place to place and inspects each, with one of three cameras."""
+    places = range(1, calls // 2 + 1)
+    text = f"(define (problem p) (:domain tour) (:objects r - robot p0 {' '.join(f'p{one}' for one in places)} - place c1 c2 c3 - camera) "
+    text += f"(:init (at r p0) {' '.join(f'(linked p{one - 1} p{one}) (linked p{one} p{one - 1})' for one in places)}) "
+    text += f"(:goal (and {' '.join(f'(inspected p{one})' for one in places)})))"
+    return parse_problem(text, parse_domain(_TOUR))
+
+
+def by_chance(problem: Problem, seed: int) -> Faults:
+    """One request in five is aborted."""
+    return Faults(tuple(Fault(name, FaultKind.ABORT, chance=0.2) for name in problem.domain.actions), seed=seed)
+
+
+def at_first(problem: Problem, seed: int) -> Faults:
+    """Two cameras are broken, so that nearly all of a tour is planned anew, twice."""
+    return Faults((Fault("inspect", FaultKind.ABORT, times=2),), seed=seed)
+
+
+def measured(
+    problem: Problem, bindings: Bindings, seeds: range = SEEDS, faults_of: Callable[[Problem, int], Faults] = by_chance
+) -> list[tuple[float, float]]:
+    """Pursue the goal once for every seed; for every failure the seconds until a request follows, and those of the planner in them."""
     found: list[tuple[float, float]] = []
     bindings = replace(bindings, actions={name: replace(one, retries=0) for name, one in bindings.actions.items()})
     for seed in seeds:
-        faults = Faults(tuple(Fault(name, FaultKind.ABORT, chance=0.2) for name in problem.domain.actions), seed=seed)
         clock = FailureClock()
-        backend = SimulatedBackend(robots_of(problem, bindings, faults, speed=SPEED), bindings.assumed)
+        backend = SimulatedBackend(robots_of(problem, bindings, faults_of(problem, seed), speed=SPEED), bindings.assumed)
         limits = Limits(replans=30, seconds=60.0, forbid_after=1, backoff=0.0)
         settings = Settings(
             improve=0.0, bindings=bindings, limits=limits, on_failure=OnFailure.CONTINUE_OTHERS, on_change=OnChange.EAGER

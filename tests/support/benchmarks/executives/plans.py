@@ -13,14 +13,13 @@ from statistics import median
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.pipeline.loading import load
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Holds
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.verification.verify import verify
-from tests.support.benchmarks.failures import measured
+from tests.support.benchmarks.failures import at_first, measured, tour
 from tests.support.benchmarks.peers.worker import Measure, NotHere, each
 from tests.support.benchmarks.waiting import heard, over_all, taking_turns
 from tests.support.files import ROOT
@@ -66,11 +65,11 @@ def change_unindexed(size: int) -> float:
 
 
 @cache
-def _failures(number: int) -> list[tuple[float, float]]:
-    """Milliseconds from a failure to the next request, and of the planner in them, in the delivery problem of this number."""
-    found = measured(load(*_files("delivery", number)), Bindings(), range(4))
-    if not found:
-        raise NotHere("nothing has failed")
+def _failures(calls: int) -> list[tuple[float, float]]:
+    """Milliseconds from a failure to the next request, and of the planner in them, in a tour of so many calls."""
+    problem = tour(calls)
+    measured(problem, Bindings(), range(1), at_first)  # which shapes of blocks are good is known from then on
+    found = measured(problem, Bindings(), range(1, 5), at_first)
     return [(1000 * whole, 1000 * planner) for whole, planner in found]
 
 

@@ -170,11 +170,11 @@ ROWS: Final = (
     ),
     Row(
         "From a failure to the first request of the new plan",
-        "Deliveries by simulated robots, of which one request in five fails, by the clock on the wall; the number is that of the problem. "
+        "A robot inspects places, and its first inspections fail: nearly all of the plan is made anew. By the clock on the wall. "
         "UP-ESB does not execute the plan that its callback returns.",
         "ms",
-        "problem",
-        (1, 2, 3),
+        "calls",
+        (20, 200),
         (Subject("ours", "failure"), floor("of which the planner and its validation", "failure-planner")),
         rounds=3,
     ),
