@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
 from functools import cached_property
-from threading import Lock
 from typing import Generic, TypeVar, overload
 
 K = TypeVar("K")
@@ -24,13 +23,13 @@ class WhenAsked(dict[K, V]):
 
 
 class Remembered(Generic[K, V]):
-    """Values that were made once and may be needed again, by any thread: only so many, the oldest is forgotten first.
+    """Values that were made once and may be needed again, also by another thread: when there are too many, all are forgotten.
 
     The mutable state is all of it.
     """
 
     def __init__(self, limit: int = 1000) -> None:
-        self._limit, self._values, self._lock = limit, dict[K, V](), Lock()
+        self._limit, self._values = limit, dict[K, V]()
 
     def get(self, key: K) -> V | None:
         """Return what was kept under a key."""
@@ -38,15 +37,13 @@ class Remembered(Generic[K, V]):
 
     def keep(self, key: K, value: V) -> V:
         """Keep a value, and return it; if another is kept under its key already, that one."""
-        with self._lock:
-            if key not in self._values and len(self._values) >= self._limit:
-                del self._values[next(iter(self._values))]
-            return self._values.setdefault(key, value)
+        if len(self._values) >= self._limit:
+            self.forget()
+        return self._values.setdefault(key, value)
 
     def forget(self) -> None:
         """Forget all of them."""
-        with self._lock:
-            self._values.clear()
+        self._values = {}  # another one, so that no thread sees it change its size
 
 
 class Made(Mapping[K, V]):
