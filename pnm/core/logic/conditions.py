@@ -285,5 +285,5 @@ def conjuncts(condition: Condition) -> tuple[Condition, ...]:
 
 def conjunction(parts: Iterable[Condition]) -> Condition:
     """Join conditions by ``and``: nested ones flattened, a single one left alone."""
-    flat = conjuncts(All(tuple(parts)))
+    flat = tuple([one for part in parts for one in conjuncts(part)])
     return flat[0] if len(flat) == 1 else All(flat)

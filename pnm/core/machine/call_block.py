@@ -29,7 +29,7 @@ from functools import cached_property
 from math import isfinite
 
 from pnm.core.logic.computed_values import may_ask
-from pnm.core.logic.conditions import TRUE, All, Condition, conjuncts, data_in, names
+from pnm.core.logic.conditions import TRUE, Condition, conjunction, conjuncts, data_in, names
 from pnm.core.logic.effects import When, every_effect, names_written
 from pnm.core.logic.rules import Rules
 from pnm.core.machine.bindings import Binding, WhenLost
@@ -95,8 +95,7 @@ class CallTerms(Terms[ActionCall]):
         """What is checked before the start."""
         # The over-all condition is checked before the start as well: the call would otherwise be cancelled as soon as it has begun.
         action = self.step.action
-        parts = (*conjuncts(action.precondition), *_before_invariant(action, self.context.plan.rules))
-        return parts[0] if len(parts) == 1 else All(parts)
+        return conjunction((action.precondition, *_before_invariant(action, self.context.plan.rules)))
 
     @property
     def latest(self) -> float:
