@@ -74,10 +74,7 @@ def _constant_effects(call: ActionCall) -> ConstantEffects | None:
     start, end = constants(action.start_effects), constants(action.end_effects)
     if start is None or end is None or action.expected != TRUE:
         return None
-    changed = start | end
-    visible = {
-        fluent: value for fluent, value in changed.items() if isinstance(value, bool | str) and (fluent in end or fluent in call.lasting)
-    }
-    return ConstantEffects(
-        Intention(start, end, action.end_effects), visible, () if any(map(is_number, changed.values())) else tuple(changed.items())
-    )
+    changed, lasting = start | end, {fluent: value for fluent, value in start.items() if fluent in call.lasting}
+    visible = {fluent: value for fluent, value in (lasting | end).items() if isinstance(value, bool | str)}
+    done = () if any(map(is_number, changed.values())) else tuple(changed.items())
+    return ConstantEffects(Intention(start, end, action.end_effects), visible, done)

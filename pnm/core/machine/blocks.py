@@ -162,7 +162,7 @@ class MachineBlocks(BlockArcs[PlacedStep]):
         self.parts: Sequence[object] = ()
         """What the machine was made of."""
         # the last ones that were made are kept: those of one block are asked for together
-        self._terms: tuple[PlacedStep | None, CallTerms | None] = None, None
+        self._terms: tuple[PlacedStep, CallTerms] | None = None
         self._titled: tuple[PlacedStep | None, str] = None, ""
 
     def place_name(self, place: int) -> str:
@@ -235,13 +235,14 @@ class MachineBlocks(BlockArcs[PlacedStep]):
         rule = block.template.rules[number]
         return rule if isinstance(rule, Rule) else rule(self._terms_of(block))
 
-    def _terms_of(self, block: PlacedStep) -> CallTerms | None:
-        """Return what the call of a block itself says."""
-        if self._terms[0] is not block:
+    def _terms_of(self, block: PlacedStep) -> CallTerms:
+        """Return the terms of the call of a block."""
+        found = self._terms
+        if found is None or found[0] is not block:
             assert isinstance(block.step, ActionCall), "only rules of calls are made for each"
             delays = tuple([(self.place_name(place), delay) for place, delay in block.delays])
-            self._terms = block, CallTerms(block.context, block.step, delays)
-        return self._terms[1]
+            found = self._terms = block, CallTerms(block.context, block.step, delays)
+        return found[1]
 
     # --- the machine --------------------------------------------------------------------------
 

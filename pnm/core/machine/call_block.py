@@ -78,7 +78,7 @@ _ALIVE = ("requested", "withdrawing", f"{_RESTARTED}requested", f"{_RESTARTED}wi
 
 
 class CallTerms(Terms[ActionCall]):
-    """What a call itself says."""
+    """Terms of a call."""
 
     @property
     def release(self) -> float:
@@ -191,7 +191,7 @@ class CallBlock(Block[ActionCall]):
 
     @cached_property
     def terms(self) -> CallTerms:
-        """What the call itself says."""
+        """Terms of the call."""
         return CallTerms(self.context, self.step, self.delays)
 
     @cached_property

@@ -43,6 +43,7 @@ class Builder:
         """For every step, the places that it must come later than they are marked, and by how much."""
         self._waiting: deque[tuple[Step, Context]] = deque()
         """Steps whose blocks are still to be placed."""
+        self._templates: dict[object, BlockTemplate] = {}
 
     def add_frame(self, draft: Draft, ports: Sequence[tuple[int, ...]] = ()) -> PlacedStep:
         """Place a part of the frame."""
@@ -79,7 +80,9 @@ class Builder:
                 assert_never(step)
         if (key := block.key) is None:
             return block.template()
-        return _TEMPLATES.get(key) or _TEMPLATES.keep(key, block.template())
+        if key not in self._templates:
+            self._templates[key] = _TEMPLATES.get(key) or _TEMPLATES.keep(key, block.template())
+        return self._templates[key]
 
     def _place(
         self,

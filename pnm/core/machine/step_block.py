@@ -53,7 +53,7 @@ class Port(StrEnum):
 
 
 PORTS: Final = tuple(Port)
-"""In their order."""
+"""The ports in their order."""
 
 
 class BlockTemplate(Template):
@@ -61,9 +61,11 @@ class BlockTemplate(Template):
 
     def __init__(self, draft: Draft, block: Block[Any] | None) -> None:
         super().__init__(draft.net.build(), draft.ports)
-        self.kinds = tuple(rule if isinstance(rule, Rule) else rule(block and block.terms) for rule in draft.rules)
+        self.kinds = tuple(rule if isinstance(rule, Rule) else rule(None if block is None else block.terms) for rule in draft.rules)
         """A rule of each transition's kind: that of the block that it was drafted for."""
-        self.rules = self.kinds if block is None or block.key is None else tuple(draft.rules)
+        self.is_shared = block is not None and block.key is not None
+        """Whether blocks of all machines have it."""
+        self.rules = tuple(draft.rules) if self.is_shared else self.kinds
         self.inner = tuple(draft.inner)
         self.initial = {self.codes[place]: tokens for place, tokens in draft.initial.items()}
         self.failures, self.restarts = self.numbers(*draft.failures), self.numbers(*draft.restarts)
@@ -141,7 +143,7 @@ class Context:
 
 @dataclass(frozen=True)
 class Terms(Generic[AnyStep]):
-    """What a step itself says, which is in no template: conditions, times and limits."""
+    """Terms of a step, which are in no template: conditions, times and limits."""
 
     context: Context
     step: AnyStep
@@ -177,7 +179,7 @@ class Block(Generic[AnyStep]):
     def template(self) -> BlockTemplate:
         """Return the template of the block."""
         self.draft = Draft()
-        for port in Port:
+        for port in PORTS:
             self.draft.port(port)
         self.build()
         return self.draft.template(self)
@@ -197,7 +199,7 @@ class Block(Generic[AnyStep]):
 
     @cached_property
     def terms(self) -> Terms[AnyStep]:
-        """What the step itself says."""
+        """Terms of the step."""
         return Terms(self.context, self.step, self.delays)
 
     def enter(self, ready: str) -> None:

@@ -23,7 +23,7 @@ class WhenAsked(dict[K, V]):
 
 
 class Remembered(Generic[K, V]):
-    """Values that were made once and may be needed again, also by another thread: when there are too many, all are forgotten.
+    """Values that were made once and may be needed again: when there are too many, all are forgotten.
 
     The mutable state is all of it.
     """
@@ -43,7 +43,7 @@ class Remembered(Generic[K, V]):
 
     def forget(self) -> None:
         """Forget all of them."""
-        self._values = {}  # another one, so that no thread sees it change its size
+        self._values = {}
 
 
 class Made(Mapping[K, V]):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from itertools import count
 from math import isfinite
 
 from pnm.core.logic.conditions import Condition
@@ -84,13 +85,13 @@ def _arcs_and_roles(part: Part) -> dict[str, object]:
         *(part.early, part.restarts, part.resources, part.alive, part.settling),
     )
     special = frozenset(part.initial).union(*sets, *part.supplies)
-    numbered, places = part.records | part.finals, dict[str, object]()
-    for number, (place, connected) in enumerate(arcs.items()):
+    numbered, numbers, places = part.records | part.finals, count(), dict[str, object]()
+    for place, connected in arcs.items():
         roles: object = None
         if place in special:
             memberships = tuple(place in members for members in (*part.supplies, *sets))
-            # Records and finals keep their number, because tokens in two of them differ from two tokens in one.
-            roles = part.initial.get(place, 0), memberships, number if place in numbered else None
+            # Records and finals are numbered, because tokens in two of them differ from two tokens in one.
+            roles = part.initial.get(place, 0), memberships, next(numbers) if place in numbered else None
         places[place] = (tuple(connected), roles)
     return places
 

@@ -6,12 +6,13 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from typing import Final
 
-from pnm.core.machine.blocks import MachineBlocks, PlacedRegion, PlacedStep
+from pnm.core.machine.blocks import START, MachineBlocks, PlacedRegion, PlacedStep
 from pnm.core.machine.machine import Due, Ending, PetriNetMachine, Rule, TransitionAction
 from pnm.core.machine.plan_graph import ActionCall, Flow, Moment, Ordering, PlanEvent, PlanGraph, flows, in_order
 from pnm.core.machine.step_block import PORTS, Port
 from pnm.core.machine.verification.decompose import Block
 from pnm.core.machine.verification.part import Unsound
+from pnm.core.net.block_net import Segment
 
 _BEGINNINGS = (TransitionAction.BEGIN, TransitionAction.ADOPT)
 
@@ -41,33 +42,41 @@ def _flows(plan: PlanGraph) -> list[tuple[int | None, Flow]]:
 
 
 def check_places(machine: PetriNetMachine, blocks: MachineBlocks) -> None:
-    """Check that the places between the blocks of a machine connect what the plan has them connect, in an order without a cycle.
+    """Check what no block shows by itself.
+
+    The blocks are those of the steps of the plan, begin as their templates do, and are connected as the plan has it: by places between
+    them, in an order without a cycle.
 
     Raises:
-        Unsound: one does not, or a delay or a release time is not waited for.
+        Unsound: something of that is not so, or a delay or a release time is not waited for.
     """
     _check_order(machine.plan, blocks)
-    resources = machine.net.numbered(machine.resource_places)
+    resources, restarts = machine.net.numbered(machine.resource_places), machine.net.numbered(machine.restart_places)
+    _check_marking(machine, blocks, resources)
+    steps = {step.index: step for region in blocks.regions for step in region.inner.flow.steps}
     connected = bytearray(blocks.count_places)  # for every place between blocks, 1 if one takes from it, 2 if one gives to it, 3 if both
     places = transitions = 0
     for block in blocks.placed:
         if block.transition != transitions or block.place < places:
             raise Unsound(f"the block of {block.title} overlaps another")
+        if block.step is not None and steps.get(block.step.index) is not block.step:
+            raise Unsound(f"the block of {block.title} is that of no step of the plan")
         places, transitions = block.place + len(block.template.places), transitions + len(block.template.transitions)
         delays: dict[str, float] = {}
         for number, found in enumerate(block.ports):
             port = None if block.step is None or number >= len(PORTS) else PORTS[number]
             takes = bool(block.template.consumers[~number])  # an end that looks at places gives them back: it still is who takes from them
             for place in found if takes or ~number in block.template.giving else ():
-                region = blocks.segment_of(place)
-                if isinstance(region, PlacedRegion):
+                if isinstance(region := blocks.segment_of(place), PlacedRegion):
                     meant = region.stands_for(place)
                     is_good = not connected[place] & (1 if takes else 2) and _connects(block, port, region.owner, meant, takes=takes)
                     connected[place] |= 1 if takes else 2
                     if port is Port.STARTS_AFTER and isinstance(meant, Ordering) and meant.delay:
                         delays[blocks.place_name(place)] = meant.delay
-                else:  # what the frame has besides is looked at with its block
-                    is_good = block.step is None or (port is Port.RESOURCES and place in resources)
+                elif block.step is None:  # the places of the frame are looked at with its blocks
+                    is_good = _is_of_frame(region) or place in restarts
+                else:
+                    is_good = port is Port.RESOURCES and place in resources
                 if not is_good:
                     raise Unsound(f"{blocks.place_name(place)} connects what it must not connect")
         release = block.step.release if isinstance(block.step, ActionCall) and not block.step.under_way else 0.0
@@ -79,6 +88,26 @@ def check_places(machine: PetriNetMachine, blocks: MachineBlocks) -> None:
         for place in range(region.place, region.place + region.count):
             if connected[place] != 3:
                 raise Unsound(f"{blocks.place_name(place)} does not connect two blocks")
+        borders = range(region.place + len(region.inner.flow.orderings), region.place + region.count)
+        for bordering, moment in ((region.first, Moment.START), (region.last, Moment.END)):
+            events = ((one, region.stands_for(one)) for one in borders)
+            if sorted(bordering) != [one for one, event in events if not isinstance(event, PlanEvent) or event.moment is moment]:
+                raise Unsound(f"{region.inner.begin} and {region.inner.end}: not all of its first or last places are known as such")
+
+
+def _check_marking(machine: PetriNetMachine, blocks: MachineBlocks, resources: Mapping[int, str]) -> None:
+    """Check that at first the start is marked, what blocks begin with, and resources, which belong to the frame."""
+    marked = dict(machine.net.numbered(machine.initial))
+    for place, name in resources.items():
+        if marked.pop(place, 0) < 1 or not _is_of_frame(blocks.segment_of(place)):
+            raise Unsound(f"there is nothing of the resource {name}")
+    own = {block.place + number: count for block in blocks.placed for number, count in block.template.initial.items()}
+    if marked != {START: 1, **own}:
+        raise Unsound("other places are marked at first than the start and those that blocks begin with")
+
+
+def _is_of_frame(segment: Segment) -> bool:
+    return isinstance(segment, PlacedStep) and segment.step is None
 
 
 _EVENTS: Final = {Port.STARTS_AFTER: Moment.START, Port.ENDS_AFTER: Moment.END, Port.ANNOUNCES: Moment.START, Port.LEADS_TO: Moment.END}

@@ -9,14 +9,14 @@ recovery that goes on without it, and a loop or a choice only as its condition s
 more than it began with. A run that is paused goes on when it is resumed, and each pause may have calls begin anew: so it ends if it is
 paused finitely often.
 
-`explore` walks through all states: the oracle, for machines of a few calls. `verify` is linear
-in the number of calls, and trusts nothing but the net and the rules. A machine as it was generated has its blocks from templates: one
-block of each kind is looked at as described here, and of all others what is their own: what their ports stand for, and what their
-rules ask (`check_places`, `kinds_of`). A machine of which any part was exchanged is looked at block by block. Every block (the transitions
-of one step) is explored on its own, once per shape, with its inputs supplied at any moment and
-what it holds taken as one step that comes to an end; at every place some exit opens in finite
-time for any answer; every place between blocks has one writing and one reading block, neighbours
-or a step and what holds it; and what neighbours wait for has no cycle. By induction along that
+`explore` walks through all states: the oracle, for machines of a few calls. `verify` is linear in the number of calls, and trusts
+nothing but the net and the rules, and what it has proved before. A machine as it was generated has its blocks from templates: one
+block of each kind is looked at as described here, if none of its kind was in this process, and of all others what is their own: what
+their ports stand for, and what their rules ask (`check_places`, `kinds_of`). A machine of which any part was exchanged is looked at
+block by block. Every block (the transitions of one step) is explored on its own, once per shape, with its inputs supplied at any moment
+and what it holds taken as one step that comes to an end; at every place some exit opens in finite time for any answer; every place
+between blocks has one writing and one reading block, neighbours or a step and what holds it; and what neighbours wait for has no cycle.
+By induction along that
 order, and from the innermost steps outwards, each block gets its inputs once and gives its outputs
 once whenever it is entered. Counters are explored as all, some or none left, and their moves end because they have one direction.
 
@@ -68,9 +68,7 @@ class _Proved:
 
 
 _FOUND_GOOD: Final = Remembered[object, _Proved]()
-"""The shapes of blocks that were explored."""
-_KINDS_FOUND_GOOD: Final = Remembered[object, _Proved]()
-"""The kinds of calls that were proved, in any machine."""
+"""The shapes of blocks that were explored, and the kinds of calls that were proved, in any machine."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +136,7 @@ def verify(machine: PetriNetMachine) -> Proof:
     except CycleError as error:
         raise Unsound(f"blocks wait for each other: {error.args[1]}") from error
     for kind, shape in found.items():
-        _KINDS_FOUND_GOOD.keep(kind, shape)
+        _FOUND_GOOD.keep(kind, shape)
     return Proof(len(machine.plan.calls), len(proved), sum(shape.explored.states for shape in proved), machine)
 
 
@@ -149,7 +147,9 @@ class _Sample(NamedTuple):
     kinds: dict[Owner, object]
     """The kinds of the calls among them, which other machines may have as well."""
     proved: set[_Proved]
-    """What is known of calls of other kinds."""
+    """What is known of the kinds that are left out."""
+    left_out: list[PlacedStep]
+    """The first block of each of them."""
     borders: set[int]
     """Places between those and what holds them, which is looked at."""
 
@@ -161,8 +161,8 @@ def _sample(machine: PetriNetMachine, blocks: MachineBlocks) -> _Sample:
     somewhere or not alike, and they stand in the same region in the same way. What is proved of a call that holds no other steps depends
     on nothing else of its machine than whether it can be entered again, and what becomes of it when another step fails.
     """
-    sample, seen = _Sample([], {}, set(), set()), set[object]()
-    others = machine.on_failure, bool(machine.restart_places)
+    sample, seen = _Sample([], {}, set(), [], set()), set[object]()
+    surroundings = machine.on_failure, bool(machine.restart_places)
     regions = {step.index: region for region in blocks.regions for step in region.inner.flow.steps}
     for block in blocks.placed:
         if (step := block.step) is None:
@@ -174,13 +174,14 @@ def _sample(machine: PetriNetMachine, blocks: MachineBlocks) -> _Sample:
         if (kind := (*like, id(region))) in seen:
             continue
         seen.add(kind)
-        if isinstance(step, ActionCall) and not template.inner and region is not None:
-            everywhere = (*like, others, region.owner is None)
-            if (known := _KINDS_FOUND_GOOD.get(everywhere)) is not None:
+        if template.is_shared and region is not None:
+            anywhere = (*like, surroundings, region.owner is None)
+            if (known := _FOUND_GOOD.get(anywhere)) is not None:
                 sample.proved.add(known)
+                sample.left_out.append(block)
                 sample.borders.update(*borders)
                 continue
-            sample.kinds[step.index] = everywhere
+            sample.kinds[step.index] = anywhere
         sample.chosen.append(block)
     return sample
 
@@ -191,7 +192,12 @@ def _anatomy_of(sample: _Sample, machine: PetriNetMachine, blocks: MachineBlocks
     own = sample.borders.union(number for block in chosen for number in range(block.place, block.place + len(block.template.places)))
     own.update(number for block in chosen if block.step is not None for places in block.ports for number in places)
     own.update(number for region in blocks.regions if not region.inner.flow.steps for number in (*region.first, *region.last))
-    return Anatomy(_restricted(machine, blocks, chosen, own), _beside(blocks, own))
+    names = {number: blocks.place_name(number) for number in sorted(own)}
+    left_out = (block.place + number for block in sample.left_out for number in range(len(block.template.places)))
+    others = [blocks.place_name(number) for number in left_out if number not in own]
+    if len({*names.values(), *others}) < len(names) + len(others):
+        raise Unsound("a name is used twice")
+    return Anatomy(_restricted(machine, blocks, chosen, names), _beside(blocks, own))
 
 
 def _borders(block: PlacedStep, region: PlacedRegion | None) -> list[list[int]]:
@@ -200,16 +206,15 @@ def _borders(block: PlacedStep, region: PlacedRegion | None) -> list[list[int]]:
     return [[place for place in places if place >= first_border] for places in block.ports[:4]]
 
 
-def _restricted(machine: PetriNetMachine, blocks: MachineBlocks, chosen: Sequence[PlacedStep], own: set[int]) -> PetriNetMachine:
-    """Return the machine with these blocks and places alone."""
-    names = {number: blocks.place_name(number) for number in sorted(own)}
+def _restricted(machine: PetriNetMachine, blocks: MachineBlocks, chosen: Sequence[PlacedStep], names: Mapping[int, str]) -> PetriNetMachine:
+    """Return the machine with these blocks, and places of these names, alone."""
     transitions = [number for block in chosen for number in range(block.transition, block.transition + len(block.template.transitions))]
     titles = {number: blocks.transition_name(number) for number in transitions}
     if len({*names.values(), *titles.values()}) < len(names) + len(titles):
         raise Unsound("a name is used twice")
 
     def arcs(of: Callable[[int], Iterable[tuple[int, int]]]) -> dict[str, Weights]:
-        return {title: {names[place]: weight for place, weight in of(number) if place in own} for number, title in titles.items()}
+        return {title: {names[place]: weight for place, weight in of(number) if place in names} for number, title in titles.items()}
 
     def roles(found: Mapping[int, V]) -> dict[str, V]:
         return {names[number]: found[number] for number in names if number in found}
@@ -222,14 +227,14 @@ def _restricted(machine: PetriNetMachine, blocks: MachineBlocks, chosen: Sequenc
         rules={title: blocks.rule(number) for number, title in titles.items()},
         failure_places=roles(numbered(machine.failure_places)),
         restart_places=roles(numbered(machine.restart_places)),
-        budget_places=frozenset(names[number] for number in machine.net.numbers(machine.budget_places) if number in own),
+        budget_places=frozenset(names[number] for number in machine.net.numbers(machine.budget_places) if number in names),
         resource_places=roles(numbered(machine.resource_places)),
         settling_places=roles(numbered(machine.settling_places)),
-        alive_places=frozenset(names[number] for number in machine.net.numbers(machine.alive_places) if number in own),
+        alive_places=frozenset(names[number] for number in machine.net.numbers(machine.alive_places) if number in names),
         orderings={name: one for number, name in names.items() if (one := blocks.ordering(number)) is not None},
         regions=tuple(
             replace(
-                region, first=[names[one] for one in placed.first if one in own], last=[names[one] for one in placed.last if one in own]
+                region, first=[names[one] for one in placed.first if one in names], last=[names[one] for one in placed.last if one in names]
             )
             for region, placed in zip(machine.regions, blocks.regions, strict=True)
         ),
@@ -279,7 +284,6 @@ def _proved(part: Part) -> _Proved:
 def forget_proofs() -> None:
     """Forget which shapes of blocks, and which kinds of calls, were found good."""
     _FOUND_GOOD.forget()
-    _KINDS_FOUND_GOOD.forget()
 
 
 def explore(machine: PetriNetMachine) -> int:

@@ -18,9 +18,8 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.core.machine.step_block import Port
-from pnm.core.machine.verification import verify as verify_module
 from pnm.core.machine.verification.part import Unsound
-from pnm.core.machine.verification.verify import forget_proofs, verify
+from pnm.core.machine.verification.verify import verify
 from pnm.core.net.net import PetriNet
 from tests.support.runs.mutation.machines import random_machine, random_plan, written_out
 from tests.support.runs.plan_graphs import plan
@@ -143,16 +142,3 @@ def test_a_release_is_waited_for_in_each_block(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(CallTerms, "release", property(lambda call: 1.0 if call.step.index == 2 else release.fget(call)))  # type: ignore[attr-defined]
     with pytest.raises(Unsound, match=r"a2\(\)#2 join does not wait for the times"):
         verify(machine)
-
-
-def test_calls_of_all_machines_share_templates_and_what_was_proved_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    first, second = generate(plan(3, "0e<1s", "1e<2s")), generate(plan(5, "0e<1s", "1e<2s", "2e<3s", "3e<4s"))
-    forget_proofs()
-    proof = verify(first)
-    explored: list[object] = []
-    monkeypatch.setattr(verify_module, "explore_part", explored.append)
-    assert {block.template for block in blocks_of(second).placed if block.step} == {
-        block.template for block in blocks_of(first).placed if block.step
-    }
-    assert verify(second) == replace(proof, calls=5)
-    assert not explored

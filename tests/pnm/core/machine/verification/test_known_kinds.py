@@ -1,0 +1,115 @@
+"""Calls of a kind that was proved in another machine: they are not looked at again, and nothing wrong gets past that."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.blocks import MachineBlocks, PlacedStep, built_from
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import OnFailure, PetriNetMachine
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
+from pnm.core.machine.verification import verify as verify_module
+from pnm.core.machine.verification.part import Unsound
+from pnm.core.machine.verification.verify import forget_proofs, verify
+from tests.support.runs.plan_graphs import plan
+
+
+def calls(*resources: tuple[str, ...]) -> tuple[ActionCall, ...]:
+    return tuple(ActionCall(number, GroundAction(f"a{number}", resources=names)) for number, names in enumerate(resources))
+
+
+AFTER = Ordering(PlanEvent(0, Moment.END), PlanEvent(1, Moment.START))
+PLAN = PlanGraph(calls(("arm",), ("arm",)), (AFTER,))
+
+
+def blocks_of(machine: PetriNetMachine) -> MachineBlocks:
+    blocks = built_from(machine)
+    assert blocks is not None
+    return blocks
+
+
+def made_with(resources: Callable[[dict[int, str]], None], initial: Callable[[dict[int, int]], None]) -> PetriNetMachine:
+    """The machine of the plan, with other resources or another marking at first."""
+    machine = generate(PLAN)
+    named, marked = dict(machine.net.numbered(machine.resource_places)), dict(machine.net.numbered(machine.initial))
+    resources(named)
+    initial(marked)
+    return blocks_of(machine).machine(named, marked, OnFailure.DRAIN)
+
+
+def with_block(number: int, change: Callable[[PlacedStep], PlacedStep]) -> PetriNetMachine:
+    machine = generate(PLAN)
+    blocks = blocks_of(machine)
+    blocks.placed[number] = change(blocks.placed[number])
+    return machine
+
+
+def with_first(change: Callable[[list[int]], None]) -> PetriNetMachine:
+    machine = generate(PLAN)
+    change(blocks_of(machine).regions[0].first)
+    return machine
+
+
+FRAME, CALL = range(2)
+"""The first blocks of the plan."""
+RESOURCE = 4
+INNER = 9
+"""A place of the first call."""
+
+
+def in_the_frame(block: PlacedStep) -> PlacedStep:
+    return replace(block, ports=((*block.ports[0], INNER), *block.ports[1:]))
+
+
+@pytest.mark.parametrize(
+    ("broken", "why"),
+    [
+        (lambda: made_with(lambda named: None, lambda marked: marked.update({INNER: 1})), "other places are marked at first"),
+        (lambda: made_with(lambda named: None, lambda marked: marked.update({RESOURCE: 0})), "there is nothing of the resource arm"),
+        (lambda: made_with(lambda named: named.update({INNER: "leg"}), lambda marked: None), "there is nothing of the resource leg"),
+        (lambda: with_first(list.clear), "not all of its first or last places are known"),
+        (lambda: with_first(lambda first: first.append(INNER)), "not all of its first or last places are known"),
+        (lambda: with_block(CALL, lambda block: replace(block, step=replace(PLAN.calls[1], index=0))), "is that of no step of the plan"),
+        (lambda: with_block(FRAME, in_the_frame), "connects what it must not connect"),
+    ],
+)
+def test_what_is_wrong_around_calls_that_are_known_is_found(broken: Callable[[], PetriNetMachine], why: str) -> None:
+    machine = generate(PLAN)
+    assert blocks_of(machine).segment_of(INNER) is blocks_of(machine).placed[CALL]
+    assert [*machine.net.numbered(machine.resource_places)] == [RESOURCE]
+    verify(machine)
+    with pytest.raises(Unsound, match=why):
+        verify(broken())
+
+
+def test_a_name_is_not_used_twice_by_a_call_that_is_known() -> None:
+    verify(generate(PlanGraph(calls(("arm",)))))
+    twice = PlanGraph((ActionCall(0, GroundAction("resource a", resources=("a()#0 done",))),))
+    with pytest.raises(Unsound, match="a name is used twice"):
+        verify(generate(twice))
+
+
+def test_calls_of_all_machines_share_templates_and_what_was_proved_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second = generate(plan(3, "0e<1s", "1e<2s")), generate(plan(5, "0e<1s", "1e<2s", "2e<3s", "3e<4s"))
+    forget_proofs()
+    proof = verify(first)
+    explored: list[object] = []
+    monkeypatch.setattr(verify_module, "explore_part", explored.append)
+    templates = [{block.template for block in blocks_of(machine).placed if block.step} for machine in (first, second)]
+    assert templates[0] == templates[1]
+    assert verify(second) == replace(proof, calls=5)
+    assert not explored
+
+
+def test_a_proof_is_the_same_whatever_was_proved_before() -> None:
+    bindings = Bindings({"a0": Binding(accept=2.0), "a1": Binding(accept=3.0)})
+    other, machine = (generate(PlanGraph(calls(*resources)), bindings) for resources in ([("arm", "leg")], [("arm",), ("arm",)]))
+    forget_proofs()
+    proof = verify(machine)
+    forget_proofs()
+    verify(other)
+    assert verify(machine) == proof
