@@ -51,7 +51,9 @@ def build_recoveries(block: Block[ActionCall]) -> Recoveries:
                     f"{block.step} cannot continue after {cause.value}: nothing has succeeded that effects could be seen of"
                 )
             before = block.step.recoveries[lists[cause][-1]] if cause in lists else recovery
-            if before is not recovery and before.when == TRUE and before.then.is_last(chain=before.chain != EMPTY):
+            # The first for any other cause is used without asking for its condition.
+            is_unasked = before.when == TRUE or (cause not in _OWN and len(lists.get(cause, ())) == 1)
+            if before is not recovery and is_unasked and before.then.is_last(chain=before.chain != EMPTY):
                 raise PlanGraphError(f"recovery {number} of {block.step} for {cause.value} can never happen: the one before it always can")
             lists.setdefault(cause, []).append(number)
     built: dict[tuple[int, ...], list[str]] = {}

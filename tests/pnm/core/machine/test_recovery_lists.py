@@ -81,7 +81,13 @@ def test_checks_of_ones_own_are_tried_in_order_where_their_conditions_hold() -> 
 
 
 @pytest.mark.parametrize(
-    "first", [Recovery(ABORTED, Then.SKIP, FIX), Recovery(ABORTED, Then.FAIL, Flow()), Recovery(ABORTED, Then.CONTINUE, Flow())]
+    "first",
+    [
+        Recovery(ABORTED, Then.SKIP, FIX),
+        Recovery(ABORTED, Then.FAIL, Flow()),
+        Recovery(ABORTED, Then.CONTINUE, Flow()),
+        Recovery(ABORTED, Then.SKIP, Flow(), when=Holds(("dark",))),
+    ],
 )
 def test_a_recovery_that_can_never_happen_is_refused(first: Recovery) -> None:
     with pytest.raises(PlanGraphError, match=r"recovery 1 of bad.* for aborted can never happen"):
