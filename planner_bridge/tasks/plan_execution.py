@@ -19,6 +19,7 @@ from pnm.core.broadcast import broadcast
 from pnm.core.execution.call_results import Failure, RunResult
 from pnm.core.execution.events import Observer
 from pnm.core.execution.handover import UnderWay
+from pnm.core.execution.machine_index import prepare
 from pnm.core.execution.run import Run
 from pnm.core.logic.effects import names_written, possible_assignments
 from pnm.core.logic.expressions import Constant, Fluent, State, Unknown, Value
@@ -287,7 +288,7 @@ async def proved_machine(context: TaskContext, graph: PlanGraph) -> ProvedMachin
             machine = generate(graph, settings.bindings, on_failure=settings.on_failure, capacities=capacities)
         with stopwatch.of("verify"):
             proof = verify(machine)
-        _ = machine.compiled  # which its run needs, and which is kept
+        prepare(machine)
         return machine, proof
 
     return await asyncio.to_thread(prove)

@@ -40,6 +40,7 @@ from planner_bridge.tasks.settings import OnChange, Settings
 from pnm.actions.backend import ClientBackend, SimulatedBackend
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.clock import run_async, short_pauses
+from pnm.core.execution.machine_index import prepare
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition
 from pnm.core.machine.bindings import Bindings
@@ -65,7 +66,7 @@ UNDER_WAY = 100
 
 def engine(folder: Path) -> None:
     machine = generate(rounds(CALLS))
-    machine.compiled  # noqa: B018
+    prepare(machine)
 
     def handled(journal: Journal, world: KnowledgeBase) -> float:
         return seconds(lambda: answered(machine, journal, world), 1)

@@ -183,13 +183,14 @@ class MachineBlocks(BlockArcs[PlacedStep]):
     def rule(self, transition: int) -> Rule:
         """Return the rule of a transition."""
         block = self.placed[self.index_of(transition)]
-        made = self._made(block, transition - block.transition)
+        rule = block.template.rules[transition - block.transition]
+        made = rule if isinstance(rule, Rule) else rule.made_for(self._terms_of(block))
         return made if block.step is None else made._replace(guard=_about(made.guard, block.step.index), call=block.step.index)
 
     def asks(self, transition: int) -> tuple[int | None, Guard]:
         """Return the step that a transition belongs to, and its guard; what that says of its call may be that of another."""
         block = self.placed[self.index_of(transition)]
-        return None if block.step is None else block.step.index, self._made(block, transition - block.transition).guard
+        return None if block.step is None else block.step.index, self._guard(block, transition - block.transition)
 
     def like(self, transition: int) -> Rule:
         """Return a rule of the same kind, with the same arcs; what it says of its call may be that of another."""
@@ -201,18 +202,17 @@ class MachineBlocks(BlockArcs[PlacedStep]):
         block = self.placed[self.index_of(transition)]
         return isinstance(block.template.rules[transition - block.transition], Rule)
 
-    def own_rules(self, block: PlacedStep) -> list[tuple[Rule, Weights]]:
-        """Return the rules that are made for the block alone, each with what its transition takes, if its times count from there.
+    def own_guards(self, block: PlacedStep) -> list[tuple[Guard, Weights]]:
+        """Return the guards that are made for the block alone, each with what its transition takes, if its times count from there.
 
-        What they say of their call may be that of another.
         With them come all others that ask for conditions: it matters to the proof which conditions are the same.
         """
-        found = list[tuple[Rule, Weights]]()
+        found = list[tuple[Guard, Weights]]()
         for number in block.template.own:
-            rule = self._made(block, number)
-            counts = isinstance(rule.guard, Due) and rule.guard.since
+            guard = self._guard(block, number)
+            counts = isinstance(guard, Due) and guard.since
             inputs = block.arcs(block.template.inputs[number]) if counts else ()
-            found.append((rule, {self.place_name(place): weight for place, weight in inputs}))
+            found.append((guard, {self.place_name(place): weight for place, weight in inputs}))
         return found
 
     def ordering(self, place: int) -> Ordering | None:
@@ -230,10 +230,10 @@ class MachineBlocks(BlockArcs[PlacedStep]):
     def _block_of(self) -> Mapping[int | None, int]:
         return {block.step.index if block.step else None: index for index, block in enumerate(self.placed)}
 
-    def _made(self, block: PlacedStep, number: int) -> Rule:
-        """Return the rule of a transition of a block; what it says of its call may be that of another."""
+    def _guard(self, block: PlacedStep, number: int) -> Guard:
+        """Return the guard of a transition of a block; what it says of its call may be that of another."""
         rule = block.template.rules[number]
-        return rule if isinstance(rule, Rule) else rule(self._terms_of(block))
+        return rule.guard if isinstance(rule, Rule) else rule.guard_for(self._terms_of(block))
 
     def _terms_of(self, block: PlacedStep) -> CallTerms:
         """Return the terms of the call of a block."""

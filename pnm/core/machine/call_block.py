@@ -59,7 +59,7 @@ from pnm.core.machine.machine import (
 from pnm.core.machine.plan_graph import ActionCall, Cause, GroundAction
 from pnm.core.machine.recovery_block import Recoveries, abandon, build_recoveries, succeeded_place
 from pnm.core.machine.requests import OutcomeKind
-from pnm.core.machine.step_block import OWN, Block, Port, RuleOf, Terms
+from pnm.core.machine.step_block import OWN, Block, OwnRule, Port, Terms
 
 _SUCCEEDED = frozenset({OutcomeKind.SUCCEEDED})
 _UNSUCCESSFUL = frozenset(OutcomeKind) - _SUCCEEDED
@@ -142,10 +142,10 @@ class CallBlock(Block[ActionCall]):
         limits = self.retries, binding.accept, binding.cancel, binding.when_lost
         return self.connected, self.context.repeated, self.context.starts_anew, is_timed, traits, limits
 
-    def add(self, rule: Rule | RuleOf, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], *, title: str = "") -> None:
+    def add(self, rule: Rule | OwnRule, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], *, title: str = "") -> None:
         """Add a transition between any places; one that leads to where a request may be alive takes the resources."""
         if resources := self.at(Port.RESOURCES):
-            like = rule if isinstance(rule, Rule) else rule(self.terms)
+            like = rule.rule if isinstance(rule, OwnRule) else rule
             taken, marked = inputs if isinstance(inputs, dict) else dict.fromkeys(inputs, 1), [*outputs]
             # Resources are taken and given where the boundary of the alive places is crossed, so that no transition can forget it.
             was_alive, is_alive = (not self._alive.isdisjoint(places) for places in (taken, marked))
@@ -210,8 +210,8 @@ class CallBlock(Block[ActionCall]):
         out = ["done", *announced]
         failed = [*out, "failed"]
 
-        def add(rule: Rule | RuleOf, source: str, outputs: Iterable[str]) -> None:
-            self.add(rule, [source], outputs, title=phase + (rule if isinstance(rule, Rule) else rule(self.terms)).name)
+        def add(rule: Rule | OwnRule, source: str, outputs: Iterable[str]) -> None:
+            self.add(rule, [source], outputs, title=phase + rule.name)
 
         # First of all rules, and in the first attempt only: after a retry there is no request to adopt any more.
         if self.step.under_way and announced == self.at(Port.ANNOUNCES):
@@ -224,11 +224,12 @@ class CallBlock(Block[ActionCall]):
         # Before the precondition, which cannot be evaluated for parameters without a value.
         add(check_rule(Cause.DATA_MISSING, DataMissing(OWN)), ready, self._after(Cause.DATA_MISSING, failed))
         if isfinite(self.terms.latest):  # before `start`, which would begin something that cannot end in time
-            add(lambda own: check_rule(Cause.TOO_LATE, Due(own.latest)), ready, failed)
+            add(OwnRule(check_rule(Cause.TOO_LATE), lambda own: Due(own.latest)), ready, failed)
         # The complement follows right after it: one of the two opens for every state of the world.
-        add(lambda own: Rule("start", ConditionTrue(own.may_start), action=_SEND, outcome=CallOutcome.RUNNING), ready, [requested])
+        start = Rule("start", action=_SEND, outcome=CallOutcome.RUNNING)
+        add(OwnRule(start, lambda own: ConditionTrue(own.may_start)), ready, [requested])
         refused = self._after(Cause.PRECONDITION_FALSE, failed)
-        add(lambda own: check_rule(Cause.PRECONDITION_FALSE, ConditionFalse(own.may_start)), ready, refused)
+        add(OwnRule(check_rule(Cause.PRECONDITION_FALSE), lambda own: ConditionFalse(own.may_start)), ready, refused)
 
         add(Rule("accepted", Accepts(OWN), action=TransitionAction.BEGIN), requested, ["running", *announced])
         # Nothing is undone after these: assumed start effects are only written once the goal is accepted.
@@ -284,32 +285,25 @@ class CallBlock(Block[ActionCall]):
         if self.step.action.invariant != TRUE:
             # The failure is marked at once, with the cancellation still to be confirmed: it is the cause, whatever the server answers.
             self.fire(
-                lambda own: check_rule(Cause.INVARIANT_FALSE, InvariantFalse(own.step.action.invariant), action=_CANCEL),
+                OwnRule(check_rule(Cause.INVARIANT_FALSE, action=_CANCEL), lambda own: InvariantFalse(own.step.action.invariant)),
                 *("running", "stopping", "failed"),
             )
         if isfinite(self.step.deadline):
-            self.fire(
-                lambda own: check_rule(Cause.DEADLINE_MISSED, Due(own.step.deadline), action=_CANCEL), "running", "stopping", "failed"
-            )
-        self.fire(lambda own: Rule("timed_out", After(own.timeout), action=_CANCEL), "running", "overdue")
+            missed = OwnRule(check_rule(Cause.DEADLINE_MISSED, action=_CANCEL), lambda own: Due(own.step.deadline))
+            self.fire(missed, "running", "stopping", "failed")
+        self.fire(OwnRule(Rule("timed_out", action=_CANCEL), lambda own: After(own.timeout)), "running", "overdue")
 
         in_vain, confirmation = After(self.binding.cancel), f"a confirmed cancellation within {self.binding.cancel:g} s"
         # A success after the limit is a success: cancelling is a race with the server that it may win.
         self.fire(Rule("late_success", Ends(OWN, _SUCCEEDED)), "overdue", returned)
         late, taken_back = Ends(OWN, _UNSUCCESSFUL), self._undone(Cause.TIMED_OUT)
-        expired: RuleOf = lambda own: Rule(  # noqa: E731
-            "expired", late, None, taken_back, None, Cause.TIMED_OUT, f"an end within {own.timeout:g} s", "none; then {message}"
-        )
-        self.add(expired, ["overdue"], self._after(Cause.TIMED_OUT, recover))
+        expired = Rule("expired", late, action=taken_back, cause=Cause.TIMED_OUT, observed="none; then {message}")
+        in_time = OwnRule(expired, expected=lambda own: f"an end within {own.timeout:g} s")
+        self.add(in_time, ["overdue"], self._after(Cause.TIMED_OUT, recover))
         # Never retried: two requests for the same robot could be at work at the same time.
-        self.fire(
-            lambda own: Rule(
-                *("unconfirmed", in_vain, None, _UNDO, None, Cause.TIMED_OUT),
-                *(f"an end within {own.timeout:g} s, or {confirmation} after that", "neither"),
-                gives_up=True,
-            ),
-            *("overdue", "done", "failed"),
-        )
+        unconfirmed = Rule("unconfirmed", in_vain, action=_UNDO, cause=Cause.TIMED_OUT, observed="neither", gives_up=True)
+        at_all = OwnRule(unconfirmed, expected=lambda own: f"an end within {own.timeout:g} s, or {confirmation} after that")
+        self.fire(at_all, "overdue", "done", "failed")
 
         # The request is being cancelled already: only what follows changes, so nothing is sent.
         self.fire(Rule("stop_suspending", CancelAsked()), "suspending", "stopping")

@@ -14,11 +14,12 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
-from typing import Any, Final, Generic, NamedTuple, TypeAlias, TypeVar
+from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import (
     Accepts,
+    After,
     CallOutcome,
     ConditionFalse,
     ConditionTrue,
@@ -26,7 +27,9 @@ from pnm.core.machine.machine import (
     Due,
     Ending,
     Ends,
+    Guard,
     Rule,
+    TransitionAction,
     check_rule,
 )
 from pnm.core.machine.plan_graph import Cause, Choice, Flow, Junction, Loop, PlanGraph, Step
@@ -36,8 +39,31 @@ from pnm.core.net.net import NetBuilder, Weights
 AnyStep = TypeVar("AnyStep", bound=Step)
 OWN: Final = -1
 """In rules of a template, in place of the number of the call: they are about the block's own."""
-RuleOf: TypeAlias = "Callable[[Any], Rule]"
-"""A rule that follows from the `Terms` of a step, such as its precondition: made for each block."""
+
+
+class OwnRule(NamedTuple):
+    """A rule of which a part follows from the `Terms` of a step, such as its precondition."""
+
+    rule: Rule
+    """All else of it."""
+    guard: Callable[[Any], Guard] | None = None
+    """Returns its guard."""
+    expected: Callable[[Any], str] | None = None
+    """Returns what was expected, for the text of a failure."""
+
+    @property
+    def name(self) -> str:
+        """The name of the rule."""
+        return self.rule.name
+
+    def guard_for(self, terms: Any) -> Guard:
+        """Return the guard of the rule of a step."""
+        return self.rule.guard if self.guard is None else self.guard(terms)
+
+    def made_for(self, terms: Any) -> Rule:
+        """Return the rule of a step."""
+        expected = self.rule.expected if self.expected is None else self.expected(terms)
+        return self.rule._replace(guard=self.guard_for(terms), expected=expected)
 
 
 class Port(StrEnum):
@@ -61,7 +87,8 @@ class BlockTemplate(Template):
 
     def __init__(self, draft: Draft, block: Block[Any] | None) -> None:
         super().__init__(draft.net.build(), draft.ports)
-        self.kinds = tuple(rule if isinstance(rule, Rule) else rule(None if block is None else block.terms) for rule in draft.rules)
+        terms = None if block is None else block.terms  # the frame has no rules of its own
+        self.kinds = tuple([rule if isinstance(rule, Rule) else rule.made_for(terms) for rule in draft.rules])
         """A rule of each transition's kind: that of the block that it was drafted for."""
         self.is_shared = block is not None and block.key is not None
         """Whether blocks of all machines have it."""
@@ -72,12 +99,14 @@ class BlockTemplate(Template):
         self.budgets, self.alive, self.settling = (self.numbers(*found) for found in (draft.budgets, draft.alive, draft.settling))
         self.reported = tuple(number for number, rule in enumerate(self.kinds) if isinstance(rule.guard, Accepts | Ends))
         """The transitions that reports open."""
-        self.own = tuple(
-            number
-            for number, (rule, kind) in enumerate(zip(self.rules, self.kinds, strict=True))
-            if not isinstance(rule, Rule) or isinstance(kind.guard, ConditionTrue | ConditionFalse | ConditionUnknown)
-        )
-        """The transitions whose rules are made for each block, and all others that ask for conditions."""
+        made = [number for number, rule in enumerate(self.rules) if isinstance(rule, OwnRule) and rule.guard]
+        self.starting = tuple(number for number, kind in enumerate(self.kinds) if kind.action is TransitionAction.SEND)
+        """The transitions that ask for the condition of a call."""
+        self.limiting = tuple(number for number in made if isinstance(self.kinds[number].guard, After))
+        """The transitions that open after the time that a call may take, where each has its own."""
+        asking = (ConditionTrue, ConditionFalse, ConditionUnknown)
+        self.own = tuple(number for number, kind in enumerate(self.kinds) if number in made or isinstance(kind.guard, asking))
+        """The transitions whose guards are made for each block, and all others that ask for conditions."""
 
 
 class Inner(NamedTuple):
@@ -99,7 +128,7 @@ class Draft:
 
     net: NetBuilder = field(default_factory=NetBuilder)
     ports: list[str] = field(default_factory=list)
-    rules: list[Rule | RuleOf] = field(default_factory=list)
+    rules: list[Rule | OwnRule] = field(default_factory=list)
     initial: dict[str, int] = field(default_factory=dict)
     failures: list[str] = field(default_factory=list)
     restarts: list[str] = field(default_factory=list)
@@ -119,7 +148,7 @@ class Draft:
         self.inner.append(Inner(flow, begin, end, context, *ports))
         return self.inner[-1]
 
-    def transition(self, name: str, rule: Rule | RuleOf, inputs: Weights | Iterable[str], outputs: Iterable[str]) -> None:
+    def transition(self, name: str, rule: Rule | OwnRule, inputs: Weights | Iterable[str], outputs: Iterable[str]) -> None:
         """Add a transition and its rule."""
         self.net.transition(name, inputs, outputs)
         self.rules.append(rule)
@@ -173,7 +202,7 @@ class Block(Generic[AnyStep]):
 
     @property
     def key(self) -> object:
-        """What the shape of the block depends on: blocks with the same differ only in what `RuleOf` makes; None for one of its own kind."""
+        """What the shape of the block depends on: blocks with the same differ only in what `OwnRule` says; None for one of its own kind."""
         return None
 
     def template(self) -> BlockTemplate:
@@ -209,7 +238,7 @@ class Block(Generic[AnyStep]):
             self.terms.release or self.delays
         ):  # asked before `join`: when the run ends, tokens pass at once instead of waiting for a release time
             self.add(Rule("overtaken", Ending(), outcome=CallOutcome.WAITING), waiting, [ready])
-            join: Rule | RuleOf = lambda own: Rule("join", Due(own.release, own.delays), outcome=CallOutcome.WAITING)  # noqa: E731
+            join = OwnRule(Rule("join", outcome=CallOutcome.WAITING), lambda own: Due(own.release, own.delays))
             self.add(join, waiting, [ready], title="join")
         else:
             self.add(Rule("join", outcome=CallOutcome.WAITING), waiting, [ready])
@@ -232,13 +261,13 @@ class Block(Generic[AnyStep]):
         context = replace(self.context, repeated=repeated or self.context.repeated)
         return self.draft.region(flow, f"{self.step} {what} begins", f"{self.step} {what} ends", context)
 
-    def fire(self, rule: Rule | RuleOf, source: str, *targets: str, title: str = "") -> None:
+    def fire(self, rule: Rule | OwnRule, source: str, *targets: str, title: str = "") -> None:
         """Add a transition between places of this block."""
         self.add(rule, [source], targets, title=title)
 
-    def add(self, rule: Rule | RuleOf, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], *, title: str = "") -> None:
+    def add(self, rule: Rule | OwnRule, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], *, title: str = "") -> None:
         """Add a transition of this step between any places, under its title, or the name of its rule if that is unique in the block."""
-        self.draft.transition(title or (rule if isinstance(rule, Rule) else rule(self.terms)).name, rule, inputs, outputs)
+        self.draft.transition(title or rule.name, rule, inputs, outputs)
 
     def place(self, name: str) -> str:
         """Make a place of this block."""

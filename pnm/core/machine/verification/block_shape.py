@@ -8,7 +8,7 @@ from itertools import count
 from math import isfinite
 
 from pnm.core.logic.conditions import Condition
-from pnm.core.machine.machine import After, ConditionFalse, ConditionTrue, ConditionUnknown, Due, Ends, Guard, Rule, Withheld
+from pnm.core.machine.machine import After, ConditionFalse, ConditionTrue, ConditionUnknown, Due, Ends, Guard, Withheld
 from pnm.core.machine.verification.exits import is_timed
 from pnm.core.machine.verification.part import Inside, Part
 from pnm.core.net.net import Weights
@@ -39,10 +39,10 @@ def shape_of(part: Part) -> object:
     return steps, len(part.supplies), places, bool(part.finals), part.cancels, part.others_restart, part.repeats, owed
 
 
-def kinds_of(rules: Iterable[tuple[Rule, Weights]]) -> tuple[object, ...]:
-    """Return all that is proved of some rules of a block, each given with what its transition takes."""
+def kinds_of(guards: Iterable[tuple[Guard, Weights]]) -> tuple[object, ...]:
+    """Return all that is proved of some guards of a block, each given with what its transition takes."""
     conditions: list[Condition] = []
-    return tuple([(_kind(rule.guard, inputs, conditions), rule.action, rule.gives_up, rule.outcome, rule.cause) for rule, inputs in rules])
+    return tuple([_kind(guard, inputs, conditions) for guard, inputs in guards])
 
 
 def without_twins(part: Part) -> Part:

@@ -170,7 +170,7 @@ def _sample(machine: PetriNetMachine, blocks: MachineBlocks) -> _Sample:
             continue
         region, template = regions.get(step.index), block.template
         borders = _borders(block, region)
-        like = (template, tuple(map(bool, block.ports)), *map(bool, borders), kinds_of(blocks.own_rules(block)))
+        like = (template, tuple(map(bool, block.ports)), *map(bool, borders), kinds_of(blocks.own_guards(block)))
         if (kind := (*like, id(region))) in seen:
             continue
         seen.add(kind)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from uuid import UUID
 
+from pnm.core.execution.machine_index import prepare
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.generate import generate
@@ -105,7 +106,7 @@ def checked_run(calls: int, parallel: bool = False) -> Run:
 
 
 def _run(machine: PetriNetMachine, known: KnowledgeBase) -> Run:
-    machine.compiled  # noqa: B018
+    prepare(machine)
     return Run(machine, Layered(known), id=UUID(int=1))
 
 
