@@ -1,20 +1,29 @@
-"""Closed calls: what is computed once per machine is what would be computed anew each time."""
+"""Closed calls: what is computed once per machine is what would be computed anew each time; for all calls at once, if it is prepared."""
 
 from __future__ import annotations
 
+from random import Random
+from uuid import UUID
+
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.core.execution.closed_call import closed_call
 from pnm.core.execution.effect_checks import already_true, finished, intention, is_assumed, unseen
+from pnm.core.execution.machine_index import index_of, prepare
 from pnm.core.execution.questions import EvaluationContext
+from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import Literal
 from pnm.core.logic.conditions import Holds
 from pnm.core.logic.effects import Effects, Set, names_written
 from pnm.core.logic.expressions import UNKNOWN, Constant
 from pnm.core.machine.bindings import DEFAULT, goal_data
+from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
+from tests.support.benchmarks.workloads import checked, inline
+from tests.support.runs.mutation.machines import random_plan, written_out
 
 FLUENTS = [("at", "r1", "hall"), ("at", "r1", "kitchen"), ("free",), ("location", "r1"), ("battery",)]
 VALUES = {"at": st.booleans(), "free": st.booleans(), "location": st.sampled_from(["hall", "undefined"]), "battery": st.just(5.0)}
@@ -56,3 +65,28 @@ def test_what_is_expected_of_a_call_depends_on_the_state() -> None:
     assert closed is not None
     assert closed.is_checked
     assert closed.effects is None
+
+
+def test_nothing_of_its_calls_is_worked_out_while_it_is_executed() -> None:
+    plan, known = checked(5)
+    machine = generate(plan)
+    prepare(machine)
+    index = index_of(machine)
+    made = [dict(index.closed), dict(index.limits), dict(index.conditions)]
+    inline(Run(machine, Layered(KnowledgeBase(known)), id=UUID(int=1)))
+    *calls, conditions = [dict(index.closed), dict(index.limits), dict(index.conditions)]
+    assert calls == made[:2]
+    assert len(calls[0]) == len(calls[1]) == len(made[2]) == 5
+    assert len(conditions) == 6, "only the goal is asked for besides"
+
+
+def test_a_machine_without_templates_is_prepared_as_well() -> None:
+    plan, known = checked(2)
+    machine = written_out(generate(plan))
+    prepare(machine)
+    inline(Run(machine, Layered(KnowledgeBase(known)), id=UUID(int=1)))
+
+
+@pytest.mark.parametrize("number", range(40))
+def test_any_machine_can_be_prepared(number: int) -> None:
+    prepare(generate(random_plan(Random(number))))
