@@ -275,18 +275,6 @@ class MachineIndex:
         self.closed: Final = WhenAsked(self._closed)
         """What of calls does not depend on knowledge."""
 
-    @no_collection()
-    def prepare(self) -> None:
-        """Work out what every call needs that goes well."""
-        closed, conditions, limits = self.closed, self.conditions, self.limits
-        for call, site in enumerate(self.of_calls):
-            closed[call]
-            if isinstance(site.template, BlockTemplate):
-                for number in site.template.starting:
-                    conditions[site.transition + number]
-                for number in site.template.limiting:
-                    limits[site.transition + number]
-
     def is_call(self, step: int | None) -> bool:
         """Return whether a step is a call."""
         return step is not None and step < len(self._calls)
@@ -386,9 +374,17 @@ def index_of(machine: PetriNetMachine) -> MachineIndex:
     return found
 
 
+@no_collection()
 def prepare(machine: PetriNetMachine) -> None:
-    """Work out at once what its execution would work out call by call; between firings that takes twice as long."""
-    index_of(machine).prepare()
+    """Work out at once what every call that goes well needs; between firings, call by call, that takes twice as long."""
+    index = index_of(machine)
+    for call, site in enumerate(index.of_calls):
+        index.closed[call]
+        if isinstance(site.template, BlockTemplate):
+            for number in site.template.starting:
+                index.conditions[site.transition + number]
+            for number in site.template.limiting:
+                index.limits[site.transition + number]
 
 
 def _step_of(block: Placed) -> int | None:
