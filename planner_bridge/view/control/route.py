@@ -31,7 +31,7 @@ class Control:
 
     Args:
         what: may be controlled.
-        token: who has it may do so.
+        token: its holder may control it.
         channel: the way to the process that has the tasks.
     """
 

@@ -60,13 +60,9 @@ def closed_call(call: ActionCall) -> ClosedCall | None:
     action = call.action
     if action.operation is not None or action.given or open_parameters(action):
         return None
-    effects = _constant_effects(call)
-    if effects is None:
-        names = names_written((*action.start_effects, *action.end_effects))
-    else:
-        names = frozenset([fluent[0] for changed in (effects.intention.start, effects.intention.end) for fluent in changed])
+    names = names_written((*action.start_effects, *action.end_effects))
     is_checked = not (action.invariant == action.end_condition == action.expected == TRUE)
-    return ClosedCall(own_values(action), names, is_checked, effects)
+    return ClosedCall(own_values(action), names, is_checked, _constant_effects(call))
 
 
 def _constant_effects(call: ActionCall) -> ConstantEffects | None:

@@ -192,12 +192,7 @@ def _anatomy_of(sample: _Sample, machine: PetriNetMachine, blocks: MachineBlocks
     own = sample.borders.union(number for block in chosen for number in range(block.place, block.place + len(block.template.places)))
     own.update(number for block in chosen if block.step is not None for places in block.ports for number in places)
     own.update(number for region in blocks.regions if not region.inner.flow.steps for number in (*region.first, *region.last))
-    names = {number: blocks.place_name(number) for number in sorted(own)}
-    left_out = (block.place + number for block in sample.left_out for number in range(len(block.template.places)))
-    others = [blocks.place_name(number) for number in left_out if number not in own]
-    if len({*names.values(), *others}) < len(names) + len(others):
-        raise Unsound("a name is used twice")
-    return Anatomy(_restricted(machine, blocks, chosen, names), _beside(blocks, own))
+    return Anatomy(_restricted(machine, blocks, sample, own), _beside(blocks, own))
 
 
 def _borders(block: PlacedStep, region: PlacedRegion | None) -> list[list[int]]:
@@ -206,11 +201,14 @@ def _borders(block: PlacedStep, region: PlacedRegion | None) -> list[list[int]]:
     return [[place for place in places if place >= first_border] for places in block.ports[:4]]
 
 
-def _restricted(machine: PetriNetMachine, blocks: MachineBlocks, chosen: Sequence[PlacedStep], names: Mapping[int, str]) -> PetriNetMachine:
-    """Return the machine with these blocks, and places of these names, alone."""
-    transitions = [number for block in chosen for number in range(block.transition, block.transition + len(block.template.transitions))]
+def _restricted(machine: PetriNetMachine, blocks: MachineBlocks, sample: _Sample, own: set[int]) -> PetriNetMachine:
+    """Return the machine with the blocks of a sample, and these places, alone."""
+    names = {number: blocks.place_name(number) for number in sorted(own)}
+    left_out = (block.place + number for block in sample.left_out for number in range(len(block.template.places)))
+    others = [blocks.place_name(number) for number in left_out if number not in own]
+    transitions = [block.transition + number for block in sample.chosen for number in range(len(block.template.transitions))]
     titles = {number: blocks.transition_name(number) for number in transitions}
-    if len({*names.values(), *titles.values()}) < len(names) + len(titles):
+    if len({*names.values(), *titles.values(), *others}) < len(names) + len(titles) + len(others):
         raise Unsound("a name is used twice")
 
     def arcs(of: Callable[[int], Iterable[tuple[int, int]]]) -> dict[str, Weights]:

@@ -21,14 +21,8 @@ from pnm.core.machine.step_block import Port
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import verify
 from pnm.core.net.net import PetriNet
-from tests.support.runs.mutation.machines import random_machine, random_plan, written_out
+from tests.support.runs.mutation.machines import blocks_of, random_machine, random_plan, written_out
 from tests.support.runs.plan_graphs import plan
-
-
-def blocks_of(machine: PetriNetMachine) -> MachineBlocks:
-    found = built_from(machine)
-    assert found is not None
-    return found
 
 
 def as_text(machine: PetriNetMachine) -> list[str]:

@@ -7,6 +7,7 @@ from random import Random
 
 from pnm.core.logic.conditions import TRUE, Condition, Holds, Not
 from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.blocks import MachineBlocks, built_from
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import (
@@ -85,3 +86,10 @@ def written_out(machine: PetriNetMachine) -> PetriNetMachine:
     net = machine.net
     arcs = ({name: dict(weights) for name, weights in found.items()} for found in (net.inputs, net.outputs))
     return replace(machine, net=PetriNet(tuple(net.places), *arcs), rules=dict(machine.rules))
+
+
+def blocks_of(machine: PetriNetMachine) -> MachineBlocks:
+    """The blocks of a machine as it was generated, to be changed behind its back."""
+    found = built_from(machine)
+    assert found is not None
+    return found

@@ -8,13 +8,14 @@ from dataclasses import replace
 import pytest
 
 from pnm.core.machine.bindings import Binding, Bindings
-from pnm.core.machine.blocks import MachineBlocks, PlacedStep, built_from
+from pnm.core.machine.blocks import PlacedStep
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
 from pnm.core.machine.verification import verify as verify_module
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import forget_proofs, verify
+from tests.support.runs.mutation.machines import blocks_of
 from tests.support.runs.plan_graphs import plan
 
 
@@ -24,12 +25,6 @@ def calls(*resources: tuple[str, ...]) -> tuple[ActionCall, ...]:
 
 AFTER = Ordering(PlanEvent(0, Moment.END), PlanEvent(1, Moment.START))
 PLAN = PlanGraph(calls(("arm",), ("arm",)), (AFTER,))
-
-
-def blocks_of(machine: PetriNetMachine) -> MachineBlocks:
-    blocks = built_from(machine)
-    assert blocks is not None
-    return blocks
 
 
 def made_with(resources: Callable[[dict[int, str]], None], initial: Callable[[dict[int, int]], None]) -> PetriNetMachine:
