@@ -93,7 +93,7 @@ class RunHistory:
         """Return the course of its plan from the state it began in."""
         plan = self.source.plan
         begun = frozenset(call.index for call in plan.calls if call.under_way)
-        events = tuple(event for event in plan.in_order() if event.call not in begun or event.moment is Moment.END)
+        events = tuple(event for event in plan.order if event.call not in begun or event.moment is Moment.END)
         return Course(plan.calls, events, self.state, plan.goal, begun)
 
 

@@ -77,6 +77,8 @@ class CausalLinks:
     """Those of the calls, by number."""
     timed: Sequence[TimedChange] = ()
     kept: list[OrderKept] = field(default_factory=list)
+    starts: list[PlanEvent] = field(init=False)
+    ends: list[PlanEvent] = field(init=False)
     writes: dict[PlanEvent, frozenset[Fluent]] = field(init=False)
     """What each event may write that can order anything, whether or not the conditions of its effects hold."""
     reads: dict[PlanEvent, frozenset[Fluent]] = field(init=False)
@@ -98,23 +100,27 @@ class CausalLinks:
     """The calls that must not start before their planned time."""
 
     def __post_init__(self) -> None:
-        knowledge, self.writes, self.reads, self.throughout = self.knowledge, {}, {}, []
-        for call, action in enumerate(self.actions):
-            self.writes[PlanEvent(call, Moment.START)] = self.relevant_of(written(action.start_effects, knowledge))
-            self.writes[PlanEvent(call, Moment.END)] = self.relevant_of(written(action.end_effects, knowledge))
+        knowledge, relevant_of, self.throughout = self.knowledge, self.relevant_of, []
+        starts, ends = ([PlanEvent(call, moment) for call in range(len(self.actions))] for moment in (Moment.START, Moment.END))
+        self.starts, self.ends = starts, ends
+        self.writes = {
+            event: relevant_of(written(action.start_effects, knowledge)) for event, action in zip(starts, self.actions, strict=True)
+        }
+        self.writes |= {
+            event: relevant_of(written(action.end_effects, knowledge)) for event, action in zip(ends, self.actions, strict=True)
+        }
         # Facts that stay as they are may be evaluated away, so that a derived fact orders less.
         if knowledge.rules.rules:  # what they read is known only as far as neither the plan nor time may change it
             changing = chain(*self.writes.values(), *(change.changes for change in self.timed))
             knowledge.update(dict.fromkeys(changing, UNKNOWN))
-        for call, action in enumerate(self.actions):
+        self.reads = {}
+        for start, end, action in zip(starts, ends, self.actions, strict=True):
             early = read_early(action.end_effects, knowledge)
-            before = fluents(action.precondition, knowledge) | read(action.start_effects, knowledge) | early
-            self.reads[PlanEvent(call, Moment.START)] = self.relevant_of(before)
-            ending = fluents(action.end_condition, knowledge) | read(action.end_effects, knowledge)
-            self.reads[PlanEvent(call, Moment.END)] = self.relevant_of(ending)
+            self.reads[start] = relevant_of(fluents(action.precondition, knowledge) | read(action.start_effects, knowledge) | early)
+            self.reads[end] = relevant_of(fluents(action.end_condition, knowledge) | read(action.end_effects, knowledge))
             # what an action without duration needs must be there as long as the robot takes for it
             parts = conjuncts(action.precondition if action.duration is None else action.invariant)
-            self.throughout.append(tuple((part, self.relevant_of(fluents(part, knowledge))) for part in parts))
+            self.throughout.append(tuple([(part, relevant_of(fluents(part, knowledge))) for part in parts]))
 
     def relevant_of(self, fluents: frozenset[Fluent]) -> frozenset[Fluent]:
         """Return what the fluents rest on, as far as it can order anything."""
@@ -142,23 +148,21 @@ class CausalLinks:
 
     def add_happening(self, kind: HappeningKind, called: ActionCall, end: float, now: float) -> None:
         """Add the reads and writes of one happening of a call, which ends at `end`."""
-        call, action = called.index, called.action
-        start_event, end_event = PlanEvent(call, Moment.START), PlanEvent(call, Moment.END)
-        match kind:
-            case _ if action.duration is None:
-                if kind is not HappeningKind.START:
-                    return
+        call = called.index
+        start_event, end_event = self.starts[call], self.ends[call]
+        if called.action.duration is None:
+            if kind is HappeningKind.START:
                 self._add_point(start_event, end_event, self.reads[start_event] | self.reads[end_event], now)
-            case HappeningKind.OPEN:
-                groups = [group for _, group in self.throughout[call]]
-                for fluent in sorted(frozenset().union(*groups)):
-                    self._after_writer(fluent, start_event, now)
-                    self.readers.setdefault(fluent, []).append(_FluentReader(call, end_event, end))
-                # A write may leave such a part true thanks to another of its fluents, which a reader of single fluents would not show.
-                self.open_conditions += [(call, group, end) for group in groups if len(group) > 1]
-            case _:
-                event = start_event if kind is HappeningKind.START else end_event
-                self._add_point(event, event, self.reads[event], now)
+        elif kind is HappeningKind.OPEN:
+            groups = [group for _, group in self.throughout[call] if group]
+            for fluent in sorted(frozenset().union(*groups)):
+                self._after_writer(fluent, start_event, now)
+                self.readers.setdefault(fluent, []).append(_FluentReader(call, end_event, end))
+            # A write may leave such a part true thanks to another of its fluents, which a reader of single fluents would not show.
+            self.open_conditions += [(call, group, end) for group in groups if len(group) > 1]
+        else:
+            event = start_event if kind is HappeningKind.START else end_event
+            self._add_point(event, event, self.reads[event], now)
 
     def _add_point(self, waits: PlanEvent, releases: PlanEvent, reads: frozenset[Fluent], now: float) -> None:
         """Add the reads, and what `releases` writes, at one point in time: it waits as `waits`, and later events wait for `releases`."""
@@ -180,7 +184,7 @@ class CausalLinks:
             for reader in self.readers.get(fluent, ()):
                 if reader.until > now:  # an over-all condition that this write leaves true
                     still_open.append(reader)
-                    self._order(PlanEvent(reader.call, Moment.START), waits, fluent)
+                    self._order(self.starts[reader.call], waits, fluent)
                 else:
                     self._order(reader.event, waits, fluent)
             self.readers[fluent] = still_open  # readers of the old value are served; those with open conditions go on reading the new one
@@ -230,9 +234,9 @@ class CausalLinks:
         orderings, merged = self.orderings, dict[tuple[PlanEvent, PlanEvent], list[Fluent]]()
         for (before, after), protected in sorted(orderings.items(), key=_by_call):
             for stronger in (  # an ordering implied by a stronger one would cost a place of its own, and order nothing
-                (PlanEvent(before.call, Moment.END), PlanEvent(after.call, Moment.START)),
-                (PlanEvent(before.call, Moment.END), after),
-                (before, PlanEvent(after.call, Moment.START)),
+                (self.ends[before.call], self.starts[after.call]),
+                (self.ends[before.call], after),
+                (before, self.starts[after.call]),
             ):
                 if stronger in orderings:
                     merged.setdefault(stronger, []).extend(protected)

@@ -102,19 +102,20 @@ def check_order(graph: PlanGraph, order: PartialOrder, problem: Problem, links: 
 
 def _with_lasting_effects(calls: Sequence[ActionCall], order: PartialOrder, links: CausalLinks) -> tuple[ActionCall, ...]:
     """Return the calls with what is expected at the end of each call of its start effects: those that nothing else can overwrite before."""
-    writers = {fluent: Writers[None](order, None) for call in calls for fluent in links.writes[PlanEvent(call.index, Moment.START)]}
-    for number, happening in enumerate(order.happenings if writers else ()):
+    begun = {call.index: started for call in calls if (started := links.writes[links.starts[call.index]])}
+    if not begun:
+        return tuple(calls)
+    writers = {fluent: Writers[None](order, None) for started in begun.values() for fluent in started}
+    for number, happening in enumerate(order.happenings):
         changed = happening.changes if isinstance(happening, TimedChange) else links.writes[happening] if happening else ()
         for fluent in changed:
             if fluent in writers:
                 writers[fluent].add(number, None)
-    found = []
-    for call in calls:
-        start, end = (order.number(call.index, moment) for moment in (Moment.START, Moment.END))
-        started = links.writes[PlanEvent(call.index, Moment.START)]
-        lasting = frozenset(fluent for fluent in started if not writers[fluent].between(start, end))
-        found.append(replace(call, lasting=lasting) if lasting else call)
-    return tuple(found)
+    lasting: dict[int, frozenset[Fluent]] = {}
+    for index, started in begun.items():
+        start, end = (order.number(index, moment) for moment in (Moment.START, Moment.END))
+        lasting[index] = frozenset(fluent for fluent in started if not writers[fluent].between(start, end))
+    return tuple([replace(call, lasting=lasting[call.index]) if lasting.get(call.index) else call for call in calls])
 
 
 def calls_of(problem: Problem, plan: Plan, first: int = 0) -> list[ActionCall]:

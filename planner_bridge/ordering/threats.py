@@ -15,7 +15,7 @@ What the plan has before a timed change is taken to come before it: being late i
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import chain, pairwise
 from typing import NamedTuple, TypeAlias
@@ -95,26 +95,32 @@ class _Trace:
             if call.under_way:
                 self.end_effects[call.index] = decided(call.action.end_effects, self.state)
         for number, happening in enumerate(self.order.happenings):
-            match happening:
-                case PlanEvent(index, moment) as event:
-                    call = self.graph.calls[index]
-                    self.needs += self._reads(number, self.links.reads[event])
-                    if moment is Moment.START:
-                        self.end_effects[index] = decided(call.action.end_effects, self.state)
-                        self._write(number, changes(call.action.start_effects, self.state))
-                    elif self.projected and call.under_way:  # the state has these effects already
-                        self._write(number, {fluent: self.state.value(fluent) for fluent in self.links.writes[event]}, before=UNKNOWN)
-                    else:
-                        self._write(number, changes(self.end_effects[index], self.state))
-                case TimedChange(_, changed):
-                    self._write(number, changed)
-                case None if number:
-                    self.needs += self._reads(number, self.links.relevant_of(fluents(self.graph.goal, self.links.knowledge)))
-                case None:
-                    self._write(number, {})
+            if isinstance(happening, PlanEvent):
+                self._carry_out(number, happening)
+            elif happening is not None:
+                self._write(number, happening.changes)
+            else:
+                if number:
+                    self._read(number, self.links.relevant_of(fluents(self.graph.goal, self.links.knowledge)))
+                self._write(number, {})
 
-    def _reads(self, reader: int, mentioned: frozenset[Fluent], afterwards: bool = False) -> Iterator[_Need]:
-        return (_Need(reader, fluent, self.state.value(fluent), afterwards) for fluent in sorted(mentioned))
+    def _carry_out(self, number: int, event: PlanEvent) -> None:
+        call = self.graph.calls[event.call]
+        self._read(number, self.links.reads[event])
+        if event.moment is Moment.START:
+            self.end_effects[event.call] = decided(call.action.end_effects, self.state)
+            self._write(number, changes(call.action.start_effects, self.state))
+        elif self.projected and call.under_way:  # the state has these effects already
+            self._write(number, {fluent: self.state.value(fluent) for fluent in self.links.writes[event]}, before=UNKNOWN)
+        else:
+            self._write(number, changes(self.end_effects[event.call], self.state))
+
+    def _read(self, reader: int, mentioned: frozenset[Fluent]) -> None:
+        if mentioned:
+            self.needs += self._needs(reader, mentioned)
+
+    def _needs(self, reader: int, mentioned: Collection[Fluent], *, afterwards: bool = False) -> list[_Need]:
+        return [_Need(reader, fluent, self.state.value(fluent), afterwards) for fluent in sorted(mentioned)]
 
     def _write(self, writer: int, changed: Mapping[Fluent, _Value], before: _Value = None) -> None:
         for fluent, value in changed.items():
@@ -125,7 +131,7 @@ class _Trace:
         self.changed.append(changed)
         record(self.state, changed)
         for span in self.spans.get(writer, ()):
-            self.begun[span] = tuple(self._reads(writer, span.fluents, afterwards=True))
+            self.begun[span] = tuple(self._needs(writer, span.fluents, afterwards=True))
             self.needs += self.begun[span] if writer else ()
 
     def intrusions(self, state: KnowledgeBase) -> Iterator[_Intrusion]:

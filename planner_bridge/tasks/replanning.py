@@ -214,7 +214,7 @@ class Progress:
     def events(self) -> tuple[PlanEvent, ...]:
         """The events that are still to come, in an order that the plan allows; starts of what is under way are over."""
         begun = {PlanEvent(number, Moment.START) for number in self.under_way}
-        return tuple(event for event in self.plan.in_order() if event.call not in self._finished and event not in begun)
+        return tuple(event for event in self.plan.order if event.call not in self._finished and event not in begun)
 
     @property
     def what_goes_on(self) -> Progress:

@@ -36,7 +36,7 @@ class _StepWriter:
     domain: Domain
 
     def steps(self) -> list[Mapping]:
-        order = self.graph.in_order()
+        order = self.graph.order
         places = {event: place for place, event in enumerate(order)}
         own = [(places[PlanEvent(call.index, Moment.START)], places[PlanEvent(call.index, Moment.END)]) for call in self.graph.calls]
         edges = [(places[ordering.before], places[ordering.after]) for ordering in self.graph.orderings]
@@ -53,7 +53,7 @@ class _StepWriter:
     # --- blocks ---
 
     def _in_blocks(self, orderings: Iterable[Ordering]) -> list[Mapping]:
-        order = list(dict.fromkeys(event.call for event in self.graph.in_order()))
+        order = list(dict.fromkeys(event.call for event in self.graph.order))
         places = {call: place for place, call in enumerate(order)}
         edges = [(places[ordering.before.call], places[ordering.after.call]) for ordering in orderings]
         match blocks(reduced(len(order), edges)):

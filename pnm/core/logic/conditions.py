@@ -127,6 +127,7 @@ class Computed:
 Condition: TypeAlias = Holds | Compare | Not | All | Any | Implies | ForAll | Exists | Computed
 
 TRUE: Final = All()
+_NO_FLUENTS: Final[frozenset[Fluent]] = frozenset()
 
 
 # --- looking into a condition --------------------------------------------------------------
@@ -170,9 +171,12 @@ def choices_in(condition: Condition, count: Count, around: int = 0) -> int:
 
 def fluents(condition: Condition, state: State, env: Environment = NOTHING) -> frozenset[Fluent]:
     """Return every ground fluent the truth of the condition may depend on."""
+    if isinstance(condition, Holds):
+        return frozenset((bind(condition.fluent, env),))
+    if condition is TRUE:
+        return _NO_FLUENTS
     found: set[Fluent] = set()
-    if condition != TRUE:
-        _add_fluents(found, condition, state, env)
+    _add_fluents(found, condition, state, env)
     return frozenset(found)
 
 

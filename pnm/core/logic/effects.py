@@ -106,6 +106,8 @@ def effects_text(effects: Effects) -> str:
 
 def changes(effects: Effects, state: State, env: Environment = NOTHING) -> Changes:
     """Return the new value of every fluent the effects set, computed in the state before."""
+    if not env and (constant := constants(effects)) is not None:
+        return constant
     result: Changes = {}
     for fluent, effect, inner in assignments(effects, state, env):
         value = value_of(effect.value, state, inner)
@@ -218,6 +220,8 @@ def possible_assignments(effects: Effects, state: State) -> Iterator[tuple[Fluen
 
 def written(effects: Effects, state: State) -> frozenset[Fluent]:
     """Return every fluent the effects may set, whether or not their conditions hold."""
+    if (constant := constants(effects)) is not None:
+        return frozenset(constant)
     return frozenset([bind(effect.fluent, env) for effect, env in expanded(effects, state) if isinstance(effect, Set)])
 
 
@@ -228,11 +232,11 @@ def names_written(effects: Effects) -> frozenset[str]:
 
 def read(effects: Effects, state: State) -> frozenset[Fluent]:
     """Return every fluent that the effects read when they happen: in their conditions and right-hand sides."""
+    if constants(effects) is not None:
+        return frozenset()
     reads: set[Fluent] = set()
     for effect, env in expanded(effects, state):
         match effect:
-            case Set(_, Constant(), "assign"):
-                pass
             case Set(fluent, value, operation):
                 reads.update(expression_fluents(value, env))
                 if operation != "assign":

@@ -27,6 +27,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import isfinite
+from typing import Final
 
 from pnm.core.logic.computed_values import may_ask
 from pnm.core.logic.conditions import TRUE, Condition, conjunction, conjuncts, data_in, names
@@ -59,7 +60,7 @@ from pnm.core.machine.machine import (
 from pnm.core.machine.plan_graph import ActionCall, Cause, GroundAction
 from pnm.core.machine.recovery_block import Recoveries, abandon, build_recoveries, succeeded_place
 from pnm.core.machine.requests import OutcomeKind
-from pnm.core.machine.step_block import OWN, Block, OwnRule, Port, Terms
+from pnm.core.machine.step_block import OWN, Block, Context, OwnRule, Port, Terms
 
 _SUCCEEDED = frozenset({OutcomeKind.SUCCEEDED})
 _UNSUCCESSFUL = frozenset(OutcomeKind) - _SUCCEEDED
@@ -80,22 +81,20 @@ _ALIVE = ("requested", "withdrawing", f"{_RESTARTED}requested", f"{_RESTARTED}wi
 class CallTerms(Terms[ActionCall]):
     """Terms of a call."""
 
+    def __init__(self, context: Context, step: ActionCall, delays: tuple[tuple[str, float], ...]) -> None:
+        super().__init__(context, step, delays)
+        self.may_start: Final = _before_start(step.action, context.plan.rules)
+        """What is checked before the start."""
+
     @property
     def release(self) -> float:
         """Seconds after the plan's start before which the call must not start."""
-        return 0.0 if self.step.under_way else self.step.release  # one that is under way already has started: nothing holds it up
+        return self.step.earliest
 
     @property
     def timeout(self) -> float:
         """Seconds that its request may take."""
         return self.context.bindings.timeout(self.step.action) if self.step.timeout is None else self.step.timeout
-
-    @cached_property
-    def may_start(self) -> Condition:
-        """What is checked before the start."""
-        # The over-all condition is checked before the start as well: the call would otherwise be cancelled as soon as it has begun.
-        action = self.step.action
-        return conjunction((action.precondition, *_before_invariant(action, self.context.plan.rules)))
 
     @property
     def latest(self) -> float:
@@ -137,7 +136,7 @@ class CallBlock(Block[ActionCall]):
         step, binding = self.step, self.binding
         if step.recoveries:
             return None
-        is_timed = bool(self.terms.release or self.delays), isfinite(self.terms.latest), isfinite(step.deadline)
+        is_timed = bool(step.earliest or self.delays), isfinite(step.latest_start), isfinite(step.deadline)
         traits = step.under_way, self._must_happen, step.action.invariant != TRUE, self._asks_at_its_end
         limits = self.retries, binding.accept, binding.cancel, binding.when_lost
         return self.connected, self.context.repeated, self.context.starts_anew, is_timed, traits, limits
@@ -359,8 +358,11 @@ class CallBlock(Block[ActionCall]):
                 self.add(check_rule(cause, ConditionTrue(condition)), [source], places, title=title)
 
 
-def _before_invariant(action: GroundAction, rules: Rules) -> tuple[Condition, ...]:
-    """Return what of the over-all condition can be checked before the start: all that the start does not itself change."""
-    parts = conjuncts(action.invariant)
-    changed = names_written(action.start_effects) if parts else frozenset()
-    return tuple([part for part in parts if not rules.base(names(part)) & changed]) if changed else parts
+def _before_start(action: GroundAction, rules: Rules) -> Condition:
+    """Return what is checked before the start: the precondition, and what of the over-all condition the start does not itself change."""
+    # The over-all condition is checked as well: the call would otherwise be cancelled as soon as it has begun.
+    if action.invariant == TRUE:
+        return conjunction((action.precondition,))
+    parts, changed = conjuncts(action.invariant), names_written(action.start_effects)
+    kept = [part for part in parts if not rules.base(names(part)) & changed] if changed else parts
+    return conjunction((action.precondition, *kept))

@@ -157,6 +157,11 @@ class ActionCall:
     under_way: bool = False
     """Its request has been sent by another run, and was accepted; it is taken over as it is."""
 
+    @property
+    def earliest(self) -> float:
+        """Seconds after that moment before which its start waits; a call that is under way has started."""
+        return 0.0 if self.under_way else self.release
+
     def __str__(self) -> str:
         return f"{self.action}#{self.index}"
 
@@ -299,11 +304,14 @@ class PlanGraph:
     """How many calls may have a resource at the same time; one for those not listed."""
 
     def __post_init__(self) -> None:
+        outermost, waiting = {step.index for step in self.steps}, {ordering.after for ordering in self.orderings}
         for position, call in enumerate(self.calls):
             if call.index != position:
                 raise PlanGraphError(f"{call} stands at position {position}")
             if not (0.0 <= call.release < inf and 0.0 <= (call.timeout or 0.0) < inf):
                 raise PlanGraphError(f"{call} would wait for {call.release} or {call.timeout} seconds; expected numbers from 0")
+            if call.under_way and (PlanEvent(position, Moment.START) in waiting or position not in outermost):
+                raise PlanGraphError(f"{call} is under way: it cannot wait for others, or be part of another step")
         if not 0.0 <= self.due < inf:
             raise PlanGraphError(f"the goal would wait for {self.due} seconds; expected a number from 0")
         for name, capacity in self.capacities.items():
@@ -311,17 +319,11 @@ class PlanGraph:
         others = [step.index for step in self.every_step if not isinstance(step, ActionCall)]
         if sorted(others) != [*range(len(self.calls), len(self.calls) + len(others))]:
             raise PlanGraphError("the steps that are not calls are numbered after the calls, each once")
-        outermost = {step.index for step in self.steps}
-        for call in (running for running in self.calls if running.under_way):
-            waits = any(ordering.after == PlanEvent(call.index, Moment.START) for ordering in self.orderings)
-            if waits or call.index not in outermost:
-                raise PlanGraphError(f"{call} is under way: it cannot wait for others, or be part of another step")
-        inside = tuple(inner for step in self.every_step for inner in flows(step))
         _check_orderings(self.flow)
-        for flow in inside:
+        self.order  # noqa: B018  (worked out now, for it raises what is wrong)
+        for flow in (inner for step in self.every_step for inner in flows(step)):
             _check_orderings(flow)
             in_order(flow)
-        self.in_order()
 
     @property
     def flow(self) -> Flow:
@@ -350,12 +352,9 @@ class PlanGraph:
         used = [self.rules.base(read) | written for read, written in zip(reads, writes, strict=True)]
         return (*used, self.rules.base(names(self.goal)))
 
-    def in_order(self) -> tuple[PlanEvent, ...]:
-        """Return all outermost events in an order that keeps every start before its end and every ordering."""
-        return self._order
-
     @cached_property
-    def _order(self) -> tuple[PlanEvent, ...]:
+    def order(self) -> tuple[PlanEvent, ...]:
+        """All outermost events in an order that keeps every start before its end and every ordering."""
         return in_order(self.flow)
 
     def _repr_svg_(self) -> str | None:

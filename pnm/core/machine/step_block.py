@@ -170,14 +170,13 @@ class Context:
     """It may be entered again after it was left."""
 
 
-@dataclass(frozen=True)
 class Terms(Generic[AnyStep]):
-    """Terms of a step, which are in no template: conditions, times and limits."""
+    """Terms of a step, which are in no template: conditions, times and limits. They do not change."""
 
-    context: Context
-    step: AnyStep
-    delays: tuple[tuple[str, float], ...]
-    """Places that the start waits for, and how long it must come after they were marked."""
+    def __init__(self, context: Context, step: AnyStep, delays: tuple[tuple[str, float], ...]) -> None:
+        self.context, self.step = context, step
+        self.delays: Final = delays
+        """Places that the start waits for, and how long it must come after they were marked."""
 
     @property
     def release(self) -> float:

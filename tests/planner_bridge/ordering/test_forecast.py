@@ -36,7 +36,7 @@ def expected(goal: str, *, under_way: float | None = None, lost: str = "") -> Fo
     problem = world(goal)
     graph = plan_graph(problem, plan_for(problem))
     state = initial_knowledge(problem)
-    events, left = graph.in_order(), dict[int, float]()
+    events, left = graph.order, dict[int, float]()
     if under_way is not None:
         events, left = tuple(event for event in events if (event.call, event.moment) != (0, Moment.START)), {0: under_way}
         state.update({("at", "v1", "home"): False})

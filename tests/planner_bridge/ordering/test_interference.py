@@ -110,7 +110,7 @@ def test_plans_without_conflict_work_in_every_order_of_their_events(goals: tuple
 def _works(problem: Problem, graphs: list[PlanGraph], pattern: int) -> bool:
     """Carry the plans out: one after the other, or taking turns."""
     course = PlanSimulation(snapshot(initial_knowledge(problem)))
-    queues = [[(number, graph, event) for event in graph.in_order()] for number, graph in enumerate(graphs)]
+    queues = [[(number, graph, event) for event in graph.order] for number, graph in enumerate(graphs)]
     if pattern % 2:
         queues.reverse()
     mixed = [*queues[0], *queues[1]] if pattern < 2 else [one for pair in zip_longest(*queues) for one in pair if one]

@@ -79,7 +79,7 @@ def check_places(machine: PetriNetMachine, blocks: MachineBlocks) -> None:
                     is_good = port is Port.RESOURCES and place in resources
                 if not is_good:
                     raise Unsound(f"{blocks.place_name(place)} connects what it must not connect")
-        release = block.step.release if isinstance(block.step, ActionCall) and not block.step.under_way else 0.0
+        release = block.step.earliest if isinstance(block.step, ActionCall) else 0.0
         for transition, _ in block.template.consumers[~PORTS.index(Port.STARTS_AFTER)] if release or delays else ():
             number = block.transition + transition
             inputs = [blocks.place_name(place) for place, _ in blocks.inputs(number)]
@@ -119,7 +119,7 @@ def _check_order(plan: PlanGraph, blocks: MachineBlocks) -> None:
     if wanted != sorted(((region.owner, region.inner.flow) for region in blocks.regions if region.inner.flow.steps), key=_owner):
         raise Unsound("the steps of the plan are not those of the regions")
     for owner, flow in wanted:
-        position = {event: number for number, event in enumerate(plan.in_order() if owner is None else in_order(flow))}
+        position = {event: number for number, event in enumerate(plan.order if owner is None else in_order(flow))}
         steps = ((PlanEvent(step.index, Moment.START), PlanEvent(step.index, Moment.END)) for step in flow.steps)
         for before, after in (*((ordering.before, ordering.after) for ordering in flow.orderings), *steps):
             if position[before] >= position[after]:
@@ -166,7 +166,7 @@ def check_events(machine: PetriNetMachine, block: Block, transitions: Collection
             if place in orderings and orderings[place].after.moment is not moment:
                 raise Unsound(f"the {moment.value} of step {block.owner} waits for {place}, which stands for {orderings[place]}")
     calls, owner = machine.plan.calls, block.owner
-    release = calls[owner].release if owner is not None and owner < len(calls) and not calls[owner].under_way else 0.0
+    release = calls[owner].earliest if owner is not None and owner < len(calls) else 0.0
     delays = {place: orderings[place].delay if place in orderings else 0.0 for place in block.first}
     part = block.part
     last = part.outputs | part.finals | part.records

@@ -195,7 +195,7 @@ def test_orderings_that_contradict_each_other_are_refused() -> None:
 
 @given(plans())
 def test_the_order_of_events_keeps_every_ordering(graph: PlanGraph) -> None:
-    position = {event: number for number, event in enumerate(graph.in_order())}
+    position = {event: number for number, event in enumerate(graph.order)}
     assert len(position) == 2 * len(graph.calls)
     assert all(position[one.before] < position[one.after] for one in graph.orderings)
 
