@@ -114,9 +114,10 @@ class KnowledgeBase:
         """Record changes of fluents that are known to be well-formed, such as effects; otherwise as `update`."""
         if self._derived:
             self._refuse_derived(changes)
-        real = {fluent: value for fluent, value in changes.items() if not same_value(self._facts.get(fluent), value)}
-        self._facts.update(real)
+        facts = self._facts
+        real = {fluent: value for fluent, value in changes.items() if not same_value(facts.get(fluent), value)}
         if real:
+            facts.update(real)
             self._changed += real
             if len(self._changed) > _REMEMBERED:
                 self._forget_changes(_REMEMBERED // 2)

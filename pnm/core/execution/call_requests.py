@@ -193,7 +193,7 @@ class Calls:
     def unseen(self, call: int, context: EvaluationContext) -> tuple[Condition, ...]:
         """Return what of the call's effects is not seen."""
         attempt = self._attempts[call]
-        return tuple(dict.fromkeys((*attempt.denied, *unseen(attempt.intended.expected, attempt.action, context))))
+        return tuple(dict.fromkeys((*(attempt.denied or ()), *unseen(attempt.intended.expected, attempt.action, context))))
 
     def is_assumed(self, call: int) -> bool:
         """Return whether nothing reports some of what the call changes."""
@@ -204,7 +204,7 @@ class Calls:
 
     def explain_unseen(self, call: int, context: EvaluationContext) -> tuple[str, str]:
         """Return what of the call's effects is not seen, and what is seen instead, as texts."""
-        denied, missing = self._attempts[call].denied, self.unseen(call, context)
+        denied, missing = self._attempts[call].denied or {}, self.unseen(call, context)
         seen = dict.fromkeys(denied.get(part) or observed(part, context) for part in missing)
         return " ".join(map(str, missing)), "; ".join(seen)
 
@@ -274,8 +274,8 @@ class Calls:
         assert action is TransitionAction.UNDO, f"{action} is about no request that was sent"
         if attempt.begun is None:  # it was never accepted, so nothing was written at its start
             return _NOTHING
-        before, after = attempt.begun, {**attempt.intended.start, **attempt.ended}
-        attempt.begun, attempt.ended = None, {}
+        before, after = attempt.begun, attempt.intended.start | (attempt.ended or {})
+        attempt.begun = attempt.ended = None
         return self._write(undo(before, after, self.world))
 
     def again(self) -> tuple[Command, ...]:
@@ -331,10 +331,10 @@ class Calls:
             return bool(values)
         # Over all means until just before the end: what breaks at the very moment of the end does no harm.
         if attempt.interrupted == now:
-            attempt.denied = {}
+            attempt.denied = None
         # now, before anything is written of its effects: they may change what it relies on
         elif denied := denied_at_end(attempt.action, self.context_of(call, None)):
-            attempt.denied = {**attempt.denied, **denied}
+            attempt.denied = {**(attempt.denied or {}), **denied}
         return bool(values)
 
     def interrupt(self, call: int, now: float) -> None:

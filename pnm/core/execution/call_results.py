@@ -109,18 +109,21 @@ class Explanation(NamedTuple):
 
 
 @dataclass(slots=True)
-class _CallCourse:
+class CallCourse:
     """The course of a call since it was reached last: its result, as it changes."""
 
     call: ActionCall
+    """As it was sent last."""
     kind: CallOutcome = CallOutcome.WAITING
     attempts: int = 0
+    """How many requests of it there were."""
     started: float | None = None
     ended: float | None = None
     assumed: bool = False
     cause: Cause | None = None
 
     def result(self) -> CallResult:
+        """Return the result so far."""
         return CallResult(self.call, self.kind, self.attempts, self.started, self.ended, self.assumed, self.cause)
 
 
@@ -133,7 +136,7 @@ class CallResults:
 
     def __init__(self, plan: PlanGraph) -> None:
         self._plan, self._calls = plan, plan.calls
-        self._courses: dict[int, _CallCourse] = {}
+        self._courses: dict[int, CallCourse] = {}
         """Those of the calls that were reached."""
         self._rounds: list[CallResult] = []
         self.failures: list[Failure] = []
@@ -169,9 +172,9 @@ class CallResults:
         course = self._courses.get(call)
         return CallResult(self._calls[call]) if course is None else course.result()
 
-    def attempts(self, call: int) -> int:
-        """Return how many requests of a call there were since it was reached last."""
-        return self._courses[call].attempts
+    def course(self, call: int) -> CallCourse:
+        """Return the course of a call that is reached."""
+        return self._courses[call]
 
     def answered(self, call: int, outcome: Outcome) -> None:
         """Keep how a request of the call has ended."""
@@ -181,7 +184,7 @@ class CallResults:
         """Record an outcome of a call, so far or for good; `assumed`: whether some of its effects are reported by nothing."""
         course = self._courses.get(call)
         if course is None:
-            course = self._courses[call] = _CallCourse(self._calls[call])
+            course = self._courses[call] = CallCourse(self._calls[call])
         if outcome is _RUNNING:
             course.kind, course.attempts = outcome, course.attempts + 1
             course.started = now if course.started is None else course.started
@@ -223,11 +226,7 @@ class CallResults:
     def adopted(self, call: ActionCall, before: CallResult) -> None:
         """Record the result so far of a call that another run has sent."""
         kind, attempts, started, ended = before.kind, before.attempts, before.started, before.ended
-        self._courses[call.index] = _CallCourse(call, kind, attempts, started, ended, before.assumed, before.cause)
-
-    def sent(self, call: int, sent: ActionCall) -> None:
-        """Record the call with the arguments that it was sent with."""
-        self._courses[call].call = sent
+        self._courses[call.index] = CallCourse(call, kind, attempts, started, ended, before.assumed, before.cause)
 
     def failed(self, step: int, now: float, check: Explanation | None, rule: Rule, lacking: tuple[str, ...]) -> Failure:
         """Record the failure of a step.
@@ -249,6 +248,6 @@ class CallResults:
         failure = Failure(call, *explanation, unconfirmed=rule.gives_up, replan=rule.replans, lacking=lacking)
         self.failures.append(failure)
         if isinstance(call, ActionCall):
-            course = course or self._courses.setdefault(step, _CallCourse(call))
+            course = course or self._courses.setdefault(step, CallCourse(call))
             course.kind, course.cause, course.ended = CallOutcome.FAILED, failure.cause, now
         return failure

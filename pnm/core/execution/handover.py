@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from uuid import UUID
 
 from pnm.core.execution.call_results import CallResult
 from pnm.core.execution.effect_checks import Intention
 from pnm.core.logic.conditions import Condition
 from pnm.core.logic.effects import Changes
-from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.machine.requests import Request
@@ -38,10 +37,10 @@ class CallAttempt:
     """What was sent, until it is accepted or being cancelled."""
     begun: Changes | None = None
     """Values before what it has written; None before it has begun, and after a rollback."""
-    ended: Mapping[Fluent, Value | Unknown] = field(default_factory=dict)
-    """What it has written at its end."""
-    denied: Mapping[Condition, str] = field(default_factory=dict)
-    """Conditions over all and at the end that were not so, and what was so instead."""
+    ended: Changes | None = None
+    """What it has written at its end; None before."""
+    denied: Mapping[Condition, str] | None = None
+    """Conditions over all and at the end that were not so, and what was so instead, if there are any."""
     interrupted: float | None = None
     """When conditions over all broke."""
     feedback: str = ""

@@ -136,15 +136,17 @@ class Run(RunView):
             return
         kind = None
         if isinstance(report, Ended):
-            self._state.settled.pop(report.request, None)
             outcome, kind, now = report.outcome, report.outcome.kind, self._state.now
+            if self._state.settled:
+                self._state.settled.pop(report.request, None)
             if not self._calls.is_accepted(call) and kind not in BEFORE_ACCEPTANCE:
                 self._take(call, None)  # a client may leave out what goes without saying
             del self._calls.open[report.request]  # before the firing, so that observers and guards see the request as over
             if kind is _SUCCESS and self._calls.succeeded(call, outcome, now):
                 self._has_changed_knowledge = True  # stored before the firing: effects and checks after it may read results
             self._results.answered(call, outcome)  # before the firing as well: the explanation of a failure quotes the message
-            self.observer.ended(self._calls.as_sent(call), outcome, now)
+            if self.observer is not SILENT:
+                self.observer.ended(self._calls.as_sent(call), outcome, now)
         if not self._take(call, kind):
             self.observer.orphaned(report, self._state.now)
 
@@ -182,9 +184,7 @@ class Run(RunView):
         if state.ending or state.pause:
             firings, waiting = decision.firings, decision.awaits
         elif (limit := decision.limit) is not None and (until := self._guards.waits_until(site, limit, place)) > now:  # as below, at once
-            self._agenda.wait(place, listens=False)
-            if until < NEVER:
-                self._agenda.set_timer(place, until)
+            self._agenda.wait_until(place, until)
             return
         else:
             firings, waiting = decision.staying, decision.stays
@@ -260,18 +260,15 @@ class Run(RunView):
                     self._results.turned(outcome, call, now, outcome is _SUCCEEDED and self._calls.is_assumed(call))
                 if (action := firing.action) is not None:
                     self._perform(action, call, place, now)
-            if (move := firing.move) is None:
+            if (move := firing.move) is None or (move[1] < 0 and self._counted[site.ports[~move[1]][0]]):
                 self._engine.fire(number)
                 self._leave_and_mark(site, firing, now)
             else:
                 taken, given = move
                 left = site.place + taken if taken >= 0 else site.ports[~taken][0]
                 marked = site.place + given if given >= 0 else site.ports[~given][0]
-                if self._counted[marked]:
-                    self._engine.fire(number)
-                else:
-                    self._tokens[left] -= 1
-                    self._tokens[marked] += 1
+                self._tokens[left] -= 1
+                self._tokens[marked] += 1
                 if left in self._undecided or left in self._noted:
                     self._leave(left)
                 self._marked_at[marked] = now
@@ -351,12 +348,11 @@ class Run(RunView):
         """Carry out the action of a transition."""
         calls = self._calls
         if action is _SEND:
-            answers = self._questions.answers_at(place)
-            commands, reports, changes_knowledge = calls.send(call, self._results.attempts(call), answers)
-            sent = calls.as_sent(call)
-            self._results.sent(call, sent)
+            course = self._results.course(call)
+            commands, reports, changes_knowledge = calls.send(call, course.attempts, self._questions.answers_at(place))
+            sent = course.call = calls.as_sent(call)
             self._state.is_stepping = False
-            for command in commands:
+            for command in commands if self.observer is not SILENT else ():
                 if isinstance(command, Send):
                     self.observer.sent(sent, command.request, now)
             self._reports += reports

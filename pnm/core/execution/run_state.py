@@ -58,6 +58,15 @@ class Agenda:
             if listens:
                 self._readers.add(place, self._index.reads[place])
 
+    def wait_until(self, place: int, time: float) -> None:
+        """Have a place asked again at a time, if at no other: `wait` and `set_timer` in one, for every request waits so twice."""
+        if place not in self.undecided:
+            self.undecided[place] = self._count
+            self._count += 1
+        if time < inf and self._set.get(place) != time:
+            self._set[place] = time
+            heappush(self._timers, (time, place))
+
     def leave(self, place: int) -> None:
         """Do not ask a place again, if it was undecided."""
         if self.undecided.pop(place, None) is not None and place in self._readers.reads:
