@@ -11,10 +11,12 @@ offset from them, plus 1 % slack: a plan may leave no slack at all, and real rob
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from bisect import bisect_left
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
+from planner_bridge.ordering.partial_order import NEAR
 from pnm.core.logic.expressions import Fluent
 from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, PlanEvent
 
@@ -32,12 +34,13 @@ def delay_enclosing_starts(calls: Sequence[ActionCall], orderings: Sequence[Orde
     if not protected:
         return calls, orderings
     events = _EventGraph(calls, orderings)
+    enclosing = _Spans(events, protected)
     added: list[Ordering] = []
     releases: dict[int, float] = {}
     for index in sorted(protected):  # in a fixed order, because each round adds orderings that the next one sees
         start = PlanEvent(index, Moment.START)
         # Only the outermost action gets slack: an inner one that starts later might outlast the one around it.
-        slack = 0.0 if events.is_enclosed(index, protected) else SLACK
+        slack = 0.0 if events.is_enclosed(index, enclosing) else SLACK
         starts_at = events.time(start) + slack * (calls[index].action.duration or 0.0)
         enclosed = events.enclosed(index)
         predecessors = events.predecessors(index, enclosed)
@@ -77,15 +80,20 @@ class _EventGraph:
         call = self.calls[event.call]
         return call.planned + (0.0 if event.moment is Moment.START else call.action.duration or 0.0)
 
-    def is_enclosed(self, call: int, others: Iterable[int]) -> bool:
-        """Whether the call must end before another enclosing one does, which does not wait for it."""
-        later = _reachable(PlanEvent(call, Moment.END), self.after)
-        return any(PlanEvent(other, Moment.END) in later and PlanEvent(other, Moment.START) not in later for other in others)
+    def is_enclosed(self, call: int, others: _Spans) -> bool:
+        """Whether the call must end before one of the others does that is under way then."""
+        end = PlanEvent(call, Moment.END)
+        time = self.time(end)
+        around = {PlanEvent(other, Moment.END): until for other, until in others.around(time) if other != call}
+        latest = max(around.values(), default=time)
+        return bool(around) and not around.keys().isdisjoint(_reachable(end, self.after, lambda event: self.time(event) <= latest + NEAR))
 
     def enclosed(self, call: int) -> set[PlanEvent]:
         """Return the events between the start and the end of the call, and the end."""
         start, end = PlanEvent(call, Moment.START), PlanEvent(call, Moment.END)
-        return _reachable(start, self.after) & (_reachable(end, self.before) | {end})
+        earliest = self.time(start) - NEAR
+        before = _reachable(end, self.before, lambda event: self.time(event) >= earliest) | {end}
+        return _reachable(start, self.after, before.__contains__)
 
     def predecessors(self, call: int, enclosed: set[PlanEvent]) -> list[PlanEvent]:
         """Return the other events that the enclosed ones wait for, and that the start of the call does not wait for yet."""
@@ -111,21 +119,42 @@ class _EventGraph:
 
     def is_released(self, event: PlanEvent, start: PlanEvent) -> bool:
         """Whether the event comes after the start because of the release time of a call that leads to it."""
-        late = {other for other in (event, *_reachable(event, self.before)) if self.time(other) > self.time(start)}
+        begun = self.time(start)
+        earlier = _reachable(event, self.before, lambda other: self.time(other) > begun - NEAR)
+        late = (other for other in (event, *earlier) if self.time(other) > begun)
         return any(other.moment is Moment.START and self.calls[other.call].release for other in late)
+
+
+class _Spans:
+    """The times from start to end of some calls, to be found by a time between the two."""
+
+    def __init__(self, events: _EventGraph, calls: Iterable[int]) -> None:
+        times = ((events.time(PlanEvent(call, Moment.START)), events.time(PlanEvent(call, Moment.END)), call) for call in calls)
+        self._spans = sorted(times)
+        self._longest = max((end - start for start, end, _ in self._spans), default=0.0)
+
+    def around(self, time: float) -> Iterator[tuple[int, float]]:
+        """Yield the calls that start before the time and do not end before it, each with its end."""
+        first, last = (bisect_left(self._spans, (bound,)) for bound in (time - self._longest - NEAR, time))
+        return ((call, end) for _, end, call in self._spans[first:last] if end >= time - NEAR)
 
 
 def _sorted(events: set[PlanEvent]) -> list[PlanEvent]:
     return sorted(events, key=lambda event: (event.call, event.moment.value))
 
 
-def _reachable(event: PlanEvent, neighbours: dict[PlanEvent, set[PlanEvent]]) -> set[PlanEvent]:
-    """Return the events reachable from this one, itself left out."""
+def _reachable(
+    event: PlanEvent, neighbours: Mapping[PlanEvent, Iterable[PlanEvent]], goes_on: Callable[[PlanEvent], bool]
+) -> set[PlanEvent]:
+    """Return the events that are reached from this one, itself left out, through events of which `goes_on` holds alone.
+
+    Nothing that a plan has later comes before what it has earlier, so that a time is a bound.
+    """
     reachable: set[PlanEvent] = set()
     waiting = [event]
     while waiting:
         for other in neighbours.get(waiting.pop(), ()):
-            if other not in reachable:
+            if other not in reachable and goes_on(other):
                 reachable.add(other)
                 waiting.append(other)
     return reachable

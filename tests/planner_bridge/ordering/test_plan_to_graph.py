@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import sys
 from dataclasses import replace
 from math import inf
 
@@ -118,6 +119,28 @@ def test_an_enveloping_call_waits_for_what_the_plan_had_happen_before_its_start(
     late = (*TWO_MATCHES[:2], replace(TWO_MATCHES[2], start=6.0), replace(TWO_MATCHES[3], start=6.0))
     graph = plan_graph(matches(2), Plan(late, temporal=True))
     assert "end of #1 < start of #2 ((light m1))" in shown(graph)
+
+
+def steps_taken(fuses: int) -> int:
+    """How many functions are called to order so many matches, one after the other, each with a fuse."""
+    pairs = ((PlanStep("strike", (f"m{n}",), 9.0 * n, 8.0), PlanStep("mend", (f"f{n}", f"m{n}"), 9.0 * n, 5.0)) for n in range(fuses))
+    problem, plan, calls = matches(fuses), Plan(tuple(step for pair in pairs for step in pair), temporal=True), 0
+
+    def count(*_: object) -> None:
+        nonlocal calls
+        calls += 1
+
+    before = sys.getprofile()
+    sys.setprofile(count)
+    try:
+        plan_graph(problem, plan)
+    finally:
+        sys.setprofile(before)
+    return calls
+
+
+def test_what_is_far_away_in_the_plan_is_not_looked_at() -> None:
+    assert steps_taken(160) < 4.5 * steps_taken(40)
 
 
 @pytest.mark.parametrize("fuses", [1, 2, 4])
