@@ -188,7 +188,7 @@ class Calls:
     def shows_nothing(self, call: int) -> bool:
         """Return whether nothing of the call's effects can be seen, whatever is so."""
         attempt, closed = self._attempts[call], self._closed[call]
-        return closed is not None and not (closed.is_checked or attempt.denied or attempt.intended.expected)
+        return closed is not None and not (closed.expects or attempt.denied or attempt.intended.expected)
 
     def unseen(self, call: int, context: EvaluationContext) -> tuple[Condition, ...]:
         """Return what of the call's effects is not seen."""
@@ -327,11 +327,11 @@ class Calls:
         if values:
             self._knowledge.local.store(values)
         closed, attempt = self._closed[call], self._attempts[call]
-        if closed is not None and not closed.is_checked:
-            return bool(values)
         # Over all means until just before the end: what breaks at the very moment of the end does no harm.
         if attempt.interrupted == now:
             attempt.denied = None
+        elif closed is not None and (closed.needed is None or closed.needed.holds_by_facts(self.world)):
+            pass
         # now, before anything is written of its effects: they may change what it relies on
         elif denied := denied_at_end(attempt.action, self.context_of(call, None)):
             attempt.denied = {**(attempt.denied or {}), **denied}

@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 from pnm.core.execution.effect_checks import Intention
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import TRUE
+from pnm.core.logic.compiled_condition import CompiledCondition, compiled
+from pnm.core.logic.conditions import TRUE, conjunction
 from pnm.core.logic.effects import constants, names_written
 from pnm.core.logic.expressions import Fluent, Unknown, Value, is_number, same_value
 from pnm.core.machine.bindings import open_parameters, own_values
@@ -49,8 +50,10 @@ class ClosedCall(NamedTuple):
     """The values that it has for goal fields by itself."""
     names: frozenset[str]
     """The names of all that its effects may change."""
-    is_checked: bool
-    """Whether it has conditions over all or for its end, or something is expected of it."""
+    expects: bool
+    """Whether it has a condition for its end, or something is expected of it."""
+    needed: CompiledCondition | None
+    """What must hold until its end, and there; None for nothing."""
     effects: ConstantEffects | None
     """None if what it changes depends on the state."""
 
@@ -61,8 +64,8 @@ def closed_call(call: ActionCall) -> ClosedCall | None:
     if action.operation is not None or action.given or open_parameters(action):
         return None
     names = names_written((*action.start_effects, *action.end_effects))
-    is_checked = not (action.invariant == action.end_condition == action.expected == TRUE)
-    return ClosedCall(own_values(action), names, is_checked, _constant_effects(call))
+    expects, needed = not (action.end_condition == action.expected == TRUE), conjunction((action.invariant, action.end_condition))
+    return ClosedCall(own_values(action), names, expects, None if needed == TRUE else compiled(needed), _constant_effects(call))
 
 
 def _constant_effects(call: ActionCall) -> ConstantEffects | None:

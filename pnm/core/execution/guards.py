@@ -61,7 +61,7 @@ class Guards:
         self._questions = questions
         self._false_since: dict[int, float] = {}
         self._withheld_since: dict[int, float] = {}
-        self._held: dict[int, list[Condition]] = {}
+        self._held: dict[int, list[Condition] | None] = {}  # None for all of them
 
     # each with the block of the transition, the transition and the place at which it is decided on
 
@@ -100,17 +100,23 @@ class Guards:
 
     def _invariant_false(self, site: Site, firing: Firing, place: int) -> float:
         """Return when the over-all condition of the call counts as broken: at once, unless all that is false of it may be a late report."""
-        call, held = _call(site, firing), self._held.setdefault(site.transition + firing.number, [])
-        context = self.context(call, place)
+        transition = site.transition + firing.number
+        known = self._state.index.conditions[transition]
         self._questions.noted.add(place)
+        if known is not None and known.holds_by_facts(self._calls.world):
+            self._held[transition] = None
+            self._false_since.pop(transition, None)
+            return NEVER
+        call, held = _call(site, firing), self._held.setdefault(transition, [])
+        context = self.context(call, place)
         false: list[Condition] = []
         for part in conjuncts(_grounded(self._asked(site, firing), context)):
             if evaluate(part, context) is not True:
                 false.append(part)
-            elif part not in held:
+            elif held is not None and part not in held:
                 held.append(part)
         action = self._calls.action(call)
-        if not all(may_be_late(part, action, context, has_held=part in held) for part in false):
+        if not all(may_be_late(part, action, context, has_held=held is None or part in held) for part in false):
             return -NEVER
         return self._after(self._false_since, site, firing, place, bool(false), context.world.lag(names(All(tuple(false)))))
 

@@ -359,7 +359,7 @@ class MachineIndex:
     def _condition(self, transition: int) -> CompiledCondition | None:
         step, guard = self.by_number.asks(transition)
         is_open = self.is_call(step) and self.closed[step or 0] is None
-        return None if is_open or not isinstance(guard, ConditionTrue | ConditionFalse) else compiled(guard.condition)
+        return None if is_open or not isinstance(guard, ConditionTrue | ConditionFalse | InvariantFalse) else compiled(guard.condition)
 
 
 # An index must not hold the net that it belongs to, or none would ever be forgotten.
@@ -381,7 +381,7 @@ def prepare(machine: PetriNetMachine) -> None:
     for call, site in enumerate(index.of_calls):
         index.closed[call]
         if isinstance(site.template, BlockTemplate):
-            for number in site.template.starting:
+            for number in site.template.checking:
                 index.conditions[site.transition + number]
             for number in site.template.limiting:
                 index.limits[site.transition + number]

@@ -9,7 +9,7 @@ change, when the run begins to end, or when its moment has come.
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import assert_never
+from typing import TypeAlias, assert_never
 from uuid import UUID
 
 from pnm.core.execution.call_results import Explanation
@@ -42,6 +42,8 @@ from pnm.core.machine.machine import CallOutcome, EffectsMissing, Rule, Transiti
 from pnm.core.machine.plan_graph import Cause
 from pnm.core.machine.requests import BEFORE_ACCEPTANCE, Accepted, Ended, Feedback, OutcomeKind, Postponed
 
+_Arcs: TypeAlias = list[tuple[int, int]]
+"""Places, and how many tokens are taken from or given to each."""
 _SEND, _SUCCEEDED, _SUCCESS = TransitionAction.SEND, CallOutcome.SUCCEEDED, OutcomeKind.SUCCEEDED
 
 
@@ -261,12 +263,13 @@ class Run(RunView):
                 if (action := firing.action) is not None:
                     self._perform(action, call, place, now)
             if (move := firing.move) is None or (move[1] < 0 and self._counted[site.ports[~move[1]][0]]):
-                self._engine.fire(number)
-                self._leave_and_mark(site, firing, now)
+                taken, given = site.arcs(site.template.inputs[firing.number]), site.arcs(site.template.outputs[firing.number])
+                self._engine.move(taken, given)
+                self._leave_and_mark(taken, given, site.all_at(firing.decided), now)
             else:
-                taken, given = move
-                left = site.place + taken if taken >= 0 else site.ports[~taken][0]
-                marked = site.place + given if given >= 0 else site.ports[~given][0]
+                code, its_code = move
+                left = site.place + code if code >= 0 else site.ports[~code][0]
+                marked = site.place + its_code if its_code >= 0 else site.ports[~its_code][0]
                 self._tokens[left] -= 1
                 self._tokens[marked] += 1
                 if left in self._undecided or left in self._noted:
@@ -281,6 +284,7 @@ class Run(RunView):
     def _fire_apart(self, site: Site, firing: Firing, place: int | None) -> None:
         """Fire a transition that matters to more than its call."""
         number, state, marked_at = site.transition + firing.number, self._state, self._state.now
+        taken, given = site.arcs(site.template.inputs[firing.number]), site.arcs(site.template.outputs[firing.number])
         rule = self._index.rules[number] if firing.tells or firing.fails else firing.rule
         call, step = firing.call if site.call is None else site.call, site.step_of(firing)
         check = None if rule.cause is None else self._guards.explain_check(rule, place)
@@ -299,7 +303,7 @@ class Run(RunView):
             self._results.last_check = check
         if firing.action is TransitionAction.ADOPT and call is not None:
             marked_at = state.adopted.pop(call).accepted  # its limits count from there
-        self._engine.fire(number)
+        self._engine.move(taken, given)
         # After the firing: only now are the tokens of the resources back on their places, for other calls to take.
         if firing.gives and step is not None:
             self._give(rule, step)
@@ -311,19 +315,19 @@ class Run(RunView):
         begins_to_end = firing.turns and state.turn()
         for failure in failures:
             self.observer.failed(failure, state.now)
-        self._leave_and_mark(site, firing, marked_at)
+        self._leave_and_mark(taken, given, site.all_at(firing.decided), marked_at)
         if begins_to_end:  # everything that waits has an exit for that, which has just opened
             self._agenda.ask_undecided()
 
-    def _leave_and_mark(self, site: Site, firing: Firing, marked_at: float) -> None:
+    def _leave_and_mark(self, taken: _Arcs, given: _Arcs, decided: list[int], marked_at: float) -> None:
         """Wait for nothing more at the places that tokens have left; put those that they have reached on the agenda."""
         undecided, noted, at = self._undecided, self._noted, self._marked_at
-        for left in site.all_at(firing.inputs):
+        for left, _ in taken:
             if left in undecided or left in noted:
                 self._leave(left)
-        for marked in site.all_at(firing.outputs):
+        for marked, _ in given:
             at[marked] = marked_at
-        self._places.extend(site.all_at(firing.decided))
+        self._places.extend(decided)
 
     def _leave(self, place: int) -> None:
         """Wait for nothing more at a place that a token has left."""

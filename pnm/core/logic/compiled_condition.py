@@ -19,6 +19,10 @@ class CompiledCondition(NamedTuple):
     reads_variables: bool
     """Whether it reads anything but facts and numbers."""
 
+    def holds_by_facts(self, state: State) -> bool:
+        """Return whether facts and numbers alone decide that it holds."""
+        return not self.reads_variables and self.truth(state) is True
+
 
 def compiled(condition: Condition) -> CompiledCondition:
     """Return what tells the truth of a condition without free variables in a state; raises what `evaluate` raises."""

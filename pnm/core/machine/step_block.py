@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
+from itertools import compress, count
 from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 from pnm.core.machine.bindings import Bindings
@@ -28,6 +29,7 @@ from pnm.core.machine.machine import (
     Ending,
     Ends,
     Guard,
+    InvariantFalse,
     Rule,
     TransitionAction,
     check_rule,
@@ -100,8 +102,9 @@ class BlockTemplate(Template):
         self.reported = tuple(number for number, rule in enumerate(self.kinds) if isinstance(rule.guard, Accepts | Ends))
         """The transitions that reports open."""
         made = [number for number, rule in enumerate(self.rules) if isinstance(rule, OwnRule) and rule.guard]
-        self.starting = tuple(number for number, kind in enumerate(self.kinds) if kind.action is TransitionAction.SEND)
-        """The transitions that ask for the condition of a call."""
+        checked = [kind.action is TransitionAction.SEND or isinstance(kind.guard, InvariantFalse) for kind in self.kinds]
+        self.checking = tuple(compress(count(), checked))
+        """The transitions that ask for the conditions of a call that goes well."""
         self.limiting = tuple(number for number in made if isinstance(self.kinds[number].guard, After))
         """The transitions that open after the time that a call may take, where each has its own."""
         asking = (ConditionTrue, ConditionFalse, ConditionUnknown)

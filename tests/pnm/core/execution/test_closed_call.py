@@ -10,15 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.core.execution.closed_call import closed_call
-from pnm.core.execution.effect_checks import already_true, finished, intention, is_assumed, unseen
+from pnm.core.execution.effect_checks import already_true, denied_at_end, finished, intention, is_assumed, unseen
 from pnm.core.execution.machine_index import index_of, prepare
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import Literal
-from pnm.core.logic.conditions import Holds
+from pnm.core.logic.conditions import All, Compare, Condition, Holds, Not
 from pnm.core.logic.effects import Effects, Set, names_written
-from pnm.core.logic.expressions import UNKNOWN, Constant
+from pnm.core.logic.expressions import UNKNOWN, Constant, ValueOf
 from pnm.core.machine.bindings import DEFAULT, goal_data
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
@@ -49,7 +49,23 @@ def test_what_is_constant_of_a_call(start: Effects, end: Effects, known: dict, s
     assert intended == intention(call, context)
     assert intended.end == finished(action, intended, context)
     assert closed.effects.are_done(context.world) == already_true(action, context)
-    assert closed.is_checked or intended.expected or not unseen(intended.expected, action, context)
+    assert closed.expects or intended.expected or not unseen(intended.expected, action, context)
+
+
+NEEDS = st.recursive(
+    st.sampled_from([Holds(fluent) for fluent in FLUENTS[:3]] + [Compare(">", ValueOf(("battery",)), Constant(1.0))]),
+    lambda inner: st.one_of(inner.map(Not), st.lists(inner, max_size=3).map(lambda parts: All(tuple(parts)))),
+    max_leaves=4,
+)
+
+
+@given(NEEDS, NEEDS, KNOWN)
+def test_what_a_call_needs_until_its_end_is_what_may_be_denied_there(over_all: Condition, at_end: Condition, known: dict) -> None:
+    action = GroundAction("go", invariant=over_all, end_condition=at_end)
+    closed, context = closed_call(ActionCall(0, action)), EvaluationContext(Layered(KnowledgeBase(known)), action)
+    assert closed is not None
+    holds = closed.needed is None or closed.needed.holds_by_facts(context.world)
+    assert holds is not bool(denied_at_end(action, context))  # without sensors nothing is excused
 
 
 def test_a_call_that_leaves_something_open_is_not_closed() -> None:
@@ -63,7 +79,7 @@ def test_a_call_that_leaves_something_open_is_not_closed() -> None:
 def test_what_is_expected_of_a_call_depends_on_the_state() -> None:
     closed = closed_call(ActionCall(0, GroundAction("go", expected=Holds(("free",)))))
     assert closed is not None
-    assert closed.is_checked
+    assert closed.expects
     assert closed.effects is None
 
 
