@@ -153,8 +153,10 @@ async def in_own_thread(function: Callable[[], T]) -> T:
         thread.shutdown(wait=False)
 
 
-_SELDOM: Final = 20_000
-"""New objects after which garbage is looked for among them, in place of 700."""
+_SELDOM: Final = 100_000
+"""New objects after which garbage is looked for among them whatever goes on, in place of 700."""
+_DUE: Final = 20_000
+"""The same while everything waits for robots."""
 
 
 @contextmanager
@@ -169,6 +171,16 @@ def short_pauses() -> Iterator[None]:
     finally:
         gc.set_threshold(*usual)
         gc.unfreeze()
+
+
+def collect_if_due() -> None:
+    """Collect the garbage that would be looked for before long: for moments in which there is nothing else to do.
+
+    So it seldom falls into those that robots wait for, such as when a failure is followed by a new plan and its machine.
+    """
+    (new, *counts), (_, *limits) = gc.get_count(), gc.get_threshold()
+    if new > _DUE:
+        gc.collect(max((age for age, (count, limit) in enumerate(zip(counts, limits, strict=True), 1) if count > limit), default=0))
 
 
 _TOGETHER: Final = 1e-9

@@ -10,7 +10,7 @@ from functools import partial
 from typing import assert_never
 from uuid import UUID
 
-from pnm.clock import stop_then_cancel
+from pnm.clock import collect_if_due, stop_then_cancel
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.events import (
     Answered,
@@ -163,6 +163,8 @@ class Executor:
         try:
             while not self.run.over:
                 self._handle(await self._inbox.get())
+                if self._inbox.empty():
+                    collect_if_due()
         except BaseException:
             if self._journal.may_act():  # otherwise another process carries it on; their reports will not be heard
                 self._perform([*map(Cancel, self.run.open_requests)])

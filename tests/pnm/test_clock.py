@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import math
 import selectors
 import threading
+from weakref import ref
 
 import pytest
 
-from pnm.clock import FollowingLoop, VirtualTimeLoop, in_own_thread
+from pnm.clock import FollowingLoop, VirtualTimeLoop, collect_if_due, in_own_thread, short_pauses
 from tests.support.processes import LIMIT
 
 
@@ -117,3 +119,34 @@ def test_time_does_not_go_on_while_the_process_is_stopped(monkeypatch: pytest.Mo
             patch.setattr(selectors.DefaultSelector, "select", stopped_for_a_minute)
             times = runner.run(main())
     assert times == pytest.approx([1.0, 2.0, 5.0])
+
+
+def test_garbage_is_collected_while_there_is_nothing_else_to_do() -> None:
+    collect_if_due()
+    with short_pauses():
+        few = [[number] for number in range(1_000)]
+        collect_if_due()
+        assert gc.get_count()[0] >= len(few)
+        kept = [[number] for number in range(30_000)]
+        assert gc.get_count()[0] >= len(kept)  # not by itself
+        collect_if_due()
+        assert gc.get_count()[0] < len(few)
+
+
+def test_older_garbage_is_collected_in_its_turn() -> None:
+    class Node:
+        def __init__(self) -> None:
+            self.own = self
+
+    with short_pauses():
+        node = Node()
+        gone = ref(node)
+        gc.collect(1)
+        gc.collect(1)  # it is among the oldest now
+        del node
+        while gc.get_count()[2] <= gc.get_threshold()[2]:
+            gc.collect(1)
+        kept = [[number] for number in range(30_000)]
+        collect_if_due()
+        assert gone() is None
+        assert kept
