@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 from operator import attrgetter
 from typing import Final
 
@@ -24,39 +25,52 @@ def read_plan(text: str, problem: Problem, name: str = "plan") -> Plan:
     if len(text) > LONGEST:
         raise InputError(f"{name}: {len(text)} characters; a plan may have {LONGEST}")
     steps: list[PlanStep] = []
-    state, now = initial_knowledge(problem), 0.0
+    state, now, names = initial_knowledge(problem), 0.0, _Names(problem)
     for number, line in enumerate(text.splitlines(), 1):
         content = line.partition(";")[0]
         if content.strip():
-            step = _step(content, problem, state, Position(name, number, len(content) - len(content.lstrip()) + 1), now)
+            step = _step(content, names, state, Position(name, number, len(content) - len(content.lstrip()) + 1), now)
             steps.append(step)
             now = step.start + step.duration + _GAP
     return Plan(tuple(sorted(steps, key=attrgetter("start"))), problem.is_timed)
 
 
-def _step(line: str, problem: Problem, state: State, position: Position, now: float) -> PlanStep:
+class _Names:
+    """The names of a problem, found however they are spelled: capitals do not count in PDDL."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.actions = {name.lower(): schema for name, schema in problem.domain.actions.items()}
+        self.of_types = cache(
+            lambda types: {name.lower(): name for kind in types for name in problem.objects_by_type.get(kind, ())},
+        )
+
+
+def _step(line: str, names: _Names, state: State, position: Position, now: float) -> PlanStep:
     match = _LINE.fullmatch(line)
     if match is None or not match["call"].split():
         raise InputError(f"expected a call such as (move r1 hall kitchen), found {line.strip()[:60]!r}", position)
-    action, *arguments = match["call"].lower().split()
-    schema = problem.domain.actions.get(action)
+    action, *given = match["call"].lower().split()
+    schema = names.actions.get(action)
     if schema is None:
-        known = problem.domain.actions
+        known = [one.name for one in names.actions.values()]
         hint = suggestion(action, known) or f"expected one of {', '.join(known) or 'none, for there is no domain'}"
         raise InputError(f"there is no action {action!r}; {hint}", position)
-    if len(arguments) != len(schema.parameters):
+    if len(given) != len(schema.parameters):
         expected = " ".join(variable.name for variable in schema.parameters) or "none"
-        raise InputError(f"{schema.name} takes {len(schema.parameters)} arguments ({expected}), found {len(arguments)}", position)
-    for variable, argument in zip(schema.parameters, arguments, strict=True):
-        fitting = {name for kind in variable.types for name in problem.objects_by_type.get(kind, ())}
+        raise InputError(f"{schema.name} takes {len(schema.parameters)} arguments ({expected}), found {len(given)}", position)
+    arguments: list[str] = []
+    for variable, argument in zip(schema.parameters, given, strict=True):
+        fitting = names.of_types(variable.types)
         if argument not in fitting:
-            hint = suggestion(argument, fitting) or f"expected one of {', '.join(sorted(fitting)[:8]) or 'none, for there are none'}"
+            known = sorted(fitting.values())
+            hint = suggestion(argument, known) or f"expected one of {', '.join(known[:8]) or 'none, for there are none'}"
             raise InputError(f"{argument!r} is no object for {variable.name} of {schema.name}; {hint}", position)
+        arguments.append(fitting[argument])
     duration = _number(match["duration"], position)
     if duration is None:
         duration = modelled_duration(schema, tuple(arguments), state)
     start = _number(match["time"], position)
-    return PlanStep(action, tuple(arguments), now if start is None else start, duration or 0.0)
+    return PlanStep(schema.name, tuple(arguments), now if start is None else start, duration or 0.0)
 
 
 def _number(text: str | None, position: Position) -> float | None:
