@@ -99,9 +99,9 @@ class _Trace:
                 self._carry_out(number, happening)
             elif happening is not None:
                 self._write(number, happening.changes)
+            elif number:
+                self._read(number, self.links.relevant_of(fluents(self.graph.goal, self.links.knowledge)))
             else:
-                if number:
-                    self._read(number, self.links.relevant_of(fluents(self.graph.goal, self.links.knowledge)))
                 self._write(number, {})
 
     def _carry_out(self, number: int, event: PlanEvent) -> None:

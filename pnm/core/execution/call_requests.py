@@ -327,13 +327,12 @@ class Calls:
         if values:
             self._knowledge.local.store(values)
         closed, attempt = self._closed[call], self._attempts[call]
+        has_all = closed is not None and (closed.needed is None or closed.needed.holds_by_facts(self.world))
         # Over all means until just before the end: what breaks at the very moment of the end does no harm.
         if attempt.interrupted == now:
             attempt.denied = None
-        elif closed is not None and (closed.needed is None or closed.needed.holds_by_facts(self.world)):
-            pass
         # now, before anything is written of its effects: they may change what it relies on
-        elif denied := denied_at_end(attempt.action, self.context_of(call, None)):
+        elif not has_all and (denied := denied_at_end(attempt.action, self.context_of(call, None))):
             attempt.denied = {**(attempt.denied or {}), **denied}
         return bool(values)
 

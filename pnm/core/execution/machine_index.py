@@ -47,7 +47,7 @@ from pnm.core.machine.machine import (
 )
 from pnm.core.machine.requests import OutcomeKind
 from pnm.core.machine.step_block import BlockTemplate
-from pnm.core.net.block_net import Placed, whole
+from pnm.core.net.block_net import NumberedArcs, Placed, whole
 from pnm.core.net.firing_engine import CompiledNet
 from pnm.core.net.no_collection import no_collection
 from pnm.core.net.when_asked import WhenAsked
@@ -76,7 +76,6 @@ class Firing:
     call: int | None
     """The same if the step is a call."""
     inputs: tuple[int, ...]
-    outputs: tuple[int, ...]
     decided: tuple[int, ...]
     """The places that it marks and at which something is decided."""
     move: tuple[int, int] | None
@@ -175,7 +174,6 @@ class Shape:
             step if is_alone else None,
             step if is_alone and is_call else None,
             inputs,
-            outputs,
             tuple([code for code in outputs if index.records.isdisjoint(block.all_at([code]))]),
             (inputs[0], outputs[0]) if is_move else None,
             fails,
@@ -218,6 +216,10 @@ class Site(Placed):
     """The number of its step; None for the frame, and for a net that is one block."""
     call: int | None
     """The same if the step is a call."""
+
+    def arcs_of(self, firing: Firing) -> tuple[NumberedArcs, NumberedArcs]:
+        """Return what a transition takes from places, and what it gives to places."""
+        return self.arcs(self.template.inputs[firing.number]), self.arcs(self.template.outputs[firing.number])
 
     def step_of(self, firing: Firing) -> int | None:
         """Return the number of the step that a transition belongs to."""

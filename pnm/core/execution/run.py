@@ -9,7 +9,7 @@ change, when the run begins to end, or when its moment has come.
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import TypeAlias, assert_never
+from typing import assert_never
 from uuid import UUID
 
 from pnm.core.execution.call_results import Explanation
@@ -41,9 +41,8 @@ from pnm.core.logic.computed_values import Question, Unanswered
 from pnm.core.machine.machine import CallOutcome, EffectsMissing, Rule, TransitionAction, Withheld
 from pnm.core.machine.plan_graph import Cause
 from pnm.core.machine.requests import BEFORE_ACCEPTANCE, Accepted, Ended, Feedback, OutcomeKind, Postponed
+from pnm.core.net.block_net import NumberedArcs
 
-_Arcs: TypeAlias = list[tuple[int, int]]
-"""Places, and how many tokens are taken from or given to each."""
 _SEND, _SUCCEEDED, _SUCCESS = TransitionAction.SEND, CallOutcome.SUCCEEDED, OutcomeKind.SUCCEEDED
 
 
@@ -263,7 +262,7 @@ class Run(RunView):
                 if (action := firing.action) is not None:
                     self._perform(action, call, place, now)
             if (move := firing.move) is None or (move[1] < 0 and self._counted[site.ports[~move[1]][0]]):
-                taken, given = site.arcs(site.template.inputs[firing.number]), site.arcs(site.template.outputs[firing.number])
+                taken, given = site.arcs_of(firing)
                 self._engine.move(taken, given)
                 self._leave_and_mark(taken, given, site.all_at(firing.decided), now)
             else:
@@ -284,7 +283,7 @@ class Run(RunView):
     def _fire_apart(self, site: Site, firing: Firing, place: int | None) -> None:
         """Fire a transition that matters to more than its call."""
         number, state, marked_at = site.transition + firing.number, self._state, self._state.now
-        taken, given = site.arcs(site.template.inputs[firing.number]), site.arcs(site.template.outputs[firing.number])
+        taken, given = site.arcs_of(firing)
         rule = self._index.rules[number] if firing.tells or firing.fails else firing.rule
         call, step = firing.call if site.call is None else site.call, site.step_of(firing)
         check = None if rule.cause is None else self._guards.explain_check(rule, place)
@@ -319,7 +318,7 @@ class Run(RunView):
         if begins_to_end:  # everything that waits has an exit for that, which has just opened
             self._agenda.ask_undecided()
 
-    def _leave_and_mark(self, taken: _Arcs, given: _Arcs, decided: list[int], marked_at: float) -> None:
+    def _leave_and_mark(self, taken: NumberedArcs, given: NumberedArcs, decided: list[int], marked_at: float) -> None:
         """Wait for nothing more at the places that tokens have left; put those that they have reached on the agenda."""
         undecided, noted, at = self._undecided, self._noted, self._marked_at
         for left, _ in taken:

@@ -14,6 +14,8 @@ from typing import Generic, Protocol, TypeAlias, TypeVar
 
 from pnm.core.net.net import PetriNet, unmarked_at_first
 
+NumberedArcs: TypeAlias = list[tuple[int, int]]
+"""Places, by number, and the weights of the arcs that connect them to one transition."""
 _Codes: TypeAlias = "Iterable[tuple[int, int]]"
 """Places, or ports as negative numbers from -1 downwards, and the weights of the arcs that connect them to one transition."""
 
@@ -87,7 +89,7 @@ class Placed:
         """Return the places that have these codes in the template: its own by their numbers, those of ports by negative ones."""
         return [place for place, _ in self.arcs((code, 1) for code in codes)]
 
-    def arcs(self, arcs: _Codes) -> list[tuple[int, int]]:
+    def arcs(self, arcs: _Codes) -> NumberedArcs:
         """Return arcs of the template as they are in the net."""
         found: list[tuple[int, int]] = []
         for code, weight in arcs:
