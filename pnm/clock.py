@@ -156,7 +156,7 @@ async def in_own_thread(function: Callable[[], T]) -> T:
 _SELDOM: Final = 100_000
 """New objects after which garbage is looked for among them whatever goes on, in place of 700."""
 _DUE: Final = 20_000
-"""The same while everything waits for robots."""
+"""The same at moments in which nothing else is at hand."""
 
 
 @contextmanager
@@ -174,12 +174,12 @@ def short_pauses() -> Iterator[None]:
 
 
 def collect_if_due() -> None:
-    """Collect the garbage that would be looked for before long: for moments in which there is nothing else to do.
+    """Collect the garbage that would be looked for before long, unless none is to be: for moments in which nothing else is at hand.
 
     So it seldom falls into those that robots wait for, such as when a failure is followed by a new plan and its machine.
     """
     (new, *counts), (_, *limits) = gc.get_count(), gc.get_threshold()
-    if new > _DUE:
+    if new > _DUE and gc.isenabled():
         gc.collect(max((age for age, (count, limit) in enumerate(zip(counts, limits, strict=True), 1) if count > limit), default=0))
 
 

@@ -100,8 +100,8 @@ def counted(number: int, noun: str) -> str:
 def suggestion(name: str, known: Collection[str]) -> str:
     """Return a suggestion of the nearest known name ("did you mean …?"), or nothing when none is near; the first of equally near ones.
 
-    Capitals count only where names without them are near as well.
+    If none is near as it is spelled, capitals do not count.
     """
-    spelled = {one.lower(): one for one in known}
+    spelled = {one.lower(): one for one in reversed([*known])}
     near = get_close_matches(name, known, 1) or [spelled[one] for one in get_close_matches(name.lower(), spelled, 1)]
     return f"did you mean {near[0]!r}?" if near else ""

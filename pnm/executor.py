@@ -162,9 +162,9 @@ class Executor:
             self._inbox.put_nowait(Begin())
         try:
             while not self.run.over:
-                self._handle(await self._inbox.get())
                 if self._inbox.empty():
                     collect_if_due()
+                self._handle(await self._inbox.get())
         except BaseException:
             if self._journal.may_act():  # otherwise another process carries it on; their reports will not be heard
                 self._perform([*map(Cancel, self.run.open_requests)])

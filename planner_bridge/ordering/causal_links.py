@@ -78,6 +78,7 @@ class CausalLinks:
     timed: Sequence[TimedChange] = ()
     kept: list[OrderKept] = field(default_factory=list)
     starts: list[PlanEvent] = field(init=False)
+    """The events of the calls, by number: they are asked for all the time."""
     ends: list[PlanEvent] = field(init=False)
     writes: dict[PlanEvent, frozenset[Fluent]] = field(init=False)
     """What each event may write that can order anything, whether or not the conditions of its effects hold."""

@@ -5,7 +5,8 @@ delayed: it comes when the duration of its action is up. Only the start can be t
 start so late that everything inside fits. So the start is delayed: it waits for every predecessor of the
 enclosed events, with the plan's distance from it. A predecessor that the plan had before the start, it
 waits for directly; for a later one, it waits for the last events that lead to that one, plus the planned
-offset from them, plus 1 % slack: a plan may leave no slack at all, and real robots are never quite on time.
+offset from them, plus 1 % slack, unless it has to end inside another such action itself: a plan may leave
+no slack at all, and real robots are never quite on time.
 (Cushing et al. 2007, *When is Temporal Planning Really Temporal?*, on required concurrency.)
 """
 
@@ -148,7 +149,8 @@ def _reachable(
 ) -> set[PlanEvent]:
     """Return the events that are reached from this one, itself left out, through events of which `goes_on` holds alone.
 
-    Nothing that a plan has later comes before what it has earlier, so that a time is a bound.
+    A time is a bound, for nothing that a plan has later comes before what it has earlier; but of calls under way, which come before
+    all others, whatever the time at which they would end.
     """
     reachable: set[PlanEvent] = set()
     waiting = [event]

@@ -51,7 +51,7 @@ class Guards:
     """Evaluates the guards of a run. Questions may be asked for a guard at a place; without a place only what is known counts.
 
     The mutable state is since when conditions have not been true, since when resources have been withheld, and which parts of an
-    over-all condition have held since the call began, by transition.
+    over-all condition have held since the call began (None for all of them), by transition.
     """
 
     def __init__(self, state: RunState, calls: Calls, claims: RunClaims, questions: Questions) -> None:
@@ -61,7 +61,7 @@ class Guards:
         self._questions = questions
         self._false_since: dict[int, float] = {}
         self._withheld_since: dict[int, float] = {}
-        self._held: dict[int, list[Condition] | None] = {}  # None for all of them
+        self._held: dict[int, list[Condition] | None] = {}
 
     # each with the block of the transition, the transition and the place at which it is decided on
 

@@ -261,6 +261,7 @@ class Run(RunView):
                     self._results.turned(outcome, call, now, outcome is _SUCCEEDED and self._calls.is_assumed(call))
                 if (action := firing.action) is not None:
                     self._perform(action, call, place, now)
+            # a counted place of the block itself keeps a transition from being a move; behind a port it is another matter for each block
             if (move := firing.move) is None or (move[1] < 0 and self._counted[site.ports[~move[1]][0]]):
                 taken, given = site.arcs_of(firing)
                 self._engine.move(taken, given)

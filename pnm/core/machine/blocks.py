@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from pnm.core.machine.call_block import CallTerms
 from pnm.core.machine.machine import (
@@ -187,7 +187,8 @@ class MachineBlocks(BlockArcs[PlacedStep]):
         made = rule if isinstance(rule, Rule) else rule.made_for(self._terms_of(block))
         if (step := block.step) is None:
             return made
-        guard = _about(made.guard, step.index) if type(made.guard) in _ABOUT_A_CALL else made.guard
+        about = _ABOUT.get(type(made.guard))
+        guard = made.guard if about is None else about(made.guard, step.index)
         return Rule._make((made.name, guard, step.index, *made[3:]))  # as `_replace`, which takes longer than all else
 
     def asks(self, transition: int) -> tuple[int | None, Guard]:
@@ -326,21 +327,12 @@ def parts_of(machine: PetriNetMachine) -> list[object]:
     return [getattr(machine, field.name) for field in fields(machine)]
 
 
-_ABOUT_A_CALL: Final = frozenset({Ends, Withheld, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing, Adopted, Accepts})
-"""The kinds of guards that say which call they are about."""
-
-
-def _about(guard: Guard, call: int) -> Guard:
-    """Return the guard, about this call."""
-    match guard:
-        case Ends(_, kinds):
-            return Ends(call, kinds)
-        case Withheld(_, seconds, action):
-            return Withheld(call, seconds, action)
-        case AlreadyTrue() | DataMissing() | EffectsSeen() | EffectsMissing() | Adopted() | Accepts():
-            return type(guard)(call)
-        case _:
-            return guard
+_ABOUT: Final[Mapping[type, Callable[[Any, int], Guard]]] = {
+    Ends: lambda guard, call: Ends(call, guard.kinds),
+    Withheld: lambda guard, call: Withheld(call, guard.seconds, guard.action),
+    **{kind: lambda guard, call: type(guard)(call) for kind in (AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing, Adopted, Accepts)},
+}
+"""For the kinds of guards that say which call they are about: the guard, about another call."""
 
 
 def _chosen(places: Names, numbers: Sequence[int]) -> Names:

@@ -7,7 +7,7 @@ so the cost of a firing does not grow with the net. `pnm.core.net.firing_rule` i
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 
 from pnm.core.net.net import Marking, PetriNet
 from pnm.core.net.when_asked import WhenAsked
@@ -35,8 +35,6 @@ class CompiledNet:
         """For every transition that takes one token, its place."""
         self.joins = WhenAsked(self._joins)
         """For every place, the consumers that take more than one token."""
-        self.changes = WhenAsked(self._changes)
-        """For every transition, how it changes the places that are not counted, and how those that are."""
 
     def _only_input(self, transition: int) -> int | None:
         inputs = self.inputs[transition]
@@ -44,11 +42,6 @@ class CompiledNet:
 
     def _joins(self, place: int) -> list[tuple[int, int]]:
         return [(one, weight) for one, weight in self.consumers[place] if self.unmarked[one]]
-
-    def _changes(self, transition: int) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
-        # A place that is both input and output is first emptied and then filled: each change is small and keeps `missing` exact.
-        changes, counted = [*[(place, -weight) for place, weight in self.inputs[transition]], *self.outputs[transition]], self.counted
-        return [change for change in changes if not counted[change[0]]], [change for change in changes if counted[change[0]]]
 
 
 class Engine:
@@ -78,23 +71,22 @@ class Engine:
     def fire(self, transition: int, times: int = 1) -> None:
         """Fire the transition `times` at once; raise `NotEnabled`, and change nothing, if the marking does not cover the preset."""
         compiled, tokens = self.compiled, self.tokens
-        only = compiled.only_input[transition]
+        only, taken, given = compiled.only_input[transition], compiled.inputs[transition], compiled.outputs[transition]
         # Checked before any token moves, so that a refused firing leaves the marking as it was.
         # `missing` counts places for a single firing only; several at once need the weights to be looked at.
         if times > 1 or (self.missing[transition] if only is None else not tokens[only]):
-            inputs, places = compiled.inputs[transition], compiled.net.places
-            short = {places[place]: weight * times - tokens[place] for place, weight in inputs if tokens[place] < weight * times}
+            places = compiled.net.places
+            short = {places[place]: weight * times - tokens[place] for place, weight in taken if tokens[place] < weight * times}
             if short:
                 raise NotEnabled(compiled.transitions[transition], short)
-        moved, counted = compiled.changes[transition]
-        for place, change in moved:
-            tokens[place] += change * times
-        for place, change in counted:
-            self._add(place, change * times)
+        if times > 1:
+            taken, given = ([(place, weight * times) for place, weight in arcs] for arcs in (taken, given))
+        self.move(taken, given)
 
-    def move(self, taken: Iterable[tuple[int, int]], given: Iterable[tuple[int, int]]) -> None:
-        """Fire a transition that is known to be enabled, by how many tokens it takes and gives at places."""
+    def move(self, taken: Sequence[tuple[int, int]], given: Sequence[tuple[int, int]]) -> None:
+        """Fire a transition that is known to be enabled, and of which all arcs are given."""
         tokens, counted = self.tokens, self.compiled.counted
+        # A place that is both input and output is first emptied and then filled: each change is small and keeps `missing` exact.
         for place, weight in taken:
             if counted[place]:
                 self._add(place, -weight)
