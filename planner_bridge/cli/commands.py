@@ -104,13 +104,9 @@ def plan(
     as_json: bool,
 ) -> int:
     """Find and print a plan."""
-    from planner_bridge.cli.consoles.safe_console import SafeConsole
     from planner_bridge.model.plan import PlanningStatus
-    from planner_bridge.ordering.plan_to_graph import plan_graph
     from planner_bridge.planning.kairos import DEFAULT_PLANNER, IMPROVE
     from planner_bridge.planning.solve import solve
-    from pnm.core.pictures.plan_dot import plan_dot
-    from pnm.core.pictures.plan_picture import plan_svg
 
     if as_json and (written_as != "text" or output):
         raise InputError("--json prints a plan as JSON; expected no --format or --output with it")
@@ -128,8 +124,14 @@ def plan(
         fields = {"status": result.status.value, "message": result.message, "planner": result.planner, **found}
         print(json.dumps({**fields, "steps": steps if result.plan else None}))
     elif result.plan is None:
+        from planner_bridge.cli.consoles.safe_console import SafeConsole  # here and below: a plan alone needs neither rich nor pictures
+
         SafeConsole(stderr=written_as != "text").print_reason("no plan:", result.reason)
     elif written_as != "text":
+        from planner_bridge.ordering.plan_to_graph import plan_graph
+        from pnm.core.pictures.plan_dot import plan_dot
+        from pnm.core.pictures.plan_picture import plan_svg
+
         graph = plan_graph(loaded, result.plan)
         write(output, plan_svg(graph) if written_as == "svg" else plan_dot(graph), force=force)
     else:
