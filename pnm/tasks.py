@@ -344,11 +344,12 @@ class Tasks(TaskCommands, Protocol):
             TaskRefused: it is not under way.
         """
 
-    def answer(self, question: UUID, value: object, /) -> None:
+    def answer(self, question: UUID, text: str, /) -> None:
         """Answer a question to a person.
 
         Raises:
             TaskRefused: nobody waits for that answer.
+            SourceError: the text is no answer to the question.
         """
 
     def status(self) -> tuple[TaskStatus, ...]:

@@ -310,7 +310,7 @@ def run_written(
         result = carry_out(
             file,
             name,
-            dict(named_values(given, "--set")),
+            {name: parse_value(text, f"--set {name}") for name, text in named_values(given, "--set")},
             actions=actions,
             faults=read_faults(files.faults, None) if files.faults else NO_FAULTS,
             settings=settings,
@@ -324,12 +324,12 @@ def run_written(
     return print_ending(result, console, output, files.page)
 
 
-def named_values(given: tuple[str, ...], option: str) -> list[tuple[str, object]]:
-    """Read every ``name=value`` of an option, with values as YAML has them."""
-    values: list[tuple[str, object]] = []
+def named_values(given: tuple[str, ...], option: str) -> list[tuple[str, str]]:
+    """Return the names and texts of an option that is given as ``name=value``."""
+    values: list[tuple[str, str]] = []
     for setting in given:
         name, equals, text = setting.partition("=")
         if not name or not equals:
             raise InputError(f"expected NAME=VALUE after {option}, found {setting!r}")
-        values.append((name, parse_value(text, f"{option} {name}")))
+        values.append((name, text))
     return values

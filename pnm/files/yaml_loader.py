@@ -1,4 +1,8 @@
-"""From YAML text to nodes: no classes, and bounded in size and depth, aliases counted at every use."""
+"""From YAML text to nodes: no classes, and bounded in size and depth, aliases counted at every use.
+
+A plain scalar is what the core schema of YAML 1.2 says (section 10.3.2): of the words only ``true`` and ``false`` are
+truth values, so ``no`` is a text here as it is when a person types it, and ``12:30`` is not 750.
+"""
 
 from __future__ import annotations
 
@@ -36,6 +40,18 @@ TEXTS: Final = frozenset({"str", "timestamp", "value", "merge"})
 """Kinds of values that stay text; so do dates, which no action server and no JSON has."""
 _PLAIN: Final = frozenset({"map", "seq", "int", "float", "bool", "null"}) | TEXTS
 
+_SCALARS: Final = {
+    "null": (re.compile(r"(?:~|null|Null|NULL|)\Z"), ("~", "n", "N", "")),
+    "bool": (re.compile(r"(?:true|True|TRUE|false|False|FALSE)\Z"), tuple("tTfF")),
+    "int": (re.compile(r"(?:[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+)\Z"), tuple("-+0123456789")),
+    "float": (
+        re.compile(r"(?:[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))\Z"),
+        tuple("-+.0123456789"),
+    ),
+    "merge": (re.compile(r"<<\Z"), ("<",)),
+}
+"""Kinds of plain scalars, in the order in which they are tried: their texts, and how these may begin."""
+
 
 def compose(text: str, file: str, anchors: Mapping[str, Mapping[str, str]] = NO_ANCHORS) -> list[yaml.Node]:
     """Return the documents that are not empty, at least one; raise `InputError` if the text is not plain YAML, or too large.
@@ -69,6 +85,11 @@ def compose(text: str, file: str, anchors: Mapping[str, Mapping[str, str]] = NO_
 
 class _Loader(yaml.SafeLoader):
     """A loader to which some anchors are known beforehand, as mappings of texts."""
+
+    yaml_implicit_resolvers = {  # noqa: RUF012  (PyYAML's own way)
+        first: [(f"{CORE}{kind}", pattern) for kind, (pattern, firsts) in _SCALARS.items() if first in firsts]
+        for first in {first for _, firsts in _SCALARS.values() for first in firsts}
+    }
 
     def __init__(self, text: str, known: Mapping[str, Mapping[str, str]]) -> None:
         super().__init__(text)
@@ -129,6 +150,24 @@ def position(node: yaml.Node, file: str) -> Position:
 def kind(node: yaml.Node) -> str:
     """Return the node's tag, without what all plain ones begin with."""
     return str(node.tag).removeprefix(CORE)
+
+
+def scalar(node: yaml.Node) -> str | float | bool | None:
+    """Return the value of a scalar; a float is finite. Raise `ValueError` for a text that its tag does not allow."""
+    name, text = kind(node), node.value
+    if name in TEXTS:
+        return str(text)
+    if not _SCALARS[name][0].match(text):
+        raise ValueError(f"{text!r} is no {name}")
+    match name:
+        case "null":
+            return None
+        case "bool":
+            return bool(text.lower() == "true")
+        case "int":
+            return int(text, 0 if text[:2] in ("0o", "0x") else 10)
+        case _:
+            return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
 
 
 def is_null(node: yaml.Node) -> bool:

@@ -1,6 +1,6 @@
 """Reading YAML as data: no classes, bounded, and every value knows where it stands in its file.
 
-Anchors, aliases and merge keys (``<<: *base``) mean what YAML 1.1 says: own keys count before merged ones,
+Scalars are those of YAML 1.2. Anchors, aliases and merge keys (``<<: *base``) mean what YAML 1.1 says: own keys count before merged ones,
 and what is merged first before what is merged later.
 """
 
@@ -19,7 +19,7 @@ import yaml
 
 from pnm.errors import InputError, Position, suggestion
 from pnm.files.text import read_text
-from pnm.files.yaml_loader import NO_ANCHORS, TEXTS, compose, is_null, kind, position
+from pnm.files.yaml_loader import NO_ANCHORS, TEXTS, compose, is_null, kind, position, scalar
 
 MAX_BYTES: Final = 4_000_000
 _LISTED: Final = 14
@@ -66,16 +66,11 @@ def _plain(node: yaml.Node, file: str) -> object:
         return {key: _plain(value, file) for key, (_, value) in Mapped.of(node, file).nodes.items()}
     if isinstance(node, yaml.SequenceNode):
         return [_plain(item, file) for item in node.value]
-    if kind(node) in TEXTS:
-        return node.value
-    constructor = yaml.SafeLoader("")
     try:
-        value = constructor.construct_object(node)
+        value = scalar(node)
         str(value)  # no message and no JSON could name a number of more than 4300 digits, which hexadecimal ones may have
-    except (yaml.YAMLError, ValueError, LookupError) as error:
+    except ValueError as error:
         raise InputError(f"cannot be read as {kind(node)}: {node.value[:40]!r}", position(node, file)) from error
-    finally:
-        constructor.dispose()
     if isinstance(value, float) and not isfinite(value):
         raise InputError(f"expected a finite number, found {node.value}", position(node, file))
     return value

@@ -203,9 +203,9 @@ class TaskManager:
         """Have a request that is under way count as succeeded or failed, because a person says so, once its server is done with it."""
         self._tasks.execution_of(request).executor.settle(request, OutcomeKind.SUCCEEDED if is_done else OutcomeKind.ABORTED)
 
-    def answer(self, question: UUID, value: object, /) -> None:
-        """Answer a question to a person."""
-        if not any(source.answer(question, value) for source in self._people):
+    def answer(self, question: UUID, text: str, /) -> None:
+        """Answer a question to a person; raise a `SourceError` for a text that is no answer to it."""
+        if not any(source.answer(question, text) for source in self._people):
             raise TaskRefused("nobody waits for an answer to that any more")
 
     def status(self) -> tuple[TaskStatus, ...]:

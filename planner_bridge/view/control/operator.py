@@ -23,9 +23,7 @@ from planner_bridge.view.control.commands import (
     TellFacts,
     read_command,
 )
-from pnm.core.logic.computed_values import MISSING
 from pnm.errors import InputError, PnmError
-from pnm.knowledge.sources.person_text import read_answer
 from pnm.tasks import ServedWorld, TaskCommands, TaskRefused, Tasks, TaskState, Wanted
 
 _SOON: Final = 2.0
@@ -98,7 +96,7 @@ class Operator:
             case TellFacts(add, remove, forget):
                 await self._served.update(add, remove, forget)
             case AnswerQuestion(question, text):
-                self._tasks.answer(question, read_answer(text) if text.strip() else MISSING)
+                self._tasks.answer(question, text)
             case _:
                 assert_never(command)
         return Reply()

@@ -15,7 +15,7 @@ from enum import Enum
 from typing import Final, Protocol, TypeAlias, assert_never, runtime_checkable
 
 from pnm.core.logic.expressions import NOTHING, UNDEFINED, Environment, Fluent, Unknown, Value, ValueOf, bind, variables_in
-from pnm.core.logic.operators import Uncomputable, bounded, operate
+from pnm.core.logic.operators import Uncomputable, as_truth, bounded, operate
 from pnm.errors import PnmError
 
 
@@ -219,8 +219,8 @@ def variable_name(name: Data, answers: Answers) -> str:
 
 
 def is_true(value: object) -> bool:
-    """Return whether the value counts as true: as in Python, and a missing one does not."""
-    return value is not MISSING and bool(value)
+    """Return whether the value counts as true (`as_truth`); a missing one does not."""
+    return value is not MISSING and as_truth(value)
 
 
 _LAZY: Final[dict[str, Callable[[Iterator[object]], bool]]] = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+import re
 from collections.abc import Callable, Mapping
 from math import isnan
 from typing import Final
@@ -18,6 +19,8 @@ def operate(name: str, operands: list[object]) -> object:
     """Apply one of `OPERATORS`; raise `Uncomputable` if that is not possible with these operands."""
     if name in _GROWING and _size(operands) > MAX_SIZE:
         raise Uncomputable(f"{name} of operands as large as that")
+    if name in _COMPARING:
+        operands = _compared(operands)
     try:
         if name == "mod" and isinstance(operands[0], str):
             raise TypeError("the remainder of a text")  # in Python that is another operation, which makes texts of any size
@@ -30,6 +33,32 @@ def operate(name: str, operands: list[object]) -> object:
     except (TypeError, ValueError, ArithmeticError, LookupError, RecursionError) as error:
         raise Uncomputable(f"{name}({_shown(operands)}): {error}") from error
     return result
+
+
+def _compared(operands: list[object]) -> list[object]:
+    """Return the operands of a comparison: a text beside a truth value or a number is read as one, if it can be.
+
+    What people say are texts, and so are results of many servers; ``no`` is not another thing than false because of where it stood.
+    """
+    match operands:
+        case [str() as text, bool() as other]:
+            return [_TRUTHS.get(spoken(text), text), other]
+        case [str() as text, int() | float() as other] if _NUMBER.match(text.strip()):
+            return [int(text) if text.strip().lstrip("+-").isdigit() else float(text), other]
+        case [bool() | int() | float(), str()]:
+            return _compared(operands[::-1])[::-1]
+        case _:
+            return operands
+
+
+def as_truth(value: object) -> bool:
+    """Return whether the value counts as true: as in Python, but for a text that says that it is false."""
+    return _TRUTHS.get(spoken(value), bool(value)) if isinstance(value, str) else bool(value)
+
+
+def spoken(text: str) -> str:
+    """Return the words of an answer without what a person may write as well: capitals, quotes, full stops, spaces."""
+    return " ".join(text.casefold().strip(" .!'\"").split())
 
 
 def bounded(value: object) -> object:
@@ -77,12 +106,14 @@ MAX_DEPTH: Final = 100
 MAX_BITS: Final = 14_000
 """Of a whole number: Python writes none of more than 4300 digits."""
 _PLAIN: Final = (
-    *("eq", "ne", "lt", "le", "gt", "ge", "is_", "is_not", "contains", "countOf", "indexOf", "truth", "not_"),
+    *("eq", "ne", "lt", "le", "gt", "ge", "is_", "is_not", "contains", "countOf", "indexOf"),
     *("abs", "add", "floordiv", "mod", "mul", "neg", "pos", "pow", "sub", "truediv", "concat", "getitem", "index"),
     *("and_", "inv", "invert", "lshift", "or_", "rshift", "xor"),
 )
 OPERATORS: Final[Mapping[str, Callable[..., object]]] = {
     **{name: getattr(operator, name) for name in _PLAIN},
+    "truth": as_truth,
+    "not_": lambda value: not as_truth(value),
     "div": operator.truediv,
     "setitem": _setitem,
     "delitem": _delitem,
@@ -92,5 +123,9 @@ OPERATORS: Final[Mapping[str, Callable[..., object]]] = {
 """Python's operators by the names of its module `operator`; ``setitem`` and ``delitem`` give a changed copy."""
 CHANGING: Final = frozenset({"setitem", "delitem"})
 """Operators that, as a step of a plan, store their result as their first operand, which is then a query."""
+_TRUTHS: Final = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}
+"""Truth values as people and servers write them."""
+_NUMBER: Final = re.compile(r"[-+]?(?:[0-9]{1,300}(?:\.[0-9]{0,300})?|\.[0-9]{1,300})(?:[eE][-+]?[0-9]{1,3})?\Z")
+_COMPARING: Final = frozenset({"eq", "ne", "lt", "le", "gt", "ge"})
 _ORDERING: Final = frozenset({"lt", "le", "gt", "ge"})
 _GROWING: Final = frozenset({"concat", "add", "mul", "pow", "lshift"})

@@ -9,6 +9,7 @@ from typing import Final
 from uuid import UUID, uuid5
 
 from pnm.core.logic.computed_values import MISSING, Layer, Question
+from pnm.core.logic.operators import spoken
 from pnm.knowledge.sources.source import Asker, Source, SourceError
 
 TRY_AGAIN: Final = "try again"
@@ -88,7 +89,7 @@ async def _chosen(person: Source, asker: Asker, name: str, first: HelpAsked, not
     for number in range(1, _TIMES + 1):
         note(asked)
         answer = await person.query(Question(name, Layer.PERSON, json.dumps(asked.text)), replace(asker, question=asked.question))
-        said = "" if answer is MISSING else " ".join(str(answer).casefold().strip(" .!'\"").split())
+        said = "" if answer is MISSING else spoken(str(answer))
         if said in ("", *first.choices):
             return said
         wrong = f"Expected {expected}, found {str(answer)[:_SHOWN]!r}. {first.text}"

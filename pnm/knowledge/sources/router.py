@@ -32,7 +32,7 @@ class Sources:
     later query finds it. Questions for people (`people.is_for_people`) go to the person. A knowledge base that fails is an error and
     never skipped: the next one might have another value. The limits are in seconds, for each knowledge base and for the person.
 
-    The mutable state is what waits for answers of people, by question: they may come by other ways than that person (`answer`).
+    The mutable state is the questions that people are asked, by their ids: answers may come by other ways as well (`answer`).
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class Sources:
         self._person = person
         self._limit = limit
         self._person_limit = person_limit
-        self._open: dict[UUID, asyncio.Future[object]] = {}
+        self._open: dict[UUID, tuple[Question, asyncio.Future[object]]] = {}
 
     def __repr__(self) -> str:
         return f"<Sources {', '.join(map(repr, self._shared)) or 'no knowledge base'}; {self._person or 'nobody'!r}>"
@@ -58,12 +58,16 @@ class Sources:
                 return value
         return MISSING
 
-    def answer(self, question: UUID, value: object) -> bool:
-        """Take an answer to a question that a person is asked, who is not asked any more; return whether that is open."""
-        waiting = self._open.get(question)
-        if waiting is None or waiting.done():
+    def answer(self, question: UUID, text: str) -> bool:
+        """Take a person's answer from elsewhere, so that the person is not asked any more; return whether the question is open.
+
+        Raises:
+            SourceError: the text is no answer to the question.
+        """
+        asked, waiting = self._open.get(question, (None, None))
+        if asked is None or waiting is None or waiting.done():
             return False
-        waiting.set_result(value)
+        waiting.set_result(people.read_answer(text, asked))
         return True
 
     async def _ask(self, person: Source, question: Question, asker: Asker) -> object:
@@ -72,7 +76,7 @@ class Sources:
             return await person.query(question, asker)
         asking = asyncio.ensure_future(person.query(question, asker))
         answered: asyncio.Future[object] = asyncio.get_running_loop().create_future()
-        self._open[asker.question] = answered
+        self._open[asker.question] = (question, answered)
         try:
             await asyncio.wait((asking, answered), return_when=asyncio.FIRST_COMPLETED)
             return answered.result() if answered.done() else await asking

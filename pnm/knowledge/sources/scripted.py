@@ -6,6 +6,7 @@ import logging
 from collections.abc import Iterable
 
 from pnm.core.logic.computed_values import Question
+from pnm.knowledge.sources.person_text import read_answer
 from pnm.knowledge.sources.source import Asker, Source
 
 _log = logging.getLogger(__name__)
@@ -18,7 +19,7 @@ class ScriptedAnswers:
     and the names that nobody has asked for yet, which are logged at the end.
 
     Args:
-        answers: names and values, in the order in which they are given.
+        answers: names and values, in the order in which they are given; texts are read as those that people write.
         otherwise: the source of people.
     """
 
@@ -38,7 +39,8 @@ class ScriptedAnswers:
         if not answers:
             return await self._otherwise.query(question, asker)
         self._unused.pop(question.name, None)
-        return answers.pop(0) if len(answers) > 1 else answers[0]
+        answer = answers.pop(0) if len(answers) > 1 else answers[0]
+        return read_answer(answer, question) if isinstance(answer, str) else answer
 
     async def update(self, question: Question, value: object, asker: Asker, /) -> None:
         """Have the other source show the value."""

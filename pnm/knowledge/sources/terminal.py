@@ -12,7 +12,7 @@ import sys
 import termios
 from typing import Final, TextIO
 
-from pnm.core.logic.computed_values import MISSING, Question
+from pnm.core.logic.computed_values import Question
 from pnm.files.text import printable
 from pnm.knowledge.sources.person_text import LIMIT, message_text, question_text, read_answer
 from pnm.knowledge.sources.source import Asker, SourceError
@@ -23,7 +23,7 @@ _LINE: Final = 4096
 class TerminalSource:
     """A person at the terminal: questions are written to one stream and answers read from another, which must be a terminal.
 
-    An answer is JSON or a text as it stands; an empty line means that the person does not know. Input from before
+    An answer is read by `read_answer`; an empty line means that the person does not know. Input from before
     a question appeared does not count as its answer.
 
     The mutable state is the queue of the questions, which the lock holds.
@@ -52,7 +52,7 @@ class TerminalSource:
             while True:
                 line = await self._line()
                 try:
-                    return read_answer(line) if line.strip() else MISSING
+                    return read_answer(line, question)
                 except SourceError as error:
                     self._show(f"{error}; once more:", " ")
 

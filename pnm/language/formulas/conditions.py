@@ -113,9 +113,6 @@ def _comparison(construct: Form, operator: Node, left: Node, right: Node, scope:
             raise operator.wrong(f"objects are equal or they are not; expected = or !=, found {shown(operator)}")
         return _compared(name, left_value, right_value)
     first, second = _expression(left), _expression(right)
-    if isinstance(first, ValueOf) or isinstance(second, ValueOf):
-        _check_truth(left)
-        _check_truth(right)
     if name not in COMPARISONS or first is None or second is None or not _comparable(name, (first, second)):
         return Computed(read_form(construct, scope))
     for side, expression in ((left, first), (right, second)):
@@ -125,13 +122,6 @@ def _comparison(construct: Form, operator: Node, left: Node, right: Node, scope:
 
 def _compared(name: str, left: Expression, right: Expression) -> Condition:
     return Not(Compare("=", left, right)) if name == "ne" else Compare(COMPARISONS[name], left, right)
-
-
-def _check_truth(node: Node) -> None:
-    """Refuse an ``on`` without quotes beside a function: an object is meant, and YAML takes it for a truth value."""
-    written = node.written.lower()
-    if node.text is None and written and isinstance(node.plain(), bool) and written not in ("true", "false"):
-        raise node.wrong(f"{node.written} is a truth value; write {node.written!r} with quotes, or true or false")
 
 
 def _comparable(name: str, sides: tuple[Expression, Expression]) -> bool:
@@ -175,8 +165,7 @@ def read_expression(node: Node, scope: FormulaScope = ANYTHING) -> Expression:
     """Read a number, an object, a parameter, ``?duration``, the value of a function, or arithmetic over these."""
     expression = _expression(node)
     if expression is None:
-        hint = f"; write {node.written!r} with quotes" if node.written and isinstance(node.plain(), bool) else ""
-        raise node.wrong(f"expected a number, a name or something like (battery ?r), found {shown(node)}{hint}")
+        raise node.wrong(f"expected a number, a name or something like (battery ?r), found {shown(node)}")
     _check(node, expression, scope)
     return expression
 
@@ -194,7 +183,7 @@ def _expression(node: Node) -> Expression | None:
             return ValueOf(fluent)
         if node.text == DURATION[0]:
             return ValueOf(DURATION)
-        if _NUMBER.match(node.text):  # YAML 1.1 takes 1e5 for a text
+        if _NUMBER.match(node.text):  # in quotes
             return Constant(float(node.text)) if abs(float(node.text)) <= sys.float_info.max else None
         return Constant(node.text) if _NAME.match(node.text) else None
     value = None if node.items is not None else node.plain()

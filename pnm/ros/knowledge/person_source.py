@@ -39,8 +39,9 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class _OpenQuestion:
-    """A question without an answer so far: its message, and what waits for the answer."""
+    """A question without an answer so far, its message, and what waits for the answer."""
 
+    question: Question
     message: Any
     answer: asyncio.Future[object]
 
@@ -77,7 +78,7 @@ class Ros2Person:
         words, id = question_text(question), (asker.question or uuid4()).hex
         message = self._message(self._types[0].ASK, id, question, asker, text=words, timeout=self._limit)
         answer: asyncio.Future[object] = loop.create_future()
-        self._open[id] = _OpenQuestion(message, answer)
+        self._open[id] = _OpenQuestion(question, message, answer)
         try:
             self._send(message)
             async with asyncio.timeout(self._limit):
@@ -122,12 +123,15 @@ class Ros2Person:
     def _send(self, message: Any) -> None:
         self._ros.call(lambda: self._publisher and self._publisher.publish(message))  # unless it is closed
 
-    def _answered(self, id: str, value: object) -> None:
+    def _answered(self, id: str, text: str | None) -> None:
         asked = self._open.get(id)
         if asked is None:
             _log.info("an answer to %s comes too late, or is for others", id)
         elif not asked.answer.done():
-            asked.answer.set_result(value)
+            try:
+                asked.answer.set_result(MISSING if text is None else read_answer(text, asked.question))
+            except SourceError as error:
+                _log.warning("ignored an answer on %s/answers: %s", self._name, error)
 
     def _discovered(self) -> None:
         """Repeat, a little later, what is open then, as somebody new may have answered it in vain."""
@@ -158,11 +162,7 @@ class Ros2Person:
             call_on_loop(loop, self._discovered)
 
     def _receive(self, loop: asyncio.AbstractEventLoop, message: Any) -> None:
-        try:
-            value = MISSING if message.unknown else read_answer(message.value)
-            call_on_loop(loop, self._answered, message.id, value)
-        except SourceError as error:
-            _log.warning("ignored an answer on %s/answers: %s", self._name, error)
+        call_on_loop(loop, self._answered, message.id, None if message.unknown else message.value)
 
     def _listeners(self) -> int:
         return int(self._publisher.get_subscription_count()) if self._publisher is not None else 0

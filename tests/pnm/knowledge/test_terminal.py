@@ -58,13 +58,13 @@ def test_the_words_of_a_message(question: Question, value: object, said: str) ->
     [("kitchen", "kitchen"), (" 5 ", 5), ('"5"', "5"), ("true", True), ("null", None), ("[1, 2]", [1, 2]), ("NaN", "NaN"), ("on", "on")],
 )
 def test_what_people_write(text: str, value: object) -> None:
-    assert read_answer(text) == value
+    assert read_answer(text, about("shop", Layer.PERSON)) == value
 
 
 @pytest.mark.parametrize("text", ['{"a": 1', '"kitchen', "[1, 2"])
 def test_a_slip_of_the_pen_is_no_answer(text: str) -> None:
     with pytest.raises(SourceError, match="is not JSON"):
-        read_answer(text)
+        read_answer(text, about("shop", Layer.PERSON))
 
 
 def test_texts_from_elsewhere_do_nothing_to_a_terminal() -> None:

@@ -197,9 +197,9 @@ def test_what_is_wrong_with_a_plan(read_all: ReadAll, text: str, message: str) -
 
 def test_objects_are_checked_against_their_types(read: Read) -> None:
     head = "types: robot place - object\nconstants: [r1 - robot, on hall - place]\n"
-    assert read(f"{head}{ACTIONS}plan: [go: {{r: r1, to: 'on'}}]\n")
+    assert read(f"{head}{ACTIONS}plan: [go: {{r: r1, to: on}}]\n")
     for given, message in (
-        ("{to: on}", "to of go is the name of an object, not on; write 'on' with quotes"),
+        ("{to: true}", "to of go is the name of an object, not true; write 'true' with quotes"),
         ("{to: r1}", r"there is no object for to of go \(one of type place\) 'r1' here; expected one of: hall, on"),
         ("{r: r2}", r"there is no object for r of go \(one of type robot\) 'r2' here; expected one of: r1"),
     ):

@@ -16,12 +16,14 @@ from uuid import UUID
 
 from planner_bridge.node.serve import NodeApi, NodeContext, make_task_manager
 from pnm.core.knowledge_base import KnowledgeBase, parse_fluent
+from pnm.core.logic.computed_values import Layer, Question
 from pnm.core.logic.expressions import Fluent, Unknown, Value, fluent_text
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import Cause
 from pnm.core.net.net import Marking
 from pnm.errors import InputError, Position
+from pnm.knowledge.sources.person_text import read_answer
 from pnm.tasks import (
     Code,
     MadePlan,
@@ -108,8 +110,9 @@ class FakeTasks:
     def settle(self, request: UUID, /, *, is_done: bool) -> None:
         self._said("settle", request, is_done)
 
-    def answer(self, question: UUID, value: object, /) -> None:
-        self._said("answer", question, value)
+    def answer(self, question: UUID, text: str, /) -> None:
+        read_answer(text, Question("said", Layer.PERSON, ""))
+        self._said("answer", question, text)
 
     def status(self) -> tuple[TaskStatus, ...]:
         return tuple(self.open.values())

@@ -21,7 +21,6 @@ from planner_bridge.view.control.commands import Controlled, Reply, read_command
 from planner_bridge.view.control.operator import Operator
 from planner_bridge.view.process import PageProcess
 from pnm.core.knowledge_base import KnowledgeBase, parse_fluent
-from pnm.core.logic.computed_values import MISSING
 from pnm.core.logic.conditions import Holds
 from pnm.core.machine.requests import Accepted, Feedback
 from pnm.errors import InputError
@@ -99,7 +98,7 @@ def test_what_else_an_operator_says_reaches_the_tasks_and_the_world(delivery: Pa
                 {"do": "tell", "add": ["(at r1 hall)"]},
             ):
                 assert (await controlled.send(command))[0] == 200
-            answers = [("answer", id, 5), ("answer", id, "the kitchen"), ("answer", id, MISSING)]
+            answers = [("answer", id, "5"), ("answer", id, "the kitchen"), ("answer", id, " ")]
             assert controlled.tasks.said == [("step", task), ("settle", id, True), ("settle", id, False), *answers]
             known = controlled.world.knowledge
             assert known.facts() == {("at", "r1", "hall"): True}

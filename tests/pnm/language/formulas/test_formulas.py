@@ -99,7 +99,7 @@ def test_conditions(text: str, expected: Condition) -> None:
 VALUES: list[tuple[str, Data]] = [
     ("3", lit(3)),
     ("2.5", lit(2.5)),
-    ("yes", lit(True)),
+    ("yes", lit("yes")),
     ("null", lit(None)),
     ("hello there", lit("hello there")),
     ('"?x"', Parameter("?x")),

@@ -207,7 +207,7 @@ def test_bindings_of_a_file_come_before_those_of_the_domain(tmp_path: Path) -> N
     assert Bindings({"move": Binding(server="walk")}).before(plan.bindings).server(action) == "walk"
 
 
-@pytest.mark.parametrize("times", ["abc", "1e308", float("nan")])
+@pytest.mark.parametrize("times", ["abc", "12 times", float("nan")])
 def test_a_parameter_of_another_kind_fails_the_loop_that_counts_with_it(times: object) -> None:
     result = carry_out(ROOT / "domains/delivery/plans/errands.yaml", "round_trip", {"robot": "r1", "times": times})
     assert not result.goal_reached
