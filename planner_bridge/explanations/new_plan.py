@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from planner_bridge.explanations.answer import Answer, Known, listed
 from planner_bridge.explanations.run_history import JournalHistory, RunHistory, TaskHistory, Trouble
-from planner_bridge.tasks.replanning import GiveUp, PlanAgain, ResumePlan
+from planner_bridge.tasks.replanning import decision_words
 from pnm.core.machine.plan_graph import ActionCall, Recovery
 from pnm.errors import counted
 
@@ -24,18 +24,8 @@ def why_replanned(history: JournalHistory, task: TaskHistory) -> tuple[Answer, .
 
 
 def _follows(history: JournalHistory, number: int, before: RunHistory, after: RunHistory) -> Answer:
-    match before.decision:
-        case ResumePlan():
-            text = "the rest of the plan before still worked: it went on in a new machine"
-        case PlanAgain(forbidden, why):
-            never = f"; not again: {listed(sorted(map(str, forbidden)))}" if forbidden else ""
-            text = f"a new plan was needed: {why}{never}"
-        case GiveUp(reason):
-            text = f"it had been given up: {reason}"
-        case None:
-            text = "another plan was found"
-    reasons = (*why_failed(history, before), *_changes(before, after))
-    return Answer(f"run {number} began at {after.time - history.replay.began:.2f} s: {text}", Known.JOURNAL, reasons)
+    text = f"run {number} began at {after.time - history.replay.began:.2f} s: {decision_words(before.decision)}"
+    return Answer(text, Known.JOURNAL, (*why_failed(history, before), *_changes(before, after)))
 
 
 def why_failed(history: JournalHistory, run: RunHistory) -> Iterator[Answer]:

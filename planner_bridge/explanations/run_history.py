@@ -138,15 +138,14 @@ class JournalHistory:
         match step.record:
             case SharedBegan():
                 self.replay.forget()
-                self.tasks = {id: task for id, task in self.tasks.items() if task.ending}
                 self.runs, self.held = {}, {}
             case RunMade(run, task):
                 replayed = self.replay.runs[run]
                 made = RunHistory(replayed, self.replay.source_of(step.record), snapshot(self.replay.world), step.time)
                 self.runs[run], replayed.run.observer = made, _Noting(self, made)
                 if task in self.tasks:
-                    self.tasks[task].runs.append(made)
-            case TaskAccepted(wanted):
+                    self.tasks[task].runs = [*(one for one in self.tasks[task].runs if one.replayed.run.begun), made]
+            case TaskAccepted(wanted) if not (wanted.id in self.tasks and self.tasks[wanted.id].accepted == step.record):  # said again
                 runs = [run for run in self.runs.values() if run.replayed.made.task == wanted.id]
                 self.tasks[wanted.id] = TaskHistory(step.record, runs)
             case TaskNoted(task, GoalNote(decision=decision)) if decision is not None and task in self.tasks:

@@ -21,7 +21,7 @@ from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings, WhenLost
 from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, Cause, GroundAction, Moment, PlanEvent, PlanGraph
-from pnm.errors import check_counts, check_seconds
+from pnm.errors import check_counts, check_seconds, counted
 from pnm.tasks import Code
 
 MAX_SHORTENED: Final = 100
@@ -179,6 +179,20 @@ class GiveUp:
 
 
 Decision = ResumePlan | PlanAgain | GiveUp
+
+
+def decision_words(decision: Decision | None) -> str:
+    """Return what follows a run, in the words in which everybody is told; None is a plan that was found without a decision."""
+    match decision:
+        case ResumePlan(rest):
+            return f"the rest of the plan still works: going on with {counted(len(rest.calls), 'call')} in a new machine"
+        case PlanAgain(forbidden, why):
+            never = f"; not again: {', '.join(sorted(map(str, forbidden)))}" if forbidden else ""
+            return f"a new plan is needed: {why}{never}"
+        case GiveUp(reason):
+            return f"given up: {reason}"
+        case None:
+            return "another plan was found"
 
 
 @dataclass(frozen=True)

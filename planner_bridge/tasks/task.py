@@ -12,7 +12,7 @@ from uuid import UUID
 
 from planner_bridge.model.plan import Plan, PlanningResult
 from planner_bridge.tasks.control import TaskControl
-from planner_bridge.tasks.replanning import PlanAgain, ResumePlan
+from planner_bridge.tasks.replanning import PlanAgain, ResumePlan, decision_words
 from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.core.broadcast import broadcast
@@ -242,8 +242,7 @@ class Task(TaskObserver):
     def replanning(self, decision: ResumePlan | PlanAgain, result: RunResult) -> None:
         """Note that the plan is replaced."""
         self.replans += 1
-        text = "the rest of the plan still works" if isinstance(decision, ResumePlan) else decision.why
-        self.note(TraceKind.REPLANNED, "", text, logging.WARNING)
+        self.note(TraceKind.REPLANNED, "", decision_words(decision), logging.WARNING)
         self.listener.changed(self.id)
 
     def sent(self, call: ActionCall, request: Request, now: float) -> None:

@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import Final
 from uuid import UUID
 
-from planner_bridge.tasks.replanning import Decision, GiveUp, PlanAgain, ResumePlan
+from planner_bridge.tasks.replanning import Decision, decision_words
 from planner_bridge.tasks.result import GoalNote
 from planner_bridge.view.shown import CallShown, Cut, EventShown, FactShown, QuestionShown, RequestShown, TroubleShown
 from pnm.clock import TimeUsed
@@ -95,6 +95,11 @@ class RunStory:
         """Whether nothing more comes of it."""
         return self.replayed.is_over or self.replayed.run.over
 
+    def follow_troubles(self, what: str) -> None:
+        """Note what has followed the troubles that nothing has followed yet."""
+        for key, trouble in self.troubles.items():
+            self.troubles[key] = trouble if trouble.followed else replace(trouble, followed=what)
+
     def lane(self, action: GroundAction) -> str:
         """Return whose an action is on a timeline: of whom it has something for itself, else of its first argument."""
         resources = self.source.bindings.resources(action)
@@ -113,6 +118,8 @@ class TaskStory:
     """What was decided after the last run; None while it goes on."""
     used: TimeUsed | None = None
     ending: TaskEnding | None = None
+    ended: float | None = None
+    """When it was over."""
     helps: dict[UUID | None, str] = field(default_factory=dict)
     """The questions to a person that it has open, by the lost request that they are about, None for one how to go on."""
 
@@ -202,7 +209,7 @@ class Story:
             case TaskNoted(id, HelpAsked() | HelpEnded() as note) if id in self.tasks:
                 self._note_help(self.tasks[id], note)
             case TaskOver(id, ending):
-                self.tasks[id].ending, self._mark = ending, "end"
+                self._end(self.tasks[id], ending)
             case TimeCounted(of, used) if of in self.tasks:
                 self.tasks[of].used = used
             case _:
@@ -219,17 +226,24 @@ class Story:
         self.events = {number: event for number, event in self.events.items() if number >= self.first}
         self.questions = {}
 
+    def _end(self, task: TaskStory, ending: TaskEnding) -> None:
+        """Note that a task is over: its time stops, and that is what has followed its last troubles. A segment says so again."""
+        if task.ending is None:
+            task.ending, task.ended, self._mark = ending, self.time, "end"
+            for run in task.runs:
+                run.follow_troubles(f"its task is over: {ending.code.word}")
+
     # --- runs -------------------------------------------------------------------------------------
 
     def _note_run(self, made: RunMade) -> None:
         task, replayed = self.tasks.get(made.task), self.replay.runs[made.run]
         source = self.replay.source_of(made)
         cut = None
+        if task:
+            task.runs = [one for one in task.runs if one.replayed.run.begun]
         if task and task.runs:
             cut, self._mark = _cut(task.runs[-1], source.plan.calls, task.decision), "replan"
-            last = task.runs[-1]
-            for key, trouble in last.troubles.items():
-                last.troubles[key] = trouble if trouble.followed else replace(trouble, followed=cut.why)
+            task.runs[-1].follow_troubles(cut.why)
         story = self.runs[made.run] = RunStory(self.number, self.time, replayed, source, cut)
         replayed.run.observer = _Hearing(self, story)
         if task:
@@ -347,20 +361,6 @@ class _Hearing(Observer):
     def failed(self, failure: Failure, now: float) -> None:
         cause = Explanation(failure.cause, failure.expected, failure.observed)
         self._story.note_trouble(self._run, failure.call, cause, is_failure=True)
-
-
-def decision_words(decision: Decision | None) -> str:
-    """Return what was decided after a run, in words."""
-    match decision:
-        case ResumePlan():
-            return "the rest of the plan still works: it goes on in a new machine"
-        case PlanAgain(forbidden, why):
-            never = f"; not again: {', '.join(sorted(map(str, forbidden)))}" if forbidden else ""
-            return f"a new plan is needed: {why}{never}"
-        case GiveUp(reason):
-            return f"given up: {reason}"
-        case None:
-            return "another plan was found"
 
 
 def _cut(before: RunStory, calls: tuple[ActionCall, ...], decision: Decision | None) -> Cut:

@@ -6,8 +6,9 @@ from collections import Counter
 from collections.abc import Iterator
 from math import isfinite
 
+from planner_bridge.tasks.replanning import decision_words
 from planner_bridge.view.shown import CallShown, RunShown, ServerShown, TaskShown, View
-from planner_bridge.view.story import RunStory, Story, TaskStory, decision_words
+from planner_bridge.view.story import RunStory, Story, TaskStory
 from pnm.core.execution.call_results import CallResult
 from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.requests import OutcomeKind
@@ -45,7 +46,7 @@ def _task(task: TaskStory, now: float) -> TaskShown:
         wanted.priority,
         task.accepted.wall,
         None if wanted.deadline is None else task.accepted.wall + wanted.deadline,
-        round(task.used.until(now), 6) if task.used else 0.0,
+        round(task.used.until(now if task.ended is None else task.ended), 6) if task.used else 0.0,
         limit,
         task.ending.code.word if task.ending else "",
         tuple(run.replayed.run.id.hex for run in task.runs),

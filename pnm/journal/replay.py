@@ -258,7 +258,10 @@ class Replay:
         )
         replayed = self.runs[made.run] = ReplayedRun(made, run, self._known_fields, self)
         if made.task in self.tasks:
-            self.tasks[made.task].runs.append(replayed)
+            task = self.tasks[made.task]
+            # Its process has died before it began one: another takes its place.
+            task.runs = [one for one in task.runs if one.run.begun or one.made.caller != made.caller]
+            task.runs.append(replayed)
 
     def _end(self, replayed: ReplayedRun) -> None:
         replayed.is_over = True

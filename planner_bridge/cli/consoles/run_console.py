@@ -11,7 +11,7 @@ from planner_bridge.cli.consoles.event_lines import EventLines
 from planner_bridge.cli.consoles.on_stderr import planner_words, waiting
 from planner_bridge.cli.consoles.safe_console import INDENT, SafeConsole
 from planner_bridge.model.plan import Plan, PlanningResult
-from planner_bridge.tasks.replanning import PlanAgain, ResumePlan
+from planner_bridge.tasks.replanning import PlanAgain, ResumePlan, decision_words
 from planner_bridge.tasks.result import ConstraintResult, TaskResult, Violation
 from planner_bridge.tasks.settings import TaskObserver
 from planner_bridge.tasks.task import passed_limit
@@ -217,13 +217,7 @@ class ConsoleObserver(TaskObserver):
 
     def replanning(self, decision: ResumePlan | PlanAgain, result: RunResult) -> None:
         """Print what follows a failed run."""
-        match decision:
-            case ResumePlan(rest):
-                text = f"the rest of the plan still works: going on with {counted(len(rest.calls), 'call')} in a new machine"
-            case PlanAgain(forbidden, why):
-                without = f"; not again: {', '.join(sorted(map(str, forbidden)))}" if forbidden else ""
-                text = f"a new plan is needed: {why}{without}"
-        self._console.print_reason("[bold yellow]replan[/]  ", text)
+        self._console.print_reason("[bold yellow]replan[/]  ", decision_words(decision))
 
     def violated(self, violation: Violation, now: float) -> None:
         """Print that a constraint is violated."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 from uuid import UUID
 
-from planner_bridge.tasks.replanning import Decision, PlanAgain, ResumePlan
+from planner_bridge.tasks.replanning import Decision, decision_words
 from planner_bridge.tasks.result import TASKS, GoalNote
 from pnm.core.execution.call_results import CallResult
 from pnm.core.execution.events import Observer
@@ -42,11 +42,11 @@ def timelines(journal: Place | str) -> tuple[Timeline, ...]:
                 runs[run] = _RunTimes(replay.runs[run], replay.source_of(step.record), step.time)
             case Happened(event=Ended(request, outcome)):
                 ends.setdefault(request, (step.time, outcome))
-            case TaskAccepted(wanted):
+            case TaskAccepted(wanted) if not (wanted.id in tasks and tasks[wanted.id].replayed.accepted == step.record):  # said again
                 tasks[wanted.id] = _TaskTimes(replay.tasks[wanted.id], step.time)
             case TaskNoted(id, GoalNote(decision=decision)) if decision is not None:
                 tasks[id].decisions.append(decision)
-            case TaskOver(id):
+            case TaskOver(id) if tasks[id].ended is None:
                 tasks[id].ended = step.time
             case _:
                 pass
@@ -119,20 +119,10 @@ class _TaskTimes:
             plan = run.plan(began, ends)
             if run.replayed.made.caller is None:
                 if before is not None:
-                    plan = replace(plan, replan=replan(_why(next(decisions, None)), before.calls, plan.calls))
+                    plan = replace(plan, replan=replan(decision_words(next(decisions, None)), before.calls, plan.calls))
                 before = plan
             plans.append(plan)
         ending = self.replayed.ending
         words = f"{ending.code.word}: {ending.message}" if ending else ""
         end = now if self.ended is None else self.ended
         return Timeline(self.replayed.accepted.wanted.text or "the goal of the problem", tuple(plans), end - began, words)
-
-
-def _why(decision: Decision | None) -> str:
-    match decision:
-        case ResumePlan():
-            return "the rest of the plan still works"
-        case PlanAgain(why=why):
-            return why
-        case _:
-            return "another plan was found"

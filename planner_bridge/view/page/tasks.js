@@ -49,12 +49,11 @@ function taskOf(model, isNow, id, task) {
     isNow && NO_PLAN.has(task.code) ? whyNoPlan(id, goalOf(task.goal)) : "");
 }
 
-// What people may have to do something about: questions, and failures of tasks that are not over well.
+// What people may have to do something about: questions, and troubles that nothing has followed yet.
 function showNeeds(model, tasks, isNow) {
-  const bad = new Set(tasks.filter(([, task]) => task.code !== "goal_reached").map(([id]) => id));
   const questions = [...model.questions].map(([id, question]) => questionOf(model, isNow, id, question));
   const troubles = [...model.troubles.values()].sort((a, b) => b.time - a.time);
-  const isOpen = (trouble) => !trouble.followed && bad.has(model.runs.get(trouble.run)?.task);
+  const isOpen = (trouble) => !trouble.followed;
   const before = troubles.filter((trouble) => !isOpen(trouble));
   const place = document.getElementById("needs");
   const wasOpen = place.querySelector("details")?.open;

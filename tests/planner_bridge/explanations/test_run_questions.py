@@ -42,8 +42,8 @@ def length(journal: Path) -> int:
 def test_a_new_plan_is_explained_by_what_failed_and_by_what_it_keeps_drops_and_adds(journal: Path) -> None:
     history = JournalHistory.read(journal)
     again, anew = why_replanned(history, task_meant(history, None))
-    assert "the rest of the plan before still worked" in again.statement
-    assert f"a new plan was needed: {FAILING} has failed 2 times; not again: {FAILING}" in anew.statement
+    assert "the rest of the plan still works: going on with 2 calls in a new machine" in again.statement
+    assert f"a new plan is needed: {FAILING} has failed 2 times; not again: {FAILING}" in anew.statement
     failed, kept, dropped, added = anew.reasons
     assert "aborted: expected success; observed the way is blocked" in failed.statement
     assert failed.reasons[0].statement.startswith("it was sent 2 times, at ")

@@ -65,8 +65,8 @@ def test_a_timeline_says_when_everything_was_sent_and_ended_and_why_there_was_an
     assert first.failures == (str(result.failures[0]),)
     assert {call.lane for call in first.calls} == {"r1", "r2"}
     assert [plan.replan.why for plan in later if plan.replan] == [
-        "the rest of the plan still works",
-        "move(r1, hall, kitchen) has failed 2 times",
+        "the rest of the plan still works: going on with 2 calls in a new machine",
+        "a new plan is needed: move(r1, hall, kitchen) has failed 2 times; not again: move(r1, hall, kitchen)",
     ]
     assert all(attempt.message == "the way is blocked" for attempt in first.calls[4].attempts)
     (last,) = later[-1:]

@@ -1,0 +1,117 @@
+"""One journal, one story: the page, `pnm why`, the timeline and the list of tasks tell the same of every task, whatever has happened.
+
+The journals are random: several tasks at once, pauses, cancellations, processes that die and others that go on, and many segments.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from uuid import UUID
+
+import pytest
+
+from planner_bridge.explanations.answer import Answer
+from planner_bridge.explanations.run_questions import explained
+from planner_bridge.tasks.result import TASKS
+from planner_bridge.tasks.scheduling.task_timeline import timelines
+from planner_bridge.view.follow import Reader
+from planner_bridge.view.shown import View
+from pnm.core.pictures.timeline import Timeline
+from pnm.journal import written_journal
+from pnm.journal.records import TaskAccepted
+from pnm.journal.replay import Replay
+from pnm.journal.resume import replay_steps, summaries
+from tests.support.tasks.scenarios.random_deaths import run_deaths
+from tests.support.tasks.scenarios.random_scenarios import run_scenario
+
+LENGTHS = (1, 60, 1000)
+"""Records after which a segment begins."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a reader tells of a task.
+
+    Args:
+        ending: how it has ended, in words.
+        replans: why each new plan followed, and the calls that it keeps, drops and adds.
+        failures: how many there were.
+        requests: what was sent, and how it has ended.
+    """
+
+    ending: str
+    replans: list[tuple[str, tuple[str, ...], tuple[str, ...], tuple[str, ...]]]
+    failures: int
+    requests: list[tuple[str, str]]
+
+
+def on_the_page(view: View, id: str) -> Told:
+    task = view.tasks[id]
+    runs = [view.runs[run] for run in task.runs]
+    return Told(
+        f"{task.code}: {task.reason}" if task.code else "",
+        [(run.cut.why, run.cut.kept, run.cut.dropped, run.cut.added) for run in runs if run.cut],
+        sum(trouble.is_failure for trouble in view.troubles.values() if trouble.run in task.runs),
+        sorted((request.action, request.outcome) for request in view.requests.values() if request.run in task.runs),
+    )
+
+
+def on_the_timeline(timeline: Timeline) -> Told:
+    calls = [call for plan in timeline.plans for call in plan.calls]
+    return Told(
+        timeline.ending,
+        [(plan.replan.why, plan.replan.kept, plan.replan.dropped, plan.replan.added) for plan in timeline.plans if plan.replan],
+        sum(len(plan.failures) for plan in timeline.plans),
+        sorted((call.name, attempt.outcome.value if attempt.outcome else "") for call in calls for attempt in call.attempts),
+    )
+
+
+def new_plans(answers: tuple[Answer, ...]) -> list[str]:
+    """Why each new plan followed, as `pnm why` tells it."""
+    return [answer.statement.partition(" s: ")[2] for answer in answers if " began at " in answer.statement]
+
+
+def accepted(journal: Path) -> Iterator[UUID]:
+    """The tasks of a journal, each once, in the order in which they were accepted."""
+    steps = replay_steps(journal, TASKS, Replay())
+    return iter(dict.fromkeys(step.record.wanted.id for step in steps if isinstance(step.record, TaskAccepted)))
+
+
+def check_one_story(journal: Path) -> int:
+    """Complain about what two readers of a journal tell differently; return how many tasks both tell with their plans."""
+    view, told, listed, both = Reader(journal).newest(), timelines(journal), summaries(journal, TASKS), 0
+    assert not view.problem
+    machines = {summary.accepted.wanted.id: summary.runs for summary in listed}
+    for id, timeline in zip(accepted(journal), told, strict=True):
+        drawn = on_the_timeline(timeline)
+        answers = explained(journal, id)
+        assert new_plans(answers) == [why for why, *_ in drawn.replans]
+        if drawn.ending:
+            assert answers[0].statement.endswith(f" is over: {drawn.ending}")
+            assert max(0, machines[id] - 1) == len(drawn.replans)
+        if (shown := view.tasks.get(id.hex)) is not None and shown.runs:
+            assert on_the_page(view, id.hex) == drawn
+            both += 1
+            if shown.code:
+                assert not [trouble for trouble in view.troubles.values() if trouble.run in shown.runs and not trouble.followed]
+                assert shown.used <= timeline.now + 1e-6
+    return both
+
+
+@pytest.mark.parametrize("number", range(30))
+def test_all_readers_tell_one_story_of_tasks_that_people_interfere_with(
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(written_journal, "_LONG", random.Random(number).choice(LENGTHS))
+    run_scenario(number, journal=tmp_path / "journal")
+    check_one_story(tmp_path / "journal")
+
+
+@pytest.mark.parametrize("number", range(20))
+def test_all_readers_tell_one_story_of_tasks_whose_processes_die(number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(written_journal, "_LONG", random.Random(number).choice(LENGTHS))
+    run_deaths(number, tmp_path)
+    check_one_story(tmp_path / "journal")
