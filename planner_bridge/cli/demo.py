@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import json
 import os
-import sys
 import tempfile
 from asyncio.subprocess import DEVNULL, PIPE, Process
 from collections.abc import AsyncIterator, Mapping
@@ -31,6 +30,7 @@ from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import read_faults
 from pnm.clock import run_async
 from pnm.core.logic.conditions import conjuncts
+from pnm.files.own_python import own_environment, own_python
 
 _PACKAGE: Final = Path(__file__).parents[1]
 
@@ -136,7 +136,7 @@ async def _play(console: SafeConsole) -> int:
 async def _start(stack: AsyncExitStack, *arguments: str) -> Process:
     own = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": os.environ.get("ROS_DOMAIN_ID") or str(os.getpid() % 100 + 1)}
     process = await asyncio.create_subprocess_exec(
-        sys.executable, *arguments, env={**os.environ, **own}, stdin=DEVNULL, stdout=PIPE, stderr=DEVNULL
+        *own_python(*arguments), env=own_environment(**own), stdin=DEVNULL, stdout=PIPE, stderr=DEVNULL
     )
     stack.push_async_callback(_end, process)
     return process

@@ -12,7 +12,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -28,6 +27,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.pddl.write.writer import write_domain, write_problem
 from planner_bridge.planning.engines import ENGINES, require_installed
 from pnm.errors import InputError
+from pnm.files.own_python import own_environment, own_python
 
 START_LIMIT: Final = 30.0
 """Seconds that a process may take to begin: it loads unified-planning first."""
@@ -102,7 +102,7 @@ def _run(arguments: list[str], files: Mapping[str, str], timeout: float, cancel:
         folder = Path(name).resolve()  # resolved, because processes are found by comparing this text with their environment
         for file, text in files.items():
             (folder / file).write_text(text, encoding="utf-8")
-        with _process_group([sys.executable, "-m", "planner_bridge.planning.unified_planning", *arguments], folder) as process:
+        with _process_group(own_python("-m", "planner_bridge.planning.unified_planning", *arguments), folder) as process:
             # First for loading the engine, which does not count; then anew for the search itself.
             deadline, began = time.monotonic() + START_LIMIT, False
             while process.poll() is None and time.monotonic() < deadline and not cancel.is_set() and not (folder / ANSWER).exists():
@@ -123,7 +123,6 @@ def _run(arguments: list[str], files: Mapping[str, str], timeout: float, cancel:
 @contextmanager
 def _process_group(command: list[str], folder: Path) -> Iterator[subprocess.Popen[bytes]]:
     """Start the command as the leader of a process group; on leaving, end it and everything it started."""
-    path = os.pathsep.join(filter(None, (str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH"))))
     with (folder / _OUTPUT).open("wb") as output:
         process = subprocess.Popen(
             command,
@@ -132,7 +131,7 @@ def _process_group(command: list[str], folder: Path) -> Iterator[subprocess.Pope
             stdout=output,
             stderr=output,
             start_new_session=True,
-            env={**os.environ, "PYTHONPATH": path, "PYTHONUTF8": "1", _TMPDIR: str(folder), "no_grpc_proxy": "127.0.0.1"},
+            env=own_environment(**{"PYTHONUTF8": "1", _TMPDIR: str(folder), "no_grpc_proxy": "127.0.0.1"}),
         )
         try:
             yield process

@@ -33,6 +33,7 @@ from planner_bridge.planning.kairos import DEFAULT_PLANNER
 from planner_bridge.planning.search import search
 from planner_bridge.planning.validate import validated
 from pnm.errors import InputError, suggestion
+from pnm.files.own_python import forget_safe_path, safe_path
 
 _GRACE: Final = 2.0
 """Seconds that a process gets to end by itself once the stop file is there."""
@@ -185,14 +186,15 @@ class _ProcessPerJob(Executor):
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         spawn = multiprocessing.get_context("spawn")  # we may have threads, which do not survive a fork
-        pool = ProcessPoolExecutor(1, mp_context=spawn, initializer=_begin_process, initargs=(str(self._stop_file),))
-        self._pools.append(pool)  # before the submission, so that the pool is shut down even if that fails
-        main = sys.modules["__main__"]
-        sys.modules["__main__"] = ModuleType("__main__")  # lest the process run the caller's script again
-        try:
-            return pool.submit(fn, *args, **kwargs)
-        finally:
-            sys.modules["__main__"] = main
+        with safe_path():
+            pool = ProcessPoolExecutor(1, mp_context=spawn, initializer=_begin_process, initargs=(str(self._stop_file),))
+            self._pools.append(pool)  # before the submission, so that the pool is shut down even if that fails
+            main = sys.modules["__main__"]
+            sys.modules["__main__"] = ModuleType("__main__")  # lest the process run the caller's script again
+            try:
+                return pool.submit(fn, *args, **kwargs)
+            finally:
+                sys.modules["__main__"] = main
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         for pool in self._pools:
@@ -202,6 +204,7 @@ class _ProcessPerJob(Executor):
 def _begin_process(stop_file: str) -> None:
     """Leave Ctrl-C to the parent, and watch for the end of the search in a thread."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    forget_safe_path()
     threading.Thread(target=_exit_when_stopped, args=(Path(stop_file),), daemon=True).start()
 
 

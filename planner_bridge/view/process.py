@@ -6,7 +6,6 @@ import asyncio
 import json
 import select
 import subprocess
-import sys
 import threading
 from contextlib import suppress
 from types import TracebackType
@@ -15,6 +14,7 @@ from typing import Any, Final
 from planner_bridge.view.control.commands import Controlled, Reply
 from planner_bridge.view.control.operator import Operator
 from pnm.errors import InputError
+from pnm.files.own_python import own_environment, own_python
 
 _READY: Final = 60.0
 """Seconds in which the process has to say where the page is."""
@@ -37,7 +37,8 @@ class PageProcess:
 
     def __init__(self, port: int, controlled: Controlled = Controlled.NOTHING) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "planner_bridge.view", str(port), controlled.value],
+            own_python("-m", "planner_bridge.view", str(port), controlled.value),
+            env=own_environment(),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

@@ -1,0 +1,50 @@
+"""Python processes of ours: they import what this process would, and nothing that lies in the folder in which it was started.
+
+Python puts the current folder first on the path of ``python -m`` and ``python -c``: a ``json.py`` in a folder that somebody has unpacked
+would be executed. Packages that are found otherwise (installed, editable, in `PYTHONPATH`) are still found.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+_SAFE: Final = "PYTHONSAFEPATH"
+_OURS: Final = "of pnm"
+"""Its value when it was set here, and not by the user."""
+_ROOT: Final = Path(__file__).parents[2]
+"""The folder of our packages."""
+
+
+def own_python(*arguments: str) -> list[str]:
+    """Return the command of a Python process with these arguments; its environment is `own_environment`."""
+    return [sys.executable, "-P", *arguments]
+
+
+def own_environment(**added: str) -> Mapping[str, str]:
+    """Return the environment of such a process: this one, and what is added; our packages are found also where none is installed."""
+    path = [os.environ["PYTHONPATH"]] if os.environ.get("PYTHONPATH") else []
+    if _ROOT.name not in ("site-packages", "dist-packages"):  # which come behind the standard library by themselves
+        path.insert(0, str(_ROOT))
+    return {**os.environ, **({"PYTHONPATH": os.pathsep.join(path)} if path else {}), **added}
+
+
+@contextmanager
+def safe_path() -> Iterator[None]:
+    """Have processes that the standard library starts here, by `multiprocessing`, import nothing from the current folder."""
+    before = os.environ.get(_SAFE)
+    os.environ[_SAFE] = before or _OURS
+    try:
+        yield
+    finally:
+        forget_safe_path()
+
+
+def forget_safe_path() -> None:
+    """Have processes that are started here import as usual again: programs of others may need the folder of their script."""
+    if os.environ.get(_SAFE) == _OURS:
+        del os.environ[_SAFE]
