@@ -161,10 +161,15 @@ class Executor:
         if not self.run.begun:
             self._inbox.put_nowait(Begin())
         try:
+            moment, together = 0.0, 0
             while not self.run.over:
                 if self._inbox.empty():
                     collect_if_due()
-                self._handle(await self._inbox.get())
+                event = await self._inbox.get()
+                if not together:  # what has come meanwhile is of one moment: the order in which it is heard says nothing
+                    moment, together = asyncio.get_running_loop().time(), self._inbox.qsize() + 1
+                together -= 1
+                self._handle(event, moment)
         except BaseException:
             if self._journal.may_act():  # otherwise another process carries it on; their reports will not be heard
                 self._perform([*map(Cancel, self.run.open_requests)])
@@ -220,10 +225,10 @@ class Executor:
             self._progress.set()  # wakes all that wait now; those that begin to wait later wait for the next event
             self._progress = None
 
-    def _handle(self, event: Event) -> None:
+    def _handle(self, event: Event, now: float | None = None) -> None:
         if isinstance(event, (KnowledgeChanged, ResourcesChanged)):
             self._waiting.discard(event)  # before it is handled: a change that its own commands cause has to be looked at again
-        self._journal.handle(self.run, event, asyncio.get_running_loop().time(), self._perform)
+        self._journal.handle(self.run, event, asyncio.get_running_loop().time() if now is None else now, self._perform)
         self._announce()
 
     def _perform(self, commands: Sequence[Command]) -> None:

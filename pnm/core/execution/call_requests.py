@@ -92,6 +92,10 @@ class Calls:
         planned = self._plan.calls[call]
         return planned if action is planned.action else replace(planned, action=action)
 
+    def attempt(self, call: int) -> CallAttempt:
+        """Return the last request of the call, which was sent."""
+        return self._attempts[call]
+
     def is_accepted(self, call: int) -> bool:
         """Return whether the request of the call was accepted, and is not being cancelled."""
         return self._attempts[call].accepted is not None
@@ -328,20 +332,21 @@ class Calls:
             self._knowledge.local.store(values)
         closed, attempt = self._closed[call], self._attempts[call]
         has_all = closed is not None and (closed.needed is None or closed.needed.holds_by_facts(self.world))
-        # Over all means until just before the end: what breaks at the very moment of the end does no harm.
-        if attempt.interrupted == now:
-            attempt.denied = None
         # now, before anything is written of its effects: they may change what it relies on
-        elif not has_all and (denied := denied_at_end(attempt.action, self.context_of(call, None))):
-            attempt.denied = {**(attempt.denied or {}), **denied}
+        if not has_all:
+            is_watched = attempt.accepted is not None and attempt.accepted < now  # then the guard has seen all that broke before
+
+            def breaks_now(part: Condition) -> bool:
+                return is_watched and attempt.broken.get((part, False), now) >= now
+
+            if denied := denied_at_end(attempt.action, self.context_of(call, None), breaks_now):
+                attempt.denied = {**(attempt.denied or {}), **denied}
         return bool(values)
 
-    def interrupt(self, call: int, now: float) -> None:
+    def interrupt(self, call: int) -> None:
         """Note what of the condition over all is not so: the call has not succeeded, whatever its server reports."""
         context = self.context_of(call, None)
-        broken = {part: observed(part, context) for part in unmet(self.action(call).invariant, context)}
-        attempt = self._attempts[call]
-        attempt.denied, attempt.interrupted = broken, now
+        self._attempts[call].denied = {part: observed(part, context) for part in unmet(self.action(call).invariant, context)}
 
     def _next(self, call: int) -> tuple[int, UUID]:
         """Return the number and the identity of the next request."""

@@ -6,7 +6,7 @@ effects seen? An effect is *seen* when its fluent is sensed and has the value; e
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from pnm.core.execution.questions import EvaluationContext
@@ -91,16 +91,19 @@ def unseen(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: Eval
     return (*missing, *denied, *unmet(action.expected, knowledge))
 
 
-def denied_at_end(action: GroundAction, knowledge: EvaluationContext) -> dict[Condition, str]:
+def denied_at_end(
+    action: GroundAction, knowledge: EvaluationContext, breaks_now: Callable[[Condition], bool] = lambda part: False
+) -> dict[Condition, str]:
     """Return which parts of the conditions over all and at the end do not hold at the end, and what is so instead.
 
-    No report about them can come late.
+    No report about them can come late. Over all means until just before the end: a part of it that breaks at this moment does no harm.
     """
     denied: dict[Condition, str] = {}
     for condition, is_for_the_end in ((action.invariant, False), (action.end_condition, True)):
         for part in unmet(condition, knowledge):
             is_reported = any(knowledge.world.is_sensed((name,)) for name in knowledge.world.rules.base(names(part)))
             is_excused = is_reported and (is_for_the_end or may_be_late(part, action, knowledge, has_held=False))
+            is_excused = is_excused or (not is_for_the_end and breaks_now(part))
             if not is_excused and not any(map(may_ask, data_in(part))):
                 denied[part] = observed(part, knowledge)
     return denied

@@ -7,6 +7,7 @@ were asked before.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from math import nextafter
 from typing import Final
 from uuid import UUID
 
@@ -16,7 +17,7 @@ from pnm.core.execution.effect_checks import already_true, may_be_late
 from pnm.core.execution.machine_index import Firing, Site
 from pnm.core.execution.questions import EvaluationContext, Questions
 from pnm.core.execution.run_state import RunState
-from pnm.core.logic.conditions import All, Condition, conjuncts, ground, names
+from pnm.core.logic.conditions import Condition, conjuncts, ground, names
 from pnm.core.logic.evaluation import evaluate, explanation, observed
 from pnm.core.logic.expressions import UNKNOWN, Truth
 from pnm.core.machine.machine import (
@@ -50,8 +51,7 @@ NEVER: Final = float("inf")
 class Guards:
     """Evaluates the guards of a run. Questions may be asked for a guard at a place; without a place only what is known counts.
 
-    The mutable state is since when conditions have not been true, since when resources have been withheld, and which parts of an
-    over-all condition have held since the call began (None for all of them), by transition.
+    The mutable state is, by transition, since when conditions have not been true, and since when resources have been withheld.
     """
 
     def __init__(self, state: RunState, calls: Calls, claims: RunClaims, questions: Questions) -> None:
@@ -61,7 +61,6 @@ class Guards:
         self._questions = questions
         self._false_since: dict[int, float] = {}
         self._withheld_since: dict[int, float] = {}
-        self._held: dict[int, list[Condition] | None] = {}
 
     # each with the block of the transition, the transition and the place at which it is decided on
 
@@ -99,26 +98,27 @@ class Guards:
         return opens if truth is UNKNOWN else NEVER
 
     def _invariant_false(self, site: Site, firing: Firing, place: int) -> float:
-        """Return when the over-all condition of the call counts as broken: at once, unless all that is false of it may be a late report."""
-        transition = site.transition + firing.number
-        known = self._state.index.conditions[transition]
-        self._questions.noted.add(place)
+        """Return when the over-all condition of the call counts as broken: a part of it whose report may be late, after the lag.
+
+        Any other part counts as soon as the moment at which it broke is over: the call may have ended at that very moment as well, and
+        the order in which the two are heard says nothing.
+        """
+        call, now, opens = _call(site, firing), self._state.now, NEVER
+        known, attempt = self._state.index.conditions[site.transition + firing.number], self._calls.attempt(call)
         if known is not None and known.holds_by_facts(self._calls.world):
-            self._held[transition] = None
-            self._false_since.pop(transition, None)
+            attempt.held = None
+            attempt.broken.clear()
             return NEVER
-        call, held = _call(site, firing), self._held.setdefault(transition, [])
         context = self.context(call, place)
-        false: list[Condition] = []
         for part in conjuncts(_grounded(self._asked(site, firing), context)):
-            if evaluate(part, context) is not True:
-                false.append(part)
-            elif held is not None and part not in held:
-                held.append(part)
-        action = self._calls.action(call)
-        if not all(may_be_late(part, action, context, has_held=held is None or part in held) for part in false):
-            return -NEVER
-        return self._after(self._false_since, site, firing, place, bool(false), context.world.lag(names(All(tuple(false)))))
+            if evaluate(part, context) is True:
+                attempt.holds(part)
+            else:
+                is_late = may_be_late(part, attempt.action, context, has_held=attempt.held is None or part in attempt.held)
+                since = attempt.broken.setdefault((part, is_late), now)
+                lag = context.world.lag(names(part)) if is_late else 0.0
+                opens = min(opens, max(since + lag, nextafter(since, NEVER)))
+        return opens
 
     def _already_true(self, site: Site, firing: Firing, place: int) -> float:
         call = _call(site, firing)
@@ -206,7 +206,6 @@ class Guards:
             number = index.sites[place].transition + within
             self._false_since.pop(number, None)
             self._withheld_since.pop(number, None)
-            self._held.pop(number, None)
         return self._questions.left(place)
 
     def context(self, call: int | None, place: int | None) -> EvaluationContext:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from uuid import UUID
 
 from pnm.core.execution.call_results import CallResult
@@ -41,10 +41,19 @@ class CallAttempt:
     """What it has written at its end; None before."""
     denied: Mapping[Condition, str] | None = None
     """Conditions over all and at the end that were not so, and what was so instead, if there are any."""
-    interrupted: float | None = None
-    """When conditions over all broke."""
+    held: set[Condition] | None = field(default_factory=set)
+    """Parts of its over-all condition that have been seen to hold; None for all of them."""
+    broken: dict[tuple[Condition, bool], float] = field(default_factory=dict)
+    """Since when parts of it have not held; and whether that may be for want of a report."""
     feedback: str = ""
     """What its server has said last."""
+
+    def holds(self, part: Condition) -> None:
+        """Note that a part of its over-all condition holds."""
+        if self.held is not None:
+            self.held.add(part)
+        for is_late in (False, True):
+            self.broken.pop((part, is_late), None)
 
 
 @dataclass(frozen=True, slots=True)

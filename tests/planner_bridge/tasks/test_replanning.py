@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from planner_bridge.model.forbidden_actions import ForbiddenCall, forbid
 from planner_bridge.model.simulation import simulated_backend
 from planner_bridge.pddl import parse_domain, parse_problem
@@ -112,6 +114,23 @@ def test_a_match_that_goes_out_is_noticed() -> None:
     result, _ = pursued(matches(1), Faults(changes=(out,)))
     assert not result.goal_reached
     assert "invariant_false" in [failure.cause for failure in result.failures]
+
+
+ENVELOPE = """(define (domain envelope) (:requirements :strips :durative-actions)
+ (:predicates (on) (done) (off) (ended))
+ (:durative-action wrap :parameters () :duration (= ?duration 5)
+  :condition (at start (off)) :effect (and (at start (not (off))) (at start (on)) (at end (not (on)))))
+ (:durative-action inner :parameters () :duration (= ?duration 5) :condition (over all (on)) :effect (at end (done)))
+ (:durative-action after :parameters () :duration (= ?duration 2) :condition (at start (done)) :effect (at end (ended))))"""
+
+
+@pytest.mark.parametrize("assumed", [frozenset[str](), frozenset({"on"})], ids=["sensed", "assumed"])
+def test_a_call_may_end_at_the_moment_at_which_another_ends_what_it_relies_on(assumed: frozenset[str]) -> None:
+    problem = parse_problem("(define (problem e) (:domain envelope) (:init (off)) (:goal (ended)))", parse_domain(ENVELOPE))
+    result, _ = pursued(problem, bindings=Bindings(assumed=assumed))
+    assert result.goal_reached
+    assert (result.replans, result.failures) == (0, ())
+    assert {call.call.action.name: call.ended for call in result.calls} == {"wrap": 5.0, "inner": 5.0, "after": 7.0}
 
 
 def test_a_task_is_stopped_when_its_time_is_up() -> None:

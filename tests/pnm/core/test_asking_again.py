@@ -25,7 +25,7 @@ from pnm.core.machine.plan_graph import ActionCall, Choice, Flow, GroundAction, 
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.executor import Executor
 from pnm.journal.journal import Journal, Perform
-from tests.support.runs.commands import RUN
+from tests.support.runs.commands import RUN, in_its_moment
 
 ROOMS = ("hall", "kitchen")
 OPEN, WARM, DONE = (tuple((name, room) for room in ROOMS) for name in ("open", "warm", "done"))
@@ -162,7 +162,7 @@ def test_a_condition_over_all_is_looked_at_when_something_changes_that_it_reads(
     assert len(asked) == isinstance(condition, Computed), "nothing reads what has changed; of a computed value nobody knows"
     del scene.run._decide
     scene.change(what, value)
-    assert any(isinstance(command, Cancel) for command in scene.run.handle(KnowledgeChanged(), 0.0))
+    assert any(isinstance(command, Cancel) for command in in_its_moment(scene.run, KnowledgeChanged(), 0.0))
 
 
 class Heard(Journal):

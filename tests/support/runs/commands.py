@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from math import inf, nextafter
 from uuid import UUID
 
-from pnm.core.execution.events import Begin, Cancel, Command, Send
+from pnm.core.execution.events import Begin, Cancel, Command, Event, Send, Tick, Wake
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Bindings
@@ -31,6 +32,14 @@ def accepted(graph: PlanGraph | None = None, bindings: Bindings | None = None, *
     for request in run.open_requests:
         run.handle(Accepted(request), at)
     return run
+
+
+def in_its_moment(run: Run, event: Event, now: float) -> list[Command]:
+    """Handle an event and, as nothing else happens in its moment, what follows when that is over; all commands of both."""
+    commands = run.handle(event, now)
+    if Wake(nextafter(now, inf)) in commands:
+        commands += run.handle(Tick(), nextafter(now, inf))
+    return commands
 
 
 def sent(commands: list[Command]) -> list[str]:

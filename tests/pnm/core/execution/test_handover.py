@@ -20,7 +20,7 @@ from pnm.core.machine.requests import Accepted, Ended
 from pnm.core.machine.verification.verify import explore
 from pnm.core.resources import Resources
 from pnm.errors import RunError
-from tests.support.runs.commands import cancelled, sent
+from tests.support.runs.commands import cancelled, in_its_moment, sent
 from tests.support.runs.handover import ABORTED, CANCELED, SUCCEEDED, going, successor
 from tests.support.runs.mutants import check_proof_of_mutants
 from tests.support.runs.plan_graphs import plan_of_steps
@@ -103,7 +103,7 @@ def test_an_over_all_condition_counts_from_the_beginning() -> None:
     old = going(replace(ACT, invariant=Holds(("ok",))), world=world)
     world.update({("ok",): False})
     new = successor(old)
-    assert cancelled(new.handle(Begin(), 2.0)) == [*old.open_requests]
+    assert cancelled(in_its_moment(new, Begin(), 2.0)) == [*old.open_requests]
     new.handle(Ended(old.open_requests[0], CANCELED), 3.0)
     assert [failure.cause for failure in new.result().failures] == ["invariant_false"]
 

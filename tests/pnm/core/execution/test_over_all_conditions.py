@@ -1,12 +1,17 @@
-"""Over-all conditions: a report that one is false stops the call at once; only what may not be reported yet has the time for that."""
+"""Over-all conditions: a report that one is false stops the call, unless it ends at that moment; what may not be reported yet has time."""
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import replace
+from itertools import permutations
+from math import nextafter
 from uuid import UUID
 
 import pytest
 
+from pnm.clock import FollowingLoop
+from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.events import Begin, Cancel, Command, KnowledgeChanged, Tick, Wake
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
@@ -19,7 +24,9 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.core.machine.requests import Accepted, Ended
 from pnm.core.machine.verification.verify import verify
-from tests.support.runs.handover import CANCELED, SUCCEEDED, going
+from pnm.executor import Executor
+from tests.support.runs.commands import in_its_moment
+from tests.support.runs.handover import CANCELED, SUCCEEDED, ManualClient, going
 from tests.support.runs.plan_graphs import ordering
 
 OPEN, LIT, HELD = ("open",), ("lit",), ("held",)
@@ -48,7 +55,7 @@ def passing(
 
 def report(run: Run, fluent: Fluent, value: Value | Unknown, now: float) -> list[Command]:
     run.knowledge.world.update({fluent: value})
-    return run.handle(KnowledgeChanged(), now)
+    return in_its_moment(run, KnowledgeChanged(), now)
 
 
 def cancels(commands: list[Command]) -> bool:
@@ -155,7 +162,7 @@ def in_the_cellar(*sensed: str) -> tuple[Run, UUID, UUID]:
 
 def test_an_end_that_nothing_reports_is_believed_when_it_comes_even_if_it_should_come_later() -> None:
     run, match, mend = in_the_cellar()
-    assert run.handle(Ended(match, SUCCEEDED), 3.0) == [Cancel(mend), Wake(8.0)], "the match is out"
+    assert in_its_moment(run, Ended(match, SUCCEEDED), 3.0)[1:] == [Cancel(mend), Wake(8.0)], "the match is out"
     run.handle(Ended(mend, SUCCEEDED), 5.2)
     assert failure_causes(run) == ["invariant_false"]
     assert run.result().failures[0].observed == "(lit) is false"
@@ -191,3 +198,53 @@ def test_what_an_end_relies_on_must_have_been_so_when_it_came() -> None:
     run.handle(Ended(mend, SUCCEEDED), 5.0)
     assert failure_causes(run) == ["effects_missing"]
     assert run.knowledge.value(("closed",)) is False, "what was believed is taken back"
+
+
+@pytest.mark.parametrize("order", list(permutations(range(4))))
+@pytest.mark.parametrize("breaks_at", [5.0, 4.0])
+@pytest.mark.parametrize("sensed", [("lit",), ()])
+def test_the_order_in_which_what_belongs_to_one_moment_is_heard_says_nothing(
+    sensed: tuple[str, ...], breaks_at: float, order: tuple[int, ...]
+) -> None:
+    """A call ends at 5 s, and what it relies on breaks then as well, or a second before."""
+    run, match, mend = in_the_cellar(*sensed)
+    light = (Ended(match, SUCCEEDED), KnowledgeChanged(), Tick())
+    events = (*light, Ended(mend, SUCCEEDED)) if breaks_at == 5.0 else light
+    for event in [events[number] for number in order if number < len(events)]:
+        if sensed:  # which come before the run is told
+            run.knowledge.world.update({LIT: False})
+        run.handle(event, breaks_at)
+    run.handle(Tick(), nextafter(breaks_at, 6.0))
+    run.handle(Ended(mend, SUCCEEDED), 5.0)
+    assert run.over
+    assert failure_causes(run) == ([] if breaks_at == 5.0 else ["invariant_false"])
+
+
+class TickingClock:
+    """A real clock: it goes on whenever it is read."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        self.now += 0.001
+        return self.now
+
+
+def test_reports_that_come_together_are_of_one_moment_although_handling_them_takes_time() -> None:
+    machine, client, world = generate(CELLAR), ManualClient(), KnowledgeBase(sensed={"lit": LAG})
+    run = Run(machine, Layered(world), id=UUID(int=1))
+
+    async def main() -> RunResult:
+        executing = asyncio.ensure_future(Executor(run, client).execute())
+        await asyncio.sleep(0.1)
+        world.update({LIT: True})
+        await asyncio.sleep(0.1)
+        world.update({LIT: False})
+        client.end("match")
+        client.end("mend")
+        return await executing
+
+    with asyncio.Runner(loop_factory=lambda: FollowingLoop(TickingClock())) as runner:
+        result = runner.run(main())
+    assert (result.failures, result.goal) == ((), True)

@@ -16,7 +16,7 @@ from pnm.core.logic.expressions import Constant, Fluent
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Ended
-from tests.support.runs.commands import begun, sent
+from tests.support.runs.commands import begun, cancelled, in_its_moment, sent
 from tests.support.runs.handover import SUCCEEDED, going
 from tests.support.runs.plan_graphs import plan_of
 
@@ -31,7 +31,7 @@ ONCE = Bindings({name: Binding(retries=0) for name in ("mend", "open", "drop")})
 
 def change(run: Run, fluent: Fluent, value: bool, now: float) -> list[Command]:
     run.knowledge.world.update({fluent: value})
-    return run.handle(KnowledgeChanged(), now)
+    return in_its_moment(run, KnowledgeChanged(), now)
 
 
 def outcomes(run: Run) -> list[str]:
@@ -120,7 +120,9 @@ def test_others_that_wait_for_its_start_go_on() -> None:
 def test_what_breaks_at_the_very_moment_of_the_end_does_no_harm() -> None:
     run = going(MEND, world=KnowledgeBase({LIT: True}))
     (request,) = run.open_requests
-    change(run, LIT, False, 6.0)
+    run.knowledge.world.update({LIT: False})
+    assert not cancelled(run.handle(KnowledgeChanged(), 6.0))
     run.handle(Ended(request, SUCCEEDED), 6.0)
     assert run.knowledge.value(MENDED)
     assert outcomes(run) == ["succeeded"]
+    assert run.result().goal, "and nothing has failed"
