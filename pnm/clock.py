@@ -16,7 +16,7 @@ from collections.abc import Awaitable, Callable, Coroutine, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
-from math import isfinite, ulp
+from math import inf, isfinite, ulp
 from time import monotonic
 from typing import Any, Final, TypeVar, cast
 
@@ -274,36 +274,56 @@ class _Waiting(selectors.DefaultSelector):
 class FollowingLoop(asyncio.SelectorEventLoop):
     """An event loop on real time that may follow another clock, such as that of a simulation.
 
-    What moves that clock calls something on the loop, so that it looks at its timers. Its time never goes back. It does not go on
-    while the process is stopped: what has been reported meanwhile is heard before the limits for it are over.
+    What moves that clock calls something on the loop, so that it looks at its timers. Its time never goes back, and goes on at once
+    after a clock that is followed was set back. It does not go on while the process is stopped: what has been reported meanwhile is
+    heard before the limits for it are over.
+
+    The mutable state is the clock that it follows, what that has shown last, and how much later it is here.
     """
 
     def __init__(self, real: Callable[[], float] = monotonic) -> None:
-        self._real = real
+        self._real = self._clock = real
+        self._seen = real()
+        self._offset = 0.0
+        self._latest = -inf
         super().__init__(_Waiting(self._stand_still, real))
-        self._clock: Callable[[], float] | None = None
-        self._shift = self._offset = self._latest = 0.0
 
     def continue_from(self, time: float) -> None:
         """Go on from a time, at which another process was: what it had still to wait for is waited for here."""
-        self._shift = time - self._real()
+        self._seen = self._clock()
+        self._offset, self._latest = time - self._seen, time
 
-    def follow(self, clock: Callable[[], float]) -> None:
-        """Go on from now with the pace of the clock."""
+    @property
+    def is_following(self) -> bool:
+        """Whether it follows another clock than real time."""
+        return self._clock is not self._real
+
+    def follow(self, clock: Callable[[], float] | None) -> None:
+        """Go on from now with the pace of a clock; with real time if it is None."""
         now = self.time()
-        self._offset, self._latest, self._clock = now - clock(), now, clock
+        self._clock = clock or self._real
+        self.continue_from(now)
 
     def time(self) -> float:
-        """Return the time in seconds: real, or of the clock that is followed."""
-        if self._clock is None:
-            return self._real() + self._shift
-        self._latest = max(self._latest, self._offset + self._clock())
+        """Return the time in seconds."""
+        seen = self._clock()
+        if seen < self._seen:  # set back: what it shows from now on is later here than what it has shown
+            self._offset += self._seen - seen
+        self._seen = seen
+        self._latest = max(self._latest, self._offset + seen)  # sums are rounded
         return self._latest
 
     def _stand_still(self, seconds: float) -> None:
         """Go on as if these seconds had not been; a clock that is followed may have gone on, or not."""
-        if self._clock is None:
-            self._shift -= seconds
+        if not self.is_following:
+            self._offset -= seconds
+
+
+def follow_real_time() -> None:
+    """Have the running event loop follow no clock but real time from now on: what ends waits for no simulation, which may be gone."""
+    loop = asyncio.get_running_loop()
+    if isinstance(loop, FollowingLoop):
+        loop.follow(None)
 
 
 def continue_from(time: float) -> None:
@@ -318,11 +338,11 @@ def run_async(main: Coroutine[Any, Any, T], *, virtual: bool = False) -> T:
 
     Real time may become that of another clock, see `FollowingLoop`.
 
-    Signals that would end the process cancel the coroutine: once, and a second time. `KeyboardInterrupt` is raised if that ends it
-    without a result.
+    Signals that would end the process cancel the coroutine, whose time is real from then on; a second one ends the process. See
+    `StoppableWork`. `KeyboardInterrupt` is raised if the coroutine ends without a result.
     """
     with nullcontext() if virtual else short_pauses(), asyncio.Runner(loop_factory=VirtualTimeLoop if virtual else FollowingLoop) as runner:
-        work = StoppableWork(runner.get_loop())
+        work = StoppableWork(runner.get_loop(), follow_real_time)
         with work.handled():
             try:
                 return runner.run(work.run(main))

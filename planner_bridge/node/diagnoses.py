@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Iterable
 from contextlib import AsyncExitStack
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from planner_bridge.node.options import Options
@@ -12,6 +13,7 @@ from pnm.errors import InputError
 from pnm.tasks import EVENTS, Tasks
 
 if TYPE_CHECKING:
+    from pnm.ros.sim_time import SimClock
     from pnm.ros.tasks.diagnostics import Diagnosis
 
 
@@ -21,6 +23,7 @@ async def open_diagnoses(
     look: Callable[[], Awaitable[Iterable[Readiness]]],
     tasks: Tasks,
     state: Callable[[], str],
+    clock: SimClock | None,
     options: Options,
 ) -> None:
     """Publish diagnoses until the stack is closed; there is a warning when their type is not installed.
@@ -28,6 +31,7 @@ async def open_diagnoses(
     Args:
         look: returns how ready action servers and sensors are.
         state: returns that of the life cycle.
+        clock: that of the simulation whose time is followed, if one is.
     """
     from pnm.ros.tasks.diagnostics import Diagnosis, Diagnostics, Level, diagnosis_of, diagnosis_of_tasks  # here, because rclpy is an extra
 
@@ -35,7 +39,10 @@ async def open_diagnoses(
 
     async def diagnose() -> tuple[Diagnosis, ...]:
         level, message = (Level.OK, "active") if state() == "active" else (Level.WARN, f"{state()}: goals are rejected")
-        return Diagnosis("node", level, message, served), diagnosis_of_tasks(tasks.status()), *map(diagnosis_of, await look())
+        node = Diagnosis("node", level, message, served)
+        trouble = clock.trouble(monotonic()) if clock else ""
+        watched = (Diagnosis("clock", Level.WARN if trouble else Level.OK, trouble or "/clock goes on"),) if clock else ()
+        return node, *watched, diagnosis_of_tasks(tasks.status()), *map(diagnosis_of, await look())
 
     try:
         diagnostics = Diagnostics(ros, diagnose)

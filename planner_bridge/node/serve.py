@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 from uuid import UUID
 
 from planner_bridge.model.grounding import initial_knowledge
@@ -35,7 +35,7 @@ from planner_bridge.tasks.scheduling.task_manager import TaskManager
 from planner_bridge.tasks.scheduling.task_start import PREFIX
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.backend import check_ready
-from pnm.clock import continue_from, run_async, short_pauses
+from pnm.clock import continue_from, follow_real_time, run_async, short_pauses
 from pnm.core.broadcast import broadcast
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Bindings
@@ -53,6 +53,9 @@ from pnm.language.runner import PlanRunner, Program
 from pnm.ros.backend import Ros2Backend
 from pnm.ros.node.parameters import ParameterValue
 from pnm.tasks import REMEMBERED, Make, ServedWorld, TaskEnding, Tasks, Wanted
+
+if TYPE_CHECKING:
+    from pnm.ros.sim_time import SimClock
 
 _log = logging.getLogger(__name__)
 
@@ -193,9 +196,9 @@ async def _run_lifecycle(ros: Any, given: Mapping[str, ParameterValue], observer
     from pnm.ros.node.parameters import declare
     from pnm.ros.sim_time import follow_sim_time
 
-    await follow_sim_time(ros)
+    clock = await follow_sim_time(ros)
     options = Options.of(await ros.ask(partial(declare, ros.node, PARAMETERS, given)))
-    serving = ServingNode(ros, options, observer)
+    serving = ServingNode(ros, options, observer, clock)
     lifecycle = Lifecycle(ros, serving)
     await lifecycle.open()
     try:
@@ -219,8 +222,9 @@ class ServingNode:
     The mutable state is the stack of open resources, the task node, and the names of its actions.
     """
 
-    def __init__(self, ros: Any, options: Options, observer: NodeObserver) -> None:
+    def __init__(self, ros: Any, options: Options, observer: NodeObserver, clock: SimClock | None = None) -> None:
         self._ros = ros
+        self._clock = clock
         self._options = options
         self._observer = observer
         self._open = AsyncExitStack()
@@ -233,6 +237,8 @@ class ServingNode:
 
     async def configure(self) -> None:
         """Read and check all files, and bring up the actions, which reject goals until the node is activated."""
+        if self._clock is not None:
+            self._clock.follow()
         async with AsyncExitStack() as stack:
             context = await self._open_context(stack)
             await self._open_node(context, stack)
@@ -258,7 +264,11 @@ class ServingNode:
         self._observer.deactivated()
 
     async def cleanup(self) -> None:
-        """Cancel tasks, and close all resources. What another node has taken over is left alone: it goes on there."""
+        """Cancel tasks, and close all resources. What another node has taken over is left alone: it goes on there.
+
+        All limits of this are on real time: a simulation may have ended before.
+        """
+        follow_real_time()
         if self.fenced.done():
             self._open.pop_all()
         await self._open.aclose()
@@ -365,7 +375,7 @@ class ServingNode:
         self._node = TaskNode(self._ros, api.tasks, api.make, api.world, context.plan_actions, kept_tasks(context.replay))
         self._restore = partial(self._restore_tasks, api, context.replay)
         look = partial(context.backend.look, runner.actions)
-        await open_diagnoses(stack, self._ros, look, api.tasks, lambda: self._state, self._options)
+        await open_diagnoses(stack, self._ros, look, api.tasks, lambda: self._state, self._clock, self._options)
         self._observer.configured(api.tasks, self._node, api.world)
         # The stack closes in reverse: first the node, which gives tasks their time to end and answers all goals; then the task manager.
         stack.push_async_callback(_close_in_time, api.close)

@@ -8,6 +8,7 @@ from time import monotonic
 from typing import Any, Final
 from uuid import UUID
 
+from pnm.clock import follow_real_time
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.declared_names import Vocabulary
 from pnm.core.machine.bindings import Bindings
@@ -197,7 +198,9 @@ class Ros2Backend:
         return max(0.0, float(self.ros.joined) + DISCOVERY - monotonic())
 
     async def close(self) -> None:
-        """Leave the ROS 2 graph."""
+        """Leave the ROS 2 graph; a simulation whose time was followed may have left before."""
+        if self._shared is None:
+            follow_real_time()
         if self._reports is not None:
             self._reports.close()
         if self._sensors is not None:

@@ -10,8 +10,10 @@ import threading
 from weakref import ref
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from pnm.clock import FollowingLoop, VirtualTimeLoop, collect_if_due, in_own_thread, short_pauses
+from pnm.clock import FollowingLoop, VirtualTimeLoop, collect_if_due, follow_real_time, in_own_thread, short_pauses
 from tests.support.processes import LIMIT
 
 
@@ -61,6 +63,11 @@ def test_however_much_takes_long_there_are_threads_for_what_is_short():
     in_virtual_time(main)
 
 
+def in_real_time(main):
+    with asyncio.Runner(loop_factory=FollowingLoop) as runner:
+        return runner.run(main())
+
+
 def test_timers_follow_the_clock_that_is_followed_and_time_never_goes_back():
     async def main():
         loop, seconds, fired = asyncio.get_running_loop(), [500.0], []
@@ -80,11 +87,45 @@ def test_timers_follow_the_clock_that_is_followed_and_time_never_goes_back():
         assert await at(500.0) == (0.0, [])
         assert await at(509.0) == (9.0, [])
         assert await at(400.0) == (9.0, []), "a simulation that was reset"
-        assert await at(510.0) == (10.0, ["soon"])
-        assert await at(1e6) == (1e6 - 500.0, ["soon", "late"])
+        assert await at(401.0) == (10.0, ["soon"]), "limits go on after that"
+        assert await at(1e6) == (1e6 - 391.0, ["soon", "late"])
 
-    with asyncio.Runner(loop_factory=FollowingLoop) as runner:
-        runner.run(main())
+    in_real_time(main)
+
+
+@given(
+    st.lists(st.integers(-1_000_000, 1_000_000), min_size=1).flatmap(lambda shown: st.tuples(st.just(shown), st.integers(0, len(shown))))
+)
+def test_time_is_what_a_clock_has_gone_ahead_however_it_is_set_meanwhile(case: tuple[list[int], int]) -> None:
+    (first, *shown), restarted = case
+
+    async def main() -> None:
+        loop, now = asyncio.get_running_loop(), first
+        loop.follow(lambda: float(now))
+        start = loop.time()
+        ahead, last = 0, first
+        for index, now in enumerate(shown):
+            ahead, last = ahead + max(0, now - last), now
+            assert loop.time() - start == pytest.approx(ahead, abs=1e-3)
+            if index == restarted:  # as another process was
+                loop.continue_from(1e6)
+                start = 1e6 - ahead
+
+    in_real_time(main)
+
+
+def test_time_is_real_again_from_where_the_followed_clock_has_left_it():
+    async def main():
+        loop = asyncio.get_running_loop()
+        loop.follow(lambda: 500.0)
+        still = loop.time()
+        ended = loop.create_future()
+        loop.call_later(0.01, ended.set_result, None)
+        follow_real_time()
+        assert 0.0 <= loop.time() - still < LIMIT
+        await asyncio.wait_for(ended, LIMIT)
+
+    in_real_time(main)
 
 
 def test_timers_that_only_rounding_tells_apart_go_off_together_and_none_before_its_time() -> None:

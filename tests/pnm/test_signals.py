@@ -9,7 +9,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from pnm.clock import run_async
+from pnm.clock import FollowingLoop, run_async
+from pnm.signals import CANCELLED
+from tests.support.processes import Program
 
 
 @pytest.fixture(autouse=True)
@@ -56,3 +58,97 @@ def test_work_that_was_cancelled_and_has_no_result_ends_as_ctrl_c_does() -> None
 
     with pytest.raises(KeyboardInterrupt):
         run_async(work())
+
+
+def test_what_ends_does_not_wait_for_a_clock_that_was_followed() -> None:
+    async def work() -> bool:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, FollowingLoop)
+        loop.follow(lambda: 100.0)  # of a simulation that has ended
+        signal.raise_signal(signal.SIGTERM)
+        with contextlib.suppress(asyncio.CancelledError):
+            await asyncio.Event().wait()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(0.01):
+                await asyncio.Event().wait()
+        return not loop.is_following
+
+    assert run_async(work())
+
+
+BEGINNING = """
+import asyncio, threading
+from pnm import signals
+from pnm.clock import run_async
+
+signals._ONE_REQUEST = 0.0
+signals.LAST_WORDS.say = lambda: print("last words", flush=True)
+
+
+async def work():
+    print("begun", flush=True)
+"""
+HANGING = {
+    "awaits": """
+    while True:
+        try:
+            await asyncio.Event().wait()
+        except asyncio.CancelledError:
+            print("cancelled", flush=True)
+""",
+    "awaits at its end": """
+    try:
+        await asyncio.Event().wait()
+    finally:
+        print("cancelled", flush=True)
+        while True:
+            try:
+                await asyncio.Event().wait()
+            except asyncio.CancelledError:
+                pass
+""",
+    "computes": """
+    def received(number, frame, receive=signals.signal.getsignal(15)):
+        print("cancelled", flush=True)
+        receive(number, frame)
+
+    signals.signal.signal(15, received)
+    while True:
+        try:
+            while True:
+                pass
+        except KeyboardInterrupt:
+            pass
+""",
+    "has a thread that does not end": """
+    threading.Thread(target=threading.Event().wait).start()
+    try:
+        await asyncio.Event().wait()
+    finally:
+        print("cancelled", flush=True)
+        await asyncio.to_thread(threading.Event().wait)
+""",
+    "has nobody who reads its last words": """
+    signals.LAST_WORDS.say = threading.Event().wait
+    print("last words", flush=True)
+    while True:
+        try:
+            await asyncio.Event().wait()
+        except asyncio.CancelledError:
+            print("cancelled", flush=True)
+""",
+}
+
+
+@pytest.mark.parametrize("hanging", HANGING.values(), ids=HANGING)
+def test_after_a_second_signal_a_process_leaves_whatever_it_does(hanging: str) -> None:
+    program = Program(["-c", f"{BEGINNING}{hanging}\n\nrun_async(work())\n"], {})
+    try:
+        program.until(lambda: "begun" in program.out)
+        program.process.send_signal(signal.SIGTERM)
+        program.until(lambda: "cancelled" in program.out)
+        program.process.send_signal(signal.SIGTERM)
+        assert program.ended(20.0) == CANCELLED
+        assert "last words" in program.out
+    finally:
+        program.close()

@@ -12,7 +12,7 @@ from pnm.clock import FollowingLoop
 from pnm.errors import InputError, RosError
 from pnm.ros import sim_time
 from pnm.ros.node.ros_thread import RosThread
-from pnm.ros.sim_time import USE_SIM_TIME, follow_sim_time
+from pnm.ros.sim_time import JUMP, PERIOD, STILL, USE_SIM_TIME, SimClock, follow_sim_time
 
 
 def in_real_time(main):
@@ -78,3 +78,79 @@ def test_limits_pass_with_the_simulation_and_stand_still_with_it(ros, follower):
         await ros.ask(lambda: ros.node.destroy_publisher(publisher))
 
     in_real_time(main)
+
+
+def heard(*moves):
+    """Have a clock heard at these real times; return it, and what it said of the last move."""
+    clock, said = SimClock(), ""
+    for shown, real in moves:
+        said = clock.hear(shown, real)
+    return clock, said
+
+
+@pytest.mark.parametrize(
+    ("moves", "said"),
+    [
+        ([(100.0, 0.0), (100.1, 0.1)], ""),
+        ([(100.0, 0.0), (100.1, 0.1), (100.1, 0.2), (100.2, 0.3)], ""),
+        ([(100.0, 0.0), (100.1, 0.1), (100.05, 0.2)], ""),
+        ([(500.0, 0.0), (500.1, 0.1), (0.1, 0.2)], "/clock went back by 500 s, as if a simulation was reset: limits go on from there"),
+        ([(100.0, 0.0), (100.1, 0.1), (3700.1, 0.2)], "/clock went ahead by 3600 s at once, which all limits have counted"),
+        ([(0.0, 0.0), (30.0, 0.1), (60.0, 0.2), (360.0, 1.2)], ""),
+    ],
+    ids=["goes on", "is shown twice", "comes late", "reset", "set", "fast, and one second nothing was heard"],
+)
+def test_a_clock_that_is_set_is_told_from_one_that_is_fast(moves, said):
+    assert heard(*moves)[1] == said
+
+
+def test_a_clock_that_stands_still_is_told_once_and_when_it_goes_on():
+    clock, _ = heard((100.0, 0.0), (100.1, 0.1))
+    assert not clock.look(STILL, 1)
+    assert not clock.trouble(STILL)
+    assert (
+        clock.look(STILL + 0.1, 1) == "/clock has stood still for 5 s, and all limits with it: is the simulation paused, or has it ended?"
+    )
+    assert not clock.look(STILL + 1.0, 0), "once"
+    assert clock.trouble(100.0).startswith("/clock has stood still")
+    assert not clock.hear(100.1, 11.0), "a simulation that is paused may still publish"
+    assert clock.hear(100.2, 12.1) == "/clock goes on after 12 s"
+    assert not clock.trouble(12.1)
+    assert "nobody publishes it" in clock.look(20.0, 0)
+
+
+def test_clocks_that_contradict_each_other_are_told_now_and_then():
+    clock, _ = heard((100.0, 0.0))
+    clock.look(0.0, 2)
+    said = [clock.hear(100.0 + (number % 2) * 2 * JUMP, number * 0.02) for number in range(1, 101)]
+    assert [one for one in said if one] == ["/clock went ahead by 120 s at once, which all limits have counted; 2 nodes publish it"]
+    assert clock.trouble(2.0)
+    assert not clock.trouble(PERIOD + 1.0)
+
+
+def test_silence_and_jumps_are_logged_and_limits_go_on_after_a_reset(ros, follower, monkeypatch, caplog):
+    monkeypatch.setattr(sim_time, "STILL", 0.5)
+
+    async def main():
+        publisher = await ros.ask(lambda: ros.node.create_publisher(Clock, "/clock", 1))
+        loop = asyncio.get_running_loop()
+
+        async def until(happens, *times):
+            """Publish these times in turn until something has happened: /clock is best effort."""
+            while not happens():
+                for seconds in times:
+                    ros.call(lambda seconds=seconds: publisher.publish(Clock(clock=Time(sec=seconds))))
+                    await asyncio.to_thread(follower.wait, lambda: None)
+
+        following = asyncio.ensure_future(follow_sim_time(follower))
+        await until(following.done, 500)
+        clock, limit = following.result(), asyncio.Event()
+        await until(lambda: "stood still" in caplog.text)
+        loop.call_later(60.0, limit.set)
+        await until(lambda: clock.now == 7.0, 7)
+        assert not limit.is_set()
+        await until(limit.is_set, 68)
+        await ros.ask(lambda: ros.node.destroy_publisher(publisher))
+
+    in_real_time(main)
+    assert "/clock went back by 493 s" in caplog.text
