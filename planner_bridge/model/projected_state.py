@@ -1,4 +1,7 @@
-"""Projected state: the world as it will be when all that runs have begun has ended; while a robot moves, say, it is nowhere."""
+"""Present state: the world with what runs have begun, which sensors may not have reported yet; while a robot moves, say, it is nowhere.
+
+Projected state: the world as it will be when all that has ended.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +25,22 @@ class NotProjectable(PnmError):
     """A call cannot end in the projected state."""
 
 
-def projected_state(state: KnowledgeBase, runs: Iterable[RunView]) -> KnowledgeBase:
-    """Return the state once the calls of these runs have ended as the domain says.
+def present_state(state: KnowledgeBase, runs: Iterable[RunView]) -> KnowledgeBase:
+    """Return the state with what the calls of these runs have changed at their start and no sensor has spoken of since.
+
+    A call under way is taken to succeed, so its start is taken to have come about as well, until a sensor says something else: with
+    one that is slower than the others, a robot would otherwise be planned with where it has just left.
+    """
+    begun = {fluent: value for run in runs for fluent, value in run.unreported.items()}
+    if not begun:
+        return state
+    present = snapshot(state)
+    present.update(begun)
+    return present
+
+
+def projected_state(state: KnowledgeBase, runs: Iterable[RunView], beside: Iterable[RunView] = ()) -> KnowledgeBase:
+    """Return the state once the calls of these runs have ended as the domain says, while those of the runs beside them go on.
 
     Calls that have ended count as well, as long as their effects are still looked for. What a call writes that has begun, and is being
     cancelled or not accepted yet, is unknown.
@@ -31,7 +48,8 @@ def projected_state(state: KnowledgeBase, runs: Iterable[RunView]) -> KnowledgeB
     Raises:
         NotProjectable: one of them cannot end.
     """
-    simulation, numbers, unknown = PlanSimulation(snapshot(state)), count(), set[Fluent]()
+    runs = tuple(runs)
+    simulation, numbers, unknown = PlanSimulation(snapshot(present_state(state, (*runs, *beside)))), count(), set[Fluent]()
     for run in runs:
         for call in run.settling:
             simulation.state.update(_still_to_come(run, call, simulation.state, state))

@@ -316,16 +316,16 @@ class TaskMonitor:
             self.look()
 
     def now(self, world: KnowledgeBase | None = None) -> Problem:
-        """Return the problem that is left, from this world, or from the one that is known."""
-        problem, changes = self._context.problem, self._context.world.changes
-        if world is not None or problem.timed:
+        """Return the problem that is left, from this world, or from the present one."""
+        problem, known = self._context.problem, self._context.world
+        if (world := self._context.present if world is None else world) is not known or problem.timed:
             passed = asyncio.get_running_loop().time() - self._since
-            now = problem_now(problem, world or self._context.world, passed)
-        elif self._known and self._known[0] == changes:
+            now = problem_now(problem, world, passed)
+        elif self._known and self._known[0] == known.changes:
             now = self._known[1]
         else:
-            now = problem_now(problem, self._context.world)
-            self._known = changes, now
+            now = problem_now(problem, known)
+            self._known = known.changes, now
         return self.constraints.rest_of(now, self.elapsed)
 
     @property
@@ -336,4 +336,4 @@ class TaskMonitor:
     def why_not(self, progress: Progress, forbidden: frozenset[ForbiddenCall]) -> str:
         """Return why the rest of a plan does not lead from here to its goal; empty when it does."""
         left = self.constraints.rest_of(self._context.problem, self.elapsed)
-        return why_not(progress, self._context.world, forbidden, (*left.domain.constraints, *left.constraints))
+        return why_not(progress, self._context.present, forbidden, (*left.domain.constraints, *left.constraints))

@@ -10,6 +10,7 @@ from uuid import UUID
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall, calls_acquiring, calls_served_by
 from planner_bridge.model.problem import Problem
+from planner_bridge.model.projected_state import present_state
 from planner_bridge.ordering.forecast import Forecast
 from planner_bridge.ordering.interference import ReadWriteSets, read_write_sets
 from planner_bridge.tasks.control import TaskControl
@@ -85,6 +86,9 @@ class Scheduler(Protocol):
     def forecasts(self, task: Task) -> Mapping[Task, Forecast]:
         """Return what is expected of the plans of other active tasks that do not yield to this one."""
 
+    def runs(self) -> tuple[Run, ...]:
+        """Return the current runs of all tasks."""
+
     def running_calls(self, task: Task) -> tuple[RunningCalls, ...]:
         """Return the calls of other tasks that have begun and not ended."""
 
@@ -146,6 +150,11 @@ class TaskContext:
     def world(self) -> KnowledgeBase:
         """The knowledge that all tasks share."""
         return self.knowledge.world
+
+    @property
+    def present(self) -> KnowledgeBase:
+        """What is known of the world, with what calls have begun and sensors have not reported yet: what plans are judged by."""
+        return present_state(self.world, self.scheduler.runs())
 
     def under_way(self, run: Run) -> ReadWriteSets:
         """Return what the calls of a run need and change that are still under way."""

@@ -281,7 +281,7 @@ class GoalLoop:
         if self._goal_holds() and not execution.waits_for_more():
             execution.finish("the goal holds already")
             return False
-        progress, world = execution.progress, snapshot(context.world)
+        progress, world = execution.progress, snapshot(context.present)
         return bool(execution.obstacle()) or await asyncio.to_thread(lambda: shortened(progress, world) != progress)
 
     def _next_history(self, execution: PlanExecution) -> History:
@@ -310,7 +310,7 @@ class GoalLoop:
 
     async def _decide(self, execution: PlanExecution, history: History) -> Decision:
         """Decide what follows the run. A failure makes nothing needless, but facts that have changed may."""
-        context, progress, now, world = self._context, execution.progress, self._monitor.now(), snapshot(self._context.world)
+        context, progress, now, world = self._context, execution.progress, self._monitor.now(), snapshot(self._context.present)
         has_failed, limits, unusable = execution.is_over or execution.result.failures, context.settings.limits, context.unusable(history)
 
         def decision() -> Decision:

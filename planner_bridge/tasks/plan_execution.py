@@ -158,7 +158,7 @@ class PlanExecution(Observer):
 
     def waits_for_more(self) -> bool:
         """Return whether calls that are under way will undo the goal, or constraints ask for more."""
-        return bool(why_not(self.progress.what_goes_on, self._context.world) or self._monitor.missing)
+        return bool(why_not(self.progress.what_goes_on, self._context.present) or self._monitor.missing)
 
     # --- attention ------------------------------------------------------------------------------
 

@@ -236,7 +236,9 @@ class PlanSearch:
         if run is None:
             self._begin()
         going_on = [request.call for request in run.under_way()] if run else []
-        now = forbid(self._monitor.now(projected_state(context.world, (run,)) if run and going_on else None), forbidden)
+        now = forbid(
+            self._monitor.now(projected_state(context.world, (run,), context.scheduler.runs()) if run and going_on else None), forbidden
+        )
         self._control.reserved = None  # while it plans anew, the last plan must not keep others away
         context.observer.planning(context.settings.planner)
         running = context.scheduler.running_calls(context.task)  # now, and not when the planner has answered

@@ -17,6 +17,7 @@ from planner_bridge.ordering.interference import ReadWriteSets, interference
 from planner_bridge.tasks.context import Conflict, RunningCalls
 from planner_bridge.tasks.scheduling.planning_queue import PlanningQueue
 from planner_bridge.tasks.task import Task
+from pnm.core.execution.run import Run
 from pnm.core.resources import Resources
 from pnm.tasks import TaskListener, TaskState, TraceKind
 
@@ -69,6 +70,10 @@ class Preemption(TaskListener):
         """Return what is expected of the plans of other active tasks that do not yield to this one."""
         ahead = [other for other in self._others(task) if not (other.is_active and other.wanted.priority < task.wanted.priority)]
         return {other: expected for other in ahead if (expected := other.control.forecast) is not None}
+
+    def runs(self) -> tuple[Run, ...]:
+        """Return the current runs of all tasks."""
+        return tuple(run for task in self._tasks.values() if (run := task.control.run) is not None)
 
     def running_calls(self, task: Task) -> tuple[RunningCalls, ...]:
         """Return the calls of other tasks that have begun and not ended; tasks that are being paused or cancelled are among them."""

@@ -32,7 +32,7 @@ from pnm.core.logic.computed_values import (
 from pnm.core.logic.conditions import Condition, ground
 from pnm.core.logic.effects import Changes, ground_effects, is_fixed, names_written, undo, values_before
 from pnm.core.logic.evaluation import observed, unmet
-from pnm.core.logic.expressions import bind
+from pnm.core.logic.expressions import bind, same_value
 from pnm.core.logic.operators import CHANGING, Uncomputable
 from pnm.core.machine.bindings import Binding, Bindings, goal_data, open_parameters, placeholders
 from pnm.core.machine.machine import PetriNetMachine, TransitionAction
@@ -260,6 +260,7 @@ class Calls:
             return _NOTHING
         if action is _BEGIN:
             attempt.accepted, attempt.unanswered, start = now, None, attempt.intended.start
+            attempt.begun_after = self.world.changes
             if not start:
                 attempt.begun = {}
                 return _NOTHING
@@ -299,10 +300,28 @@ class Calls:
                 commands.append(Cancel(identity))
         return tuple(commands)
 
+    def unreported(self, call: int) -> Changes:
+        """Return what the start of the call has changed, as far as sensors report that and have said nothing of it since."""
+        attempt, world = self._attempts[call], self.world
+        awaited = world.reported({fluent: value for fluent, value in attempt.intended.start.items() if isinstance(value, bool | str)})
+        changed = world.changed_since(attempt.begun_after) if awaited and attempt.begun is not None else None
+        if changed is None:  # it has not begun, or anything may have been reported
+            return {}
+        said = frozenset(changed)
+        return {fluent: value for fluent, value in awaited.items() if fluent not in said and not same_value(world.value(fluent), value)}
+
+    def go_on_with(self, others: Calls) -> None:
+        """Note since when the requests taken over from other calls have been under way."""
+        before = {attempt.request: attempt.begun_after for attempt in others._attempts.values()}
+        for attempt in self._attempts.values():
+            attempt.begun_after = before.get(attempt.request, attempt.begun_after)
+
     def adopt(self, call: int, taken: UnderWay) -> None:
         """Take over a request with all that its run knew of it."""
         self.open[taken.request] = call
-        self._attempts[call] = CallAttempt(0, taken.request, taken.call.action, taken.intended, taken.accepted, begun=taken.begun)
+        self._attempts[call] = CallAttempt(
+            0, taken.request, taken.call.action, taken.intended, taken.accepted, begun=taken.begun, begun_after=self.world.changes
+        )
 
     def under_way(self, result: Callable[[int], CallResult]) -> tuple[UnderWay, ...]:
         """Return the requests that another run may take over; `result` returns the interim result of a call."""

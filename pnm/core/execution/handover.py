@@ -37,6 +37,8 @@ class CallAttempt:
     """What was sent, until it is accepted or being cancelled."""
     begun: Changes | None = None
     """Values before what it has written; None before it has begun, and after a rollback."""
+    begun_after: int = 0
+    """After how many changes of the world it has begun."""
     ended: Changes | None = None
     """What it has written at its end; None before."""
     denied: Mapping[Condition, str] | None = None

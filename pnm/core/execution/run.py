@@ -62,6 +62,7 @@ class Run(RunView):
         subjects = (subject_of(self.machine.plan, call.index) for call in self.machine.plan.calls)
         questions = self._questions.inherit(old._questions, frozenset(subjects))
         self._state.settled.update(old._state.settled)
+        self._calls.go_on_with(old._calls)
         old.retire(self.open_requests)  # now that this one has claimed what it adopts, which is therefore not free for a moment
         if old.pausing:  # before `Begin`, so that nothing starts during a pause of the old one
             self.handle(old.pausing, now)

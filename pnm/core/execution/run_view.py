@@ -16,6 +16,7 @@ from pnm.core.execution.machine_index import index_of
 from pnm.core.execution.questions import Questions
 from pnm.core.execution.run_state import Agenda, RunState
 from pnm.core.knowledge_base import Layered
+from pnm.core.logic.effects import Changes
 from pnm.core.machine.bindings import Bindings, WhenLost
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
@@ -221,6 +222,12 @@ class RunView:
     def settling(self) -> tuple[ActionCall, ...]:
         """The calls that have succeeded, and whose effects are still to be looked for: no other run can take them over."""
         return tuple(self._calls.as_sent(call) for place, call in self._index.settling.items() if self._engine.tokens[place])
+
+    @property
+    def unreported(self) -> Changes:
+        """What calls under way have changed at their start, as far as sensors report that and have said nothing of it since."""
+        settling = (call for place, call in self._index.settling.items() if self._engine.tokens[place])
+        return {fluent: value for call in (*self._calls.open.values(), *settling) for fluent, value in self._calls.unreported(call).items()}
 
     @property
     def handover(self) -> Handover:
