@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from planner_bridge.tasks.replanning import Limits as Limits
     from planner_bridge.tasks.result import TaskResult as TaskResult
     from planner_bridge.tasks.scheduling.goal_handle import GoalHandle as GoalHandle
-    from planner_bridge.tasks.scheduling.task_timeline import timelines as timelines
     from planner_bridge.tasks.settings import Settings as Settings
     from planner_bridge.tasks.settings import TaskObserver as TaskObserver
+    from planner_bridge.view.task_timeline import timelines as timelines
     from pnm.core.logic.domain import ActionSchema as ActionSchema
 else:
     __all__, __getattr__, __dir__ = lazy_exports(__name__, __file__)

@@ -20,7 +20,7 @@ from planner_bridge.cli.consoles.safe_console import SafeConsole
 from planner_bridge.cli.options import ViewingCommand, check_output, command, force_option, timeline_option, view_option, write
 from planner_bridge.node.journal_place import latest_journal
 from planner_bridge.tasks.result import TASKS
-from planner_bridge.tasks.scheduling.task_timeline import timelines
+from planner_bridge.view.task_timeline import timelines
 from pnm.core.knowledge_base import statement_text
 from pnm.core.pictures.timeline_picture import timeline_svg
 from pnm.errors import InputError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from planner_bridge.explanations.answer import Answer, Known, listed
-from planner_bridge.explanations.run_history import JournalHistory, RunHistory, TaskHistory
+from planner_bridge.explanations.history import JournalHistory, RunHistory, TaskHistory
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.logic.computed_values import Unanswered
 from pnm.core.logic.conditions import All, conjuncts, fluents
@@ -19,7 +19,7 @@ from pnm.errors import PnmError
 
 def why_now(history: JournalHistory, task: TaskHistory, run: RunHistory, call: int) -> Answer:
     """Return why a call began when it did, or why it has not begun."""
-    result, name, began = run.results[call], _name(run, call), history.replay.began
+    result, name, began = run.last_results[call], _name(run, call), history.replay.began
     if result.kind is CallOutcome.ALREADY_TRUE:
         return Answer(f"{name} was not made: its effects held already", Known.JOURNAL)
     if run.source.plan.calls[call].under_way:
@@ -65,8 +65,8 @@ def _waited(history: JournalHistory, run: RunHistory, call: int, started: float)
     for held in history.held.values():
         if held.until is not None and run.time <= held.until <= started and (shared := names & frozenset(held.names)):
             yield held.until, f"{held.action} gave back {listed(sorted(shared))} at {held.until - began:.2f} s"
-    for trouble in run.troubles:
-        if trouble.call == call and trouble.time <= started:
+    for trouble in (*run.hindrances, *run.failures):
+        if trouble.step.index == call and trouble.time <= started:
             cause = trouble.cause
             seen = f"expected {cause.expected}; observed {cause.observed}"
             yield trouble.time, f"{cause.cause.value} at {trouble.time - began:.2f} s: {seen}"
@@ -75,14 +75,13 @@ def _waited(history: JournalHistory, run: RunHistory, call: int, started: float)
 def _obstacles(history: JournalHistory, task: TaskHistory, run: RunHistory, call: int) -> Iterator[Answer]:
     """Yield what holds a call back now."""
     replay, planned = history.replay, run.source.plan.calls[call]
-    replayed = replay.tasks.get(task.accepted.wanted.id)
-    if (replayed and replayed.is_held) or run.replayed.run.pausing:
+    if task.is_held or run.replayed.run.pausing:
         yield Answer("its task is paused", Known.JOURNAL)
     for ordering in _orderings(run, call):
         if run.time_of(ordering.before) is None:
             verb = "begin" if ordering.before.moment is Moment.START else "end"
             text = f"{_name(run, ordering.before.call)} has to {verb} before{_because(run, ordering)}"
-            doing = run.results[ordering.before.call].kind.value
+            doing = run.last_results[ordering.before.call].kind.value
             yield Answer(f"{text}; it is: {doing}", Known.JOURNAL)
     if planned.release and (origin := run.replayed.run.origin) is not None and origin + planned.release > history.time:
         yield Answer(f"it is not to begin before {origin + planned.release - replay.began:.2f} s", Known.JOURNAL)

@@ -7,11 +7,13 @@ from uuid import UUID
 
 from planner_bridge.explanations.answer import Answer, Known, listed
 from planner_bridge.explanations.call_timing import why_now
-from planner_bridge.explanations.needed_call import why_call
-from planner_bridge.explanations.new_plan import why_failed, why_replanned
-from planner_bridge.explanations.run_history import JournalHistory, RunHistory, TaskHistory
+from planner_bridge.explanations.history import JournalHistory, RunHistory, TaskHistory
+from planner_bridge.explanations.needed_call import Course, why_call
+from planner_bridge.explanations.new_plan import not_told, why_failed, why_replanned
+from pnm.core.execution.call_results import CallResult
 from pnm.core.logic.computed_values import Unanswered
 from pnm.core.machine.machine import CallOutcome
+from pnm.core.machine.plan_graph import ActionCall, Moment
 from pnm.errors import InputError, counted, suggestion
 from pnm.files.database.place import Place
 
@@ -39,7 +41,7 @@ def task_meant(history: JournalHistory, text: str | None) -> TaskHistory:
 def call_meant(task: TaskHistory, text: str) -> tuple[RunHistory, int]:
     """Return the call that is meant by its number in the last run of a task, or by its name: then also in an earlier one."""
     if not task.runs:
-        raise InputError(f"{task.name} has no plan yet")
+        raise InputError(f"{task.name} has no plan yet" if task.is_told else not_told(task).statement)
     if text.strip("# ").isdecimal():
         number, calls = int(text.strip("# ")), task.runs[-1].source.plan.calls
         if number >= len(calls):
@@ -57,19 +59,23 @@ def call_meant(task: TaskHistory, text: str) -> tuple[RunHistory, int]:
 
 def why_call_of_run(history: JournalHistory, task: TaskHistory, run: RunHistory, call: int) -> tuple[Answer, ...]:
     """Return why a call is in its plan, why it began when it did or what it waits for, and why it failed if it has."""
-    if task.accepted.wanted.is_plan or not run.is_planned:
+    if task.accepted.wanted.is_plan or not all(isinstance(step, ActionCall) for step in run.source.plan.steps):
         needed = Answer("the plan was written by a person: what each call is for, it does not say", Known.GIVEN)
     else:
         try:
-            needed = why_call(run.course(), call)
+            needed = why_call(_course(run), call)
         except Unanswered:
             needed = Answer("what needs it depends on questions that were asked while it ran", Known.NOT_PROVED)
-    failed = tuple(answer for trouble, answer in zip(_failures(run), why_failed(history, run), strict=True) if trouble == call)
+    failed = (answer for trouble, answer in zip(run.failures, why_failed(history, run), strict=True) if trouble.step.index == call)
     return needed, why_now(history, task, run, call), *failed
 
 
-def _failures(run: RunHistory) -> list[int]:
-    return [trouble.call for trouble in run.troubles if trouble.failure is not None]
+def _course(run: RunHistory) -> Course:
+    """Return the course of the plan of a run from the state it began in."""
+    plan = run.source.plan
+    begun = frozenset(call.index for call in plan.calls if call.under_way)
+    events = tuple(event for event in plan.order if event.call not in begun or event.moment is Moment.END)
+    return Course(plan.calls, events, run.state, plan.goal, begun)
 
 
 def explained(place: Place, task: UUID, call: tuple[UUID, int] | None = None, last: int | None = None) -> tuple[Answer, ...]:
@@ -87,7 +93,7 @@ def explained(place: Place, task: UUID, call: tuple[UUID, int] | None = None, la
     meant = history.tasks[task]
     if call is None:
         return why_so(history, meant)
-    run = next((run for run in meant.runs if run.replayed.run.id == call[0]), None)
+    run = next((run for run in meant.runs if run.id == call[0]), None)
     if run is None or not 0 <= call[1] < len(run.source.plan.calls):
         raise InputError(f"the task has no call {call[1]} in a run {call[0]}")
     return why_call_of_run(history, meant, run, call[1])
@@ -95,22 +101,24 @@ def explained(place: Place, task: UUID, call: tuple[UUID, int] | None = None, la
 
 def why_so(history: JournalHistory, task: TaskHistory) -> tuple[Answer, ...]:
     """Return how a task is doing and why: how it has ended, or what runs and what waits for what; and its new plans."""
-    replans = why_replanned(history, task) if len(task.runs) > 1 else ()
+    replans = why_replanned(history, task) if len(task.own_runs) > 1 else ()
     if task.ending is not None:
         ended = Answer(f"{task.name} is over: {task.ending.code.word}: {task.ending.message}", Known.JOURNAL)
-        last = tuple(why_failed(history, task.runs[-1])) if task.runs else ()
+        last = tuple(why_failed(history, task.runs[-1])) if task.runs else () if task.is_told else (not_told(task),)
         return ended, *last, *replans
     if not task.runs:
         return (Answer(f"{task.name} has no plan yet", Known.JOURNAL),)
     run = task.runs[-1]
-    calls = tuple(_doing(history, task, run, call.index) for call in run.source.plan.calls if not run.results[call.index].is_done)
-    done = sum(result.is_done for result in run.results.values())
+    results = run.last_results
+    calls = tuple(_doing(history, task, run, results[call.index]) for call in run.source.plan.calls if not results[call.index].is_done)
+    done = sum(result.is_done for result in results.values())
     text = f"{task.name}: {done} of {counted(len(run.source.plan.calls), 'call')} of its plan {'is' if done == 1 else 'are'} done"
     return Answer(text, Known.JOURNAL, calls), *why_failed(history, run), *replans
 
 
-def _doing(history: JournalHistory, task: TaskHistory, run: RunHistory, call: int) -> Answer:
+def _doing(history: JournalHistory, task: TaskHistory, run: RunHistory, result: CallResult) -> Answer:
     """Return what a call that is not done is doing."""
-    if run.results[call].kind is CallOutcome.WAITING:
+    call = result.call.index
+    if result.kind is CallOutcome.WAITING:
         return why_now(history, task, run, call)
-    return Answer(f"#{call} {run.source.plan.calls[call].action}: {run.results[call].outcome}", Known.JOURNAL)
+    return Answer(f"#{call} {run.source.plan.calls[call].action}: {result.outcome}", Known.JOURNAL)

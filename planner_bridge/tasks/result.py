@@ -20,6 +20,7 @@ from pnm.core.logic import trajectory
 from pnm.core.logic.trajectory import Constraint, ConstraintProgress
 from pnm.core.machine.machine import CallOutcome, PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, Cause
+from pnm.errors import counted
 from pnm.journal.codec import value_classes
 from pnm.journal.format import RECORDS
 from pnm.journal.replay import ReplayedRun, ReplayedTask
@@ -90,6 +91,29 @@ class Episode:
     decision: Decision | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class TaskCounts:
+    """How often what has happened in a task.
+
+    Args:
+        plans: that a planner has found, or that were given to begin with.
+        replans: new machines after the first, with the rest of a plan or with another one.
+        requests: that were sent to action servers.
+        failures: calls, and other steps, that were given up.
+        has_run: whether there was a machine.
+    """
+
+    plans: int
+    replans: int
+    requests: int
+    failures: int
+    has_run: bool
+
+    def __str__(self) -> str:
+        planned = ((self.plans, "plan"), (self.replans, "replan")) if self.plans or not self.has_run else ()
+        return ", ".join(counted(number, word) for number, word in (*planned, (self.requests, "request"), (self.failures, "failure")))
+
+
 @dataclass(frozen=True, repr=False)
 class TaskResult:
     """How a task ended, episode by episode."""
@@ -134,6 +158,12 @@ class TaskResult:
     def replans(self) -> int:
         """How many new machines followed the first."""
         return max(0, len(self.episodes) - 1)
+
+    @property
+    def counts(self) -> TaskCounts:
+        """How often what has happened."""
+        requests = sum(call.attempts for call in self.calls if call.call.action.operation is None)
+        return TaskCounts(self.plans, self.replans, requests, len(self.failures), has_run=bool(self.episodes))
 
     def as_json(self) -> dict[str, Any]:
         """Return the result as `pnm run --json` prints it."""

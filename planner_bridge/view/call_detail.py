@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Final
 
-from planner_bridge.view.story import RunStory, Story, value_words
+from planner_bridge.explanations.history import RunHistory
+from planner_bridge.view.story import Story, value_words
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.logic.computed_values import Unanswered
 from pnm.core.logic.conditions import Condition, conjuncts, fluents
 from pnm.core.logic.evaluation import evaluate, observed
 from pnm.core.logic.expressions import Fluent, Unknown, fluent_text
-from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, Recovery
+from pnm.core.machine.plan_graph import ActionCall, Ordering, Recovery
 from pnm.errors import PnmError
 
 _READ: Final = 6
@@ -128,7 +129,7 @@ def detail(story: Story, run: str, index: int) -> CallDetail | None:
         index,
         str(action),
         tuple(zip(action.parameters, action.arguments, strict=False)),
-        "" if action.operation is not None or not found.source.bindings.names_server(action) else found.source.bindings.server(action),
+        found.server(action),
         limit if limit and isfinite(limit) else None,
         None if action.operation is not None else found.source.bindings.of(action.name).accept,
         tuple((name, _holder(story, name)) for name in found.source.bindings.resources(action)),
@@ -153,23 +154,21 @@ def _holder(story: Story, resource: str) -> str:
     return ", ".join(str(request.action) for request in requests)
 
 
-def _orderings(run: RunStory) -> Iterator[Ordering]:
+def _orderings(run: RunHistory) -> Iterator[Ordering]:
     """Yield the orderings between calls, each once."""
     yield from (ordering for ordering in run.source.plan.orderings if ordering.before.call != ordering.after.call)
 
 
-def _wait(run: RunStory, ordering: Ordering, *, is_before: bool) -> WaitShown:
+def _wait(run: RunHistory, ordering: Ordering, *, is_before: bool) -> WaitShown:
     event = ordering.before if is_before else ordering.after
     steps = {step.index: step for step in run.source.plan.every_step}
-    results = {result.call.index: result for result in run.results}
-    before = results.get(ordering.before.call)
-    has_come = before is not None and (before.started if ordering.before.moment is Moment.START else before.ended) is not None
+    has_come = run.time_of(ordering.before) is not None
     words = steps[event.call]
     text = str(words.action) if isinstance(words, ActionCall) else str(words)
     return WaitShown(event.call, text, event.moment.value, tuple(map(fluent_text, ordering.protects)), has_come)
 
 
-def _checks(story: Story, run: RunStory, call: ActionCall) -> Iterator[Check]:
+def _checks(story: Story, run: RunHistory, call: ActionCall) -> Iterator[Check]:
     action = call.action
     context = EvaluationContext(run.replayed.run.knowledge, action, run.source.bindings.of(action.name))
     parts = (
@@ -218,7 +217,7 @@ def _recovery(recovery: Recovery) -> str:
     return f"after {', '.join(sorted(recovery.causes))}: {f'{chain}, then ' if chain else ''}{recovery.then.value}"
 
 
-def _block(run: RunStory, index: int) -> tuple[tuple[PlaceShown, ...], tuple[TransitionShown, ...]]:
+def _block(run: RunHistory, index: int) -> tuple[tuple[PlaceShown, ...], tuple[TransitionShown, ...]]:
     """Return the places and transitions of a call, by the short names that people know them by."""
     machine, marking = run.replayed.run.machine, run.replayed.run.marking
     prefix = f"{machine.plan.calls[index]} "

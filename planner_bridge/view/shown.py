@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from pnm.core.pictures.timeline import Replan
+
 
 @dataclass(frozen=True, slots=True)
 class TaskShown:
@@ -25,6 +27,7 @@ class TaskShown:
         code: how it has ended, empty while it has not.
         runs: its runs, in their order.
         order: tasks are numbered as they come in.
+        counts: how often what has happened, in words; empty if it has no run here.
     """
 
     goal: str
@@ -38,16 +41,7 @@ class TaskShown:
     code: str
     runs: tuple[str, ...]
     order: int
-
-
-@dataclass(frozen=True, slots=True)
-class Cut:
-    """Why another run follows, and what becomes of the calls that were left of the one before."""
-
-    why: str
-    kept: tuple[str, ...]
-    dropped: tuple[str, ...]
-    added: tuple[str, ...]
+    counts: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +55,7 @@ class RunShown:
         time: when that was.
         origin: the time from which its plan counts; None until it begins.
         is_over: whether it is carried on no more.
-        cut: how it differs from the run before; None for the first one of its task.
+        replan: why it followed the run before, and how it differs from that; None for the first one of its task.
     """
 
     task: str
@@ -70,7 +64,7 @@ class RunShown:
     time: float
     origin: float | None
     is_over: bool
-    cut: Cut | None
+    replan: Replan | None
 
 
 @dataclass(frozen=True, slots=True)

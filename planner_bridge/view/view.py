@@ -1,4 +1,4 @@
-"""The view of a story: what is shown after its last record. A pure function, which changes nothing."""
+"""The view of a story: what is shown after its last record. A pure function, which changes nothing that can be seen."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from collections import Counter
 from collections.abc import Iterator
 from math import isfinite
 
+from planner_bridge.explanations.history import Attempt, RunHistory, TaskHistory, Trouble
 from planner_bridge.tasks.replanning import decision_words
-from planner_bridge.view.shown import CallShown, RunShown, ServerShown, TaskShown, View
-from planner_bridge.view.story import RunStory, Story, TaskStory
+from planner_bridge.view.shown import CallShown, RequestShown, RunShown, ServerShown, TaskShown, TroubleShown, View
+from planner_bridge.view.story import Story
 from pnm.core.execution.call_results import CallResult
 from pnm.core.machine.machine import CallOutcome
+from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import OutcomeKind
 from pnm.tasks import TaskState
 
@@ -24,37 +26,38 @@ def view_of(story: Story) -> View:
         story.first,
         "",
         story.clock,
-        {id.hex: _task(task, story.time) for id, task in story.tasks.items()},
+        {id.hex: _task(story, task) for id, task in story.tasks.items()},
         {id.hex: _run(run) for id, run in story.runs.items()},
-        {f"{call.run}/{call.index}": call for run in story.runs.values() for call in _calls(run)},
-        {id: request for run in story.runs.values() for id, request in run.requests.items()},
+        {f"{call.run}/{call.index}": call for run in story.runs.values() for call in _calls(story, run)},
+        {id.hex: _request(story, id.hex, attempt) for id, attempt in story.attempts.items()},
         story.facts,
         _servers(story),
-        dict(story.questions),
-        {key: trouble for run in story.runs.values() for key, trouble in run.troubles.items()},
+        story.questions,
+        {key: _trouble(story, run, key, trouble) for run in story.runs.values() for key, trouble in run.troubles.items()},
         {str(number): event for number, event in story.events.items()},
     )
 
 
-def _task(task: TaskStory, now: float) -> TaskShown:
+def _task(story: Story, task: TaskHistory) -> TaskShown:
     wanted, state = task.accepted.wanted, _state(task)
     limit = task.used.limit if task.used and isfinite(task.used.limit) else None
     return TaskShown(
-        wanted.text or "the goal of the problem",
+        task.name,
         state.word,
         _reason(task, state),
         wanted.priority,
         task.accepted.wall,
         None if wanted.deadline is None else task.accepted.wall + wanted.deadline,
-        round(task.used.until(now if task.ended is None else task.ended), 6) if task.used else 0.0,
+        round(task.seconds(story.time), 6),
         limit,
         task.ending.code.word if task.ending else "",
-        tuple(run.replayed.run.id.hex for run in task.runs),
+        tuple(run.id.hex for run in task.runs),
         task.accepted.order,
+        str(task.counts) if task.runs else "",
     )
 
 
-def _state(task: TaskStory) -> TaskState:
+def _state(task: TaskHistory) -> TaskState:
     """Return how a task is doing, as far as the journal says: it does not say when a planner is asked."""
     last = task.runs[-1].replayed.run if task.runs else None
     run = None if last is None or task.runs[-1].is_over else last
@@ -69,7 +72,7 @@ def _state(task: TaskStory) -> TaskState:
     return TaskState.PLANNING if task.used and task.used.since is not None else TaskState.QUEUED
 
 
-def _reason(task: TaskStory, state: TaskState) -> str:
+def _reason(task: TaskHistory, state: TaskState) -> str:
     """Return why a task is as it is."""
     if task.ending:
         return task.ending.message
@@ -80,34 +83,31 @@ def _reason(task: TaskStory, state: TaskState) -> str:
     run = task.runs[-1]
     if state is TaskState.REPLANNING and task.decision:
         return decision_words(task.decision)
-    failures = [trouble for trouble in run.troubles.values() if trouble.is_failure]
-    if failures:
-        failed = f"{failures[-1].step} has failed: {failures[-1].cause}"
+    if run.failures:
+        failed = f"{_step(run.failures[-1])} has failed: {run.failures[-1].cause.cause}"
         return f"{failed}; what else runs comes to its end" if state is TaskState.RUNNING else failed
     going_on = [str(call.action) for call in run.replayed.run.open_calls.values()]
     return f"{', '.join(going_on)} {'run' if len(going_on) > 1 else 'runs'}" if going_on else ""
 
 
-def _run(story: RunStory) -> RunShown:
-    made, run = story.replayed.made, story.replayed.run
-    return RunShown(made.task.hex, made.name, story.record, story.time, run.origin, story.is_over, story.cut)
+def _run(run: RunHistory) -> RunShown:
+    made, origin = run.replayed.made, run.replayed.run.origin
+    return RunShown(made.task.hex, made.name, run.record, run.time, origin, run.is_over, run.replan)
 
 
-def _calls(story: RunStory) -> Iterator[CallShown]:
+def _calls(story: Story, run: RunHistory) -> Iterator[CallShown]:
     """Yield the calls of a run as they were reached last."""
-    for index, result in {**story.unreached, **{result.call.index: result for result in story.results}}.items():
-        if (known := story.shown.get(index)) is None or known[0] is not result:
-            known = story.shown[index] = result, _call(story, result)
-        yield known[1]
+    for index, result in run.last_results.items():
+        yield story.once(f"{run.id.hex}/{index}", result, lambda result=result: _call(run, result))  # type: ignore[misc]
 
 
-def _call(story: RunStory, result: CallResult) -> CallShown:
+def _call(run: RunHistory, result: CallResult) -> CallShown:
     call, action = result.call, result.call.action
     return CallShown(
-        story.replayed.run.id.hex,
+        run.id.hex,
         call.index,
         str(action),
-        story.lane(action),
+        run.lane(action),
         result.kind.name.lower(),
         result.outcome if result.kind is not CallOutcome.ALREADY_TRUE else "not needed: its effects held",
         result.attempts,
@@ -119,6 +119,43 @@ def _call(story: RunStory, result: CallResult) -> CallShown:
     )
 
 
+def _request(story: Story, id: str, attempt: Attempt) -> RequestShown:
+    def show() -> RequestShown:
+        run, outcome = story.runs[attempt.sender], attempt.outcome
+        return RequestShown(
+            attempt.run.hex,
+            attempt.call,
+            str(attempt.action),
+            run.lane(attempt.action),
+            run.server(attempt.action),
+            attempt.number,
+            attempt.record,
+            attempt.sent,
+            attempt.accepted,
+            attempt.ended,
+            outcome.kind.value if outcome else "",
+            outcome.message if outcome else "",
+            attempt.feedback,
+        )
+
+    return story.once(id, attempt, show)
+
+
+def _trouble(story: Story, run: RunHistory, key: str, trouble: Trouble) -> TroubleShown:
+    def show() -> TroubleShown:
+        cause, expected, observed = trouble.cause
+        is_failure, time = trouble.is_failure, trouble.time
+        return TroubleShown(
+            run.id.hex, trouble.step.index, _step(trouble), is_failure, cause.value, expected, observed, time, trouble.followed
+        )
+
+    return story.once(key, trouble, show)
+
+
+def _step(trouble: Trouble) -> str:
+    return str(trouble.step.action if isinstance(trouble.step, ActionCall) else trouble.step)
+
+
 def _servers(story: Story) -> dict[str, ServerShown]:
     """Return the servers that calls are bound to."""
     actions: dict[str, dict[str, None]] = {}
@@ -127,10 +164,11 @@ def _servers(story: Story) -> dict[str, ServerShown]:
     for run in story.runs.values():
         for server, names in run.servers.items():
             actions.setdefault(server, {}).update(dict.fromkeys(names))
-        for request in run.requests.values():
-            actions.setdefault(request.server, {})[request.action.partition("(")[0]] = None
-            if not request.outcome and not run.replayed.is_over:
-                busy.setdefault(request.server, []).append(request.action)
-            failed[request.server] += request.outcome not in ("", OutcomeKind.SUCCEEDED.value)
+    for attempt in story.attempts.values():
+        server = story.runs[attempt.sender].server(attempt.action)
+        actions.setdefault(server, {})[attempt.action.name] = None
+        if attempt.outcome is None and not story.runs[attempt.run].replayed.is_over:
+            busy.setdefault(server, []).append(str(attempt.action))
+        failed[server] += attempt.outcome is not None and attempt.outcome.kind is not OutcomeKind.SUCCEEDED
     found = sorted(name for name in actions if name)
     return {name: ServerShown(tuple(actions[name]), tuple(busy.get(name, ())), failed[name]) for name in found}

@@ -209,7 +209,7 @@ class TaskSummary:
 
     Args:
         accepted: what it is about, and when it was accepted.
-        runs: how many machines it has had.
+        runs: how many machines it has had, one after the other.
         ending: how it has ended, if it has.
         ended: the time of day when it did.
     """

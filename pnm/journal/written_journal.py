@@ -127,8 +127,9 @@ class WrittenJournal(Journal):
         """When the segment has begun, and its records."""
         self._is_held = bool(replay and replay.is_held)
         self._unfinished = {task.accepted.wanted.id: task.accepted for task in replay.unfinished} if replay else {}
-        self._runs = Counter({id: len(task.runs) for id, task in replay.tasks.items()} if replay else {})
-        """The machines that each task has had."""
+        tasks = replay.tasks if replay else {}
+        self._runs = Counter({id: sum(one.run.begun and one.made.caller is None for one in task.runs) for id, task in tasks.items()})
+        """The machines that each task has had, one after the other."""
         over = ((task.accepted, TaskOver(id, task.ending)) for id, task in (replay.tasks if replay else {}).items() if task.ending)
         self._recent = deque(over, REMEMBERED)
         self._number_of = {id(base): number for number, base in self._bases.items()}
@@ -166,7 +167,7 @@ class WrittenJournal(Journal):
         run = super().make_run(machine, knowledge, **options)
         source = MachineSource(machine.plan, options["bindings"], machine.on_failure, machine.capacities)
         local = self._number(knowledge.local)
-        self._runs[run.task] += 1
+        self._runs[run.task] += caller is None
         priority, origin = options.get("priority", 0), options.get("origin")
         self._record(RunMade(run.id, run.task, name, self._part(source), local, caller, priority, origin, asks, adopted))
         return run

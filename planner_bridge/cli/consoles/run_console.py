@@ -230,12 +230,9 @@ def print_result(console: SafeConsole, result: TaskResult) -> None:
         console.print("[bold green]goal[/]     holds", highlight=False)
     else:
         console.print_reason("[bold red]goal[/]     not reached:", result.reason)
-    sent = sum(call.attempts for call in result.calls)
     assumed = sum(call.assumed for call in result.calls)
     unreported = f"; {counted(assumed, 'result')} believed, which no sensor confirms (docs/guides/sensing.md)" if assumed else ""
-    planned = ((result.plans, "plan"), (result.replans, "replan")) if result.plans or not result.episodes else ()
-    counts = ", ".join(counted(number, word) for number, word in (*planned, (sent, "request"), (len(result.failures), "failure")))
-    lines = [f"{counts}{unreported}", *map(_constraint, result.constraints)]
+    lines = [f"{result.counts}{unreported}", *map(_constraint, result.constraints)]
     for preference in result.preferences:
         times = f" {counted(preference.violated, 'time')}" if preference.violated else ""
         lines.append(f"preference {preference.name or '(without a name)'} is {preference.status}{times}")

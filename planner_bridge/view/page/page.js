@@ -196,7 +196,7 @@ async function askDetail() {
 
 function showRunChoice(model, run) {
   const choice = $("run-choice");
-  const options = [...model.tasks.values()].flatMap((task) => task.runs.map((id, place) => [id, `${task.goal}: plan ${place + 1} of ${task.runs.length}`]));
+  const options = [...model.tasks.values()].flatMap((task) => task.runs.map((id, place) => [id, `${task.goal}: run ${place + 1} of ${task.runs.length}`]));
   const listed = new Set(options.map(([id]) => id));
   for (const [id, each] of model.runs) if (!listed.has(id)) options.push([id, each.name]);
   fill(choice, [["", "the newest"], ...options], model.runs.has(chosenRun) ? run : "");

@@ -33,7 +33,7 @@ function show(model, isNow) {
 
 function taskOf(model, isNow, id, task) {
   const facts = [`accepted at ${clock(task.accepted)}`];
-  if (task.runs.length > 1) facts.push(`${task.runs.length - 1} ${task.runs.length > 2 ? "replans" : "replan"}`);
+  if (task.counts) facts.push(task.counts);
   if (task.priority) facts.push(`priority ${task.priority}`);
   if (task.deadline !== null) facts.push(`has to be done by ${clock(task.deadline)}`);
   if (task.limit !== null) facts.push(`${seconds(task.used, 1)} of ${seconds(task.limit, 0)} used`);

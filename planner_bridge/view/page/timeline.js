@@ -36,7 +36,7 @@ export function showTimeline(model, chosen, choose) {
   const width = Math.max(wide - 2, Math.min(30000, left + room * (narrow ? 34 : 26)));
   const planned = plannedOf(model);
   const end = scaleOf(model, [...bars, ...planned]);
-  const layout = JSON.stringify([width, end, model.began, [...lanes].map(([name, lane]) => [name, lane.rows]), [...model.runs].map(([id, run]) => [id, run.origin, run.cut])]);
+  const layout = JSON.stringify([width, end, model.began, [...lanes].map(([name, lane]) => [name, lane.rows]), [...model.runs].map(([id, run]) => [id, run.origin, run.replan])]);
   if (layout !== drawn.layout) draw(place, model, { layout, width, left, narrow, end, lanes, planned });
   for (const [id, bar] of bars) drawBar(id, bar, choose);
   for (const [id, old] of drawn.bars) {
@@ -75,8 +75,8 @@ function draw(place, model, { layout, width, left, narrow, end, lanes, planned }
   const grid = ticksOf(end - model.began).map((tick) => svg("g", {},
     svg("line", { class: "grid", x1: x(model.began + tick), x2: x(model.began + tick), y1: TOP - 24, y2: height }),
     svg("text", { class: "soft", x: x(model.began + tick), y: 12, "text-anchor": tick ? "middle" : "start" }, `${tick} s`)));
-  const cuts = [...model.runs.values()].filter((run) => run.cut).map((run, number) => svg("g", {},
-    svg("title", {}, run.cut.why),
+  const cuts = [...model.runs.values()].filter((run) => run.replan).map((run, number) => svg("g", {},
+    svg("title", {}, run.replan.why),
     svg("line", { class: "cut", x1: x(run.time), x2: x(run.time), y1: TOP - 6, y2: height }),
     svg("text", { class: "cut-text", x: x(run.time), y: TOP - 9, "text-anchor": "middle" }, `↻${number + 1}`)));
   const now = svg("line", { class: "now", y1: TOP - 24, y2: height });
@@ -194,9 +194,9 @@ function ticksOf(span) {
 }
 
 function showCuts(model) {
-  const runs = [...model.runs.values()].filter((run) => run.cut);
+  const runs = [...model.runs.values()].filter((run) => run.replan);
   const part = (sign, word, calls) => (calls.length ? el("span", { class: "what" }, `${sign} ${word}: ${calls.join(", ")}`) : "");
   document.getElementById("cuts").replaceChildren(...runs.map((run, number) => el("li", {},
-    el("strong", {}, `↻${number + 1} `), el("span", { class: "num" }, `${seconds(run.time - model.began)} `), run.cut.why,
-    part("=", "kept", run.cut.kept), part("−", "dropped", run.cut.dropped), part("+", "added", run.cut.added))));
+    el("strong", {}, `↻${number + 1} `), el("span", { class: "num" }, `${seconds(run.time - model.began)} `), run.replan.why,
+    part("=", "kept", run.replan.kept), part("−", "dropped", run.replan.dropped), part("+", "added", run.replan.added))));
 }

@@ -82,8 +82,8 @@ class Timeline:
     """How the task ended, in words; empty while it goes on."""
 
 
-def replan(why: str, before: Iterable[TimedCall], after: Iterable[TimedCall]) -> Replan:
-    """Return how a plan follows another one."""
-    left, new = Counter(call.name for call in before if not call.is_done), Counter(call.name for call in after)
-    kept, dropped, added = left & new, left - new, new - left
+def replan(why: str, left: Iterable[str], new: Iterable[str]) -> Replan:
+    """Return how a plan follows another one, of which these calls were left."""
+    before, after = Counter(left), Counter(new)
+    kept, dropped, added = before & after, before - after, after - before
     return Replan(why, *(tuple(part.elements()) for part in (kept, dropped, added)))

@@ -16,9 +16,9 @@ import pytest
 from planner_bridge.explanations.answer import Answer
 from planner_bridge.explanations.run_questions import explained
 from planner_bridge.tasks.result import TASKS
-from planner_bridge.tasks.scheduling.task_timeline import timelines
 from planner_bridge.view.follow import Reader
 from planner_bridge.view.shown import View
+from planner_bridge.view.task_timeline import timelines
 from pnm.core.pictures.timeline import Timeline
 from pnm.journal import written_journal
 from pnm.journal.records import TaskAccepted
@@ -53,7 +53,7 @@ def on_the_page(view: View, id: str) -> Told:
     runs = [view.runs[run] for run in task.runs]
     return Told(
         f"{task.code}: {task.reason}" if task.code else "",
-        [(run.cut.why, run.cut.kept, run.cut.dropped, run.cut.added) for run in runs if run.cut],
+        [(run.replan.why, run.replan.kept, run.replan.dropped, run.replan.added) for run in runs if run.replan],
         sum(trouble.is_failure for trouble in view.troubles.values() if trouble.run in task.runs),
         sorted((request.action, request.outcome) for request in view.requests.values() if request.run in task.runs),
     )

@@ -8,8 +8,8 @@ from uuid import uuid4
 import pytest
 
 from planner_bridge.explanations.answer import Known
+from planner_bridge.explanations.history import JournalHistory
 from planner_bridge.explanations.new_plan import why_replanned
-from planner_bridge.explanations.run_history import JournalHistory
 from planner_bridge.explanations.run_questions import call_meant, explained, task_meant, why_call_of_run, why_so
 from planner_bridge.pipeline.achieve import achieve
 from planner_bridge.tasks.result import TASKS
@@ -61,7 +61,7 @@ def test_what_a_call_waits_for_is_what_has_not_come_after_every_record(journal: 
         for task in history.tasks.values():
             for run in task.runs[-1:] if task.ending is None and task.runs and not task.runs[-1].is_over else ():
                 for call in run.source.plan.calls:
-                    if run.results[call.index].kind is CallOutcome.WAITING:
+                    if run.last_results[call.index].kind is CallOutcome.WAITING:
                         _, now, *_ = why_call_of_run(history, task, run, call.index)
                         said = {reason.statement.split()[0] for reason in now.reasons if " has to " in reason.statement}
                         missing = {
@@ -153,5 +153,5 @@ def test_every_call_of_several_tasks_is_explained_at_any_time(number: int, tmp_p
                     asked += 1
                     assert all(part.statement and not part.claims for answer in answers for part in answer.every())
                     waits = [answer for answer in answers if answer.statement.endswith(" waits")]
-                    assert not (waits and run.results[call.index].kind is not CallOutcome.WAITING)
+                    assert not (waits and run.last_results[call.index].kind is not CallOutcome.WAITING)
     assert asked

@@ -82,14 +82,14 @@ def test_a_failure_is_told_with_what_was_expected_and_seen_and_what_followed(rea
 def test_a_replan_says_why_and_what_becomes_of_the_calls_that_were_left(reader: Reader, records: list[Step]) -> None:
     view = at(reader, records[-1])
     first, second, third = (view.runs[id] for id in next(iter(view.tasks.values())).runs)
-    assert first.cut is None
-    assert second.cut is not None
-    assert third.cut is not None
-    assert "still works" in second.cut.why
-    assert (second.cut.kept, second.cut.dropped, second.cut.added) == ((FAILING, "unload(r1, parcel2, kitchen)"), (), ())
-    assert f"not again: {FAILING}" in third.cut.why
-    assert third.cut.dropped == (FAILING,)
-    assert "pass_door(r1, door1, corridor, kitchen)" in third.cut.added
+    assert first.replan is None
+    assert second.replan is not None
+    assert third.replan is not None
+    assert "still works" in second.replan.why
+    assert (second.replan.kept, second.replan.dropped, second.replan.added) == ((FAILING, "unload(r1, parcel2, kitchen)"), (), ())
+    assert f"not again: {FAILING}" in third.replan.why
+    assert third.replan.dropped == (FAILING,)
+    assert "pass_door(r1, door1, corridor, kitchen)" in third.replan.added
     made = [step.number for step in records if isinstance(step.record, RunMade)]
     assert [run.record for run in (first, second, third)] == made
 

@@ -39,7 +39,7 @@ def example() -> Timeline:
         TimedCall(0, "open(r2, door)", "r2", 6.0, 3.0, (Attempt(6.0, 8.0, CANCELED), Attempt(8.0)), "running"),
         TimedCall(1, "unload(r1, parcel)", "r1", 9.0, 2.0, (), "waiting"),
     )
-    new = replan("move has failed 2 times", first, second)
+    new = replan("move has failed 2 times", (call.name for call in first if not call.is_done), (call.name for call in second))
     return Timeline("parcels & letters", (TimedPlan(0.0, first, None, ("move: aborted",)), TimedPlan(6.0, second, new)), 9.5)
 
 

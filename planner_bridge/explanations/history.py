@@ -1,0 +1,529 @@
+"""The history of a journal: what its records tell of tasks, of their runs and of what was sent. It is the only place that adds them up.
+
+A replay executes runs again, and its state is how things are after a record; here is kept what the state does not say: when things
+happened, in which words, and what followed. The page, `pnm why` and timelines show parts of it, so that all tell one story.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Final
+from uuid import UUID
+
+from planner_bridge.model.plan_simulation import snapshot
+from planner_bridge.tasks.replanning import Decision, decision_words
+from planner_bridge.tasks.result import TASKS, GoalNote, TaskCounts
+from pnm.clock import TimeUsed
+from pnm.core.execution.call_results import CallResult, Explanation, Failure
+from pnm.core.execution.events import Observer
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, PlanEvent, Step
+from pnm.core.machine.requests import Accepted, Ended, Feedback, Outcome, Request
+from pnm.core.net.no_collection import no_collection
+from pnm.core.pictures.timeline import Replan, replan
+from pnm.files.database.place import Place
+from pnm.journal import replay as replaying
+from pnm.journal.records import (
+    WORLD,
+    EndConfirmed,
+    Happened,
+    KnowledgeBegan,
+    MachineSource,
+    Record,
+    RunMade,
+    RunRetired,
+    RunSucceeded,
+    SharedBegan,
+    TaskAccepted,
+    TaskHeld,
+    TaskNoted,
+    TaskOver,
+    TimeCounted,
+)
+from pnm.journal.replay import Replay, ReplayedRun
+from pnm.journal.resume import steps_after
+from pnm.journal.store import KeptJournal
+from pnm.knowledge.sources.help import HelpAsked, HelpEnded
+from pnm.tasks import TaskEnding
+
+_FREES: Final = (Happened, EndConfirmed, RunRetired, RunSucceeded)
+"""Records with which resources are given, or given back."""
+
+
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """A request: one attempt at a call.
+
+    Args:
+        run: the run that has it: it may have passed from one to the next.
+        call: the number of the call there.
+        sender: the run that has sent it.
+        sent_for: the number of the call there.
+        action: with its arguments.
+        number: which attempt it is.
+        record: with which it was sent.
+        sent: when that was.
+        accepted: when its server took it on.
+        ended: when it was over.
+        outcome: how.
+        feedback: what its server has said last while it was at work.
+    """
+
+    run: UUID
+    call: int
+    sender: UUID
+    sent_for: int
+    action: GroundAction
+    number: int
+    record: int
+    sent: float
+    accepted: float | None = None
+    ended: float | None = None
+    outcome: Outcome | None = None
+    feedback: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Trouble:
+    """What a step was hindered by, or has failed with.
+
+    Args:
+        step: which one.
+        cause: with what was expected and what was observed.
+        record: with which it came.
+        time: when.
+        attempt: how often its call had been sent by then.
+        is_failure: whether the step was given up; else it is tried again, or recovers.
+        hindrance: what has led to a failure, and was trouble of its own before.
+        followed: what came of it, in words; empty as long as nothing did.
+    """
+
+    step: Step
+    cause: Explanation
+    record: int
+    time: float
+    attempt: int
+    is_failure: bool
+    hindrance: Trouble | None = None
+    followed: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class HeldResources:
+    """Resources that a request had for itself, from when until when; None while it has them."""
+
+    action: str
+    names: tuple[str, ...]
+    since: float
+    until: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Help:
+    """A question to a person how a task goes on, and since when it is open."""
+
+    asked: HelpAsked
+    since: float
+
+
+@dataclass
+class RunHistory:
+    """The history of a run. The history of its journal alone changes it.
+
+    Args:
+        record: with which it was made.
+        time: when that was.
+        replayed: the run, as its replay has it.
+        source: what its machine was made from.
+        state: the facts when it was made.
+        replan: why it followed the run before it, and how its plan differs; None for the first one, and for a plan that a call is.
+    """
+
+    record: int
+    time: float
+    replayed: ReplayedRun
+    source: MachineSource
+    state: KnowledgeBase
+    replan: Replan | None = None
+    sent: dict[int, list[UUID]] = field(default_factory=dict)
+    """The requests that it has sent, by call."""
+    requests: int = 0
+    """How many of them went to action servers."""
+    troubles: dict[str, Trouble] = field(default_factory=dict)
+    """By record, and their number in it."""
+    open: dict[str, None] = field(default_factory=dict)
+    """The troubles that nothing has followed yet, in their order."""
+    is_decided: bool = False
+    """Whether it is known which decision it has followed."""
+
+    @property
+    def id(self) -> UUID:
+        """Its identity."""
+        return self.replayed.made.run
+
+    @property
+    def results(self) -> tuple[CallResult, ...]:
+        """What has become of its calls, every time that they were reached."""
+        return self.replayed.result.calls if self.replayed.result else self.replayed.run.results
+
+    @property
+    def last_results(self) -> Mapping[int, CallResult]:
+        """What has become of its calls, by number; of those reached several times, the last time."""
+        return {**self.unreached, **{result.call.index: result for result in self.results}}
+
+    @cached_property
+    def unreached(self) -> Mapping[int, CallResult]:
+        """The results of calls that were never reached."""
+        return {call.index: CallResult(call) for call in self.source.plan.calls}
+
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing more comes of it."""
+        return self.replayed.is_over or self.replayed.run.over
+
+    @property
+    def is_own(self) -> bool:
+        """Whether it is one of its task itself, and not of a plan that a call of it is."""
+        return self.replayed.made.caller is None
+
+    @property
+    def failures(self) -> tuple[Trouble, ...]:
+        """What has failed in it."""
+        return tuple(trouble for trouble in self.troubles.values() if trouble.is_failure)
+
+    @property
+    def hindrances(self) -> tuple[Trouble, ...]:
+        """What has hindered it, also what has led to failures."""
+        found = (trouble.hindrance if trouble.is_failure else trouble for trouble in self.troubles.values())
+        return tuple(trouble for trouble in found if trouble is not None)
+
+    @property
+    def latest(self) -> tuple[Trouble, ...]:
+        """The troubles that nothing has followed yet."""
+        return tuple(self.troubles[key] for key in self.open)
+
+    def time_of(self, event: PlanEvent) -> float | None:
+        """Return when a call began or ended; None before."""
+        result = self.last_results.get(event.call)
+        return None if result is None else result.started if event.moment is Moment.START else result.ended
+
+    def lane(self, action: GroundAction) -> str:
+        """Return whose an action is: of whom it has something for itself, else its first argument, who acts."""
+        resources = self.source.bindings.resources(action)
+        first = resources[0].strip("/").partition("/")[0] if resources else action.arguments[0] if action.arguments else action.name
+        return action.name if first.startswith("?") else first
+
+    def server(self, action: GroundAction) -> str:
+        """Return who carries out an action; empty for an operation on knowledge, and while a name is not known."""
+        bindings = self.source.bindings
+        return "" if action.operation is not None or not bindings.names_server(action) else bindings.server(action)
+
+    @cached_property
+    def servers(self) -> Mapping[str, tuple[str, ...]]:
+        """The servers of its calls, as far as their names are known before they start, and the names of their actions."""
+        found: dict[str, dict[str, None]] = {}
+        for call in self.source.plan.calls:
+            if server := self.server(call.action):
+                found.setdefault(server, {})[call.action.name] = None
+        return {server: tuple(names) for server, names in found.items()}
+
+    def follow(self, what: str, step: int | None = None) -> None:
+        """Note what has followed the open troubles, of one step or of all."""
+        for key in [key for key in self.open if step in (None, self.troubles[key].step.index)]:
+            self.troubles[key] = replace(self.troubles[key], followed=what)
+            del self.open[key]
+
+
+@dataclass
+class TaskHistory:
+    """The history of a task. The history of its journal alone changes it.
+
+    Args:
+        accepted: what it is about.
+        time: when it was accepted.
+        is_held: whether an operator has paused it.
+        runs: its runs, in the order in which they were made.
+    """
+
+    accepted: TaskAccepted
+    time: float
+    is_held: bool
+    runs: list[RunHistory]
+    decision: Decision | None = None
+    """What was decided after the last run; None while it goes on."""
+    plans: int = 0
+    """How many a planner has found."""
+    used: TimeUsed | None = None
+    helps: dict[UUID | None, Help] = field(default_factory=dict)
+    """The questions to a person that are open, by the lost request that they are about; None for one how it goes on."""
+    ending: TaskEnding | None = None
+    ended: float | None = None
+    """When it was over."""
+    ended_with: int | None = None
+    """The record that has said so first."""
+    is_told: bool = True
+    """Whether the records are there that tell how it went; else only how it has ended."""
+
+    @property
+    def name(self) -> str:
+        """What it is about."""
+        return self.accepted.wanted.text or "the goal of the problem"
+
+    @property
+    def own_runs(self) -> tuple[RunHistory, ...]:
+        """Its runs without those of plans that calls of it are."""
+        return tuple(run for run in self.runs if run.is_own)
+
+    def seconds(self, now: float) -> float:
+        """Return the seconds of its limit that are used, which stop with its end."""
+        return self.used.until(now if self.ended is None else self.ended) if self.used else 0.0
+
+    @property
+    def counts(self) -> TaskCounts:
+        """How often what has happened."""
+        own = self.own_runs
+        requests, failures = sum(run.requests for run in own), sum(len(run.failures) for run in own)
+        return TaskCounts(self.plans, max(0, len(own) - 1), requests, failures, has_run=bool(own))
+
+
+class JournalHistory:
+    """The history of a journal so far. Everything in it is mutable state; `apply` is the only thing that changes it.
+
+    Args:
+        replay: of the journal, from the beginning of a segment.
+        reach: the last segments that it reaches back to, None for all. What is told of them depends on them alone, whoever has
+            read how much before.
+    """
+
+    def __init__(self, replay: Replay | None = None, reach: int | None = None) -> None:
+        self.replay = replay or Replay()
+        self.number = 0
+        self.time = 0.0
+        self.segments: list[tuple[int, float]] = []
+        """The first record, and the time, of the segments that it reaches back to."""
+        self.tasks: dict[UUID, TaskHistory] = {}
+        self.runs: dict[UUID, RunHistory] = {}
+        self.attempts: dict[UUID, Attempt] = {}
+        self.held: dict[UUID, HeldResources] = {}
+        """What requests have, or had, for themselves."""
+        self._reach = reach
+        self._observed = 0
+        """How many troubles the record that is being replayed has brought."""
+        self._holding: set[UUID] = set()
+        """The requests that have something."""
+        self._begins = False
+        """Whether a segment has begun, and no record has come since but those that say again what was before."""
+
+    @staticmethod
+    def read(place: Place, last: int | None = None) -> JournalHistory:
+        """Read a journal, up to and with a record if one is given; raises as `replay_steps` does."""
+        history = JournalHistory()
+        with closing(KeptJournal(place)) as kept, no_collection():
+            history.replay.source = lambda key: TASKS.value(kept.part(key))
+            for step in steps_after(kept, TASKS, history.apply, 0):
+                if step.number == last:
+                    break
+        return history
+
+    @property
+    def first(self) -> int:
+        """The first record that it reaches back to."""
+        return self.segments[0][0] if self.segments else 0
+
+    @property
+    def began(self) -> float:
+        """When that was."""
+        return self.segments[0][1] if self.segments else 0.0
+
+    def apply(self, number: int, time: float, record: Record) -> replaying.Step:
+        """Replay a record, and note what it tells; raises as `Replay.apply` does."""
+        self.number, self.time, self._observed = number, max(self.time, time), 0
+        step = self.replay.apply(number, time, record)
+        self._note(record)
+        if isinstance(record, _FREES):
+            self._note_resources()
+        return step
+
+    def task_of(self, record: Record) -> UUID | None:
+        """Return the task that a record is about; None if it is about none."""
+        match record:
+            case Happened(run) if run in self.runs:
+                return self.runs[run].replayed.made.task
+            case RunMade(_, task) | TaskNoted(task) | TaskOver(task):
+                return task
+            case TaskAccepted(wanted):
+                return wanted.id
+            case _:
+                return None
+
+    def sent(self, run: RunHistory, call: int) -> list[Attempt]:
+        """Return the requests that a run has sent for a call."""
+        return [self.attempts[request] for request in run.sent.get(call, ())]
+
+    def _note(self, record: Record) -> None:
+        begins, self._begins = self._begins, False
+        match record:
+            case SharedBegan():
+                self._begin_segment()
+            case KnowledgeBegan(base) if base == WORLD:
+                self._begins = begins
+            case RunMade():
+                self._note_run(record)
+            case RunSucceeded(run, successor) if run in self.runs:
+                self._hand_over(self.runs[successor])
+            case Happened():
+                self._note_event(record)
+            case TaskAccepted():
+                self._begins = begins
+                self._accept(record, is_told=not begins or len(self.segments) < 2)
+            case TaskHeld(chosen, is_held):
+                self._begins = begins
+                for id in (chosen,) if chosen else tuple(self.tasks):
+                    if id in self.tasks:
+                        self.tasks[id].is_held = is_held
+            case TaskNoted(id, note) if id in self.tasks:
+                self._note_task(self.tasks[id], note)
+            case TaskOver(id, ending):
+                self._begins = begins
+                self._end(self.tasks[id], ending)
+            case TimeCounted(of, used) if of in self.tasks:
+                self.tasks[of].used = used
+            case _:
+                pass
+
+    def _begin_segment(self) -> None:
+        """Forget what is too far back. Nothing is under way now, and the tasks that have just ended are said again."""
+        self.segments.append((self.number, self.time))
+        if self._reach is not None:
+            del self.segments[: -self._reach]
+        self._begins = True
+        self.replay.forget()
+        self.held, self._holding = {}, set()
+        self.attempts = {id: attempt for id, attempt in self.attempts.items() if attempt.record >= self.first}
+        self.runs = {id: run for id, run in self.runs.items() if run.record >= self.first}
+        for task in self.tasks.values():
+            task.runs = [run for run in task.runs if run.record >= self.first]
+        if self._reach is not None:
+            self.tasks = {id: task for id, task in self.tasks.items() if task.runs}
+
+    # --- tasks ------------------------------------------------------------------------------------
+
+    def _accept(self, accepted: TaskAccepted, *, is_told: bool) -> None:
+        id = accepted.wanted.id
+        if id not in self.tasks or self.tasks[id].accepted != accepted:  # else it is said again
+            runs = [run for run in self.runs.values() if run.replayed.made.task == id]  # of a plan, made before it is accepted
+            self.tasks[id] = TaskHistory(accepted, self.time, self.replay.is_held, runs, is_told=is_told)
+
+    def _end(self, task: TaskHistory, ending: TaskEnding) -> None:
+        if task.ending is None:  # else it is said again
+            task.ending, task.ended, task.ended_with = ending, self.time, self.number
+            for run in task.runs:
+                run.follow(f"its task is over: {ending.code.word}")
+
+    def _note_task(self, task: TaskHistory, note: object) -> None:
+        match note:
+            case GoalNote(plans=plans, decision=decision):
+                task.plans = plans
+                if decision is not None:
+                    self._note_decision(task, decision)
+            case HelpAsked(request=request):
+                task.helps[request] = Help(note, self.time)
+            case HelpEnded(request=request):
+                task.helps.pop(request, None)
+            case _:
+                pass
+
+    def _note_decision(self, task: TaskHistory, decision: Decision) -> None:
+        """Note why another run follows; one that succeeds a run that goes on is made before that is kept."""
+        last = task.own_runs[-1] if task.own_runs else None
+        if last and last.replan and not (last.is_decided or last.is_over):
+            last.replan, last.is_decided = replace(last.replan, why=decision_words(decision)), True
+        else:
+            task.decision = decision
+
+    # --- runs -------------------------------------------------------------------------------------
+
+    def _note_run(self, made: RunMade) -> None:
+        task, replayed, source = self.tasks.get(made.task), self.replay.runs[made.run], self.replay.source_of(made)
+        run = self.runs[made.run] = RunHistory(self.number, self.time, replayed, source, snapshot(self.replay.world))
+        replayed.run.observer = _Listening(self, run)
+        if task is None:
+            return
+        if run.is_own:
+            task.runs = [one for one in task.runs if one.replayed.run.begun]  # the process of another one has died before it began it
+            if task.own_runs:
+                before = task.own_runs[-1]
+                run.replan, run.is_decided = _replan(before, source, task.decision), task.decision is not None
+                before.follow(run.replan.why)
+            task.decision = None
+        task.runs.append(run)
+
+    def _hand_over(self, new: RunHistory) -> None:
+        """Note that a run goes on with requests of another one."""
+        for request, call in new.replayed.run.open_calls.items():
+            if request in self.attempts:
+                self.attempts[request] = replace(self.attempts[request], run=new.id, call=call.index)
+
+    def _note_event(self, record: Happened) -> None:
+        match record.event:
+            case Accepted(id) if id in self.attempts:
+                self.attempts[id] = replace(self.attempts[id], accepted=self.time)
+            case Feedback(id, text) if id in self.attempts:
+                self.attempts[id] = replace(self.attempts[id], feedback=text)
+            case Ended(id, outcome) if id in self.attempts and self.attempts[id].ended is None:
+                self.attempts[id] = replace(self.attempts[id], ended=self.time, outcome=outcome)
+            case _:
+                pass
+
+    def note_sent(self, run: RunHistory, call: ActionCall, request: Request) -> None:
+        """Note that a run sends a request."""
+        number = request.attempt
+        self.attempts[request.id] = Attempt(run.id, call.index, run.id, call.index, request.action, number, self.number, self.time)
+        run.sent.setdefault(call.index, []).append(request.id)
+        run.requests += request.action.operation is None
+        run.follow(f"tried again, attempt {number}", call.index)
+
+    def note_trouble(self, run: RunHistory, step: Step, cause: Explanation, *, is_failure: bool) -> None:
+        """Note what a step was hindered by, or has failed with. A failure takes the place of the hindrance that led to it."""
+        known = [(key, run.troubles[key]) for key in run.open] if is_failure else []
+        led = [(key, trouble) for key, trouble in known if trouble.step.index == step.index and not trouble.is_failure]
+        key, hindrance = led[-1] if led else (f"{self.number}.{self._observed}", None)
+        self._observed += 1
+        run.troubles[key] = Trouble(step, cause, self.number, self.time, len(run.sent.get(step.index, ())), is_failure, hindrance)
+        run.open[key] = None
+
+    def _note_resources(self) -> None:
+        now = {claim.request: claim for claim in self.replay.resources.held}
+        for request in self._holding - now.keys():
+            self.held[request] = replace(self.held[request], until=self.time)
+        for request in now.keys() - self._holding:
+            if request in self.replay.requests:
+                self.held[request] = HeldResources(str(self.replay.requests[request].action), now[request].names, self.time)
+        self._holding = self.held.keys() & now.keys()
+
+
+class _Listening(Observer):
+    """Tells the history what a run does that is replayed."""
+
+    def __init__(self, history: JournalHistory, run: RunHistory) -> None:
+        self._history = history
+        self._run = run
+
+    def sent(self, call: ActionCall, request: Request, now: float) -> None:
+        self._history.note_sent(self._run, call, request)
+
+    def hindered(self, call: ActionCall, cause: Explanation, now: float) -> None:
+        self._history.note_trouble(self._run, call, cause, is_failure=False)
+
+    def failed(self, failure: Failure, now: float) -> None:
+        cause = Explanation(failure.cause, failure.expected, failure.observed)
+        self._history.note_trouble(self._run, failure.call, cause, is_failure=True)
+
+
+def _replan(before: RunHistory, after: MachineSource, decision: Decision | None) -> Replan:
+    """Return why a run follows another one, and what becomes of the calls that were left of that."""
+    left = (str(result.call.action) for result in before.last_results.values() if not result.is_done)
+    return replan(decision_words(decision), left, (str(call.action) for call in after.plan.calls))
