@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from pnm.errors import PnmError
 from pnm.files.database.driver import DatabaseError, Driver, Layout, Rows
+from pnm.files.database.limit import OperationLimit
 from pnm.files.database.place import Place
 from pnm.files.database.postgres import Postgres
 from pnm.files.database.sqlite import Sqlite
@@ -26,6 +27,8 @@ if TYPE_CHECKING:  # it takes 0.15 s to import: who has no database need not wai
 
 class Database:
     """A connection to a database of ours, which is opened anew when it was lost. To be used by one thread at a time.
+
+    Every operation has a limit of time and size, see `OperationLimit`.
 
     Args:
         place: of it; a file is made if there is none.
@@ -45,7 +48,8 @@ class Database:
         self._read_only = read_only
         self._is_durable = is_durable
         self._driver: Driver | None = None
-        self._translated = _Translated(self._drop)
+        self._limit = OperationLimit()
+        self._translated = _Translated(self._limit, self._drop)
         self.connect()
 
     @property
@@ -61,9 +65,9 @@ class Database:
 
         with self._translated:
             if isinstance(self.place, Path):
-                driver: Driver = Sqlite(self.place, read_only=self._read_only, is_durable=self._is_durable)
+                driver: Driver = Sqlite(self.place, self._limit, read_only=self._read_only, is_durable=self._is_durable)
             else:
-                driver = Postgres(self.place, read_only=self._read_only, is_durable=self._is_durable)
+                driver = Postgres(self.place, self._limit, read_only=self._read_only, is_durable=self._is_durable)
             try:
                 ddl = [str(CreateTable(table).compile(dialect=driver.dialect)) for table in self._layout.tables.sorted_tables]
                 driver.prepare(self._layout, ddl, read_only=self._read_only)
@@ -113,6 +117,7 @@ class Database:
         self.connect()
         with self._translated:
             assert self._driver is not None
+            self._limit.begin(seconds)
             self._driver.wait(seconds)
 
     def announce(self) -> None:
@@ -155,19 +160,23 @@ class Database:
 
 
 class _Translated:
-    """Has errors of drivers be a `DatabaseError`; the connection is dropped after one that it does not survive."""
+    """An operation of a driver, within its limit. Its errors are a `DatabaseError`; the connection is dropped after one that it does not
+    survive.
+    """
 
-    def __init__(self, drop: Callable[[], None]) -> None:
+    def __init__(self, limit: OperationLimit, drop: Callable[[], None]) -> None:
+        self._limit = limit
         self._drop = drop
 
     def __enter__(self) -> None:
         """Begin what a driver does."""
+        self._limit.begin()
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
         # Anything else: pg8000 raises what it comes across when a server goes away.
         if isinstance(error, Exception) and not isinstance(error, PnmError):
             self._drop()
-            raise DatabaseError(_reason(error)) from error
+            raise DatabaseError(self._limit.exceeded or _reason(error)) from error
 
 
 def _reason(error: Exception) -> str:

@@ -1,7 +1,8 @@
 """PostgreSQL as a database of ours.
 
 Nothing waits without limit: neither for the server, which may be cut off, nor for another process that writes. A process that stops in
-the middle of a transaction loses it within `LIMIT` seconds, so that others need not wait for it.
+the middle of a transaction loses it within `LIMIT` seconds, so that others need not wait for it. A server whose answers have no end
+is heard no longer, and no further, than the limit of an operation allows.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pnm.errors import InputError
 from pnm.files.database.driver import DatabaseError, Layout, Rows, check_version
+from pnm.files.database.limit import OperationLimit
 from pnm.files.database.place import ServerUrl
 
 if TYPE_CHECKING:
@@ -25,8 +27,30 @@ LIMIT: Final = 1.0
 """Seconds to wait for a server: to reach it, and for each of its answers."""
 MAKING: Final = 0x504E4D
 """The lock of those that make tables."""
-_SSL: Final = {"prefer": None, "disable": False, "require": True, "verify-full": ssl.create_default_context}
-"""What the driver takes for a ``sslmode``."""
+_ASK_FOR_SSL: Final = bytes.fromhex("00000008 04d2162f")
+"""The request with which encryption begins, of PostgreSQL's protocol."""
+
+
+class _Limited(socket.socket):
+    """A socket that waits within the limit of an operation, set as its attribute."""
+
+    limit: OperationLimit
+
+    def recv_into(self, *arguments: Any, **options: Any) -> int:
+        """Receive into a buffer."""
+        self.settimeout(min(LIMIT, self.limit.seconds()))
+        size = super().recv_into(*arguments, **options)
+        self.limit.take(size)
+        return size
+
+    def send(self, *arguments: Any, **options: Any) -> int:
+        """Send what can be sent of some data."""
+        self.settimeout(min(LIMIT, self.limit.seconds()))
+        return super().send(*arguments, **options)
+
+
+class _LimitedSsl(_Limited, ssl.SSLSocket):
+    """The same, encrypted."""
 
 
 class Postgres:
@@ -34,7 +58,7 @@ class Postgres:
 
     survives = False
 
-    def __init__(self, url: ServerUrl, *, read_only: bool, is_durable: bool) -> None:
+    def __init__(self, url: ServerUrl, limit: OperationLimit, *, read_only: bool, is_durable: bool) -> None:
         try:
             from pg8000.native import Connection
         except ImportError as error:
@@ -47,11 +71,7 @@ class Postgres:
             "default_transaction_read_only": "on" if read_only else "off",
             **dict.fromkeys(("statement_timeout", "lock_timeout", "idle_in_transaction_session_timeout"), ended),
         }
-        self._socket = socket.create_connection((url.host, url.port), LIMIT)
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        if hasattr(socket, "TCP_USER_TIMEOUT"):  # of Linux
-            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(LIMIT * 1000))
-        mode = _SSL[url.options.get("sslmode", "prefer")]
+        self._socket = _connected(url, limit)
         try:
             self._connection = Connection(
                 url.user,
@@ -59,14 +79,13 @@ class Postgres:
                 database=url.database,
                 password=url.password,
                 sock=self._socket,
-                ssl_context=mode() if callable(mode) else mode,
+                ssl_context=False,  # it is encrypted already, if it shall be
                 application_name="pnm",
                 startup_params=settings,
             )
         except BaseException:
             self._socket.close()
             raise
-        self._socket = self._connection._usock  # wrapped, if it is encrypted
         self._name = url.name
         self._statements: dict[str, Any] = {}
         self._listens = False
@@ -142,6 +161,41 @@ class Postgres:
         with suppress(Exception):
             self._connection.close()
         self._socket.close()
+
+
+def _connected(url: ServerUrl, limit: OperationLimit) -> _Limited:
+    """Return a connection to the server, which is encrypted as the ``sslmode`` says."""
+    plain = socket.create_connection((url.host, url.port), LIMIT)
+    plain.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    if hasattr(socket, "TCP_USER_TIMEOUT"):  # of Linux
+        plain.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(LIMIT * 1000))
+    mode = url.options.get("sslmode", "prefer")
+    try:
+        is_encrypted = mode != "disable" and _may_encrypt(plain)
+        if not is_encrypted and mode not in ("disable", "prefer"):
+            raise DatabaseError("the server refuses to encrypt the connection")
+        family = plain.family, plain.type, plain.proto
+        limited = _encrypted(plain, url.host, is_verified=mode == "verify-full") if is_encrypted else _Limited(*family, plain.detach())
+    except BaseException:
+        plain.close()
+        raise
+    limited.limit = limit
+    return limited
+
+
+def _may_encrypt(plain: socket.socket) -> bool:
+    plain.sendall(_ASK_FOR_SSL)
+    return plain.recv(1) == b"S"
+
+
+def _encrypted(plain: socket.socket, host: str, *, is_verified: bool) -> _Limited:
+    context = ssl.create_default_context()
+    if not is_verified:
+        context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    context.sslsocket_class = _LimitedSsl
+    encrypted = context.wrap_socket(plain, server_hostname=host)
+    assert isinstance(encrypted, _Limited)
+    return encrypted
 
 
 @cache  # statements are compiled once for each

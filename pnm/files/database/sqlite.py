@@ -7,25 +7,33 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
 from time import monotonic, sleep
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
 from pnm.files.database.driver import DatabaseError, Layout, Rows, check_version
+from pnm.files.database.limit import SIZE, OperationLimit
 
 if TYPE_CHECKING:
     from sqlalchemy.engine import Dialect
+
+T = TypeVar("T")
 
 LIMIT: Final = 4.0
 """Seconds to wait while another process writes."""
 _AGAIN: Final = 0.02
 """Seconds until a retry of an operation for which SQLite itself does not wait."""
+_STEPS: Final = 100_000
+"""Steps of SQLite's machine, some milliseconds, until it is looked whether it may go on; signals are heard then as well."""
 
 
 class Sqlite:
-    """An SQLite file, in WAL mode: others may read while one writes."""
+    """An SQLite file, in WAL mode: others may read while one writes.
+
+    A file may be hostile: nothing but tables is read, and SQLite looks in between whether it may go on.
+    """
 
     survives = True
 
-    def __init__(self, path: Path, *, read_only: bool, is_durable: bool) -> None:
+    def __init__(self, path: Path, limit: OperationLimit, *, read_only: bool, is_durable: bool) -> None:
         if path.exists() and not path.is_file():
             raise DatabaseError("it is no file")
         if read_only and not path.exists():
@@ -33,15 +41,31 @@ class Sqlite:
         self.dialect = _dialect()
         uri = f"{path.absolute().as_uri()}{'?mode=ro' if read_only else ''}"
         self._connection = sqlite3.connect(uri, uri=True, timeout=0.0, isolation_level=None, check_same_thread=False)
+        self._connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, SIZE)
+        self._connection.set_progress_handler(lambda: limit.is_over, _STEPS)
+        self._limit = limit
         self._synchronous = "FULL" if is_durable else "NORMAL"
 
     def run(self, sql: str, values: Mapping[str, object], /) -> Rows:
         """Execute a statement with ``:name`` parameters."""
-        return self._connection.execute(sql, values).fetchall()
+        return self._within(lambda: self._limit.take_rows(self._connection.execute(sql, values)))
 
     def run_many(self, sql: str, rows: Sequence[Mapping[str, object]], /) -> None:
         """Execute a statement for each row."""
-        self._connection.executemany(sql, rows)
+        self._within(lambda: self._connection.executemany(sql, rows))
+
+    def _within(self, work: Callable[[], T]) -> T:
+        """Do some work within the limit.
+
+        Raises:
+            KeyboardInterrupt: a signal came meanwhile; SQLite swallows what is raised while it looks whether it may go on.
+        """
+        try:
+            return work()
+        except sqlite3.OperationalError as error:
+            if error.sqlite_errorcode == sqlite3.SQLITE_INTERRUPT and not self._limit.exceeded:
+                raise KeyboardInterrupt from error
+            raise
 
     def begin(self) -> None:
         """Begin a transaction that writes."""
@@ -49,7 +73,7 @@ class Sqlite:
 
     def prepare(self, layout: Layout, ddl: Sequence[str], *, read_only: bool) -> None:
         """Make the tables unless they are there; refuse those of something else or of another version."""
-        _patiently(partial(self._prepare, layout, ddl, read_only=read_only))
+        self._within(partial(_patiently, partial(self._prepare, layout, ddl, read_only=read_only)))
         self._connection.execute(f"PRAGMA busy_timeout = {LIMIT * 1000:.0f}")
 
     def _prepare(self, layout: Layout, ddl: Sequence[str], *, read_only: bool) -> None:
@@ -67,6 +91,9 @@ class Sqlite:
                     self._connection.execute(f"PRAGMA application_id = {layout.application}")
                     self._connection.execute(f"PRAGMA user_version = {layout.version}")
         check_version(layout, self._number("user_version"))
+        # Views and triggers have no pages, and compute, which may never end; nor have tables of other programs' modules.
+        if self._connection.execute("SELECT count(*) FROM sqlite_schema WHERE rootpage = 0").fetchone()[0]:
+            raise DatabaseError(f"it has more than the tables of a {layout.kind}")
 
     def wait(self, seconds: float) -> None:
         """Wait for so long: nothing is announced in a file."""
@@ -77,7 +104,9 @@ class Sqlite:
 
     def shrink(self) -> None:
         """Give space back that is not needed any more."""
-        self._connection.executescript("PRAGMA incremental_vacuum")  # which frees one page only when it is executed by itself
+        self._within(
+            lambda: self._connection.executescript("PRAGMA incremental_vacuum")
+        )  # which frees one page only when it is executed by itself
 
     def close(self) -> None:
         """Close the connection."""

@@ -1,0 +1,237 @@
+"""Operations on databases have an end: files whose queries have none, servers whose answers have none, and signals meanwhile."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import socket
+import sqlite3
+import ssl
+import struct
+import subprocess
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from contextlib import closing, contextmanager, suppress
+from pathlib import Path
+
+import pytest
+from sqlalchemy import Column, Integer, MetaData, Table, Text, text
+
+from pnm.files.database import limit
+from pnm.files.database.database import Database
+from pnm.files.database.driver import DatabaseError, Layout
+from pnm.files.database.place import place_of
+from tests.support.e2e.hosts.postgres import PostgresServer
+from tests.support.processes import LIMIT, Program
+
+_TABLES = MetaData()
+notes = Table("notes", _TABLES, Column("id", Integer, primary_key=True), Column("text", Text, nullable=False))
+LAYOUT = Layout("notebook", 0x504E4D54, 1, _TABLES)
+ENDLESS = "WITH RECURSIVE endless(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM endless) SELECT {} FROM endless"
+WAITED = 30.0
+"""Seconds after which something hangs: limits are set below."""
+
+
+def in_time(work: Callable[[], object]) -> object:
+    """Return what a function does in a thread of its own; it hangs if it takes long."""
+    future: Future[object] = Future()
+
+    def run() -> None:
+        try:
+            future.set_result(work())
+        except BaseException as error:
+            future.set_exception(error)
+
+    threading.Thread(target=run, daemon=True).start()
+    return future.result(WAITED)
+
+
+@pytest.fixture
+def hurry(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have operations end early."""
+    monkeypatch.setattr(limit, "SECONDS", 1.5)
+    monkeypatch.setattr(limit, "SIZE", 1_000_000)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """A file with the tables."""
+    with closing(Database(tmp_path / "notes.sqlite", LAYOUT)):
+        return tmp_path / "notes.sqlite"
+
+
+@pytest.mark.usefixtures("hurry")
+@pytest.mark.parametrize(
+    ("what", "said"),
+    [("count(*)", r"it has not answered within 1\.5 s"), ("x", "it answers with more than"), ("'{}'", "it answers with more than")],
+)
+def test_a_query_that_does_not_end_is_ended_and_the_file_is_read_on(file: Path, what: str, said: str) -> None:
+    with closing(Database(file, LAYOUT, read_only=True)) as database:
+        with pytest.raises(DatabaseError, match=said):
+            in_time(lambda: database.run(text(ENDLESS.format(what))))
+        assert database.run(text("SELECT 1")) == [(1,)]
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        f"CREATE VIEW more AS {ENDLESS.format('x')}",
+        "CREATE TRIGGER more AFTER INSERT ON notes BEGIN DELETE FROM notes; END",
+        "CREATE VIRTUAL TABLE more USING fts5(text)",
+    ],
+    ids=["a view", "a trigger", "a virtual table"],
+)
+def test_a_file_with_more_than_tables_is_refused(file: Path, statement: str) -> None:
+    with closing(sqlite3.connect(file)) as connection:
+        connection.execute(statement)
+        connection.commit()
+    for read_only in (True, False):
+        with pytest.raises(DatabaseError, match="it has more than the tables of a notebook"):
+            Database(file, LAYOUT, read_only=read_only)
+
+
+INTERRUPTED = """
+import sys
+from pathlib import Path
+from sqlalchemy import text
+from tests.pnm.files.test_database_limit import ENDLESS, LAYOUT, Database
+
+database = Database(Path(sys.argv[1]), LAYOUT)
+try:
+    print("begun", flush=True)
+    database.run(text(ENDLESS.format("count(*)")))
+except KeyboardInterrupt:
+    print("interrupted", flush=True)
+"""
+
+
+def test_ctrl_c_ends_a_query(file: Path) -> None:
+    program = Program(["-c", INTERRUPTED, str(file)], {})
+    try:
+        program.until(lambda: "begun" in program.out)
+        program.process.send_signal(signal.SIGINT)
+        assert program.ended(limit.SECONDS / 2) == 0
+        assert program.out == ["begun", "interrupted"]
+    finally:
+        program.close()
+
+
+# --- PostgreSQL ---
+
+
+@contextmanager
+def serving(answer: Callable[[socket.socket], None]) -> Iterator[str]:
+    """Serve whoever connects, once encryption is refused and the connection begun; yield the URL."""
+
+    def serve() -> None:
+        with suppress(OSError):
+            while True:
+                client, _ = listening.accept()
+                threading.Thread(target=serve_one, args=(client,), daemon=True).start()
+
+    def serve_one(client: socket.socket) -> None:
+        with suppress(OSError), client:
+            client.recv(8)
+            client.sendall(b"N")
+            client.recv(4096)
+            client.sendall(b"R" + struct.pack("!II", 8, 0))
+            answer(client)
+
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        threading.Thread(target=serve, daemon=True).start()
+        yield f"postgresql://pnm@127.0.0.1:{listening.getsockname()[1]}/db"
+
+
+def trickle(client: socket.socket) -> None:
+    over = threading.Event()
+    for byte in b"S" * 1000:
+        client.sendall(bytes([byte]))
+        over.wait(0.1)  # as slow as a server is that is never silent for long
+
+
+def flood(client: socket.socket) -> None:
+    message = b"Mnotice\0\0"
+    while True:
+        client.sendall((b"N" + struct.pack("!I", 4 + len(message)) + message) * 1000)
+
+
+def swell(client: socket.socket) -> None:
+    client.sendall(b"N" + struct.pack("!I", 100_000_000))
+    while True:
+        client.sendall(b"x" * 100_000)
+
+
+@pytest.mark.usefixtures("hurry")
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [(trickle, r"it has not answered within 1\.5 s"), (flood, "it answers with more than"), (swell, "it answers with more than")],
+)
+def test_a_server_whose_answers_do_not_end_is_not_heard_to_the_end(answer: Callable[[socket.socket], None], said: str) -> None:
+    with serving(answer) as url, pytest.raises(DatabaseError, match=said):
+        in_time(lambda: Database(place_of(url), LAYOUT))
+
+
+@pytest.mark.usefixtures("hurry")
+def test_a_result_of_postgresql_has_its_limit_and_the_connection_is_opened_anew(postgres: PostgresServer) -> None:
+    with closing(Database(place_of(postgres.database()), LAYOUT)) as database:
+        with pytest.raises(DatabaseError, match="it answers with more than"):
+            in_time(lambda: database.run(text("SELECT repeat('x', 1000) FROM generate_series(1, 100000)")))
+        assert not database.is_connected
+        assert database.run(text("SELECT 1")) == [[1]]
+
+
+@pytest.fixture
+def encrypting(postgres: PostgresServer, tmp_path: Path) -> Iterator[int]:
+    """The port of what encrypts connections to PostgreSQL, as a server with a certificate of its own does."""
+    if not (openssl := shutil.which("openssl")):
+        pytest.skip("openssl makes the certificate")
+    certificate = tmp_path / "certificate.pem"
+    made = ["req", "-x509", "-newkey", "rsa:2048", "-nodes", "-subj", "/CN=pnm", "-keyout", str(certificate), "-out", str(tmp_path / "c")]
+    subprocess.run([openssl, *made], check=True, capture_output=True)
+    certificate.write_text(certificate.read_text() + (tmp_path / "c").read_text())
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(certificate)
+
+    def pump(source: socket.socket, target: socket.socket) -> None:
+        with suppress(OSError):
+            while data := source.recv(65536):
+                target.sendall(data)
+        for one in (source, target):
+            with suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
+
+    def serve() -> None:
+        while True:
+            try:
+                plain, _ = listening.accept()
+            except OSError:
+                return
+            with suppress(OSError):  # who does not trust the certificate goes away
+                plain.recv(8)
+                plain.sendall(b"S")
+                client = context.wrap_socket(plain, server_side=True)
+                server = socket.create_connection(("127.0.0.1", postgres.port), LIMIT)
+                for pair in ((client, server), (server, client)):
+                    threading.Thread(target=pump, args=pair, daemon=True).start()
+
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        threading.Thread(target=serve, daemon=True).start()
+        yield int(listening.getsockname()[1])
+
+
+@pytest.mark.usefixtures("hurry")
+@pytest.mark.parametrize("mode", ["prefer", "require"])
+def test_an_encrypted_connection_has_the_same_limit(postgres: PostgresServer, encrypting: int, mode: str) -> None:
+    url = f"{postgres.database().replace(str(postgres.port), str(encrypting))}?sslmode={mode}"
+    with closing(Database(place_of(url), LAYOUT)) as database:
+        assert database.run(text("SELECT 1")) == [[1]]
+        with pytest.raises(DatabaseError, match="it answers with more than"):
+            in_time(lambda: database.run(text("SELECT repeat('x', 1000) FROM generate_series(1, 100000)")))
+
+
+def test_encryption_that_is_required_is_not_left_out(postgres: PostgresServer, encrypting: int) -> None:
+    with pytest.raises(DatabaseError, match="the server refuses to encrypt the connection"):
+        Database(place_of(f"{postgres.database()}?sslmode=require"), LAYOUT)
+    with pytest.raises(DatabaseError, match="certificate"):
+        Database(place_of(f"postgresql://pnm@127.0.0.1:{encrypting}/postgres?sslmode=verify-full"), LAYOUT)
