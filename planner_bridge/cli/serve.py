@@ -18,7 +18,7 @@ from pnm.ros.node.parameters import NodeParameter, ParameterValue
 
 ROS_ARGUMENTS: Final = "--ros-args"
 FENCED: Final = 3
-"""The exit status of a node whose journal another one has taken over; started again, it stands by."""
+"""The exit status of a node that may not write its journal any more; started again, it stands by, or goes on with what is kept."""
 
 
 class RosCommand(ViewingCommand):
@@ -92,6 +92,6 @@ def serve(files: tuple[Path, ...], view: int | None, controls: bool, **given: Pa
                 print(f"view     {page.url}", file=sys.stderr, flush=True)
                 serve(chosen, arguments, broadcast(NodeObserver, (console, NodePage(page, journal))))
     except Fenced as error:
-        print(f"{error}; it goes on there", file=sys.stderr)
+        print(error, file=sys.stderr)
         return FENCED
     return 0

@@ -24,12 +24,16 @@ class JournalError(PnmError):
     """A journal cannot be read, or not be written now."""
 
 
+class Damaged(JournalError):
+    """A journal that cannot be read, whenever that is tried."""
+
+
 class Fenced(JournalError):
-    """Another process has taken the journal over."""
+    """A process may not write its journal any more: another one has taken it over, or its database has lost what was kept."""
 
 
 def log_end(why: Fenced) -> None:
-    """Log that another process has taken a journal over."""
+    """Log that this process may not write a journal any more."""
     _log.error("%s; nothing is done here any more", why)
 
 

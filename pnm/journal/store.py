@@ -9,10 +9,16 @@ versions that could not replay the records.
 
 One process writes a journal at a time: the holder of its latest epoch. Every commit asks in its own transaction whether that is still
 so. In PostgreSQL the holder has a lease, which another process may take when it is over; see `pnm.journal.lease`.
+
+A server may forget what it has acknowledged: when it crashes, commits that were not to be durable, and a copy of it that takes its place
+may have even less. So every commit also compares the last record that is there with the last that was acknowledged, and begins with what
+is missing, which is remembered until a commit behind it is durable. There is never a record without those before it. What says who may
+write is durable always: a lease that was taken back would be another's while its holder trusts it.
 """
 
 from __future__ import annotations
 
+import logging
 import os
 import socket
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,15 +34,38 @@ from pnm.files.database.database import Database
 from pnm.files.database.driver import DatabaseError, Rows
 from pnm.files.database.place import Place
 from pnm.journal import tables
-from pnm.journal.kept import Durability, Fenced, Held, JournalError, Row
+from pnm.journal.kept import Damaged, Durability, Fenced, Held, JournalError, Row
 
 _AT_ONCE: Final = 5000
 """Records that are dropped in a transaction."""
+
+_log = logging.getLogger(__name__)
 
 
 def this_process() -> str:
     """Return how others call this process: by its host and its number."""
     return f"{socket.gethostname()} pid {os.getpid()}"
+
+
+class _Commit(NamedTuple):
+    """What was kept in a transaction.
+
+    Args:
+        first: the number of the first record.
+        rows: the records.
+        parts: that they name.
+        segment: the first record of the segment that goes on after them.
+    """
+
+    first: int
+    rows: Sequence[Row]
+    parts: Mapping[str, str]
+    segment: int
+
+    @property
+    def last(self) -> int:
+        """The number of the last record."""
+        return self.first + len(self.rows) - 1
 
 
 class JournalFile:
@@ -51,8 +80,8 @@ class JournalFile:
         lease: the seconds for which nobody else may take it; None where something else sees to that. With it the journal is taken
             only if nobody else has a lease.
 
-    The mutable state is the connection, which threads share by a lock; the number of the last record; and whether that is sure: when a
-    server goes away in the middle of a commit, nobody knows whether it has been made.
+    The mutable state is the connection, which threads share by a lock; the number of the last record; and the latest commits, which a
+    server may still forget.
 
     Raises:
         Held: another process has a lease.
@@ -68,14 +97,14 @@ class JournalFile:
             with self._guarded("written"):
                 self.epoch: Final = self._begin_epoch(wall, only_free=lease is not None)
                 self._last, self._segment = self._run_one(tables.LAST), self._run_one(tables.LAST_SEGMENT)
-                self._is_sure = True
+                self._recent: list[_Commit] = []
         except BaseException:
             self._database.close()
             raise
 
     def _begin_epoch(self, wall: float, *, only_free: bool) -> int:
         database, me = self._database, this_process()
-        with database.transaction():
+        with database.transaction(is_durable=True):
             database.run(tables.MAKE, id=1, epoch=0, holder="", until=0.0, rewritten=0)
             is_writing, epoch, holder, left = self._lease_to_take()
             if is_writing or (only_free and left > 0.0):
@@ -94,21 +123,25 @@ class JournalFile:
         """Commit the rows, and the parts that they name, in one transaction.
 
         Raises:
-            Fenced: a later epoch has begun; nothing was written.
+            Fenced: a later epoch has begun, or the server has lost more than is remembered; nothing was written.
             JournalError: it cannot be written now; nothing was, or it is taken away again before anything else is written.
         """
-        with self._transaction() as database:
-            numbered = list(enumerate(rows, self._last + 1))
-            values = [{"sequence": number, "epoch": self.epoch, "time": row.time, "text": row.text} for number, row in numbered]
-            database.run_many(tables.KEEP, values)
-            begins = [{"first": number, "wall": row.begins} for number, row in numbered if row.begins is not None]
-            database.run_many(tables.BEGIN_SEGMENT, begins)
-            changed = [{"accepted": number, **row.task._asdict(), "is_over": int(row.task.is_over)} for number, row in numbered if row.task]
-            database.run_many(tables.KEEP_TASK, changed)
-            segment = max((number for number, row in numbered if row.begins is not None), default=self._segment)
-            named = [{"key": key, "segment": segment, "text": text} for key, text in parts.items()]
-            database.run_many(tables.KEEP_PART, named)
-        self._last, self._segment = self._last + len(rows), segment
+        with self._transaction() as kept:
+            first = self._last + 1
+            segment = max((number for number, row in enumerate(rows, first) if row.begins is not None), default=self._segment)
+            kept.append(commit := _Commit(first, tuple(rows), dict(parts), segment))
+            self._keep(commit)
+
+    def _keep(self, commit: _Commit) -> None:
+        database, numbered = self._database, list(enumerate(commit.rows, commit.first))
+        values = [{"sequence": number, "epoch": self.epoch, "time": row.time, "text": row.text} for number, row in numbered]
+        database.run_many(tables.KEEP, values)
+        begins = [{"first": number, "wall": row.begins} for number, row in numbered if row.begins is not None]
+        database.run_many(tables.BEGIN_SEGMENT, begins)
+        changed = [{"accepted": number, **row.task._asdict(), "is_over": int(row.task.is_over)} for number, row in numbered if row.task]
+        database.run_many(tables.KEEP_TASK, changed)
+        named = [{"key": key, "segment": commit.segment, "text": text} for key, text in commit.parts.items()]
+        database.run_many(tables.KEEP_PART, named)
 
     def drop(self, records: float, tasks: float) -> None:
         """Drop segments that were over before a time of day, and the rows of tasks that had ended before another one.
@@ -119,23 +152,22 @@ class JournalFile:
         with self._guarded("written"):
             oldest, first = self._run_one(tables.OLDEST), self._run_one(tables.NEEDED, before=records)
         for number in (*range(oldest + _AT_ONCE, first, _AT_ONCE), first):  # so that no transaction takes long
-            with self._transaction() as database:
+            with self._transaction():
                 for statement in tables.DROP_BEFORE:
-                    database.run(statement, number=number)
-                database.run(tables.DROP_TASKS, before=tasks)
+                    self._database.run(statement, number=number)
+                self._database.run(tables.DROP_TASKS, before=tasks)
         with self._guarded("written"):
             self._database.shrink()
 
     def renew(self) -> None:
-        """Begin the lease anew, over a new connection if there is none.
+        """Begin the lease anew, over a new connection if there is none; what was kept before is durable then.
 
         Raises:
-            Fenced: another process has taken the journal.
+            Fenced: another process has taken the journal, or the server has lost more of it than is remembered.
             JournalError: it cannot be reached now.
         """
-        with self._guarded("reached"):
-            if not self._database.run(tables.RENEW, mine=self.epoch, seconds=self._lease):
-                raise Fenced(f"another process has taken over the journal {self.place}")
+        with self._transaction(is_renewal=True):
+            self._database.run(tables.RENEW, mine=self.epoch, seconds=self._lease)
 
     def close(self) -> None:
         """End the lease, and close the file, or the connection."""
@@ -147,31 +179,46 @@ class JournalFile:
             self._database.close()
 
     @contextmanager
-    def _transaction(self) -> Iterator[Database]:
-        """Enter a transaction of this epoch, which is whole or not there."""
-        database = self._database
-        if not database.is_connected:  # asked without the lock: `renew` is mending that, in its time and not in that of the event loop
+    def _transaction(self, *, is_renewal: bool = False) -> Iterator[list[_Commit]]:
+        """Enter a transaction of this epoch, which is whole or not there, and yield a list for what is kept in it."""
+        database, kept = self._database, list[_Commit]()
+        if not (is_renewal or database.is_connected):  # without the lock: `renew` mends that, in its time and not in that of the event loop
             raise JournalError(f"the journal {self.place} cannot be written: there is no connection to its database")
-        with self._guarded("written"):
-            with database.transaction(is_new=False):
-                if self._run_one(tables.WHOSE) != self.epoch:
-                    raise Fenced(f"another process has taken over the journal {self.place}")
-                if not self._is_sure:
-                    self._make_sure()
-                self._is_sure = isinstance(self.place, Path)  # or else when it has been heard that the commit was made
-                yield database
-            self._is_sure = True
+        with self._guarded("reached" if is_renewal else "written"):
+            with database.transaction(is_new=is_renewal, is_durable=is_renewal):
+                epoch, last = next(iter(database.run(tables.WHOSE)), (0, 0))
+                if epoch > self.epoch:
+                    raise Fenced(f"another process has taken over the journal {self.place}; it goes on there")
+                self._mend(int(last) if epoch == self.epoch else 0)
+                yield kept
+            for commit in kept:
+                self._last, self._segment = commit.last, commit.segment
+            if is_renewal:
+                self._recent.clear()
+            elif not isinstance(self.place, Path):  # a file is not there without its last records while this process is
+                self._recent += kept
 
-    def _make_sure(self) -> None:
-        """Take away what was committed without our knowing: it is written again, or was refused."""
-        last = self._run_one(tables.LAST)
+    def _mend(self, last: int) -> None:
+        """Have the database hold what was acknowledged, where this is its last record: write what it has forgotten, and nothing else.
+
+        When a server goes away in the middle of a commit, nobody knows whether it has been made: it is written again, or was refused.
+        """
         if last > self._last:
             for statement in tables.DROP_AFTER:
                 self._database.run(statement, number=self._last)
-            self._database.run(
-                tables.REWRITTEN,
+            self._database.run(tables.REWRITTEN)
+        elif last < self._last:
+            forgotten = [commit for commit in self._recent if commit.first > last]
+            if not forgotten or forgotten[0].first != last + 1:
+                raise Fenced(
+                    f"the database of the journal {self.place} has lost the records {last + 1} to {self._last}: it was not made durable, or"
+                    " is an older copy. Nothing is sent any more; a node that is started goes on without them"
+                )
+            for commit in forgotten:
+                self._keep(commit)
+            _log.warning(
+                "the database of the journal %s had lost the records %d to %d; they are written again", self.place, last + 1, self._last
             )
-            self._last = last  # numbers are not used twice
 
     def _run_one(self, statement: Executable, **values: object) -> int:
         return int(self._database.run(statement, **values)[0][0])
@@ -225,11 +272,19 @@ class KeptJournal:
         self._database = _opened(place, read_only=True)
 
     def rows(self, after: int = 0) -> Iterator[tuple[int, Row]]:
-        """Yield the records after this one, with their numbers."""
+        """Yield the records after this one, with their numbers.
+
+        Raises:
+            Damaged: records are missing.
+            JournalError: it cannot be read now.
+        """
         while rows := self._read(tables.ROWS, number=after):
             for sequence, time, text in rows:
+                if sequence != after + 1 and sequence != self._read(tables.OLDEST)[0][0]:
+                    missing = f"the records {after + 1} to {sequence - 1} are missing"
+                    raise Damaged(f"the journal {self.place} is damaged: {missing}; its database has lost them")
                 yield sequence, Row(time, text)
-            after = sequence
+                after = sequence
 
     def last_segment(self) -> int:
         """Return the number of the record with which the last segment begins; 0 if there is none."""

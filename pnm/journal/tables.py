@@ -96,11 +96,8 @@ LEASE: Final = select(lease.c.epoch, lease.c.holder, (lease.c.until - _now()).la
 LEASE_TO_TAKE: Final = LEASE.with_for_update(skip_locked=True)
 TAKE: Final = update(lease).values(epoch=_EPOCH, holder=bindparam("me", type_=Text), until=_now() + _SECONDS)
 BEGIN_EPOCH: Final = insert(epochs)
-RENEW: Final = update(lease).where(lease.c.epoch == _EPOCH).values(until=_now() + _SECONDS).returning(lease.c.epoch)
+RENEW: Final = update(lease).where(lease.c.epoch == _EPOCH).values(until=_now() + _SECONDS)
 RELEASE: Final = update(lease).where(lease.c.epoch == _EPOCH).values(until=0.0)
-WHOSE: Final = select(lease.c.epoch).with_for_update(read=True)
-"""The latest epoch, which nobody can end before the transaction does."""
-
 # --- what is kept ---
 KEEP: Final = insert(records)
 BEGIN_SEGMENT: Final = insert(segments)
@@ -117,6 +114,8 @@ ROWS: Final = (
 PART: Final = select(parts.c.text).where(parts.c.key == bindparam("wanted", type_=Text))
 TASKS: Final = select(tasks.c.text).order_by(tasks.c.accepted)
 LAST: Final = select(func.coalesce(func.max(records.c.sequence), 0))
+WHOSE: Final = select(lease.c.epoch, LAST.scalar_subquery()).with_for_update(read=True, of=lease)
+"""The latest epoch, which nobody can end before the transaction does, and the last record."""
 LAST_SEGMENT: Final = select(func.coalesce(func.max(segments.c.first), 0))
 SEGMENTS: Final = select(segments.c.first).order_by(segments.c.first)
 

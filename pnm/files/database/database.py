@@ -90,18 +90,19 @@ class Database:
                 driver.run_many(sql, rows)
 
     @contextmanager
-    def transaction(self, *, is_new: bool = True) -> Iterator[None]:
+    def transaction(self, *, is_new: bool = True, is_durable: bool = False) -> Iterator[None]:
         """Commit everything inside at the end, or nothing after an error.
 
         Args:
             is_new: whether a connection that was lost is opened anew for it, which takes its time.
+            is_durable: whether it, and all before it, survive that the computer of a server dies, also where others do not.
         """
         if is_new:
             self.connect()
         with self._translated:
             if self._driver is None:
                 raise DatabaseError("there is no connection")
-            self._driver.begin()
+            self._driver.begin(is_durable=is_durable)
         try:
             yield
             with self._translated:

@@ -50,8 +50,8 @@ class Driver(Protocol):
     def run_many(self, sql: str, rows: Sequence[Mapping[str, object]], /) -> None:
         """Execute a statement for each row."""
 
-    def begin(self) -> None:
-        """Begin a transaction that writes."""
+    def begin(self, *, is_durable: bool) -> None:
+        """Begin a transaction that writes, and that survives the death of the computer of a server if it is durable."""
 
     def prepare(self, layout: Layout, ddl: Sequence[str], *, read_only: bool) -> None:
         """Make the tables unless they are there; refuse those of something else or of another version."""

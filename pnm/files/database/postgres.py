@@ -107,9 +107,9 @@ class Postgres:
             self._statements[sql] = self._connection.prepare(sql)
         return self._statements[sql]
 
-    def begin(self) -> None:
-        """Begin a transaction that writes."""
-        self._connection.run("BEGIN")
+    def begin(self, *, is_durable: bool) -> None:
+        """Begin a transaction that writes. One that is durable makes everything durable that was committed before it."""
+        self._connection.run("BEGIN; SET LOCAL synchronous_commit TO on" if is_durable else "BEGIN")
 
     def prepare(self, layout: Layout, ddl: Sequence[str], *, read_only: bool) -> None:
         """Make the tables unless they are there; refuse those of something else or of another version."""
@@ -119,7 +119,7 @@ class Postgres:
             raise DatabaseError(f"there is no {layout.kind}")
         # One process makes the tables. The others wait before their transactions begin: within one, they need not see what it has made.
         self._connection.run("SELECT pg_advisory_lock(:key)", key=MAKING)
-        self.begin()
+        self.begin(is_durable=True)
         if not self._version(layout):
             self._connection.run(f"CREATE SCHEMA IF NOT EXISTS {self._name}")
             self._connection.run("CREATE TABLE IF NOT EXISTS formats (kind TEXT PRIMARY KEY, version INTEGER NOT NULL)")

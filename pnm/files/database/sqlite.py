@@ -67,8 +67,8 @@ class Sqlite:
                 raise KeyboardInterrupt from error
             raise
 
-    def begin(self) -> None:
-        """Begin a transaction that writes."""
+    def begin(self, *, is_durable: bool) -> None:
+        """Begin a transaction that writes; all are as durable as the file was opened to be."""
         self._connection.execute("BEGIN IMMEDIATE")
 
     def prepare(self, layout: Layout, ddl: Sequence[str], *, read_only: bool) -> None:
@@ -84,7 +84,7 @@ class Sqlite:
             self._connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
             self._connection.execute("PRAGMA journal_mode = WAL")
             with self._connection:
-                self.begin()
+                self.begin(is_durable=False)
                 if self._number("application_id") != layout.application:  # unless another process was quicker
                     for table in ddl:
                         self._connection.execute(table)

@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from itertools import count
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from tests.support.processes import LIMIT, parent, until
 
@@ -43,15 +43,22 @@ class PostgresServer:
         self.port = _free_port()
         settings = [part for setting in (f"listen_addresses={address}", f"port={self.port}", *_HURRY) for part in ("-c", setting)]
         become = ["setpriv", f"--reuid={_USER}", "--clear-groups"] if _USER else []
-        with (self._folder / "log").open("w") as log:
-            command = [*within, *become, str(self._bin / "postgres"), "-D", str(data), *settings]
-            self.process = subprocess.Popen(command, cwd=self._folder, stdout=log, stderr=log)
-        ready = [*within, str(self._bin / "pg_isready"), "-q", "-h", address, "-p", str(self.port)]
+        self._command = [*within, *become, str(self._bin / "postgres"), "-D", str(data), *settings]
+        self._ready = [*within, str(self._bin / "pg_isready"), "-q", "-h", address, "-p", str(self.port)]
+        self.process = self._started()
         try:
-            until(lambda: subprocess.run(ready, check=False).returncode == 0)
+            self.wait_ready()
         except BaseException:
             self.close()
             raise
+
+    def _started(self) -> subprocess.Popen[bytes]:
+        with (self._folder / "log").open("a") as log:
+            return subprocess.Popen(self._command, cwd=self._folder, stdout=log, stderr=log)
+
+    def wait_ready(self) -> None:
+        """Wait until the server takes connections."""
+        until(lambda: subprocess.run(self._ready, check=False).returncode == 0)
 
     def _copied(self) -> Path:
         """Return a copy of the programs: the user who runs them may have no access to where they are."""
@@ -79,6 +86,30 @@ class PostgresServer:
         with Connection("pnm", host=self.address, port=self.port, database="postgres") as connection:
             connection.run("SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE pid <> pg_backend_pid() AND datname IS NOT NULL")
 
+    def kill_a_backend(self) -> None:
+        """Kill a process of the server by SIGKILL, as the kernel does when memory is short.
+
+        The server ends all others, and starts anew with what is on its disk.
+        """
+        from pg8000.native import Connection
+
+        killed, other = (Connection("pnm", host=self.address, port=self.port, database="postgres") for _ in range(2))
+        os.kill(int(killed.run("SELECT pg_backend_pid()")[0][0]), signal.SIGKILL)
+        until(lambda: not _answers(other))
+        for connection in (killed, other):
+            with suppress(Exception):
+                connection.close()
+
+    def stop_at_once(self) -> None:
+        """Stop the server as `pg_ctl stop -m immediate` does, which leaves the rest to the recovery at its next start."""
+        self.process.send_signal(signal.SIGQUIT)  # it has its own processes end
+        self.process.wait(LIMIT)
+
+    def start_again(self) -> None:
+        """Start the server, which was stopped."""
+        self.process = self._started()
+        self.wait_ready()
+
     @contextmanager
     def stopped(self) -> Iterator[None]:
         """Have the server answer nothing for a while."""
@@ -100,8 +131,7 @@ class PostgresServer:
 
     def close(self) -> None:
         """End the server at once, and remove what it had."""
-        self.process.send_signal(signal.SIGQUIT)  # it has its own processes end
-        self.process.wait(LIMIT)
+        self.stop_at_once()
         shutil.rmtree(self._folder, ignore_errors=True)
 
 
@@ -113,6 +143,13 @@ def postgres_server() -> Iterator[PostgresServer]:
         yield server
     finally:
         server.close()
+
+
+def _answers(connection: Any) -> bool:
+    with suppress(Exception):  # pg8000 raises what it comes across when a server goes away
+        connection.run("SELECT 1")
+        return True
+    return False
 
 
 def _free_port() -> int:

@@ -88,8 +88,8 @@ MISTAKES: Final = (
     Mistake(
         "there are no epochs",
         (
-            Change("pnm/journal/store.py", "self._run_one(tables.WHOSE) != self.epoch", "self._run_one(tables.WHOSE) < self.epoch"),
-            Change("pnm/journal/store.py", "enumerate(rows, self._last + 1)", "enumerate(rows, self._run_one(tables.LAST) + 1)"),
+            Change("pnm/journal/store.py", "if epoch > self.epoch:", "if epoch < self.epoch:"),
+            Change("pnm/journal/store.py", "self._mend(int(last) if epoch == self.epoch else 0)", "self._last = int(last)"),
         ),
         "knowledge_is_the_fold_of_its_changes",
     ),
