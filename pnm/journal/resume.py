@@ -18,7 +18,7 @@ from pnm.core.net.no_collection import no_collection
 from pnm.errors import InputError, PnmError
 from pnm.files.database.place import Place
 from pnm.journal.codec import Codec, Undecodable
-from pnm.journal.kept import Durability, Fenced, Held, Hold, JournalChoice, JournalError, log_end
+from pnm.journal.kept import Damaged, Durability, Fenced, Held, Hold, JournalChoice, JournalError, log_end
 from pnm.journal.lease import take
 from pnm.journal.records import Record, SharedBegan, TaskSummary
 from pnm.journal.replay import Replay, ReplayDiffers, Step
@@ -130,7 +130,8 @@ def replay_steps(place: Place, codec: Codec, replay: Replay, *, only_last: bool 
     """Replay a journal, or only its last segment; yield each record when it was replayed.
 
     Raises:
-        JournalError: it is no journal, or one of another version.
+        Damaged: records of it are missing, or do not fit each other.
+        JournalError: it is no journal, or one of another version, or cannot be read now.
         ReplayDiffers: its runs do something else in this version.
         Undecodable: this version does not know what its records are made of.
     """
@@ -151,7 +152,7 @@ def steps_after(kept: KeptJournal, codec: Codec, apply: Apply, after: int) -> It
         raise
     except Exception as error:  # whatever it is that a damaged file, or records that do not fit each other, lead to
         reason = f"{type(error).__name__}: {error}"[:_LONG]
-        raise JournalError(f"the journal {kept.place} is damaged behind record {after}: {reason}") from error
+        raise Damaged(f"the journal {kept.place} is damaged behind record {after}: {reason}") from error
 
 
 def summaries(place: Place, codec: Codec) -> tuple[TaskSummary, ...]:
@@ -215,29 +216,37 @@ async def stand_by(choice: JournalChoice, codec: Codec, origin: str, waits: Call
         choice: as for `take_up`.
         codec: as well.
         origin: as well.
-        waits: called with the process that holds it, when that is another one than before.
+        waits: called with the process that holds it, when that is another one than before, and when the journal is back.
+
+    Once the journal has been reached, losing it is no end: it is tried again, after pauses that grow, for as long as that takes.
 
     Raises:
         InputError: as for `take_up`, or the process that holds it serves another world.
     """
-    candidate, holder, is_well = _Candidate(choice, codec, origin), "", True
+    candidate, has_reached, told, pause = _Candidate(choice, codec, origin), False, "", _SOON
     try:
         while True:
             try:
-                return await asyncio.to_thread(candidate.taken)
-            except Held as held:
-                is_well = True
-                if held.holder != holder:
-                    holder = held.holder
-                    waits(holder)
-                await asyncio.to_thread(candidate.wait, held.left)
+                match await asyncio.to_thread(candidate.asked):
+                    case Taken() as taken:
+                        return taken
+                    case Held(holder=holder, left=left):
+                        has_reached = True
+                        if holder != told:
+                            waits(holder)
+                        told = holder
+                        await asyncio.to_thread(candidate.wait, left)
+                        pause = _SOON
+            except Damaged:
+                raise
             except JournalError as error:
-                if not holder:  # it has never been reached
+                if not has_reached:
                     raise
-                if is_well:
+                if told:
                     _log.warning("%s; it is tried again", error)
-                is_well = False
-                await asyncio.to_thread(sleep, _LOOK)  # on real time, also where that of a simulation is followed
+                told = ""  # that it stands by again is said as well
+                await asyncio.to_thread(sleep, pause)  # on real time, also where that of a simulation is followed
+                pause = min(2.0 * pause, _LOOK)
     except (JournalError, Undecodable) as error:
         raise InputError(str(error)) from error
     finally:
@@ -255,6 +264,13 @@ class _Candidate:
         self._follower: Follower | None = None
         self._why_not = ""
         """Why this version cannot replay it."""
+
+    def asked(self) -> Taken | Held:
+        """Return the journal as `taken` does, or who holds it."""
+        try:
+            return self.taken()
+        except Held as held:
+            return held
 
     def taken(self) -> Taken:
         """Take the journal; what is in it is replayed before, so that it goes on at once.

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from uuid import UUID
@@ -22,6 +24,7 @@ from pnm.journal.store import JournalFile
 from pnm.journal.written_journal import WrittenJournal
 from pnm.tasks import Wanted
 from tests.support.e2e.hosts.postgres import PostgresServer
+from tests.support.processes import until
 
 OTHER = Wanted(UUID(int=2), "(other)")
 
@@ -46,6 +49,56 @@ def test_a_process_that_stands_by_goes_on_with_all_that_was_kept(place: Place) -
         assert waits.empty()
         assert second.replay is not None
         assert second.replay.world.facts() == world.facts()
+        assert [task.accepted.wanted for task in second.replay.unfinished] == [OTHER]
+        second.write().close()
+
+    run_async(main())
+
+
+def drop(server: PostgresServer, is_missed: Callable[[], bool]) -> None:
+    server.drop_connections()
+    until(is_missed)
+
+
+def cut(server: PostgresServer, is_missed: Callable[[], bool]) -> None:
+    with server.stopped():
+        until(is_missed)
+
+
+def restart(server: PostgresServer, is_missed: Callable[[], bool]) -> None:
+    server.stop_at_once()
+    until(is_missed)
+    server.start_again()
+
+
+@pytest.mark.parametrize("harm", [drop, cut, restart])
+def test_a_process_whose_connection_is_lost_goes_on_standing_by(
+    harm: Callable[[PostgresServer, Callable[[], bool]], None], postgres: PostgresServer, caplog: pytest.LogCaptureFixture
+) -> None:
+    place = place_of(postgres.database())
+
+    def is_missed() -> bool:
+        return "it is tried again" in caplog.text
+
+    async def main() -> None:
+        world, waits = KnowledgeBase(), asyncio.Queue[str]()
+        taken = take_up(JournalChoice(place, lease=1000.0), TASKS, "here")
+        first = begun(taken, world)
+        standing = asyncio.ensure_future(stand_by(JournalChoice(place), TASKS, "here", waits.put_nowait))
+        holder = await waits.get()
+        await asyncio.to_thread(harm, postgres, is_missed)
+        again = asyncio.ensure_future(waits.get())
+        await asyncio.wait((again, standing), return_when=asyncio.FIRST_COMPLETED)
+        assert again.done(), standing
+        assert await again == holder, "that it stands by again is said"
+        assert caplog.text.count("it is tried again") == 1, "and what is wrong once"
+        with suppress(JournalError):  # the connection of the holder was lost as well
+            taken.file.renew()
+        taken.file.renew()
+        first.accepted(OTHER, 1)
+        first.close()
+        second = await standing
+        assert second.replay is not None
         assert [task.accepted.wanted for task in second.replay.unfinished] == [OTHER]
         second.write().close()
 
