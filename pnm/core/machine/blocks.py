@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Final, Protocol
 
+from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.call_block import CallTerms
 from pnm.core.machine.machine import (
     Accepts,
@@ -155,9 +156,9 @@ class PlacedRegion:
 class MachineBlocks(BlockArcs[PlacedStep]):
     """The blocks of a machine and the regions between them, and the rules of their transitions. Builders add to it."""
 
-    def __init__(self, plan: PlanGraph) -> None:
+    def __init__(self, plan: PlanGraph, bindings: Bindings) -> None:
         super().__init__()
-        self.plan = plan
+        self.plan, self.bindings = plan, bindings
         self.regions: list[PlacedRegion] = []
         self.parts: Sequence[object] = ()
         """What the machine was made of."""
@@ -279,6 +280,7 @@ class MachineBlocks(BlockArcs[PlacedStep]):
 
         machine = PetriNetMachine(
             plan=self.plan,
+            bindings=self.bindings,
             net=PetriNet(places, ArcsByName(self, transitions, places, self.inputs), ArcsByName(self, transitions, places, self.outputs)),
             initial=NumberedMarking(ByName(places, marked)),
             rules=RulesByName(self, transitions),

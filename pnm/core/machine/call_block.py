@@ -27,7 +27,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import isfinite
-from typing import Final
+from typing import NamedTuple
 
 from pnm.core.logic.computed_values import may_ask
 from pnm.core.logic.conditions import TRUE, Condition, conjunction, conjuncts, data_in, names
@@ -60,7 +60,7 @@ from pnm.core.machine.machine import (
 from pnm.core.machine.plan_graph import ActionCall, Cause, GroundAction
 from pnm.core.machine.recovery_block import Recoveries, abandon, build_recoveries, succeeded_place
 from pnm.core.machine.requests import OutcomeKind
-from pnm.core.machine.step_block import OWN, Block, Context, OwnRule, Port, Terms
+from pnm.core.machine.step_block import OWN, Block, OwnRule, Port, Terms
 
 _SUCCEEDED = frozenset({OutcomeKind.SUCCEEDED})
 _UNSUCCESSFUL = frozenset(OutcomeKind) - _SUCCEEDED
@@ -79,12 +79,12 @@ _ALIVE = ("requested", "withdrawing", f"{_RESTARTED}requested", f"{_RESTARTED}wi
 
 
 class CallTerms(Terms[ActionCall]):
-    """Terms of a call."""
+    """Terms of a call: all that its action, its binding and its plan ask for, said once. The proof looks for it in the net."""
 
-    def __init__(self, context: Context, step: ActionCall, delays: tuple[tuple[str, float], ...]) -> None:
-        super().__init__(context, step, delays)
-        self.may_start: Final = _before_start(step.action, context.plan.rules)
-        """What is checked before the start."""
+    @cached_property
+    def may_start(self) -> Condition:
+        """Condition that is checked before the start."""
+        return _before_start(self.step.action, self.context.plan.rules)
 
     @property
     def release(self) -> float:
@@ -100,6 +100,59 @@ class CallTerms(Terms[ActionCall]):
     def latest(self) -> float:
         """Seconds after the plan's start by which it must have been sent."""
         return min(self.step.latest_start, self.step.deadline)
+
+    @cached_property
+    def binding(self) -> Binding:
+        """Limits of the action."""
+        return self.context.bindings.of(self.step.action.name)
+
+    @property
+    def retries(self) -> int:
+        """Retries of the call, from the plan or else from its binding."""
+        return self.binding.retries if self.step.retries is None else self.step.retries
+
+    @property
+    def is_timed(self) -> bool:
+        """Whether its start waits for a time."""
+        return bool(self.step.earliest or self.delays)
+
+    def must_happen(self, *, relied_on: bool) -> bool:
+        """Return whether the call is made even if all that it would change is so already.
+
+        What comes while it runs relies on its start (`relied_on`); time may still undo what seems to be done; and when it is
+        repeated, effects of its own last round prove nothing.
+        """
+        return relied_on or bool(self.step.release) or (self.context.repeated and self.step.action.expected != TRUE)
+
+    @property
+    def asks_at_its_end(self) -> bool:
+        """Whether a check after success, or an effect, may have to ask what the run does not know."""
+        action, recoveries = self.step.action, self.step.recoveries
+        asked = [recovery.when for recovery in recoveries if Cause.AFTER in recovery.causes]
+        if asked and any(argument.startswith("?") for argument in action.arguments):
+            return True
+        asked += [effect.condition for effect in every_effect(action.end_effects) if isinstance(effect, When)]
+        asked += [part for part in (action.end_condition, action.expected) if part is not TRUE]
+        return any(may_ask(data) for part in asked for data in data_in(part))
+
+
+class CallKey(NamedTuple):
+    """All traits that the template of a call without recoveries depends on; the proof looks for each of them in the net."""
+
+    connected: frozenset[Port]
+    repeated: bool
+    starts_anew: bool
+    is_timed: bool
+    has_latest_start: bool
+    has_deadline: bool
+    under_way: bool
+    must_happen: bool
+    has_invariant: bool
+    asks_at_its_end: bool
+    retries: int
+    accept: float
+    cancel: float
+    when_lost: WhenLost
 
 
 @dataclass
@@ -119,8 +172,8 @@ class CallBlock(Block[ActionCall]):
             for name in ("ready", "requested", "recover", "withdrawing"):
                 self.place(phase + name)
         self.draft.failures.append("failed")
-        if self.retries:
-            self.budget("budget", "spent", self.retries)
+        if self.terms.retries:
+            self.budget("budget", "spent", self.terms.retries)
         self.recoveries = build_recoveries(self)  # before the attempts, whose transitions lead to the places of recoveries
         self._attempt("", announced)
         if announced:
@@ -133,13 +186,25 @@ class CallBlock(Block[ActionCall]):
     @property
     def key(self) -> object:
         """What the shape of the block depends on; recoveries of its own make it one of its own kind."""
-        step, binding = self.step, self.binding
+        step, terms, binding = self.step, self.terms, self.terms.binding
         if step.recoveries:
             return None
-        is_timed = bool(step.earliest or self.delays), isfinite(step.latest_start), isfinite(step.deadline)
-        traits = step.under_way, self._must_happen, step.action.invariant != TRUE, self._asks_at_its_end
-        limits = self.retries, binding.accept, binding.cancel, binding.when_lost
-        return self.connected, self.context.repeated, self.context.starts_anew, is_timed, traits, limits
+        return CallKey(
+            self.connected,
+            self.context.repeated,
+            self.context.starts_anew,
+            terms.is_timed,
+            isfinite(step.latest_start),
+            isfinite(step.deadline),
+            step.under_way,
+            self._must_happen,
+            step.action.invariant != TRUE,
+            terms.asks_at_its_end,
+            terms.retries,
+            binding.accept,
+            binding.cancel,
+            binding.when_lost,
+        )
 
     def add(self, rule: Rule | OwnRule, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], *, title: str = "") -> None:
         """Add a transition between any places; one that leads to where a request may be alive takes the resources."""
@@ -155,7 +220,7 @@ class CallBlock(Block[ActionCall]):
                 # Before the start as if the server were not there. But a recovery that goes on as if it had succeeded needs a request.
                 is_unserved = name.endswith("start") and Cause.UNAVAILABLE not in self.recoveries.kept
                 marked_then = self._after(Cause.UNAVAILABLE, out) if is_unserved else out
-                withheld = check_rule(Cause.WITHHELD, Withheld(OWN, self.binding.accept, like.action))
+                withheld = check_rule(Cause.WITHHELD, Withheld(OWN, self.terms.binding.accept, like.action))
                 # Added before the transition itself: a wait for resources must have a way out that does not need them.
                 super().add(withheld, taken, marked_then, title=f"{withheld.name} before {name}")
             inputs = {**taken, **dict.fromkeys(resources, 1)} if is_alive and not was_alive else taken
@@ -174,34 +239,18 @@ class CallBlock(Block[ActionCall]):
     def _alive(self) -> frozenset[str]:
         """Places of a call that is under way; what waits for others or for answers before its effects are looked for is not."""
         # The robot is at rest then, and its resources are free for others: nothing is asked while resources are held.
-        settling = () if self._asks_at_its_end else ("settling",) if self.awaited else ("settling", "finished")
+        settling = () if self.terms.asks_at_its_end else ("settling",) if self.awaited else ("settling", "finished")
         return frozenset((*_ALIVE, *settling))
-
-    @property
-    def _asks_at_its_end(self) -> bool:
-        """Whether a check after success, or an effect, may have to ask what the run does not know."""
-        action = self.step.action
-        own = [recovery.when for recovery in self.step.recoveries if Cause.AFTER in recovery.causes]
-        effects = (effect.condition for effect in every_effect(action.end_effects) if isinstance(effect, When))
-        is_open = bool(own) and any(argument.startswith("?") for argument in action.arguments)
-        return is_open or any(
-            may_ask(data) for part in (*own, *effects, action.end_condition, action.expected) if part != TRUE for data in data_in(part)
-        )
 
     @cached_property
     def terms(self) -> CallTerms:
         """Terms of the call."""
         return CallTerms(self.context, self.step, self.delays)
 
-    @cached_property
-    def binding(self) -> Binding:
-        """Limits of the action."""
-        return self.context.bindings.of(self.step.action.name)
-
     @property
-    def retries(self) -> int:
-        """Retries of the call, from the plan or else from its binding."""
-        return self.binding.retries if self.step.retries is None else self.step.retries
+    def _must_happen(self) -> bool:
+        """Whether the call is made even if all that it would change is so already."""
+        return self.terms.must_happen(relied_on=bool(self.awaited or self.at(Port.ANNOUNCES)))
 
     def _attempt(self, phase: str, announced: list[str]) -> None:
         """From `ready` to acceptance, and from `recover` back or out."""
@@ -238,7 +287,7 @@ class CallBlock(Block[ActionCall]):
         unavailable = self._after(Cause.UNAVAILABLE, [recover])
         # A report that skips the acceptance is put right by the run; this exit makes the block complete without relying on that.
         add(Rule("ended_early", Ends(OWN, _NOT_EARLY), cause=Cause.UNAVAILABLE), requested, unavailable)
-        too_long, in_vain = After(self.binding.accept), After(self.binding.cancel)
+        too_long, in_vain = After(self.terms.binding.accept), After(self.terms.binding.cancel)
         unanswered = Rule("unanswered", too_long, action=_CANCEL, cause=Cause.UNAVAILABLE, expected=_ANSWER, observed="none")
         # The goal may have arrived all the same, so it is cancelled and its end awaited before another attempt.
         add(unanswered, requested, [withdrawing])
@@ -250,21 +299,10 @@ class CallBlock(Block[ActionCall]):
         add(unheard, withdrawing, failed)  # no retry here: the robot may still carry out the first request
 
         abandon(self, "recover", *announced, phase=phase)  # asked before `retry`: an ending run does not try again
-        budget, spent, retries = "budget", "spent", self.retries
+        budget, spent, retries = "budget", "spent", self.terms.retries
         if retries:  # by their counters just one of `retry` and `give_up` is enabled at any time
             self.add(Rule("retry"), [recover, budget], [ready, spent], title=f"{phase}retry")
         self.add(Rule("give_up"), {recover: 1, spent: retries} if retries else {recover: 1}, failed, title=f"{phase}give_up")
-
-    @property
-    def _must_happen(self) -> bool:
-        """Whether the call is made even if all that it would change is so already.
-
-        What comes while it runs relies on its start; time may still undo what seems to be done; and when it is
-        repeated, effects of its own last round prove nothing.
-        """
-        repeats = self.context.repeated and self.step.action.expected != TRUE
-        relied_on = bool(self.awaited or self.at(Port.ANNOUNCES))
-        return repeats or relied_on or bool(self.step.release)
 
     def _run(self, phase: str) -> None:
         """From acceptance to one exit per outcome."""
@@ -272,7 +310,7 @@ class CallBlock(Block[ActionCall]):
         self.fire(Rule("succeeded", Ends(OWN, _SUCCEEDED)), "running", returned)
         for_good = ["done", "failed"]
         for kind, cause in _LATE.items():
-            is_final = cause is Cause.LOST and self.binding.when_lost is WhenLost.ABORT
+            is_final = cause is Cause.LOST and self.terms.binding.when_lost is WhenLost.ABORT
             self._outcome(kind.value, Ends(OWN, frozenset({kind})), "running", cause, for_good if is_final else recover)
         # No server sends these after an acceptance, but the place needs an exit for every kind of end.
         self._outcome("ended_oddly", Ends(OWN, _ODD), "running", Cause.ABORTED, recover)
@@ -292,7 +330,7 @@ class CallBlock(Block[ActionCall]):
             self.fire(missed, "running", "stopping", "failed")
         self.fire(OwnRule(Rule("timed_out", action=_CANCEL), lambda own: After(own.timeout)), "running", "overdue")
 
-        in_vain, confirmation = After(self.binding.cancel), f"a confirmed cancellation within {self.binding.cancel:g} s"
+        in_vain, confirmation = After(self.terms.binding.cancel), f"a confirmed cancellation within {self.terms.binding.cancel:g} s"
         # A success after the limit is a success: cancelling is a race with the server that it may win.
         self.fire(Rule("late_success", Ends(OWN, _SUCCEEDED)), "overdue", returned)
         late, taken_back = Ends(OWN, _UNSUCCESSFUL), self._undone(Cause.TIMED_OUT)

@@ -29,7 +29,7 @@ class Builder:
     """Places the blocks of a plan. The mutable state is what of the net there is so far."""
 
     def __init__(self, plan: PlanGraph, bindings: Bindings) -> None:
-        self.blocks = MachineBlocks(plan)
+        self.blocks = MachineBlocks(plan, bindings)
         starts_anew = any(recovery.then is Then.RESTART_PLAN for call in plan.calls for recovery in call.recoveries)
         # If the plan can begin anew, every block can be entered again, and must give back what it has spent.
         self.context = Context(plan, bindings, starts_anew, repeated=starts_anew)

@@ -19,7 +19,7 @@ from typing import NamedTuple, TypeAlias
 
 from pnm.core import notebook
 from pnm.core.logic.conditions import Condition
-from pnm.core.machine.bindings import is_open
+from pnm.core.machine.bindings import Bindings, is_open
 from pnm.core.machine.plan_graph import Cause, Moment, Ordering, PlanGraph
 from pnm.core.machine.requests import OutcomeKind
 from pnm.core.net.firing_engine import CompiledNet
@@ -277,9 +277,11 @@ class Region:
 
 @dataclass(frozen=True)
 class PetriNetMachine:
-    """A net with roles, rules and the plan it was made from."""
+    """A net with roles, rules, and what it was made from: a plan and bindings."""
 
     plan: PlanGraph
+    bindings: Bindings
+    """Limits and resources of its calls."""
     net: PetriNet
     initial: Marking
     rules: Mapping[str, Rule]

@@ -42,7 +42,7 @@ def build_recoveries(block: Block[ActionCall]) -> Recoveries:
     """Add the plan's own recoveries to the block of a call; those for one cause are used in their order."""
     lists: dict[Cause, list[int]] = {}
     for number, recovery in enumerate(block.step.recoveries):
-        if not _is_direct(recovery):
+        if not is_direct(recovery):
             _chained(block, recovery, number)
         for cause in recovery.causes:
             # CONTINUE leads to `finished`, where the effects of a request are looked for: it needs a request, and comes before that check.
@@ -68,7 +68,7 @@ def build_recoveries(block: Block[ActionCall]) -> Recoveries:
     return Recoveries(places, kept, tuple(checks))
 
 
-def _is_direct(recovery: Recovery) -> bool:
+def is_direct(recovery: Recovery) -> bool:
     """Return whether there is nothing to do first and nothing to repeat, and so nothing to count: the token goes on directly."""
     return recovery.chain == EMPTY and recovery.then in (Then.CONTINUE, Then.SKIP, Then.FAIL)
 
@@ -80,7 +80,7 @@ def _in_turn(block: Block[ActionCall], numbers: tuple[int, ...], built: dict[tup
     but for the first, whose condition has been asked before.
     """
     first, recoveries = numbers[0], block.step.recoveries
-    if _is_direct(recoveries[first]):
+    if is_direct(recoveries[first]):
         return _direct(block, recoveries[first])
     if numbers in built:
         return built[numbers]
@@ -95,13 +95,13 @@ def _in_turn(block: Block[ActionCall], numbers: tuple[int, ...], built: dict[tup
         guard = Always() if number == first or recovery.when == TRUE else ConditionTrue(recovery.when)
         rule = Rule("recover", guard, action=None if recovery.then is Then.CONTINUE else undo)
         title = f"recover {number}" if len(numbers) == 1 else f"recover {number} of {names}"
-        if _is_direct(recovery):
+        if is_direct(recovery):
             block.add(rule, [recovering], _direct(block, recovery), title=title)
         else:
             entered = [*block.chains[number].first, f"uses spent {number}"]
             block.add(rule, [recovering, f"uses left {number}"], entered, title=title)
     last = recoveries[numbers[-1]]
-    if not (_is_direct(last) and last.when == TRUE):
+    if not (is_direct(last) and last.when == TRUE):
         # It takes all tokens of `uses spent`, so it is enabled only when none is left: no inhibitor arc is needed.
         spent = {recovering: 1, f"uses spent {first}": recoveries[first].times}
         block.add(Rule("give_up", action=undo), spent, ["done", "failed"], title=f"give_up {names}")

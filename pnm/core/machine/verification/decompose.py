@@ -13,8 +13,7 @@ from typing import Final, TypeAlias
 
 from pnm.core.machine.machine import CallOutcome, ConditionFalse, ConditionTrue, OnFailure, PetriNetMachine, Region
 from pnm.core.machine.plan_graph import Choice, Loop, Moment
-from pnm.core.machine.verification.counters import without_counts
-from pnm.core.machine.verification.part import Inside, Part, Step, Unsound, step_of
+from pnm.core.machine.verification.part import Inside, Part, Step, Unsound, step_of, without_counts
 from pnm.core.machine.verification.place_roles import check_roles
 from pnm.core.net.net import Weights
 

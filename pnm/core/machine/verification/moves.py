@@ -6,9 +6,8 @@ from collections.abc import Iterator, Sequence
 from typing import Final, NamedTuple, TypeAlias
 
 from pnm.core.machine.machine import Accepts, Adopted, After, Due, Ends
-from pnm.core.machine.verification.counters import in_each_case
 from pnm.core.machine.verification.exits import Moods, is_open
-from pnm.core.machine.verification.part import Part, Step, Unsound
+from pnm.core.machine.verification.part import Part, Step, Unsound, in_each_case
 from pnm.core.machine.verification.request_life import Account, Life, accounted, following, lacking_account, may_come, misuse
 
 Tokens: TypeAlias = tuple[int, ...]

@@ -144,10 +144,10 @@ def _connects(block: PlacedStep, port: Port | None, owner: int | None, meant: Or
 
 
 def _check_times(name: str, rule: Rule, inputs: Iterable[str], release: float, delays: Mapping[str, float]) -> None:
-    """Check that a transition which takes from what the start waits for waits for the times as well."""
+    """Check that a transition which takes from what the start waits for waits for the times as well, and no longer."""
     seconds, since = (rule.guard.seconds, dict(rule.guard.since)) if isinstance(rule.guard, Due) else (0.0, {})
-    is_early = seconds < release or any(since.get(place, 0.0) < delays[place] for place in inputs if place in delays)
-    if is_early and not isinstance(rule.guard, Ending):
+    wanted = {place: delays[place] for place in inputs if delays.get(place)}
+    if (seconds, since) != (release, wanted) and not isinstance(rule.guard, Ending):
         raise Unsound(f"{name} does not wait for the times that the plan gives")
 
 

@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from operator import gt
 
 from pnm.core.machine.machine import Always, Ends
-from pnm.core.machine.verification.counters import in_each_case
 from pnm.core.machine.verification.exits import asks_the_world, lacking_exit, missing_exit
 from pnm.core.machine.verification.moves import Moves, State
-from pnm.core.machine.verification.part import Inside
+from pnm.core.machine.verification.part import Inside, in_each_case
 from pnm.core.machine.verification.request_life import SETTLED, Life, untaken
 
 

@@ -21,7 +21,8 @@ order, and from the innermost steps outwards, each block gets its inputs once an
 once whenever it is entered. Counters are explored as all, some or none left, and their moves end because they have one direction.
 
 The net is that of the plan: its regions are the flows, every ordering is a place that its two events keep in order, delays and
-releases are waited for, and a step fails only after some rule has found the cause.
+releases are waited for, and a step fails only after some rule has found the cause. Every call asks, watches, holds and counts what its
+action, its binding and the plan ask of it: the rules are in `pnm.core.machine.verification.call_content`.
 
 A block takes all of its resources at once, while it has none, gives them back whatever happens, and
 waits neither for other blocks nor for what it holds as long as it has them. So a call that has resources
@@ -35,18 +36,20 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from graphlib import CycleError, TopologicalSorter
 from math import isfinite
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple, TypeAlias, TypeVar
 
 from pnm.core.machine.blocks import MachineBlocks, PlacedRegion, PlacedStep, built_from
 from pnm.core.machine.machine import (
     Adopted,
     ConditionTrue,
+    Guard,
     OnFailure,
     PetriNetMachine,
     Withheld,
 )
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.verification.block_shape import kinds_of, shape_of
+from pnm.core.machine.verification.call_content import RESOURCES, Asked, AskedOf, Watch, check_content, check_guard, net_of, net_of_block
 from pnm.core.machine.verification.decompose import Anatomy, Block, Connected, Event, Owner
 from pnm.core.machine.verification.explore import Exploration, NeverFires, explore_part, never_fire
 from pnm.core.machine.verification.part import Inside, Part, Unsound, step_of
@@ -135,9 +138,53 @@ def verify(machine: PetriNetMachine) -> Proof:
         TopologicalSorter(waits).prepare()
     except CycleError as error:
         raise Unsound(f"blocks wait for each other: {error.args[1]}") from error
+    if blocks is None:
+        _check_contents(anatomy)
     for kind, shape in found.items():
         _FOUND_GOOD.keep(kind, shape)
     return Proof(len(machine.plan.calls), len(proved), sum(shape.explored.states for shape in proved), machine)
+
+
+_Watched: TypeAlias = tuple[tuple[int, Watch], ...]
+"""Guards of a kind of calls that are looked at for each: where they are among those of its own, and what asks for them."""
+_KEEPS_ITS_RULES: Final = Remembered[object, _Watched]()
+"""The kinds of calls whose content was looked at, in any machine."""
+
+
+class _Contents:
+    """Looks at what the calls of a machine do. The mutable state are the kinds of calls that were looked at."""
+
+    def __init__(self, machine: PetriNetMachine, blocks: MachineBlocks) -> None:
+        self._blocks, self._asked_of = blocks, AskedOf(machine)
+        self._resources = machine.net.numbered(machine.resource_places)
+        self._looked_at: dict[object, _Watched] = {}
+
+    def check(self, block: PlacedStep, call: ActionCall, guards: Sequence[tuple[Guard, Weights]]) -> object:
+        """Check what is asked of a call: all of it for the first one of its kind, and its guards for the others; return its kind."""
+        asked, template = self._asked_of(call), block.template
+        kind = template, asked.kind
+        watched = self._looked_at.get(kind)
+        if watched is None:
+            watched = self._looked_at[kind] = _KEEPS_ITS_RULES.get(kind) or self._first(block, asked)
+        for position, watch in watched:
+            check_guard(watch, guards[position][0], asked)
+        if asked.resources and {self._resources[place] for place in block.ports[RESOURCES]} != {*asked.resources}:
+            raise Unsound(f"{call} does not keep the rule of its resources: its port is not that of {', '.join(asked.resources)}")
+        return kind
+
+    def _first(self, block: PlacedStep, asked: Asked) -> _Watched:
+        template = block.template
+        found = check_content(net_of_block(self._blocks, block, self._resources), asked)
+        watched = tuple([(position, found[number]) for position, number in enumerate(template.own) if number in found])
+        return _KEEPS_ITS_RULES.keep((template, asked.kind), watched) if template.is_shared else watched
+
+
+def _check_contents(anatomy: Anatomy) -> None:
+    """Check that every call does what is asked of it."""
+    machine = anatomy.machine
+    asked_of = AskedOf(machine)
+    for call in machine.plan.calls:
+        check_content(net_of(machine, call.index, anatomy.transitions.get(call.index, ())), asked_of(call))
 
 
 class _Sample(NamedTuple):
@@ -164,13 +211,15 @@ def _sample(machine: PetriNetMachine, blocks: MachineBlocks) -> _Sample:
     sample, seen = _Sample([], {}, set(), [], set()), set[object]()
     surroundings = machine.on_failure, bool(machine.restart_places)
     regions = {step.index: region for region in blocks.regions for step in region.inner.flow.steps}
+    contents = _Contents(machine, blocks)
     for block in blocks.placed:
         if (step := block.step) is None:
             sample.chosen.append(block)
             continue
         region, template = regions.get(step.index), block.template
-        borders = _borders(block, region)
-        like = (template, tuple(map(bool, block.ports)), *map(bool, borders), kinds_of(blocks.own_guards(block)))
+        borders, guards = _borders(block, region), blocks.own_guards(block)
+        content = contents.check(block, step, guards) if isinstance(step, ActionCall) else template
+        like = (content, tuple(map(bool, block.ports)), *map(bool, borders), kinds_of(guards))
         if (kind := (*like, id(region))) in seen:
             continue
         seen.add(kind)
@@ -282,6 +331,7 @@ def _proved(part: Part) -> _Proved:
 def forget_proofs() -> None:
     """Forget which shapes of blocks, and which kinds of calls, were found good."""
     _FOUND_GOOD.forget()
+    _KEEPS_ITS_RULES.forget()
 
 
 def explore(machine: PetriNetMachine) -> int:

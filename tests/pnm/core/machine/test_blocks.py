@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 from math import inf
 from random import Random
 
@@ -20,26 +20,8 @@ from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.core.machine.step_block import Port
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import verify
-from pnm.core.net.net import PetriNet
-from tests.support.runs.mutation.machines import blocks_of, random_machine, random_plan, written_out
+from tests.support.runs.mutation.machines import as_text, blocks_of, random_machine, random_plan, written_out
 from tests.support.runs.plan_graphs import plan
-
-
-def as_text(machine: PetriNetMachine) -> list[str]:
-    def text(found: object) -> str:
-        match found:
-            case PetriNet():
-                arcs = ((name, dict(found.inputs[name]), dict(found.outputs[name])) for name in found.transitions)
-                return str((list(found.places), list(arcs)))
-            case _ if hasattr(found, "items"):
-                return str([(name, repr(value)) for name, value in found.items()])
-            case set() | frozenset() | _ if hasattr(found, "isdisjoint"):
-                return str(sorted(found))  # type: ignore[call-overload]
-            case tuple():
-                return str([(one.owner, sorted(one.steps), [*one.first], [*one.last]) for one in found])
-        return repr(found)
-
-    return [text(getattr(machine, field.name)) for field in fields(machine) if field.name != "plan"]
 
 
 @settings(deadline=None)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
+from math import inf
 from random import Random
 
-from pnm.core.logic.conditions import TRUE, Condition, Holds, Not
-from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.logic.computed_values import Layer, Literal, Operation, Query
+from pnm.core.logic.conditions import TRUE, Computed, Condition, Holds, Not
+from pnm.core.machine.bindings import Binding, Bindings, WhenLost
 from pnm.core.machine.blocks import MachineBlocks, built_from
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
@@ -27,17 +29,19 @@ from pnm.core.machine.plan_graph import (
 )
 from pnm.core.net.net import PetriNet
 
+ASKED = Computed(Operation("eq", (Query(Literal('"code"'), Layer.PERSON), Literal("1"))))
+"""A condition for which a person may have to be asked."""
 CONDITIONS: tuple[Condition, ...] = (TRUE, TRUE, Holds(("powered",)), Not(Holds(("free",))), Holds(("free",)))
 
 
 def random_plan(random: Random) -> PlanGraph:
     """Draw a plan of a few steps."""
     numbers = iter(range(100))
-    shape = random.choice(["flat", "flat", "loop", "choice", "recovery"])
+    shape = random.choice(["flat", "flat", "loop", "choice", "recovery", "restart"])
     outer = [_call(random, next(numbers))]
-    if shape == "recovery":  # what stands inside a call is numbered after it
+    if shape in ("recovery", "restart"):  # what stands inside a call is numbered after it
         causes = frozenset({random.choice([Cause.ABORTED, Cause.REJECTED, Cause.TIMED_OUT, Cause.EFFECTS_MISSING])})
-        then = random.choice([Then.RETRY, Then.RETRY, Then.SKIP, Then.FAIL])
+        then = Then.RESTART_PLAN if shape == "restart" else random.choice([Then.RETRY, Then.RETRY, Then.SKIP, Then.FAIL])
         recovery = Recovery(causes, then, Flow((_call(random, next(numbers)),)), random.randint(1, 3))
         outer = [replace(outer[0], recoveries=(recovery,))]
     outer += [_call(random, next(numbers)) for _ in range(random.randint(0, 2))]
@@ -53,7 +57,7 @@ def random_plan(random: Random) -> PlanGraph:
     for first in range(len(outer)):
         for second in range(first + 1, len(steps)):
             if random.random() < 0.6:
-                plain = shape == "recovery" and first == 0
+                plain = shape in ("recovery", "restart") and first == 0
                 before = Moment.END if plain else random.choice(moments)
                 after = Moment.START if plain or second >= len(outer) else random.choice(moments)
                 events = PlanEvent(steps[first].index, before), PlanEvent(steps[second].index, after)
@@ -62,12 +66,35 @@ def random_plan(random: Random) -> PlanGraph:
     return PlanGraph(tuple(steps), tuple(orderings.values()), random.choice(CONDITIONS[:3]))
 
 
-def random_machine(number: int) -> PetriNetMachine:
-    """Make the machine of a random plan."""
+def with_calls_under_way(plan: PlanGraph, random: Random) -> PlanGraph:
+    """The plan with some of the calls that wait for nothing under way."""
+    waiting = {ordering.after for ordering in plan.orderings}
+
+    def begun(step: Step) -> Step:
+        is_free = isinstance(step, ActionCall) and not step.recoveries and PlanEvent(step.index, Moment.START) not in waiting
+        return replace(step, under_way=random.random() < 0.2) if is_free else step  # type: ignore[arg-type]
+
+    return replace(plan, steps=tuple(map(begun, plan.steps)))
+
+
+def random_bindings(random: Random) -> Bindings:
+    """Draw limits for the calls of a plan."""
+
+    def binding() -> Binding:
+        limits = {"accept": random.choice([2.0, 2.0, 2.0, 3.0]), "cancel": random.choice([1.0, 1.0, 1.0, 2.0])}
+        lost = random.choice([WhenLost.REPLAN, WhenLost.REPLAN, WhenLost.REPLAN, WhenLost.ABORT])
+        return Binding(retries=random.choice([0, 1, 1, 3]), when_lost=lost, **limits)
+
+    return Bindings({f"a{index}": binding() for index in range(10)}, lag=0.0)
+
+
+def random_machine(number: int, *, under_way: bool = False) -> PetriNetMachine:
+    """Make the machine of a random plan, some of whose calls may have been sent by another run."""
     random = Random(number)
     plan = random_plan(random)
-    bindings = Bindings({f"a{index}": Binding(retries=random.choice([0, 1, 3]), accept=2.0, cancel=1.0) for index in range(10)}, lag=0.0)
-    return generate(plan, bindings, on_failure=random.choice([*OnFailure]))
+    if under_way:
+        plan = with_calls_under_way(plan, random)
+    return generate(plan, random_bindings(random), on_failure=random.choice([*OnFailure]))
 
 
 def _call(random: Random, index: int) -> ActionCall:
@@ -75,10 +102,18 @@ def _call(random: Random, index: int) -> ActionCall:
         f"a{index}",
         precondition=random.choice(CONDITIONS),
         invariant=random.choice(CONDITIONS[:3]),
+        expected=random.choice([TRUE, TRUE, TRUE, CONDITIONS[2], ASKED]),
         duration=random.choice([None, 3.0]),
         resources=("arm",) if random.random() < 0.3 else (),
     )
-    return ActionCall(index, action, release=random.choice([0.0, 0.0, 5.0]), deadline=random.choice([float("inf"), float("inf"), 60.0]))
+    return ActionCall(
+        index,
+        action,
+        release=random.choice([0.0, 0.0, 0.0, 5.0]),
+        latest_start=random.choice([inf, inf, inf, 50.0]),
+        deadline=random.choice([inf, inf, inf, 60.0]),
+        retries=random.choice([None, None, None, 1]),
+    )
 
 
 def written_out(machine: PetriNetMachine) -> PetriNetMachine:
@@ -93,3 +128,22 @@ def blocks_of(machine: PetriNetMachine) -> MachineBlocks:
     found = built_from(machine)
     assert found is not None
     return found
+
+
+def as_text(machine: PetriNetMachine) -> list[str]:
+    """All that there is of a machine but its plan and its bindings."""
+
+    def text(found: object) -> str:
+        match found:
+            case PetriNet():
+                arcs = ((name, dict(found.inputs[name]), dict(found.outputs[name])) for name in found.transitions)
+                return str((list(found.places), list(arcs)))
+            case _ if hasattr(found, "items"):
+                return str([(name, repr(value)) for name, value in found.items()])
+            case set() | frozenset() | _ if hasattr(found, "isdisjoint"):
+                return str(sorted(found))  # type: ignore[call-overload]
+            case tuple():
+                return str([(one.owner, sorted(one.steps), [*one.first], [*one.last]) for one in found])
+        return repr(found)
+
+    return [text(getattr(machine, field.name)) for field in fields(machine) if field.name not in ("plan", "bindings")]

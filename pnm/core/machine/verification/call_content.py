@@ -1,0 +1,668 @@
+"""Content of the calls: does the net of each call do what its action, its binding and its plan ask of it?
+
+That a machine is sound says nothing of what it asks before it sends, of what it watches, of what it holds and of how often it tries. Here
+the net of every call is compared with its `CallTerms`. Nothing is taken from the block that the net was made by, or from what templates
+are kept by: the places of a call are told apart by what happens at them (`CallNet`). A request is sent at a *ready* place; it is then
+*unanswered*, *under way* from its acceptance on, and *being cancelled* wherever it may be alive else.
+
+Who designs the block of a call keeps these rules. Each is a row of `WATCHES` or of `TRAITS`, and is named when it is broken.
+
+Before the request is sent, at every ready place:
+
+- times: its start waits for times if the plan has some, which are then looked at with its orderings.
+- data: it is asked whether a goal field lacks its value.
+- latest start: a call with a latest start or a deadline is not sent after it.
+- already true: it is asked whether there is nothing to do, unless the call must happen all the same.
+- precondition: what sends asks for the precondition, and for the over-all condition as far as the start does not change that itself.
+
+While it may be alive:
+
+- answer: an unanswered request is cancelled after the binding's `accept`.
+- over-all condition, deadline: where it is under way, a broken one cancels it, and the call has failed.
+- time limit: where it is under way, it is cancelled after its timeout.
+- cancelling: where it is being cancelled, it is given up after the binding's `cancel`. It comes there by a cancellation only.
+- resources: exactly those of the call are taken, all at once, by what leads to where the request may be alive, and given back by what leads
+  out of there. Effects are looked for with them, unless that must wait for others or may have to ask somebody. `alive_places` are these
+  places. Resources that are withheld are waited for as long as `accept` says.
+
+After it:
+
+- effects: those at the start are written when it is accepted, those at the end with the success, before the end waits for others.
+- lost: a request that is lost ends the call for good if the binding says `abort`.
+- retries: a retry takes one of the tokens of a counter, and there are as many as the plan, or else the binding, says.
+- recoveries: each cause leads to the recoveries that the plan has for it: in their order, under their conditions, with their chains, and as
+  often; without one it leads to another attempt or to failure.
+- counters: what was spent is given back before the call is left, if it may be reached again and its end waits for no others.
+- restart: while the plan begins anew, a call that recovers is dropped and has not failed; without recoveries that ask for it, none is.
+- attempts: attempts after the start was announced have ready places of their own, and there are such only if others wait for the start.
+- adopted: a request of another run is taken over if the call is under way already.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import inf, isfinite
+from typing import Any, Final, NamedTuple, TypeAlias
+
+from pnm.core.logic.conditions import TRUE
+from pnm.core.machine.bindings import WhenLost
+from pnm.core.machine.blocks import MachineBlocks, PlacedRegion, PlacedStep
+from pnm.core.machine.call_block import CallTerms
+from pnm.core.machine.machine import (
+    Accepts,
+    Adopted,
+    After,
+    AlreadyTrue,
+    Always,
+    ConditionTrue,
+    DataMissing,
+    Due,
+    EffectsSeen,
+    Ending,
+    Ends,
+    Failing,
+    Guard,
+    InvariantFalse,
+    PetriNetMachine,
+    Rule,
+    TransitionAction,
+    Withheld,
+)
+from pnm.core.machine.plan_graph import ActionCall, Cause, Choice, Loop, Moment, PlanGraph, Recovery, Step, Then, flows
+from pnm.core.machine.recovery_block import is_direct
+from pnm.core.machine.requests import OutcomeKind
+from pnm.core.machine.step_block import PORTS, Context, Port
+from pnm.core.machine.verification.part import Unsound
+from pnm.core.net.net import Weights
+
+RESOURCES: Final = PORTS.index(Port.RESOURCES)
+_NOWHERE: Final = frozenset[str]()
+_ASIDE: Final = (Ending, Failing, Withheld)
+"""Guards of ways out that are there whatever a recovery says."""
+_OWN: Final = (Cause.BEFORE, Cause.AFTER)
+"""Causes that each recovery has a condition of its own for."""
+
+
+# --- what is asked ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Asked:
+    """All that is asked of one call."""
+
+    terms: CallTerms
+    announces: bool
+    """Others wait for its start."""
+    awaited: bool
+    """Its end waits for others."""
+    delayed: bool
+    """Its start must come later than others, by some time."""
+
+    @property
+    def step(self) -> ActionCall:
+        """The call."""
+        return self.terms.step
+
+    @property
+    def is_timed(self) -> bool:
+        """Whether its start waits for a time."""
+        return self.delayed or self.step.earliest > 0
+
+    @cached_property
+    def must_happen(self) -> bool:
+        """Whether it is made even if there is nothing to do."""
+        return self.terms.must_happen(relied_on=self.announces or self.awaited)
+
+    @cached_property
+    def resources(self) -> tuple[str, ...]:
+        """The resources that it has for itself."""
+        return self.terms.context.bindings.resources(self.step.action)
+
+    @property
+    def kind(self) -> Hashable:
+        """All of it but times, conditions and names: calls of one kind are asked the same, but for the guards of `WATCHES`."""
+        terms, context = self.terms, self.terms.context
+        step, binding = terms.step, terms.binding
+        return (
+            *(self.announces, self.awaited, self.is_timed, self.must_happen, bool(self.resources)),
+            *(step.under_way, step.latest_start < inf, step.deadline < inf, step.action.invariant != TRUE, step.recoveries),
+            *(terms.asks_at_its_end, terms.retries, binding.accept, binding.cancel, binding.when_lost),
+            *(context.repeated, context.starts_anew),
+        )
+
+    @cached_property
+    def recoveries(self) -> Mapping[Cause, object]:
+        """For each cause that the plan has recoveries for, how the call goes on, as `CallNet.course` says it."""
+        lists: dict[Cause, list[Recovery]] = {}
+        for recovery in self.step.recoveries:
+            for cause in recovery.causes:
+                lists.setdefault(cause, []).append(recovery)
+        return {
+            cause: [(ConditionTrue(one.when), _asked_course(found[number:])) for number, one in enumerate(found)]
+            if cause in _OWN
+            else _asked_course(found)
+            for cause, found in lists.items()
+        }
+
+
+def _asked_course(recoveries: Sequence[Recovery]) -> object:
+    """Return how a call goes on that has these recoveries, in turn."""
+    if is_direct(recoveries[0]):
+        return recoveries[0].then
+    options = [(one.when if number else TRUE, one) for number, one in enumerate(recoveries)]  # the first is used without asking
+    return tuple(
+        (when, 0, None, one.then) if is_direct(one) else (when, one.times, frozenset(step.index for step in one.chain.steps), one.then)
+        for when, one in options
+    )
+
+
+class AskedOf:
+    """What is asked of the calls of a machine."""
+
+    def __init__(self, machine: PetriNetMachine) -> None:
+        plan, bindings = machine.plan, machine.bindings
+        starts_anew = any(recovery.then is Then.RESTART_PLAN for call in plan.calls for recovery in call.recoveries)
+        self._once, self._often = (Context(plan, bindings, starts_anew, repeated) for repeated in (starts_anew, True))
+        self._again = frozenset[int]() if starts_anew else frozenset(_reached_again(plan))
+        orderings = [one for flow in (plan.flow, *(flow for step in plan.every_step for flow in flows(step))) for one in flow.orderings]
+        self._announce = {one.before.call for one in orderings if one.before.moment is Moment.START}
+        self._delay = {one.after.call for one in orderings if one.delay}
+        self._await = {one.after.call for one in orderings if one.after.moment is Moment.END}
+
+    def __call__(self, call: ActionCall) -> Asked:
+        """Return what is asked of a call."""
+        number = call.index
+        terms = CallTerms(self._often if number in self._again else self._once, call, ())
+        return Asked(terms, number in self._announce, number in self._await, number in self._delay)
+
+
+def _reached_again(plan: PlanGraph) -> Iterator[int]:
+    """Yield the steps that may be reached again after they were left: in loops, and in chains that are used more than once."""
+    waiting: list[tuple[Step, bool]] = [(step, False) for step in plan.steps]
+    while waiting:
+        step, again = waiting.pop()
+        if again:
+            yield step.index
+        match step:
+            case ActionCall(recoveries=recoveries):
+                waiting += [(inner, again or recovery.times > 1) for recovery in recoveries for inner in recovery.chain.steps]
+            case Loop(body=body):
+                waiting += [(inner, True) for inner in body.steps]
+            case Choice(then=then, otherwise=otherwise):
+                waiting += [(inner, again) for flow in (then, otherwise) for inner in flow.steps]
+            case _:
+                pass
+
+
+# --- what is there ----------------------------------------------------------------------------
+
+
+_Compared: TypeAlias = tuple[object, object]
+"""What is asked, and what is found."""
+
+
+class Chain(NamedTuple):
+    """Places around steps that a call holds."""
+
+    first: frozenset[str]
+    last: frozenset[str]
+    steps: frozenset[int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CallNet:
+    """The net of one call, whose places are told apart by what happens at them."""
+
+    names: Sequence[str]
+    """Of its transitions, in their order."""
+    rules: Sequence[Rule]
+    inputs: Sequence[Weights]
+    outputs: Sequence[Weights]
+    failures: Collection[str]
+    restarts: Collection[str]
+    counters: Mapping[str, int]
+    """Its counters, and the tokens that they begin with."""
+    resources: Mapping[str, str]
+    """All resources that it takes or gives, or may."""
+    between: Collection[str]
+    """Places between it and other steps."""
+    alive_places: Collection[str]
+    """Those that are said to be places of a call that is under way."""
+    chains: Sequence[Chain]
+
+    # --- the token of the call ------------------------------------------------------------------
+
+    @cached_property
+    def sources(self) -> list[frozenset[str]]:
+        """The places at which each transition finds the token of the call."""
+        return [*map(self.own, self.inputs)]
+
+    @cached_property
+    def targets(self) -> list[frozenset[str]]:
+        """The places at which each transition puts the token of the call."""
+        return [*map(self.own, self.outputs)]
+
+    @cached_property
+    def exits(self) -> Mapping[str, list[int]]:
+        """For every place of the token, the transitions that take it from there, in their order."""
+        found: dict[str, list[int]] = {}
+        for number, places in enumerate(self.sources):
+            for place in places:
+                found.setdefault(place, []).append(number)
+        return found
+
+    def own(self, places: Iterable[str]) -> frozenset[str]:
+        """Return those of some places that are for the token of the call."""
+        others = self.failures, self.restarts, self.counters, self.resources, self.between
+        return frozenset(place for place in places if not any(place in some for some in others))
+
+    def where(self, is_one: Callable[[Rule], bool]) -> list[int]:
+        """Return the transitions with some rule."""
+        return [number for number, rule in enumerate(self.rules) if is_one(rule)]
+
+    def after(self, numbers: Iterable[int]) -> frozenset[str]:
+        """Return where the token is after one of these transitions."""
+        return _NOWHERE.union(*(self.targets[number] for number in numbers))
+
+    def fails(self, number: int) -> bool:
+        """Return whether a transition marks a failure."""
+        return any(place in self.failures for place in self.outputs[number])
+
+    def counts(self, number: int) -> Mapping[str, int]:
+        """Return the counters that a transition moves a token between, and the tokens that they begin with."""
+        taken, given = ([place for place in arcs[number] if place in self.counters] for arcs in (self.inputs, self.outputs))
+        return {place: self.counters[place] for place in (*taken, *given)} if given else {}
+
+    def counted(self, number: int) -> int:
+        """Return how often the transition may happen by what it counts; 0 if it counts nothing."""
+        return sum(self.counts(number).values())
+
+    # --- the life of its request ----------------------------------------------------------------
+
+    @cached_property
+    def ready(self) -> frozenset[str]:
+        """Where a request is sent."""
+        return _NOWHERE.union(*(self.sources[number] for number in self.where(_sends)))
+
+    @cached_property
+    def unanswered(self) -> frozenset[str]:
+        """Where it was sent, and its server has not answered."""
+        return self.after(self.where(_sends))
+
+    @cached_property
+    def under_way(self) -> frozenset[str]:
+        """Where it was accepted."""
+        return self.after(self.where(_is(Accepts, Adopted)))
+
+    @cached_property
+    def alive(self) -> frozenset[str]:
+        """Where it may be alive: from there on, until its end is reported or it is given up."""
+        found, waiting = set[str](), [*self.unanswered, *self.under_way]
+        while waiting:
+            if (place := waiting.pop()) not in found:
+                found.add(place)
+                goes_on = (one for one in self.exits.get(place, ()) if not (self.rules[one].gives_up or _ends(self.rules[one])))
+                waiting += self.after(goes_on)
+        return frozenset(found)
+
+    @cached_property
+    def cancelled(self) -> frozenset[str]:
+        """Where it is being cancelled."""
+        return self.alive - self.unanswered - self.under_way
+
+    @cached_property
+    def looking(self) -> frozenset[str]:
+        """Where the effects of a success are looked for."""
+        return _NOWHERE.union(*(self.sources[number] for number in self.where(_is(EffectsSeen))))
+
+    @cached_property
+    def late(self) -> frozenset[str]:
+        """Where the token is once its end has waited for others, whose places were looked at."""
+        return self.after(
+            number for number, arcs in enumerate(self.inputs) if any(one in self.between and one in self.outputs[number] for one in arcs)
+        )
+
+    def before_sending(self, place: str) -> list[int]:
+        """Return the exits of a ready place that are asked before what sends."""
+        exits = self.exits[place]
+        return exits[: next(position for position, number in enumerate(exits) if _sends(self.rules[number]))]
+
+    # --- recoveries -----------------------------------------------------------------------------
+
+    def course(self, outputs: Iterable[str]) -> object:
+        """Return how the call goes on where these places are marked: to what end, by which recoveries, or None by another attempt."""
+        places = [*outputs]
+        if any(place in self.restarts for place in places):
+            return Then.RESTART_PLAN
+        (place, *others), is_failed = self.own(places) or ("",), any(place in self.failures for place in places)
+        exits = self.exits.get(place, ())
+        if place in self.ready:
+            return Then.RETRY
+        if is_failed or others or not exits:
+            return Then.FAIL
+        if place in self.looking or any(self.rules[number].action is TransitionAction.FINISH for number in exits):
+            return Then.CONTINUE
+        ways = [number for number in exits if not isinstance(self.rules[number].guard, _ASIDE)]
+        options = [number for number in ways if self.entered(number) or not any(one in self.counters for one in self.inputs[number])]
+        if any(map(self.entered, options)):
+            return tuple(map(self._option, options))
+        return None if all(self.targets[number] for number in ways) else Then.SKIP
+
+    def entered(self, number: int) -> list[Chain]:
+        """Return the chains that a transition leads into."""
+        return [chain for chain in self.chains if chain.first <= self.outputs[number].keys()]
+
+    def _option(self, number: int) -> object:
+        guard = self.rules[number].guard
+        condition = guard.condition if isinstance(guard, ConditionTrue) else TRUE
+        for chain in self.entered(number):
+            return condition, self.counted(number), chain.steps, self.ends_of(chain)
+        return condition, 0, None, self.course(self.outputs[number])
+
+    def ends_of(self, chain: Chain) -> object:
+        """Return how the call goes on after a chain."""
+        taking = (number for number, arcs in enumerate(self.inputs) if chain.last <= arcs.keys())
+        exits = (number for place in self.after(taking) for number in self.exits.get(place, ()))
+        ways = [number for number in exits if not isinstance(self.rules[number].guard, _ASIDE)]
+        found = [Then.REPLAN if self.rules[number].replans else self.course(self.outputs[number]) for number in ways]
+        return found[0] if len(found) == 1 else found
+
+
+def _is(*kinds: type[Any]) -> Callable[[Rule], bool]:
+    return lambda rule: isinstance(rule.guard, kinds)
+
+
+def _sends(rule: Rule) -> bool:
+    return rule.action is TransitionAction.SEND
+
+
+_ends: Final = _is(Ends)
+
+
+def _ends_lost(rule: Rule) -> bool:
+    return isinstance(rule.guard, Ends) and OutcomeKind.LOST in rule.guard.kinds
+
+
+# --- the rules --------------------------------------------------------------------------------
+
+
+class Watch(NamedTuple):
+    """A guard that is asked at all places of a kind, and may differ from call to call."""
+
+    rule: str
+    exits: Callable[[CallNet], Iterable[list[int]]]
+    """For each of the places, the exits among which it is."""
+    is_one: Callable[[Rule], bool]
+    asked: Callable[[Asked], Guard | None]
+    """The guard; None if there is none."""
+    does: Callable[[Rule, bool], bool] = lambda rule, fails: True
+    """Whether a rule does what it must, given whether it marks a failure."""
+
+    def is_kept(self, net: CallNet, number: int) -> bool:
+        """Return whether a transition with the guard waits for nothing else, but for resources, and does what it must."""
+        waits_for = sum(place not in net.resources for place in net.inputs[number])
+        return waits_for == 1 and self.does(net.rules[number], net.fails(number))
+
+
+def _before_sending(net: CallNet) -> Iterable[list[int]]:
+    return map(net.before_sending, net.ready)
+
+
+def _at(places: Callable[[CallNet], Iterable[str]]) -> Callable[[CallNet], Iterable[list[int]]]:
+    return lambda net: [net.exits.get(place, []) for place in places(net)]
+
+
+def _cancels(rule: Rule, fails: bool) -> bool:
+    return rule.action is TransitionAction.CANCEL and not fails
+
+
+def _cancels_and_fails(rule: Rule, fails: bool) -> bool:
+    return rule.action is TransitionAction.CANCEL and fails
+
+
+def _due(seconds: float) -> Guard | None:
+    return Due(seconds) if isfinite(seconds) else None
+
+
+def _over_all(call: Asked) -> Guard | None:
+    invariant = call.step.action.invariant
+    return None if invariant == TRUE else InvariantFalse(invariant)
+
+
+_UNDER_WAY: Final = _at(lambda net: net.under_way)
+WATCHES: Final = (
+    Watch("data", _before_sending, _is(DataMissing), lambda call: DataMissing(call.step.index)),
+    Watch("latest start", _before_sending, _is(Due), lambda call: _due(call.terms.latest)),
+    Watch("precondition", _at(lambda net: net.ready), _sends, lambda call: ConditionTrue(call.terms.may_start)),
+    Watch("answer", _at(lambda net: net.unanswered), _is(After), lambda call: After(call.terms.binding.accept), _cancels),
+    Watch("over-all condition", _UNDER_WAY, _is(InvariantFalse), _over_all, _cancels_and_fails),
+    Watch("deadline", _UNDER_WAY, _is(Due), lambda call: _due(call.step.deadline), _cancels_and_fails),
+    Watch("time limit", _UNDER_WAY, _is(After), lambda call: After(call.terms.timeout), _cancels),
+    Watch(
+        "cancelling",
+        _at(lambda net: net.cancelled),
+        _is(After),
+        lambda call: After(call.terms.binding.cancel),
+        lambda rule, fails: rule.gives_up,
+    ),
+)
+
+
+# each with what is asked, and what is found
+
+
+def _attempts(net: CallNet, call: Asked) -> _Compared:
+    return 2 if call.announces else 1, len(net.ready)
+
+
+def _times(net: CallNet, call: Asked) -> _Compared:
+    inner = _NOWHERE.union(*(chain.last for chain in net.chains))
+    entering = [number for number, arcs in enumerate(net.inputs) if not net.sources[number] and inner.isdisjoint(arcs)]
+    guards = (net.rules[number].guard for number in entering)
+    return {call.is_timed}, {isinstance(guard, Due) for guard in guards if not isinstance(guard, Ending)}
+
+
+def _adopted(net: CallNet, call: Asked) -> _Compared:
+    return call.step.under_way, bool(net.where(_is(Adopted)))
+
+
+def _already_true(net: CallNet, call: Asked) -> _Compared:
+    return {not call.must_happen}, {any(isinstance(net.rules[one].guard, AlreadyTrue) for one in exits) for exits in _before_sending(net)}
+
+
+def _cancelling(net: CallNet, call: Asked) -> _Compared:
+    watched = net.unanswered | net.under_way
+    leaving = {number for place in watched for number in net.exits.get(place, ()) if not net.targets[number].isdisjoint(net.cancelled)}
+    return set(), {net.names[number] for number in leaving if net.rules[number].action is not TransitionAction.CANCEL}
+
+
+def _held(net: CallNet, call: Asked) -> frozenset[str]:
+    """Return where the call has its resources."""
+    return net.alive if call.terms.asks_at_its_end else net.alive | (net.looking - net.late)
+
+
+def _alive_places(net: CallNet, call: Asked) -> _Compared:
+    return _held(net, call), net.alive_places
+
+
+def _resources(net: CallNet, call: Asked) -> _Compared:
+    held, every = _held(net, call), dict.fromkeys(call.resources, 1)
+    asked: dict[str, object] = {}
+    found: dict[str, object] = {}
+    for number, name in enumerate(net.names):
+        was_held, is_held = (not held.isdisjoint(places[number]) for places in (net.sources, net.targets))
+        asked[name] = every if is_held > was_held else {}, every if was_held > is_held else {}
+        found[name] = tuple(
+            {net.resources[one]: weight for one, weight in arcs[number].items() if one in net.resources}
+            for arcs in (net.inputs, net.outputs)
+        )
+    wrong = [name for name in net.names if asked[name] != found[name]]
+    return {name: asked[name] for name in wrong}, {name: found[name] for name in wrong}
+
+
+def _withheld(net: CallNet, call: Asked) -> _Compared:
+    asked = {call.terms.binding.accept} if call.resources else set[float]()
+    return asked, {rule.guard.seconds for rule in net.rules if isinstance(rule.guard, Withheld)}
+
+
+def _effects(net: CallNet, call: Asked) -> _Compared:
+    seen, returned = EffectsSeen.__name__, Always.__name__
+    # the effects of a call that was stopped are written where they are seen, all the same
+    asked = {("start", TransitionAction.BEGIN), (seen, True), *([(seen, False), (returned, True)] if call.awaited else [])}
+    finish = TransitionAction.FINISH
+    at_end = (rule for rule in net.rules if isinstance(rule.guard, EffectsSeen) or rule.action is finish)
+    at_start = (rule.action for rule in net.rules if isinstance(rule.guard, Accepts))
+    return asked, {*(("start", action) for action in at_start), *((type(rule.guard).__name__, rule.action is finish) for rule in at_end)}
+
+
+def _lost(net: CallNet, call: Asked) -> _Compared:
+    if Cause.LOST in call.recoveries:
+        return set(), set()
+    exits = [number for exits in _UNDER_WAY(net) for number in exits if _ends_lost(net.rules[number])]
+    return {Then.FAIL if call.terms.binding.when_lost is WhenLost.ABORT else None}, {net.course(net.outputs[number]) for number in exits}
+
+
+def _retries(net: CallNet, call: Asked) -> _Compared:
+    again = (number for number, places in enumerate(net.targets) if not places.isdisjoint(net.ready))
+    return {call.terms.retries} - {0}, {*map(net.counted, again)} - {0}
+
+
+def _counters(net: CallNet, call: Asked) -> _Compared:
+    entering = [(number, chain) for number in range(len(net.names)) for chain in net.entered(number)]
+    kept = {place for number, chain in entering if net.ends_of(chain) is Then.RESTART_PLAN for place in net.counts(number)}
+    back = (number for number, places in enumerate(net.sources) if places and places == net.targets[number])
+    is_refilled = call.terms.context.repeated and not call.awaited
+    return net.counters.keys() - kept if is_refilled else set(), {place for number in back for place in net.counts(number)}
+
+
+def _restart(net: CallNet, call: Asked) -> _Compared:
+    asked = {(Failing, True), (Ending, False)} if call.terms.context.starts_anew else {(Ending, True)}
+    leaving = [number for number, rule in enumerate(net.rules) if rule.outcome is None and isinstance(rule.guard, Ending | Failing)]
+    return asked, {(type(net.rules[number].guard), net.fails(number)) for number in leaving}
+
+
+def _recoveries(net: CallNet, call: Asked) -> _Compared:
+    found: dict[Cause, object] = {}
+    for number, rule in enumerate(net.rules):
+        cause, is_plain = rule.cause, not (rule.gives_up or rule.outcome or isinstance(rule.guard, InvariantFalse | Due | Withheld))
+        if cause is None or not is_plain or not net.targets[number].isdisjoint(net.alive):
+            continue
+        course = net.course(net.outputs[number])
+        if cause in _OWN:
+            found[cause] = [*found.get(cause, []), (rule.guard, course)]  # type: ignore[misc]
+        elif cause in call.recoveries or course not in (None, Then.FAIL):
+            found[cause] = course if found.setdefault(cause, course) == course else "several"
+    return call.recoveries, found
+
+
+TRAITS: Final[tuple[tuple[str, Callable[[CallNet, Asked], _Compared]], ...]] = (
+    ("times", _times),
+    ("attempts", _attempts),
+    ("adopted", _adopted),
+    ("already true", _already_true),
+    ("cancelling", _cancelling),
+    ("resources", _alive_places),
+    ("resources", _resources),
+    ("resources", _withheld),
+    ("effects", _effects),
+    ("lost", _lost),
+    ("retries", _retries),
+    ("counters", _counters),
+    ("restart", _restart),
+    ("recoveries", _recoveries),
+)
+
+
+def check_content(net: CallNet, call: Asked) -> Mapping[int, Watch]:
+    """Check that the net of a call does what is asked of it; return the watches by the numbers of their transitions.
+
+    Raises:
+        Unsound: a rule is broken.
+    """
+    if not net.ready:
+        raise Unsound(f"{call.step} is never sent")
+    watched: dict[int, Watch] = {}
+    for watch in WATCHES:
+        guard = watch.asked(call)
+        for exits in watch.exits(net):
+            numbers = [number for number in exits if watch.is_one(net.rules[number])]
+            good = [number for number in numbers if net.rules[number].guard == guard and watch.is_kept(net, number)]
+            if good != numbers or bool(good) is (guard is None):
+                raise _broken(call, watch.rule, guard, [net.rules[number] for number in numbers])
+            watched.update(dict.fromkeys(numbers, watch))
+    for rule, compared in TRAITS:
+        asked, found = compared(net, call)
+        if asked != found:
+            raise _broken(call, rule, asked, found)
+    return watched
+
+
+def check_guard(watch: Watch, guard: Guard, call: Asked) -> None:
+    """Check a guard of a call that is of the same kind as another, which was looked at.
+
+    Raises:
+        Unsound: it is not what is asked.
+    """
+    if (asked := watch.asked(call)) != guard:
+        raise _broken(call, watch.rule, asked, guard)
+
+
+def _broken(call: Asked, rule: str, asked: object, found: object) -> Unsound:
+    return Unsound(f"{call.step} does not keep the rule of its {rule}: {asked} is asked for, and there is {found}")
+
+
+# --- nets of calls ----------------------------------------------------------------------------
+
+
+def net_of(machine: PetriNetMachine, call: int, transitions: Sequence[str]) -> CallNet:
+    """Return the net of a call, given its transitions by name."""
+    places = frozenset(place for name in transitions for arcs in (machine.net.inputs, machine.net.outputs) for place in arcs[name])
+    regions = (region for region in machine.regions if region.owner == call)
+    return CallNet(
+        names=transitions,
+        rules=[machine.rules[name] for name in transitions],
+        inputs=[machine.net.inputs[name] for name in transitions],
+        outputs=[machine.net.outputs[name] for name in transitions],
+        failures=places & machine.failure_places.keys(),
+        restarts=places & machine.restart_places.keys(),
+        counters={place: machine.initial[place] for place in places & machine.budget_places},
+        resources={place: name for place, name in machine.resource_places.items() if place in places},
+        between=places & (machine.orderings.keys() | machine.border_places),
+        alive_places=places & machine.alive_places,
+        chains=[Chain(frozenset(region.first), frozenset(region.last), region.steps) for region in regions],
+    )
+
+
+def net_of_block(blocks: MachineBlocks, block: PlacedStep, resources: Mapping[int, str]) -> CallNet:
+    """Return the net of a call by its template, in whose names: a port is one place, but for resources, and none if it leads nowhere."""
+    template = block.template
+    named = {code: [name] if code >= 0 or block.ports[~code] else [] for name, code in template.codes.items()}
+    named[~RESOURCES] = [resources[place] for place in block.ports[RESOURCES]]
+    chains: list[Chain] = []
+    for number in range(len(PORTS), len(block.ports), 2):
+        region = blocks.segment_of(block.ports[number][0])
+        assert isinstance(region, PlacedRegion), "what inner ports stand for was looked at before"
+        first, last = (frozenset(named[~port]) for port in (number, number + 1))
+        chains.append(Chain(first, last, frozenset(step.index for step in region.inner.flow.steps)))
+
+    def arcs(of: Sequence[Iterable[tuple[int, int]]]) -> list[Weights]:
+        return [{name: weight for code, weight in one for name in named[code]} for one in of]
+
+    def names(codes: Iterable[int]) -> frozenset[str]:
+        return frozenset(name for code in codes for name in named[code])
+
+    return CallNet(
+        names=template.transitions,
+        rules=[blocks.rule(block.transition + number) for number in range(len(template.transitions))],
+        inputs=arcs(template.inputs),
+        outputs=arcs(template.outputs),
+        failures=names(template.failures),
+        restarts=names(template.restarts),
+        counters={name: template.initial.get(code, 0) for code in template.budgets for name in named[code]},
+        resources={name: name for name in named[~RESOURCES]},
+        between=names(code for code in named if code < 0 and code != ~RESOURCES),
+        alive_places=names(template.alive),
+        chains=chains,
+    )

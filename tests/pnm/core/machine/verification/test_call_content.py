@@ -1,0 +1,96 @@
+"""The proof looks at what each call asks, watches, holds and counts, whatever its block was made by."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import pytest
+
+from pnm.core.logic.conditions import TRUE, Holds
+from pnm.core.logic.effects import Set
+from pnm.core.logic.expressions import Constant
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import After, ConditionFalse, ConditionTrue, Guard, InvariantFalse, PetriNetMachine
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
+from pnm.core.machine.verification.part import Unsound
+from pnm.core.machine.verification.verify import verify
+from pnm.core.net.net import Marking, PetriNet, Weights
+from tests.support.runs.mutation.changes import with_rule, without_transition
+from tests.support.runs.mutation.forgotten import TRAITS, run_forgotten
+
+OK, WET = Holds(("ok",)), Holds(("wet",))
+
+
+def call(index: int, **limits: float) -> ActionCall:
+    effects = (Set((f"done{index}",), Constant(True)),)
+    action = GroundAction(f"a{index}", precondition=OK, invariant=OK, duration=3.0, resources=("arm",), end_effects=effects)
+    return ActionCall(index, action, **limits)  # type: ignore[arg-type]
+
+
+MACHINE = generate(PlanGraph((call(0, deadline=20.0), call(1))), Bindings({"a0": Binding(retries=1)}))
+
+
+def guarded(**guards: Guard) -> PetriNetMachine:
+    machine = MACHINE
+    for name, guard in guards.items():
+        machine = with_rule(machine, f"a0()#0 {name}", guard=guard)
+    return machine
+
+
+def without(*names: str) -> PetriNetMachine:
+    machine = MACHINE
+    for name in names:
+        machine = without_transition(machine, f"a0()#0 {name}")
+    return machine
+
+
+def without_the_arm() -> PetriNetMachine:
+    machine = without("withheld before start")
+    arm = machine.resource_places
+
+    def cut(every: Mapping[str, Weights]) -> dict[str, Weights]:
+        return {name: {place: weight for place, weight in of.items() if name[:2] != "a0" or place not in arm} for name, of in every.items()}
+
+    return replace(machine, net=PetriNet(machine.net.places, cut(machine.net.inputs), cut(machine.net.outputs)))
+
+
+def tried_seven_times() -> PetriNetMachine:
+    net, give_up = MACHINE.net, "a0()#0 give_up"
+    inputs = {**net.inputs, give_up: {place: 7 if "spent" in place else weight for place, weight in net.inputs[give_up].items()}}
+    initial = Marking({place: 7 if place == "a0()#0 budget" else tokens for place, tokens in MACHINE.initial.items()})
+    return replace(MACHINE, net=PetriNet(net.places, inputs, net.outputs), initial=initial)
+
+
+@pytest.mark.parametrize(
+    ("broken", "rule"),
+    [
+        (lambda: guarded(start=ConditionTrue(TRUE), precondition_false=ConditionFalse(TRUE)), "precondition"),
+        (lambda: guarded(start=ConditionTrue(WET), precondition_false=ConditionFalse(WET)), "precondition"),
+        (lambda: guarded(invariant_false=InvariantFalse(WET)), "over-all condition"),
+        (lambda: without("invariant_false"), "over-all condition"),
+        (lambda: without("deadline_missed"), "deadline"),
+        (lambda: without("too_late"), "latest start"),
+        (lambda: without("data_missing"), "data"),
+        (lambda: without("already_true"), "already true"),
+        (lambda: guarded(timed_out=After(1e9)), "time limit"),
+        (lambda: guarded(unanswered=After(1e9)), "answer"),
+        (lambda: guarded(unconfirmed=After(1e9)), "cancelling"),
+        (without_the_arm, "resources"),
+        (tried_seven_times, "retries"),
+        (lambda: replace(MACHINE, bindings=Bindings({"a0": Binding(retries=1, accept=3.0)})), "answer"),
+        (lambda: replace(MACHINE, plan=replace(MACHINE.plan, steps=(call(0, deadline=21.0), call(1)))), "latest start"),
+    ],
+)
+def test_a_call_that_is_not_what_is_asked_is_refused_by_name(broken: Callable[[], PetriNetMachine], rule: str) -> None:
+    verify(MACHINE)
+    with pytest.raises(Unsound, match=rf"^a0\(\)#0 does not keep the rule of its {rule}: "):
+        verify(broken())
+
+
+@pytest.mark.parametrize("trait", TRAITS)
+def test_a_trait_that_templates_forget_is_missed_by_the_proof(trait: str) -> None:
+    report = run_forgotten(trait, range(1000), enough=2)
+    assert report.complaints == []
+    assert report.wrong == 2
