@@ -154,9 +154,8 @@ journal_options = options(
     click.option(
         "--durability",
         type=click.Choice(["process-crash", "power-loss"]),
-        default="process-crash",
-        show_default=True,
-        help="what the journal survives: the death of the process, or that of the computer, which is slower",
+        help="what the journal survives: the death of the process, or that of the computer, which is slower; by default process-crash in a"
+        " file, power-loss in PostgreSQL",
     ),
 )
 timeline_option = click.option("--timeline", type=FILE, help="a new SVG file: what was planned and done when, what failed, new plans")

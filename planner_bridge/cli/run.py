@@ -128,7 +128,7 @@ def run(
     on_failure: str | None,
     answers: tuple[str, ...],
     journal: Place | None,
-    durability: str,
+    durability: str | None,
     timeline: Path | None,
     force: bool,
     view: int | None,
@@ -179,10 +179,10 @@ def run_problem(domain: Path, problem: Path, files: Files, *, actions: Actions, 
     return print_ending(result, console, output, files.page)
 
 
-def journal_choice(place: Place, durability: str) -> JournalChoice:
+def journal_choice(place: Place, durability: str | None) -> JournalChoice:
     """Return the journal of a run; another process would go on with what the command was given here."""
     given = click.get_current_context().meta[GIVEN]
-    return JournalChoice(place, Durability.of(durability), command=(os.getcwd(), *given))
+    return JournalChoice(place, Durability.of(durability) if durability else None, command=(os.getcwd(), *given))
 
 
 @contextmanager

@@ -31,7 +31,8 @@ PARAMETERS: Final = (
         " by default one for the node and its files in ~/.local/state/pnm/journals; 'none' keeps nothing",
     ),
     NodeParameter(
-        "durability", "process-crash", "what the journal survives: the death of the process, or that of the computer, which is slower",
+        "durability", "", "what the journal survives: the death of the process, or that of the computer, which is slower;"
+        " by default process-crash in a file, power-loss in PostgreSQL",
         choices=tuple(level.word for level in Durability),
     ),
     NodeParameter("keep_days", KEPT / DAY, "days for which the journal keeps what nothing needs any more; tasks are listed for longer"),
@@ -76,7 +77,8 @@ class Options:
     knowledge: Place | None
     journal: str
     """A file, postgresql://…, 'none', or empty for the default."""
-    durability: Durability
+    durability: Durability | None
+    """None for what is usual in the place of the journal."""
     keep_days: float
     lease: float
     planner: str
@@ -108,5 +110,6 @@ class Options:
             raise InputError("goals with names need a domain and a problem; expected both, or no goals")
         given["world_name"] = given["world_name"] or None
         given["on_failure"], given["on_conflict"] = OnFailure(given["on_failure"]), OnConflict[given["on_conflict"].upper()]
-        given["on_change"], given["durability"] = OnChange(given["on_change"]), Durability.of(given["durability"])
+        given["on_change"] = OnChange(given["on_change"])
+        given["durability"] = Durability.of(given["durability"]) if given["durability"] else None
         return cls(**given)

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
 from pnm.errors import PnmError
@@ -56,6 +57,11 @@ class Durability(Enum):
     POWER_LOSS = "FULL"
     """The death of the computer that has the file or the database: every commit is on its disk before anything is done."""
 
+    @classmethod
+    def usual(cls, place: Place) -> Durability:
+        """Return the level of a place for which none is chosen: a server may die while the process goes on, and a file cannot."""
+        return cls.PROCESS_CRASH if isinstance(place, Path) else cls.POWER_LOSS
+
     @property
     def word(self) -> str:
         """Its name in options."""
@@ -98,14 +104,14 @@ class JournalChoice:
 
     Args:
         place: of it; made if there is none.
-        durability: what commits survive.
+        durability: what commits survive; None for what is usual in that place.
         kept: seconds for which records are kept that nothing under way needs.
         command: what the command line is given, in which folder first, so that `pnm resume` goes on; empty for a node.
         lease: seconds for which no other process may take it, where it is in PostgreSQL.
     """
 
     place: Place
-    durability: Durability = Durability.PROCESS_CRASH
+    durability: Durability | None = None
     kept: float = KEPT
     command: tuple[str, ...] = ()
     lease: float = LEASE

@@ -286,7 +286,7 @@ class _Candidate:
                 self._follower = Follower(place, self._codec)
         replay = self._replay()
         try:
-            file, hold = self._take(place, choice.durability, choice.lease)
+            file, hold = self._take(place, choice.durability or Durability.usual(place), choice.lease)
         except Held as held:
             if replay is not None and replay.shared is not None and replay.shared.origin != self._origin:
                 raise InputError(f"{held.holder} holds {place}, for another domain, problem or world") from held

@@ -57,7 +57,7 @@ def declare(node: Any, parameters: Iterable[NodeParameter], given: Mapping[str, 
         except Exception as error:
             hint = "; expected a number such as 10.0" if isinstance(default, float) else ""
             raise InputError(f"the parameter {name} is wrong: {str(error) or type(error).__name__}{hint}") from error
-        if parameter.choices and value not in parameter.choices:
+        if parameter.choices and value not in (parameter.default, *parameter.choices):
             hint = suggestion(str(value), parameter.choices)
             expected = f"expected one of {', '.join(parameter.choices)}{f'; {hint}' if hint else ''}"
             raise InputError(f"the parameter {name} is {value!r}; {expected}")

@@ -10,7 +10,9 @@ from typing import Any
 import pytest
 
 from pnm.files.database.place import Place, place_of
-from pnm.journal.kept import Durability, Fenced, Held, JournalError, Row, TaskRow
+from pnm.journal.format import RECORDS
+from pnm.journal.kept import Durability, Fenced, Held, JournalChoice, JournalError, Row, TaskRow
+from pnm.journal.resume import take_up
 from pnm.journal.store import JournalFile, KeptJournal
 from tests.support.e2e.hosts.postgres import PostgresServer
 from tests.support.processes import until
@@ -58,6 +60,15 @@ def test_with_power_loss_every_commit_is_on_the_disk(place: Place, durability: D
     assert [list(row) for row in driver.run(asked, {})] == [[answer]]
     assert Durability.of(durability.word) is durability
     file.close()
+
+
+def test_what_is_not_chosen_is_durable_where_a_server_may_crash(place: Place) -> None:
+    taken = take_up(JournalChoice(place), RECORDS, "")
+    asked, answer = ("PRAGMA synchronous", 1) if isinstance(place, Path) else ("SHOW synchronous_commit", "on")
+    driver: Any = taken.file._database._driver
+    assert [list(row) for row in driver.run(asked, {})] == [[answer]]
+    taken.hold.release()
+    taken.file.close()
 
 
 def test_whoever_opens_it_last_may_write(place: Place) -> None:
