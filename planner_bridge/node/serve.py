@@ -39,10 +39,11 @@ from pnm.clock import continue_from, follow_real_time, run_async, short_pauses
 from pnm.core.broadcast import broadcast
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Bindings
-from pnm.errors import InputError, PnmError
+from pnm.errors import InputError, PnmError, RosError
 from pnm.files.database.place import Place, ServerUrl
 from pnm.journal.journal import NO_JOURNAL, Journal
 from pnm.journal.kept import DAY, Fenced, JournalChoice
+from pnm.journal.lease import is_locked
 from pnm.journal.replay import Replay
 from pnm.journal.resume import stand_by
 from pnm.knowledge.sources.registry import Surroundings, open_sources
@@ -292,7 +293,7 @@ class ServingNode:
         own, sensing = files.read(problem.vocabulary if problem else None)
         bindings = own.before(merge_bindings(plans))
         place = await self._journal_place(origin := origin_of(options))
-        plan_actions = await self._alone(programs, is_fleet=isinstance(place, ServerUrl))
+        plan_actions = await self._alone(programs, place)
         journal, replay = await self._resume(place, origin, stack)
         if replay and replay.shared and replay.shared.loaded:  # in place of that of the files
             domain, text = replay.shared.loaded
@@ -319,10 +320,10 @@ class ServingNode:
             context.begin_journal()
         return context
 
-    async def _alone(self, plans: Iterable[str], *, is_fleet: bool) -> Mapping[str, str]:
+    async def _alone(self, plans: Iterable[str], place: Place | None) -> Mapping[str, str]:
         """Return the actions of plans, by plan; raise an error if another node has the name of this one, or one of its actions.
 
-        In a fleet there are others, which stand by: who holds the journal has the names.
+        Who holds the journal has the names, and this node stands by for it. In a fleet there are others that stand by as well.
         """
         from pnm.ros.node.alone import check_alone  # here, because rclpy is an extra
         from pnm.ros.tasks.task_node import action_names
@@ -330,8 +331,12 @@ class ServingNode:
         plan_actions: Mapping[str, str]
         task_actions, plan_actions = await self._ros.ask(partial(action_names, self._ros, plans))
         self._actions = (*task_actions, *plan_actions.values())
-        if not is_fleet:
-            await check_alone(self._ros, self._actions)
+        if not isinstance(place, ServerUrl):
+            try:
+                await check_alone(self._ros, self._actions)
+            except RosError:
+                if place is None or not is_locked(place):
+                    raise
         return plan_actions
 
     async def _journal_place(self, origin: str) -> Place | None:

@@ -71,6 +71,17 @@ class FileLock(Unshared):
         os.close(self._file)
 
 
+def is_locked(path: Path) -> bool:
+    """Return whether another process has the lock of a journal file."""
+    try:
+        FileLock(path).release()
+    except Held:
+        return True
+    except JournalError:  # which whoever opens it says
+        return False
+    return False
+
+
 class Lease:
     """The lease of a journal in PostgreSQL.
 
