@@ -1,4 +1,4 @@
-"""The errors a person can cause, each with one sentence and its data as attributes."""
+"""The errors a person can cause, each with one sentence and its data as attributes; and the words of messages, as they may be shown."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from math import isfinite
-from typing import TypeGuard
+from typing import Final, TypeGuard
 
 
 class PnmError(Exception):
@@ -105,3 +105,28 @@ def suggestion(name: str, known: Collection[str]) -> str:
     spelled = {one.lower(): one for one in reversed([*known])}
     near = get_close_matches(name, known, 1) or [spelled[one] for one in get_close_matches(name.lower(), spelled, 1)]
     return f"did you mean {near[0]!r}?" if near else ""
+
+
+_JOINERS: Final = "\u200c\u200d"
+"""Neither printable nor dangerous: without them Persian words and many emoji fall apart."""
+
+
+def printable(text: str) -> str:
+    """Return a text on one line, without what controls a terminal, turns the order of its letters around, or is no letter in XML.
+
+    Every text that leaves the process passes here, or through `printable_lines`: it may come from files and from other machines.
+
+    >>> printable("a\\x1b[2Jb\\nc")
+    'a\ufffd[2Jb c'
+    """
+    if text.isprintable():
+        return text
+    return "".join(
+        letter if letter.isprintable() or letter in _JOINERS else " " if letter.isspace() else "\N{REPLACEMENT CHARACTER}"
+        for letter in text
+    )
+
+
+def printable_lines(text: str) -> str:
+    """Return a text with its lines, each of them printable."""
+    return text if text.isprintable() else "\n".join(map(printable, text.split("\n")))

@@ -35,6 +35,7 @@ from planner_bridge.cli.options import (
     write,
 )
 from pnm.errors import InputError
+from pnm.files.safe_stream import make_streams_safe
 
 if TYPE_CHECKING:
     pass
@@ -286,6 +287,7 @@ def demo(story: str) -> int:
 
 def main() -> None:
     """Run the command line."""
+    make_streams_safe()
     # Shells without job control start background processes with SIGINT ignored; one that is sent all the same asks us to stop in order.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rich.markup import escape
+from rich.text import Text
 
 from planner_bridge.cli.consoles.run_console import ConsoleObserver, print_result
 from planner_bridge.cli.consoles.safe_console import SafeConsole
@@ -57,7 +58,7 @@ def show_delivery(console: SafeConsole) -> int:
     print_result(console, result)
     console.print_text("In the simulated world, which nobody but the simulation sees:")
     for part in conjuncts(problem.goal):
-        console.print(f"         {part} is {'[green]true[/]' if world.holds(part) else '[red]false[/]'}", highlight=False)
+        console.print(Text(f"         {part} is ").append(*(("true", "green") if world.holds(part) else ("false", "red"))))
     advice = "pnm run DOMAIN PROBLEM with your own files, or pnm plan DOMAIN PROBLEM --format svg -o plan.svg to see a plan"
     console.print_text(f"Next: {advice}.")
     return 0 if result.goal_reached and world.holds(problem.goal) else 1
@@ -98,7 +99,7 @@ def show_mall(console: SafeConsole) -> int:
     """Play the script, and print what there is to see."""
     missing = [advice for module, advice in NEEDED.items() if find_spec(module) is None]
     if missing:
-        console.print(f"This demo needs ROS 2 and our interfaces: {' && '.join(missing)}", highlight=False, soft_wrap=True, markup=False)
+        console.print(f"This demo needs ROS 2 and our interfaces: {' && '.join(missing)}")
         return 1
     return asyncio.run(_play(console))
 
@@ -127,7 +128,7 @@ async def _play(console: SafeConsole) -> int:
             if await visitor.wait():
                 raise ChildProcessError("the visitor has found nobody")
     except (TimeoutError, ChildProcessError) as error:
-        console.print(f"[bold red]failed[/]   {escape(str(error) or f'it is not over after {LIMIT:g} s')}", highlight=False, soft_wrap=True)
+        console.print_text(str(error) or f"it is not over after {LIMIT:g} s", "[bold red]failed[/]   ")
         return 1
     story.sum_up()
     return 0 if story.reached == story.requests > 0 and not story.clashes else 1

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
 from rich.text import Text
 
 from planner_bridge.cli.consoles.safe_console import SafeConsole
@@ -97,7 +96,7 @@ def history(journal: str | None, as_json: bool) -> int:
         else:
             _print_task(task, console)
     if not (tasks or as_json):
-        console.print("no tasks", highlight=False)
+        console.print("no tasks")
     return 0
 
 
@@ -155,26 +154,26 @@ def errors_of_journals() -> Iterator[None]:
         raise InputError(str(error)) from error
 
 
-def _print(step: Step, state: Replay, console: Console) -> None:
+def _print(step: Step, state: Replay, console: SafeConsole) -> None:
     first, *more = words(step, state)
     task = state.runs[step.record.run].made.task.hex[:8] if isinstance(step.record, Happened | RunMade) else ""
-    console.print(Text(f"{step.number:6} {step.time - state.began:9.2f} s  {task:8}  {first}"), soft_wrap=True)
+    console.print(Text(f"{step.number:6} {step.time - state.began:9.2f} s  {task:8}  {first}"))
     for line in more:
-        console.print(Text(f"{'':30}{line}", style="dim"), soft_wrap=True)
+        console.print(Text(f"{'':30}{line}", style="dim"))
 
 
-def _print_state(state: Replay, console: Console) -> None:
+def _print_state(state: Replay, console: SafeConsole) -> None:
     """Print what was so after the last record: tasks, marked places, facts."""
     for id, task in state.tasks.items():
         doing = "over" if task.ending else "not over"
-        console.print(Text(f"task {id.hex[:8]}  {_name(task.accepted)}: {doing}"), soft_wrap=True)
+        console.print(Text(f"task {id.hex[:8]}  {_name(task.accepted)}: {doing}"))
     for replayed in state.runs.values():
         if not replayed.is_over:
-            console.print(Text(f"run {replayed.run.id.hex[:8]}  of {replayed.made.name}"), soft_wrap=True)
+            console.print(Text(f"run {replayed.run.id.hex[:8]}  of {replayed.made.name}"))
             for place in replayed.run.marking:
-                console.print(Text(f"  marked {place}"), soft_wrap=True)
+                console.print(Text(f"  marked {place}"))
     for fluent, value in sorted(state.world.facts().items(), key=lambda fact: fact[0]):
-        console.print(Text(f"fact {statement_text(fluent, value)}"), soft_wrap=True)
+        console.print(Text(f"fact {statement_text(fluent, value)}"))
 
 
 def _as_json(step: Step, state: Replay) -> dict[str, Any]:
@@ -205,12 +204,12 @@ def _task_as_json(task: TaskSummary) -> dict[str, Any]:
     }
 
 
-def _print_task(task: TaskSummary, console: Console) -> None:
+def _print_task(task: TaskSummary, console: SafeConsole) -> None:
     at = datetime.fromtimestamp(task.accepted.wall).astimezone().strftime("%Y-%m-%d %H:%M:%S")
     ending = task.ending
     if ending is None or task.ended is None:
         text = "not over"
     else:
         text = f"{ending.code.word} after {task.ended - task.accepted.wall:.1f} s: {ending.message}"
-    console.print(Text(f"{at}  {task.accepted.wanted.id.hex[:8]}  {_name(task.accepted)}"), soft_wrap=True)
-    console.print(Text(f"{'':21}{text}", style="" if ending else "yellow"), soft_wrap=True)
+    console.print(Text(f"{at}  {task.accepted.wanted.id.hex[:8]}  {_name(task.accepted)}"))
+    console.print(Text(f"{'':21}{text}", style="" if ending else "yellow"))

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Final
 
 import click
-from rich.console import Console
 from rich.text import Text
 
 from planner_bridge.cli.consoles.safe_console import SafeConsole
@@ -114,7 +113,7 @@ def check(
     return 2 if ReadyState.UNFIT in states else 1 if states - {ReadyState.READY} else 0
 
 
-def print_table(console: Console, rows: Sequence[Readiness]) -> None:
+def print_table(console: SafeConsole, rows: Sequence[Readiness]) -> None:
     """Print a line for each row; what to do comes last, because it may be long."""
     lines = [("what", "name", "type", "state", "what to do")]
     lines += [(row.what, row.name, row.type, row.state.value, row.where + row.advice) for row in rows]
@@ -124,4 +123,4 @@ def print_table(console: Console, rows: Sequence[Readiness]) -> None:
         style = _STYLES.get(rows[number - 1].state, "yellow") if number else ""
         line = Text("  ".join((*plain, ""))).append(state, style).append(f"  {advice}")
         line.rstrip()
-        console.print(line, soft_wrap=True)
+        console.print(line)

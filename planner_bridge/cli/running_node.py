@@ -14,8 +14,8 @@ from uuid import UUID, uuid4
 
 import click
 from rich.live import Live
-from rich.markup import escape
 from rich.table import Column, Table
+from rich.text import Text
 
 from planner_bridge.cli.consoles.event_lines import EventLines, ToldFailures
 from planner_bridge.cli.consoles.safe_console import SafeConsole
@@ -105,9 +105,9 @@ class TaskBoard:
         """Return the tasks with their calls, as a table that fits any terminal."""
         table = Table.grid(Column(no_wrap=True), Column(overflow="fold"), padding=(0, 2))
         for task, state in self.states.items():
-            table.add_row(f"[bold]{task.hex[:8]}[/]", f"[bold]{escape(self.goals.get(task, ''))}[/]  {escape(state)}")
+            table.add_row(Text(task.hex[:8], "bold"), Text.assemble((self.goals.get(task, ""), "bold"), f"  {state}"))
             for call, (since, said) in self.calls.get(task, {}).items():
-                table.add_row("" if since is None else f"{now - since:6.0f} s", escape("  ".join(filter(None, (call, said)))))
+                table.add_row("" if since is None else f"{now - since:6.0f} s", "  ".join(filter(None, (call, said))))
         return table
 
 
@@ -142,7 +142,7 @@ class EventPrinter:
                 return
             self._told[key] = event.time
         self._lines.label = label
-        self._lines.print(event.time, f"{event.word:<7}", ": ".join(filter(None, (event.subject, text))))
+        self._lines.print(event.time, Text(f"{event.word:<7}"), ": ".join(filter(None, (event.subject, text))))
 
 
 @click.command(epilog="Example: pnm status --json")
@@ -229,10 +229,10 @@ def goal(*, goal: str, priority: int, deadline: float | None, policy: str, names
         trace = {"trace": [f"{event['word']} {event['subject']} {event['text']}".strip() for event in outcome.result.get("trace", ())]}
         print(json.dumps({"task": str(task), "goal_reached": is_reached, **outcome.result, "message": outcome.message, **trace}))
     else:
-        word = "[bold green]goal[/]     holds" if is_reached else "[bold red]goal[/]     not reached: "
-        console.print(word, end="" if not is_reached else "\n")
-        if not is_reached:
-            console.print(outcome.message or outcome.kind.value, markup=False, highlight=False, soft_wrap=True)
+        if is_reached:
+            console.print_text("holds", "[bold green]goal[/]     ")
+        else:
+            console.print(Text.assemble(("goal", "bold red"), f"     not reached: {outcome.message or outcome.kind.value}"))
     return 0 if is_reached else 1
 
 
@@ -304,7 +304,8 @@ def facts(
     if as_json:
         print(json.dumps(known))
     else:
-        print(*(f"{fact}  {value}" for fact, value in sorted(known.items())), sep="\n", end="\n" if known else "")
+        for fact, value in sorted(known.items()):
+            SafeConsole().print(f"{fact}  {value}")
     return 0
 
 
@@ -344,7 +345,7 @@ def _print_status(console: SafeConsole, message: Any) -> None:
         calls = (": ".join(filter(None, said)) for said in zip(task["running"], task["feedback"], strict=True))
         why = ", ".join(calls) or task["reason"]
         table.add_row(task["id"][:8], task["state"], task["goal"], str(task["ended"]), why)
-    console.print(table, markup=False)
+    console.print(table, soft_wrap=False)
 
 
 def _task_data(task: Any) -> dict[str, Any]:

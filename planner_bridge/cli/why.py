@@ -163,7 +163,7 @@ def show(answers: Sequence[Answer], *, as_json: bool) -> None:
             indent = "  " * depth
             wide = max(console.width, len(indent) + _NARROW)
             lines = wrap(text, wide, initial_indent=indent, subsequent_indent=indent + " " * 4, break_on_hyphens=False)
-            console.print("\n".join(lines) if console.is_terminal else indent + text, highlight=False, soft_wrap=True, markup=False)
+            console.print("\n".join(lines) if console.is_terminal else indent + text)
 
 
 def _lines(answer: Answer, above: Known | None, depth: int) -> Iterator[tuple[int, str]]:

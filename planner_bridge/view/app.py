@@ -7,7 +7,6 @@ have named this computer itself (DNS rebinding): so only requests to a name of t
 from __future__ import annotations
 
 import asyncio
-import json
 import re
 from collections.abc import AsyncIterator, Callable
 from dataclasses import asdict
@@ -17,13 +16,14 @@ from uuid import UUID, uuid4
 
 from starlette.applications import Starlette
 from starlette.requests import Request
-from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
+from starlette.responses import FileResponse, Response, StreamingResponse
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from planner_bridge.view.call_detail import detail
 from planner_bridge.view.control.route import Control
+from planner_bridge.view.control.shown_json import ShownResponse, shown_json
 from planner_bridge.view.follow import Feed, Reader
 from planner_bridge.view.frames import frame
 from planner_bridge.view.shown import View
@@ -48,6 +48,9 @@ HEADERS: Final = {
     "cross-origin-resource-policy": "same-origin",
     "cache-control": "no-store",
 }
+WATCHING: Final = 32
+"""Browsers that may watch at the same time: each of them is sent everything."""
+_DIGITS: Final = 40
 
 T = TypeVar("T")
 
@@ -68,6 +71,8 @@ class ViewApp:
         feed: what happens now.
         past: reads what has happened.
         control: what may be controlled, and by whom.
+
+    The mutable state is how many browsers watch.
     """
 
     def __init__(self, place: Place, feed: Feed, past: Reader, control: Control) -> None:
@@ -77,6 +82,7 @@ class ViewApp:
         self._control = control
         self._key = uuid4().hex
         """Of this journal as this process reads it: numbers of records that a browser has from elsewhere mean nothing here."""
+        self._watching = 0
         routes = [
             Route("/", self._page),
             Route("/state", self._state),
@@ -118,7 +124,7 @@ class ViewApp:
             return None if task is None else _Asked(task, (run, index), story.number)
 
         def answered(about: _Asked) -> Response:
-            return JSONResponse([answer.as_json() for answer in explained(self._place, about.task, about.call, about.number)])
+            return ShownResponse([answer.as_json() for answer in explained(self._place, about.task, about.call, about.number)])
 
         return await self._told_of_call(request, asked, answered)
 
@@ -139,13 +145,14 @@ class ViewApp:
         return world
 
     async def _told_of_call(
-        self, request: Request, tell: Callable[[Story, UUID, int], T | None], response: Callable[[T], Response] = JSONResponse
+        self, request: Request, tell: Callable[[Story, UUID, int], T | None], response: Callable[[T], Response] = ShownResponse
     ) -> Response:
         """Answer with what is told of the call that the request names."""
         run, _, index = request.query_params.get("call", "").partition("/")
-        if not (index.isdecimal() and re.fullmatch("[0-9a-f]{32}", run)):
-            return _refused(f"expected call=RUN/NUMBER, found {request.query_params.get('call', 'nothing')!r}", 400)
-        return await self._told(request, lambda story: tell(story, UUID(run), int(index)), response)
+        number = _number(index)
+        if number is None or not re.fullmatch("[0-9a-f]{32}", run):
+            return _refused(f"expected call=RUN/NUMBER, found {_quoted(request.query_params.get('call', ''))}", 400)
+        return await self._told(request, lambda story: tell(story, UUID(run), number), response)
 
     async def _picture(self, request: Request) -> Response:
         """Answer with the plan of a run that has begun by a record."""
@@ -158,41 +165,61 @@ class ViewApp:
         return await self._told(request, told, lambda text: Response(text, media_type="image/svg+xml"))
 
     async def _told(
-        self, request: Request, tell: Callable[[Story], T | None], response: Callable[[T], Response] = JSONResponse
+        self, request: Request, tell: Callable[[Story], T | None], response: Callable[[T], Response] = ShownResponse
     ) -> Response:
         """Answer with what is told after the record that the request names."""
-        given = request.query_params.get("at", "")
-        if not given.isdecimal():
-            return _refused(f"expected at=NUMBER, found {given or 'nothing'!r}", 400)
+        number = _number(request.query_params.get("at", ""))
+        if number is None:
+            return _refused(f"expected at=NUMBER, found {_quoted(request.query_params.get('at', ''))}", 400)
         try:
-            told = await self._feed.asked(int(given), tell, self._past)
+            told = await self._feed.asked(number, tell, self._past)
             if told is None:
-                return _refused(f"there is nothing of that after record {given}", 404)
+                return _refused(f"there is nothing of that after record {number}", 404)
             return await asyncio.to_thread(response, told)  # nobody else waits for that
         except PnmError as error:
             return _refused(str(error), 409)
 
     async def _events(self, request: Request) -> Response:
         """Stream frames, from what the browser has seen last."""
-        last = request.headers.get("last-event-id") or request.query_params.get("after", "")
+        last = _number(request.headers.get("last-event-id") or request.query_params.get("after", ""))
         seen: View | None = None
-        if last.isdecimal() and request.query_params.get("of") == self._key:
+        if last is not None and request.query_params.get("of") == self._key:
             try:
-                seen = await self._feed.asked(int(last), view_of, self._past)
+                seen = await self._feed.asked(last, view_of, self._past)
             except PnmError:
                 seen = None  # which is told as a problem, with the whole state
 
         async def stream() -> AsyncIterator[str]:
             nonlocal seen
             async for view in self._feed.views():
-                text = json.dumps(self._frame(seen, view), allow_nan=False)
+                text = shown_json(self._frame(seen, view))
                 seen = view
                 yield f"id: {view.number}\nretry: 1000\ndata: {text}\n\n"
 
-        return StreamingResponse(stream(), media_type="text/event-stream")
+        if self._watching >= WATCHING:
+            return _refused(f"{WATCHING} browsers watch already; close one of them", 503)
+        self._watching += 1
+        return _Watched(stream(), self._left)
+
+    def _left(self) -> None:
+        self._watching -= 1
 
     def _frame(self, before: View | None, after: View) -> dict[str, Any]:
         return {"journal": self._key, **frame(before, after)}
+
+
+class _Watched(StreamingResponse):
+    """A stream that says when nobody watches it any more, also if nothing of it was sent."""
+
+    def __init__(self, frames: AsyncIterator[str], left: Callable[[], None]) -> None:
+        super().__init__(frames, media_type="text/event-stream")
+        self._left = left
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            self._left()
 
 
 class _Guarded:
@@ -222,5 +249,14 @@ class _Guarded:
         await app(scope, receive, guarded)
 
 
+def _number(text: str) -> int | None:
+    """Return the number that a request has given; None if it has not, or one that is longer than any."""
+    return int(text) if text.isdecimal() and len(text) <= _DIGITS else None
+
+
+def _quoted(text: str) -> str:
+    return repr(text[:_DIGITS]) if text else "nothing"
+
+
 def _refused(why: str, status: int) -> Response:
-    return JSONResponse({"error": why}, status)
+    return ShownResponse({"error": why}, status)

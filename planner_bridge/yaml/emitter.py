@@ -29,7 +29,7 @@ _PLAIN: Final = re.compile(
 )
 _BREAKING: Final = re.compile(r":(?:\s|\Z)|\s#|[\u2028\u2029]")
 _IN_FLOW: Final = re.compile(r"[,\[\]{}?:]")
-_ESCAPED: Final = re.compile("[\x7f-\x9f\u2028\u2029\ufeff\ud800-\udfff\ufffe\uffff]")
+_ESCAPED: Final = re.compile("[\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff\ufffe\uffff]")
 _RESOLVERS: Final = yaml.SafeLoader.yaml_implicit_resolvers
 
 

@@ -1,4 +1,4 @@
-"""Texts: of files, with clear refusals of what is missing, too large or not text; and what of a text may be shown."""
+"""Texts of files, with clear refusals of what is missing, too large or not text."""
 
 from __future__ import annotations
 
@@ -84,8 +84,3 @@ def _decoded(raw: bytes, path: Path | str) -> str:
 
 def _position(path: Path | str, raw: bytes, offset: int) -> Position:
     return Position(str(path), raw.count(b"\n", 0, offset) + 1, offset - raw.rfind(b"\n", 0, offset))
-
-
-def printable(text: str) -> str:
-    """Return the text without control characters: it may come from files and other machines, and must not control the terminal."""
-    return "".join(letter if letter.isprintable() else " " if letter.isspace() else "\N{REPLACEMENT CHARACTER}" for letter in text)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from uuid import UUID
 
-from rich.markup import escape
+from rich.text import Text
 
-from planner_bridge.cli.consoles.safe_console import SafeConsole
+from planner_bridge.cli.consoles.safe_console import SafeConsole, marked
 from pnm.tasks import TraceKind
 
 
@@ -24,11 +24,11 @@ class EventLines:
     label: str = ""
     began: float | None = None
 
-    def print(self, now: float, word: str, text: str) -> None:
-        """Print a line; the word may have markup."""
+    def print(self, now: float, word: str | Text, text: str) -> None:
+        """Print a line; the word is markup of ours, or a `Text`."""
         if self.began is None:
             self.began = now
-        self.console.print_text(text, f"  {now - self.began:8.2f} s  {escape(self.label)}{word} ")
+        self.console.print_text(text, Text.assemble(f"  {now - self.began:8.2f} s  {self.label}", marked(word), " "))
 
 
 @dataclass

@@ -26,7 +26,7 @@ class NodeConsole(NodeObserver):
 
     def unconfigured(self) -> None:
         """Print that a lifecycle manager is waited for."""
-        self._console.print("unconfigured: waits for its transitions", highlight=False)
+        self._console.print("unconfigured: waits for its transitions")
 
     def tolerated(self, warnings: Iterable[Tolerated]) -> None:
         """Print warnings on stderr."""
@@ -34,32 +34,32 @@ class NodeConsole(NodeObserver):
 
     def proved(self, plan: str, proof: Proof) -> None:
         """Print the proof of a plan."""
-        self._console.print(f"[bold]plan[/]     {plan}: proved {proof}", highlight=False, soft_wrap=True)
+        self._console.print_text(f"{plan}: proved {proof}", "[bold]plan[/]     ")
 
     def journalled(self, place: str, going_on: int | None) -> None:
         """Print where tasks are kept."""
-        self._console.print(journal_words(place, going_on), highlight=False, soft_wrap=True, markup=False)
+        self._console.print(journal_words(place, going_on))
 
     def standing_by(self, place: str, holder: str) -> None:
         """Print who holds the journal."""
-        self._console.print(standing_words(place, holder), highlight=False, soft_wrap=True, markup=False)
+        self._console.print(standing_words(place, holder))
 
     def activated(self, actions: tuple[str, ...]) -> None:
         """Print the action servers of the node."""
         text = f"ready: {len(actions)} action servers: {', '.join(actions)}"
-        self._console.print(text, highlight=False, soft_wrap=True, markup=False)
+        self._console.print(text)
 
     def deactivated(self) -> None:
         """Print that goals are rejected."""
-        self._console.print("inactive: goals are rejected, and tasks are paused", highlight=False, soft_wrap=True, markup=False)
+        self._console.print("inactive: goals are rejected, and tasks are paused")
 
     def missing(self, server: str) -> None:
         """Print that a server is missing."""
-        self._console.print(f"[bold yellow]missing[/]  there is no action server {server} yet", highlight=False, soft_wrap=True)
+        self._console.print_text(f"there is no action server {server} yet", "[bold yellow]missing[/]  ")
 
     def failed(self, error: BaseException) -> None:
         """Print why servers cannot be used."""
-        self._console.print(f"[bold red]wrong[/]    {error}", highlight=False, soft_wrap=True)
+        self._console.print_text(str(error), "[bold red]wrong[/]    ")
 
     def configured(self, tasks: Tasks, commands: TaskCommands, world: ServedWorld) -> None:
         """Print the events of tasks from now on."""

@@ -31,14 +31,17 @@ def waiting(text: str, console: Console | None = None) -> AbstractContextManager
         text: what is waited for, with its limit.
         console: that of the output; by default stderr.
     """
-    from rich.console import Console  # here, because most commands have no use for it
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    console = console or Console(stderr=True)
+    from planner_bridge.cli.consoles.safe_console import SafeConsole  # here, because most commands have no use for it
+
+    console = console or SafeConsole(stderr=True)
     if not console.is_terminal:
         return nullcontext()
-    progress = Progress(SpinnerColumn(), TextColumn(f"{text}:", markup=False), TimeElapsedColumn(), console=console, transient=True)
-    progress.add_task("")
+    progress = Progress(
+        SpinnerColumn(), TextColumn("{task.description}:", markup=False), TimeElapsedColumn(), console=console, transient=True
+    )
+    progress.add_task(text)
     return progress
 
 

@@ -93,7 +93,7 @@ class ConsoleObserver(TaskObserver):
         """Print that the task goes on."""
         self._waiting.close()
         self._print_robots()
-        self._console.print("[bold]resumed[/]  goes on where another process has left it", highlight=False, soft_wrap=True)
+        self._console.print_text("goes on where another process has left it", "[bold]resumed[/]  ")
 
     def planned(self, plan: Plan) -> None:
         """Print the plan."""
@@ -227,7 +227,7 @@ class ConsoleObserver(TaskObserver):
 def print_result(console: SafeConsole, result: TaskResult) -> None:
     """Print how the task ended."""
     if result.goal_reached:
-        console.print("[bold green]goal[/]     holds", highlight=False)
+        console.print_text("holds", "[bold green]goal[/]     ")
     else:
         console.print_reason("[bold red]goal[/]     not reached:", result.reason)
     assumed = sum(call.assumed for call in result.calls)

@@ -6,50 +6,76 @@ import os
 import re
 import sys
 import textwrap
-from typing import Any, Final
+from collections.abc import Iterable
+from typing import IO, Any, Final
 
-from rich.console import Console
-from rich.markup import escape
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 from rich.text import Text
 
-from pnm.files.text import printable
+from pnm.errors import printable_lines
 
 INDENT: Final = 9
 """Columns before what belongs to the line above."""
 
 
 class SafeConsole(Console):
-    """A console that neither fails when its reader has closed the pipe nor prints control characters."""
+    """A console that neither fails when its reader has closed the pipe, nor prints control characters, nor takes texts for markup."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**{"markup": False, "highlight": False, "emoji": False, "soft_wrap": True, **options})
+
+    @property
+    def file(self) -> IO[str]:
+        """The stream that is written: the one behind those that let no control characters through."""
+        stream = super().file
+        while hasattr(stream, "rich_proxied_file"):
+            stream = stream.rich_proxied_file
+        return stream
+
+    @file.setter
+    def file(self, new: IO[str]) -> None:
+        self._file = new
 
     def on_broken_pipe(self) -> None:
         """Write to the null device from now on: whatever is running goes on undisturbed."""
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
-    def print(self, *objects: Any, **options: Any) -> None:
-        """Print texts without control characters and without what UTF-8 cannot encode."""
-        safe = ("\n".join(map(printable, part.split("\n"))) if isinstance(part, str) else part for part in objects)
-        super().print(*safe, **options)
+    def render_str(self, text: str, **options: Any) -> Text:
+        """Return a text as it can be rendered, without control characters and without what UTF-8 cannot encode."""
+        return super().render_str(printable_lines(text), **options)
 
-    def print_text(self, text: str, head: str = "") -> None:
-        """Print a text behind its head, which may have markup: on a terminal in lines that are not too long, behind the head as well."""
-        indent = Text.from_markup(head).cell_len
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """Yield what is printed of anything; control characters only where the console itself moves the cursor."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else segment._replace(text=printable_lines(segment.text))
+
+    def print_text(self, text: str, head: str | Text = "") -> None:
+        """Print a text behind its head: on a terminal in lines that are not too long, behind the head as well.
+
+        Args:
+            text: from anywhere.
+            head: markup of ours, or a text.
+        """
+        whole = marked(head)
+        indent = whole.cell_len
         lines = textwrap.wrap(text, max(20, self.width - indent), break_on_hyphens=False) if self.is_terminal else [text]
         first, *others = lines or [""]
-        self.print(f"{head}{escape(first)}", *(" " * indent + escape(line) for line in others), sep="\n", highlight=False, soft_wrap=True)
+        self.print(whole.append(first), *(" " * indent + line for line in others), sep="\n")
 
-    def print_reason(self, head: str, reason: str) -> None:
-        """Print a reason behind its head, which may have markup: on a terminal each part on lines of its own that are not too long."""
-        lines = [reason]
+    def print_reason(self, head: str | Text, reason: str) -> None:
+        """Print a reason behind its head, as `print_text` does: on a terminal each part on lines of its own that are not too long."""
+        whole, lines = marked(head), [reason]
         if self.is_terminal:
             parts = re.split(r"(?<=;) ", reason)
             lines = [line for part in parts for line in textwrap.wrap(part, max(20, self.width - INDENT), break_on_hyphens=False)]
-            if Text.from_markup(head).cell_len >= INDENT:
+            if whole.cell_len >= INDENT:
                 lines = ["", *lines]
-        first, *others = lines
-        self.print(
-            f"{head} {escape(first)}".rstrip(),
-            *(" " * INDENT + escape(line) for line in others),
-            sep="\n",
-            highlight=False,
-            soft_wrap=True,
-        )
+        first, *others = lines or [""]
+        whole.append(f" {first}").rstrip()
+        self.print(whole, *(" " * INDENT + line for line in others), sep="\n")
+
+
+def marked(head: str | Text) -> Text:
+    """Return a text that is markup of ours as it is printed; one that is a `Text` as it is."""
+    return Text.from_markup(head, emoji=False) if isinstance(head, str) else head

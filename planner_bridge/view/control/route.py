@@ -10,10 +10,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import Response
 
 from planner_bridge.view.control.channel import Channel
 from planner_bridge.view.control.commands import MAX_TEXT, Controlled
+from planner_bridge.view.control.shown_json import ShownResponse
 from pnm.errors import PnmError
 
 if TYPE_CHECKING:
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from pnm.core.knowledge_base import KnowledgeBase
 
 _MAX_BODY: Final = 4 * MAX_TEXT
+_LEVELS: Final = 8
+"""How deep a value may be nested that is looked at as a command."""
 _TYPE: Final = "application/json"
 """Of bodies: no form of another page can have it."""
 
@@ -43,7 +46,7 @@ class Control:
 
     async def look(self, request: Request) -> Response:
         """Answer with what may be controlled."""
-        return self._refusal(request) or JSONResponse({"what": self.what.value})
+        return self._refusal(request) or ShownResponse({"what": self.what.value})
 
     async def do(self, request: Request, world: Callable[[], Awaitable[KnowledgeBase]]) -> Response:
         """Have a command carried out, and answer with the reply; what is explained is explained from a world."""
@@ -60,14 +63,16 @@ class Control:
             command = json.loads(body)
         except (ValueError, RecursionError):
             return _refused("expected a command as JSON", 400)
+        if _is_deep(command):
+            return _refused("expected a command with texts and lists of texts, found lists in lists", 400)
         reply = await self.channel.ask(command)
         if reply.problem:
             try:
-                return JSONResponse({"answers": [answer.as_json() for answer in await self._explained(reply.problem, world)]})
+                return ShownResponse({"answers": [answer.as_json() for answer in await self._explained(reply.problem, world)]})
             except PnmError as error:
                 return _refused(str(error), 409)
         told = {name: value for name, value in reply.as_json().items() if name != "problem"}
-        return JSONResponse(told, 409 if reply.refused else 200)
+        return ShownResponse(told, 409 if reply.refused else 200)
 
     async def _explained(self, problem: str, world: Callable[[], Awaitable[KnowledgeBase]]) -> tuple[Answer, ...]:
         """Explain a problem: in this process, because that takes a processor, which the tasks need."""
@@ -85,6 +90,12 @@ class Control:
         return None
 
 
+def _is_deep(value: object, levels: int = _LEVELS) -> bool:
+    """Return whether a value is nested deeper than commands are: the process that has the tasks reads no such thing."""
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return levels == 0 or any(_is_deep(entry, levels - 1) for entry in inner)
+
+
 def _nowhere(_: str) -> None:
     """Write to nobody."""
 
@@ -93,4 +104,4 @@ NO_CONTROL: Final = Control(Controlled.NOTHING, "", Channel(_nowhere))
 
 
 def _refused(why: str, status: int) -> Response:
-    return JSONResponse({"refused": why}, status)
+    return ShownResponse({"refused": why}, status)

@@ -48,7 +48,9 @@ export async function showPlan(model, run, choose) {
         }
       });
     }
-    place.replaceChildren(boxes.size ? document.adoptNode(picture) : el("p", { class: "soft" }, "nothing is to be done: the plan has no calls"));
+    const drawable = picture.localName === "svg" && !picture.querySelector("parsererror");
+    const why = drawable ? "nothing is to be done: the plan has no calls" : "the picture of the plan cannot be drawn by this browser";
+    place.replaceChildren(drawable && boxes.size ? document.adoptNode(picture) : el("p", { class: "soft" }, why));
   }
 }
 

@@ -15,6 +15,7 @@ from typing import Any
 
 from pnm.core.machine.machine import Guard, PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, Step, flows
+from pnm.errors import printable_lines
 
 COLOURS = {
     "goal": "#2e7d32",
@@ -85,12 +86,12 @@ def _transition(machine: PetriNetMachine, name: str) -> str:
 
 def quoted(text: str) -> str:
     """Return a text as Graphviz reads it."""
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'
+    return '"' + printable_lines(text).replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'
 
 
 def to_json(machine: PetriNetMachine) -> str:
     """Return the machine as one JSON object."""
-    return json.dumps(as_data(machine), indent=1, ensure_ascii=False) + "\n"
+    return json.dumps(as_data(machine), indent=1) + "\n"
 
 
 def as_data(machine: PetriNetMachine) -> dict[str, Any]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import Final
 
 from pnm.core.machine.export import COLOURS, guard_data
@@ -18,7 +17,7 @@ from pnm.core.machine.plan_graph import Flow
 from pnm.core.pictures.net_layout import GAP, ROW, STACK, TITLE, BlockKey, BlockLayout, Column, Crossing, Frame, Standing, block_layouts
 from pnm.core.pictures.plan_layout import laid_out
 from pnm.core.pictures.step_words import cut, facts_of, held, numbers
-from pnm.core.pictures.svg import picture
+from pnm.core.pictures.svg import picture, xml
 from pnm.errors import counted
 
 _ACROSS: Final = 2
@@ -76,7 +75,7 @@ def net_svg(machine: PetriNetMachine, title: str = "") -> str:
         if column.standing in (Standing.CAME_IN, Standing.OWN)
         for number, place in enumerate(column.places)
     }
-    drawn = [f'<path class="rule" d="M0 {at:g}H{width:g}"/><text x="8" y="{at + 15:g}">{escape(name)}</text>' for name, at in titles]
+    drawn = [f'<path class="rule" d="M0 {at:g}H{width:g}"/><text x="8" y="{at + 15:g}">{xml(name)}</text>' for name, at in titles]
     for placed in blocks.values():
         drawn += _block(machine, placed, stands)
     return picture("net", title or f"a machine of {counted(len(machine.plan.calls), 'call')}", _STYLE, width, height, drawn)
@@ -105,9 +104,9 @@ def _block(machine: PetriNetMachine, placed: _Placed, stands: Mapping[str, tuple
     for crossing in layout.crossings:
         for x in (*(x for x, _ in crossing.inputs), *crossing.outputs, *crossing.back):
             depths[x] = max(depths.get(x, 0), crossing.row + (x in crossing.back))
-    yield f'<g transform="translate({placed.x:g} {placed.y:g})"><title>{escape(layout.name)}</title>'
+    yield f'<g transform="translate({placed.x:g} {placed.y:g})"><title>{xml(layout.name)}</title>'
     yield f'<rect class="box" width="{layout.width:g}" height="{layout.height:g}" rx="6"/>'
-    yield f'<text class="name" x="10" y="16">{escape(cut(layout.name, int(layout.width / 7)))}</text>'
+    yield f'<text class="name" x="10" y="16">{xml(cut(layout.name, int(layout.width / 7)))}</text>'
     lines = (f"M{column.x:g} {_head(layout, column):g}V{_y(layout, depths[column.x]):g}" for column in layout.columns if column.x in depths)
     yield f'<path class="line" d="{"".join(lines)}"/>'
     for number, column in enumerate(layout.columns):
@@ -146,7 +145,7 @@ def _column(machine: PetriNetMachine, layout: BlockLayout, column: Column, is_ra
                 yield from _place(machine, place, x, at)
                 fact = facts_of(machine.orderings[place].protects, _LABEL) if place in machine.orderings else ""
                 words = f"{_names(machine, machine.net.preset(place))} {fact}".strip()
-                yield f'<text class="fact" x="{x + _RADIUS + 3:g}" y="{at + 3:g}">{escape(cut(words, _LABEL))}</text></g>'
+                yield f'<text class="fact" x="{x + _RADIUS + 3:g}" y="{at + 3:g}">{xml(cut(words, _LABEL))}</text></g>'
         case Standing.OWN:
             (place,) = column.places
             yield from _place(machine, place, x, y)
@@ -154,12 +153,12 @@ def _column(machine: PetriNetMachine, layout: BlockLayout, column: Column, is_ra
             yield "</g>"
         case Standing.ELSEWHERE:
             (place,) = column.places
-            yield f'<g><title>{escape(place)}</title><path d="M{x - 4:g} {y:g}L{x:g} {y - 4:g}L{x + 4:g} {y:g}L{x:g} {y + 4:g}z"/>'
+            yield f'<g><title>{xml(place)}</title><path d="M{x - 4:g} {y:g}L{x:g} {y - 4:g}L{x + 4:g} {y:g}L{x:g} {y + 4:g}z"/>'
             yield from _over(f"from {_names(machine, machine.net.preset(place))}", x, y, is_raised, "far")
             yield "</g>"
         case Standing.WAY_OUT:
             takers = [taker for place in column.places for taker in machine.net.postset(place)]
-            yield f'<g><title>{escape(chr(10).join(column.places))}</title><path class="tip" d="M{x - 4:g} {y - 5:g}l8 5l-8 5z"/>'
+            yield f'<g><title>{xml(chr(10).join(column.places))}</title><path class="tip" d="M{x - 4:g} {y - 5:g}l8 5l-8 5z"/>'
             yield from _over(f"→ {_names(machine, takers)}", x, y, is_raised, "far")
             yield "</g>"
 
@@ -167,7 +166,7 @@ def _column(machine: PetriNetMachine, layout: BlockLayout, column: Column, is_ra
 def _place(machine: PetriNetMachine, place: str, x: float, y: float) -> Iterator[str]:
     """Yield the beginning of a group with a place and its tokens."""
     tokens = machine.initial[place]
-    yield f'<g><title>{escape(place)}</title><circle cx="{x:g}" cy="{y:g}" r="{_RADIUS}" stroke="{COLOURS[machine.role(place)]}"/>'
+    yield f'<g><title>{xml(place)}</title><circle cx="{x:g}" cy="{y:g}" r="{_RADIUS}" stroke="{COLOURS[machine.role(place)]}"/>'
     if tokens:
         yield f'<text x="{x:g}" y="{y + 3.5:g}" text-anchor="middle">{"●" if tokens == 1 else tokens}</text>'
 
@@ -177,7 +176,7 @@ def _over(words: str, x: float, y: float, is_raised: bool, kind: str) -> Iterato
     lines = words.split(" ", 1) if len(words) > _NAME else [words]
     for number, line in enumerate(reversed(lines)):
         at = y - _RADIUS - 4 - 10 * number - 20 * is_raised
-        yield f'<text class="{kind}" x="{x:g}" y="{at:g}" text-anchor="middle">{escape(cut(line, _NAME))}</text>'
+        yield f'<text class="{kind}" x="{x:g}" y="{at:g}" text-anchor="middle">{xml(cut(line, _NAME))}</text>'
 
 
 def _names(machine: PetriNetMachine, transitions: Sequence[str]) -> str:
@@ -197,13 +196,13 @@ def _crossing(machine: PetriNetMachine, layout: BlockLayout, crossing: Crossing)
         lines += f"M{crossing.bar:g} {y:g}V{below:g}H{crossing.back[0]:g}"
         tips += [f"M{x:g} {below:g}l6 -3v6z" for x in crossing.back]
     dots = "".join(f"M{x - 2.5:g} {y:g}a2.5 2.5 0 1 0 5 0a2.5 2.5 0 1 0 -5 0z" for x, _ in crossing.inputs)
-    yield f'<g class="transition"><title>{escape(_asks(crossing.transition, rule))}</title><path d="{lines}"/>'
+    yield f'<g class="transition"><title>{xml(_asks(crossing.transition, rule))}</title><path d="{lines}"/>'
     yield f'<path class="tip" d="{"".join(tips)}"/><path class="dot" d="{dots}"/>'
     yield f'<rect class="bar" x="{crossing.bar - 1.5:g}" y="{y - 5:g}" width="3" height="10"/>'
     for x, weight in crossing.inputs:
         if weight > 1:
             yield f'<text class="event" x="{x + 3:g}" y="{y + 8:g}">{weight}</text>'
-    yield f'<text class="event" x="{crossing.bar + GAP:g}" y="{y - 3:g}">{escape(" ".join((rule.name, *crossing.resources)))}</text></g>'
+    yield f'<text class="event" x="{crossing.bar + GAP:g}" y="{y - 3:g}">{xml(" ".join((rule.name, *crossing.resources)))}</text></g>'
 
 
 def _asks(name: str, rule: Rule) -> str:

@@ -10,14 +10,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from html import escape
 from typing import Final
 
 from pnm.core.logic.expressions import fluent_text
 from pnm.core.machine.plan_graph import PlanGraph
 from pnm.core.pictures.plan_layout import Arrow, Cell, PlanLayout, laid_out
 from pnm.core.pictures.step_words import cut, facts_of, held, numbers, words_of
-from pnm.core.pictures.svg import picture
+from pnm.core.pictures.svg import picture, xml
 from pnm.errors import counted
 
 _BOX: Final = (196, 46)
@@ -57,7 +56,7 @@ def plan_svg(plan: PlanGraph, title: str = "", *, style: str = _STYLE) -> str:
     for name, layout in sections:
         drawn.append(f'<g transform="translate(0 {height})">')
         if name:
-            drawn.append(f'<path class="rule" d="M0 0H{width}"/><text x="8" y="16">{escape(name)}</text>')
+            drawn.append(f'<path class="rule" d="M0 0H{width}"/><text x="8" y="16">{xml(name)}</text>')
         drawn += (*_section(layout, width), "</g>")
         height += 2 * _MARGIN[1] + max(layout.rows - 1, 0) * _PITCH[1] + _BOX[1] + max(layout.lines - 1, 0) * _BETWEEN
     return picture("plan", title or f"a plan of {counted(len(plan.calls), 'call')}", style, width, height, drawn)
@@ -93,11 +92,11 @@ def _rules(layout: PlanLayout, width: int) -> Iterator[str]:
 
 def _box(cell: Cell) -> Iterator[str]:
     (x, y), (name, what, whole) = _corner(cell), words_of(cell.step)
-    yield f'<g data-step="{cell.step.index}"><title>{escape(whole)}</title>'
+    yield f'<g data-step="{cell.step.index}"><title>{xml(whole)}</title>'
     yield f'<rect x="{x}" y="{y}" width="{_BOX[0]}" height="{_BOX[1]}" rx="6"/>'
-    yield f'<text class="name" x="{x + 8}" y="{y + 19}">{escape(cut(name, _LETTERS - 8))}</text>'
+    yield f'<text class="name" x="{x + 8}" y="{y + 19}">{xml(cut(name, _LETTERS - 8))}</text>'
     yield f'<text class="far" x="{x + _BOX[0] - 6}" y="{y + 19}" text-anchor="end">#{cell.step.index}</text>'
-    yield f'<text x="{x + 8}" y="{y + 36}">{escape(cut(what, _LETTERS))}</text></g>'
+    yield f'<text x="{x + 8}" y="{y + 36}">{xml(cut(what, _LETTERS))}</text></g>'
 
 
 def _paths(layout: PlanLayout, arrows: Iterable[Arrow]) -> Iterator[str]:
@@ -117,7 +116,7 @@ def _paths(layout: PlanLayout, arrows: Iterable[Arrow]) -> Iterator[str]:
         else:
             way = f"C{from_x + 50} {from_y} {to_x - 50}"
         facts = " ".join(map(fluent_text, arrow.protects))
-        yield f"<g><title>{escape(f'#{arrow.before} before #{arrow.after} {facts}'.strip())}</title>"
+        yield f"<g><title>{xml(f'#{arrow.before} before #{arrow.after} {facts}'.strip())}</title>"
         yield f'<path d="M{from_x} {from_y}{way} {to_y} {to_x} {to_y}" marker-end="url(#tip)"/></g>'
 
 
@@ -132,7 +131,7 @@ def _facts(layout: PlanLayout, arrows: Iterable[Arrow]) -> Iterator[str]:
         for number, arrow in enumerate(together[:_FACTS]):
             others = [fact for other in together[_FACTS - 1 :] for fact in other.protects] if number == _FACTS - 1 else list(arrow.protects)
             at = y + _BOX[1] // 2 - 5 - 11 * number
-            yield f'<text class="fact" x="{x - 8}" y="{at}" text-anchor="end">{escape(facts_of(tuple(others), _FACT))}</text>'
+            yield f'<text class="fact" x="{x - 8}" y="{at}" text-anchor="end">{xml(facts_of(tuple(others), _FACT))}</text>'
 
 
 def _numbered_arrows(layout: PlanLayout) -> Iterator[str]:

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from html import escape
 from itertools import pairwise
 from statistics import median
 from typing import Final
 
 from pnm.core.machine.requests import OutcomeKind
 from pnm.core.pictures.step_words import cut
-from pnm.core.pictures.svg import picture
+from pnm.core.pictures.svg import picture, xml
 from pnm.core.pictures.timeline import Attempt, Replan, TimedCall, TimedPlan, Timeline
 
 _LEFT: Final = 112
@@ -82,11 +81,11 @@ def _task(timeline: Timeline) -> tuple[list[str], float, float]:
             fitting.append(bar)
     bottom = _TOP + _ROW * sum(map(len, lanes.values()))
     width = _LEFT + span * scale + _RIGHT
-    parts = [f'<text class="name" x="10" y="16">{escape(cut(timeline.goal, int(width / 8)))}</text>']
+    parts = [f'<text class="name" x="10" y="16">{xml(cut(timeline.goal, int(width / 8)))}</text>']
     parts += _axis(span, scale, bottom)
     y = _TOP
     for lane, rows in lanes.items():
-        parts.append(f'<path d="M0 {y}H{width:g}"/><text class="name" x="10" y="{y + 20}">{escape(cut(lane, 14))}</text>')
+        parts.append(f'<path d="M0 {y}H{width:g}"/><text class="name" x="10" y="{y + 20}">{xml(cut(lane, 14))}</text>')
         for row in rows:
             row.sort(key=_named_at)
             for bar, following in zip(row, [*row[1:], None], strict=True):
@@ -96,11 +95,11 @@ def _task(timeline: Timeline) -> tuple[list[str], float, float]:
     words = [*_words(timeline, bars)]
     for number, (plan, new) in enumerate(_replans(timeline), 1):
         x = _LEFT + plan.began * scale
-        parts.append(f'<g><title>{escape(new.why)}</title><path class="cut" d="M{x:g} {_TOP - 8}V{bottom}"/>')
+        parts.append(f'<g><title>{xml(new.why)}</title><path class="cut" d="M{x:g} {_TOP - 8}V{bottom}"/>')
         parts.append(f'<text class="why" x="{x + 2:g}" y="{_TOP - 2}">↻{number}</text></g>')
     for line, (kind, text) in enumerate(words, 1):
         x, y = 24 if kind == "far" else 10, bottom + _LINE * line + 3
-        parts.append(f'<text class="{kind}" x="{x}" y="{y:g}">{escape(cut(text, int(width / _LETTER)))}</text>')
+        parts.append(f'<text class="{kind}" x="{x}" y="{y:g}">{xml(cut(text, int(width / _LETTER)))}</text>')
     return parts, width, bottom + _LINE * len(words) + 16
 
 
@@ -153,7 +152,7 @@ def _axis(span: float, scale: float, bottom: float) -> Iterator[str]:
 def _drawn(bar: _Bar, y: float, scale: float, until: float) -> Iterator[str]:
     """Yield the bars of a call, and its name as far as there is room until the next one."""
     call = bar.call
-    yield f'<g class="call"><title>{escape(_title(call))}</title>'
+    yield f'<g class="call"><title>{xml(_title(call))}</title>'
     if bar.planned:
         begin, end = bar.planned
         yield f'<rect class="planned" x="{_LEFT + begin * scale:g}" y="{y + 4:g}" width="{max((end - begin) * scale, 2):g}" height="4"/>'
@@ -180,7 +179,7 @@ def _written(kind: str, y: float, scale: float, words: Sequence[tuple[float, str
         letters = int((following - time) * scale / _LETTER)
         shown = cut(text, letters) if letters > 2 else text[:1] if kind else ""
         if shown:
-            yield f'<text class="{kind}" x="{_LEFT + time * scale + 3:g}" y="{y:g}">{escape(shown)}</text>'
+            yield f'<text class="{kind}" x="{_LEFT + time * scale + 3:g}" y="{y:g}">{xml(shown)}</text>'
 
 
 def _look(attempt: Attempt) -> tuple[str, str]:

@@ -13,7 +13,7 @@ import termios
 from typing import Final, TextIO
 
 from pnm.core.logic.computed_values import Question
-from pnm.files.text import printable
+from pnm.errors import printable
 from pnm.knowledge.sources.person_text import LIMIT, message_text, question_text, read_answer
 from pnm.knowledge.sources.source import Asker, SourceError
 

@@ -15,7 +15,7 @@ from typing import Any, Final
 from uuid import uuid4
 
 from pnm.core.logic.computed_values import MISSING, Question
-from pnm.files.text import printable
+from pnm.errors import printable
 from pnm.knowledge.sources.memory import write_value
 from pnm.knowledge.sources.person_text import LIMIT, message_text, question_text, read_answer
 from pnm.knowledge.sources.registry import Surroundings, only, seconds, text

@@ -18,7 +18,7 @@ from functools import partial
 from time import monotonic
 from typing import Any, Final, TypeVar
 
-from pnm.errors import RosError
+from pnm.errors import RosError, printable_lines
 from pnm.tasks import EVENTS
 
 try:
@@ -99,7 +99,7 @@ class Rosout(logging.Handler):
         if publisher is not None and node.get_logger().is_enabled_for(min(record.levelno, logging.CRITICAL) // 10 * 10):
             log, seconds = publisher.msg_type(), int(record.created)
             log.stamp.sec, log.stamp.nanosec = seconds, int((record.created - seconds) * 1e9)
-            log.level, log.name, log.msg = record.levelno, node.get_logger().name, self.format(record)
+            log.level, log.name, log.msg = record.levelno, node.get_logger().name, printable_lines(self.format(record))
             log.file, log.function, log.line = record.pathname, record.funcName or "", record.lineno
             publisher.publish(log)
 

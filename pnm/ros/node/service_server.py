@@ -10,8 +10,7 @@ from contextlib import suppress
 from functools import partial
 from typing import Any, Final, TypeAlias
 
-from pnm.errors import PnmError
-from pnm.files.text import printable
+from pnm.errors import PnmError, printable
 from pnm.ros.node.messages import import_type, to_message
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.node.service_client import until_true

@@ -12,8 +12,7 @@ from pnm.core.machine.export import as_data
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import Cause
 from pnm.core.net.net import Marking
-from pnm.errors import InputError
-from pnm.files.text import printable
+from pnm.errors import InputError, printable
 from pnm.files.yaml_nodes import parse_value
 from pnm.knowledge.sources.memory import read_value, write_value
 from pnm.knowledge.sources.source import SourceError

@@ -10,7 +10,7 @@ from uuid import UUID
 import pytest
 
 from pnm.core.logic.computed_values import MISSING, Layer, Question
-from pnm.files.text import printable
+from pnm.errors import printable
 from pnm.knowledge.sources import Asker, SourceError, Sources
 from pnm.knowledge.sources.person_text import message_text, question_text, read_answer
 from pnm.knowledge.sources.terminal import TerminalSource
