@@ -235,11 +235,13 @@ class Executor:
         for command in commands:
             match command:
                 case Send(request):
-                    self._client.send(request, self._hear)
+                    if error := _raised_by(self._client.send, request, self._hear):
+                        # The others go on. It may have reached the robot all the same, as may any that is not answered.
+                        self._inbox.put_nowait(Ended(request.id, Outcome(OutcomeKind.UNAVAILABLE, message=f"it cannot be sent: {error}")))
                 case Reattach(request, accepted):
                     self._reattach(request, accepted=accepted)
                 case Cancel(request):
-                    self._client.cancel(request)
+                    _raised_by(self._client.cancel, request)  # it ends by itself, or its limit for that passes
                 case Wake(at):
                     self._wake_at(at)
                 case Ask(identity, question):
@@ -253,9 +255,8 @@ class Executor:
                     assert_never(command)
 
     def _reattach(self, request: Request, *, accepted: bool) -> None:
-        if isinstance(self._client, ReattachingClient):
-            self._client.reattach(request, self._hear, accepted=accepted)
-        else:
+        client = self._client
+        if not isinstance(client, ReattachingClient) or _raised_by(partial(client.reattach, accepted=accepted), request, self._hear):
             self._inbox.put_nowait(Ended(request.id, NOT_REATTACHED))
 
     def _start(self, identity: UUID, work: Coroutine[None, None, None]) -> None:
@@ -320,6 +321,16 @@ class Executor:
         if event not in self._waiting:
             self._waiting.add(event)
             self._inbox.put_nowait(event)
+
+
+def _raised_by(ask: Callable[..., None], request: Request | UUID, *arguments: object) -> str:
+    """Return what asking a client about one request has raised, which concerns no other; empty if it has been asked."""
+    try:
+        ask(request, *arguments)
+    except Exception as error:
+        _log.exception("the action client failed at request %s", request if isinstance(request, UUID) else request.id)
+        return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    return ""
 
 
 def _is_cancelled() -> bool:

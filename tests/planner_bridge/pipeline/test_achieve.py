@@ -11,6 +11,7 @@ from uuid import UUID
 
 import pytest
 
+from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.achieve import achieve, carry_out
 from planner_bridge.pipeline.loading import load
 from planner_bridge.planning.solve import solve
@@ -18,6 +19,7 @@ from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Reporter, Request
 from pnm.errors import InputError
@@ -55,6 +57,43 @@ def test_an_action_client_carries_out_the_plan_and_what_follows_a_failure() -> N
     assert result.goal_reached
     assert robot.sent == ["move(r1, a, b)", "move(r1, a, b)", "move(r1, b, c)"]
     assert result.as_json()["calls"][0]["assumed"]  # type: ignore[index]
+
+
+class Unplugged(Robot):
+    """An action client that raises for one action, and when it is to cancel something."""
+
+    def __init__(self, broken: str, *, raises: int) -> None:
+        super().__init__()
+        self.broken, self.raises, self.raised = broken, raises, 0
+
+    def send(self, request: Request, report: Reporter, /) -> None:
+        self.sent.append(str(request.action))
+        if str(request.action) == self.broken and self.raised < self.raises:
+            self.raised += 1
+            raise ConnectionError("robot 2 is not reachable")
+        loop = asyncio.get_running_loop()
+        loop.call_soon(report, Accepted(request.id))
+        loop.call_later(2.0, report, Ended(request.id, Outcome(OutcomeKind.SUCCEEDED)))
+
+    def cancel(self, request: UUID, /) -> None:
+        raise ConnectionError("nor can it be stopped")
+
+
+LAMPS = """(define (domain lamps) (:requirements :typing :negative-preconditions) (:types lamp) (:predicates (lit ?l - lamp))
+ (:action on :parameters (?l - lamp) :precondition (not (lit ?l)) :effect (lit ?l)))"""
+BOTH = "(define (problem b) (:domain lamps) (:objects hall stairs - lamp) (:init) (:goal (and (lit hall) (lit stairs))))"
+
+
+@pytest.mark.parametrize("raises", [1, 100])
+@pytest.mark.parametrize("on_failure", OnFailure)
+def test_a_client_that_raises_fails_that_call_and_the_others_go_on(on_failure: OnFailure, raises: int) -> None:
+    robot = Unplugged("on(stairs)", raises=raises)
+    result = achieve(None, parse_problem(BOTH, parse_domain(LAMPS)), actions=robot, settings=Settings(on_failure=on_failure))
+    assert result.goal_reached is (raises == 1)
+    assert robot.sent.count("on(hall)") == 1
+    if raises > 1:
+        assert "unavailable: it cannot be sent: ConnectionError: robot 2 is not reachable" in result.reason
+        assert "on(hall)" in [str(call.call.action) for call in result.calls if call.is_done]
 
 
 def test_an_action_client_carries_out_a_hand_written_plan(tmp_path: Path) -> None:
