@@ -25,19 +25,19 @@ def simulated_backend(described: Problem | HandWrittenPlan, bindings: Bindings, 
 def robots_of(described: Problem | HandWrittenPlan, bindings: Bindings, faults: Faults, *, speed: float = 1.0) -> SimulatedRobots:
     """Return simulated robots in the initial world of the problem or plan."""
     if isinstance(described, Problem):
-        changing, lasting = dynamic_names(described), described.is_timed
+        changing = dynamic_names(described)
     else:
         calls = described.graph.calls
         changing = names_written(tuple(effect for call in calls for effect in (*call.action.start_effects, *call.action.end_effects)))
         changing |= dynamic_names(described.declared)  # a planner that takes over may use any action of the domain
-        lasting = bool(described.timed) or any(call.action.duration is not None for call in calls)
     hidden = {fluent[0] for change in faults.changes for fluent in change.changes}
     return SimulatedRobots(
         SimulatedWorld(initial_knowledge(described), changing | hidden),
         faults,
         bindings,
         described.timed,
-        untimed=0.0 if lasting else 1.0,  # beside actions that last, others take no time at all
+        # In PDDL an action without a duration is instantaneous where there are times; otherwise nothing is known of how long it takes.
+        untimed=0.0 if isinstance(described, Problem) and described.is_timed else 1.0,
         speed=speed,
         capacities={} if isinstance(described, Problem) else described.graph.capacities,
     )

@@ -103,6 +103,13 @@ def test_an_action_client_carries_out_a_hand_written_plan(tmp_path: Path) -> Non
     assert robot.sent == ["go(a)", "go(a)", "go(b)"]
 
 
+@pytest.mark.parametrize("other", ["{}", "{duration: 3}", "{duration: 0.5}"])
+def test_an_action_without_a_duration_takes_a_second_whatever_others_take(tmp_path: Path, other: str) -> None:
+    (tmp_path / "p.yaml").write_text(f"actions: {{unknown: {{}}, other: {other}}}\nplan: [unknown:, other:]\n")
+    first = carry_out(tmp_path / "p.yaml").calls[0]
+    assert (first.started, first.ended) == (0.0, 1.0)
+
+
 @pytest.mark.parametrize(
     "run", [lambda actions, _: achieve(None, ring(), actions=actions), lambda actions, file: carry_out(file, actions=actions)]
 )
