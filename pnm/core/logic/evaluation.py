@@ -107,6 +107,8 @@ def _compare(operation: str, left: Value | Unknown | None, right: Value | Unknow
         return left == right != UNDEFINED if operation == "=" else UNKNOWN
     if left is None or right is None:
         return UNKNOWN
+    if isinstance(left, bool) is not isinstance(right, bool):  # in Python true is 1
+        return False if operation == "=" else UNKNOWN
     equal = abs(float(left) - float(right)) <= TOLERANCE
     if operation == "=":
         return equal

@@ -67,9 +67,15 @@ class Variable:
 
 @dataclass(frozen=True, slots=True)
 class Constant:
-    """A number, an object's name, a variable such as ``?x`` that stands for one, or a truth value."""
+    """A number, an object's name, a variable such as ``?x`` that stands for one, or a truth value, which equals no number."""
 
     value: Value
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Constant) and same_value(self.value, other.value)
+
+    def __hash__(self) -> int:
+        return hash(self.value)
 
     def __str__(self) -> str:
         if isinstance(self.value, float):

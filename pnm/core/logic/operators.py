@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from math import isnan
 from typing import Final
 
@@ -26,6 +26,8 @@ def operate(name: str, operands: list[object]) -> object:
             raise TypeError("the remainder of a text")  # in Python that is another operation, which makes texts of any size
         if name in _ORDERING and any(isinstance(operand, float) and isnan(operand) for operand in operands):
             raise ValueError("NaN is neither less nor more than a number")  # in Python every such comparison is false
+        if name in _ORDERING and len({isinstance(operand, bool) for operand in operands}) > 1:
+            raise ValueError("a truth value is neither less nor more than anything else")  # in Python true is 1
         result = OPERATORS[name](*operands)
         if isinstance(result, complex) or (isinstance(result, int) and result.bit_length() > MAX_BITS):
             raise ValueError("the result is no number that JSON can say")
@@ -49,6 +51,32 @@ def _compared(operands: list[object]) -> list[object]:
             return _compared(operands[::-1])[::-1]
         case _:
             return operands
+
+
+def alike(left: object, right: object) -> bool:
+    """Return whether two values are equal; a truth value equals no number, also inside of lists and mappings. In Python true is 1."""
+    match left, right:
+        case (list(), list()) | (tuple(), tuple()):
+            return len(left) == len(right) and all(map(alike, left, right))
+        case dict(), dict():
+            return left.keys() == right.keys() and all(alike(value, right[key]) for key, value in left.items())
+        case _:
+            return isinstance(left, bool) is isinstance(right, bool) and left == right
+
+
+def _alike_in(container: object, value: object) -> Iterator[int]:
+    """Yield the positions in a list or mapping at which there is this value."""
+    return (position for position, item in enumerate(container) if alike(item, value))  # type: ignore[call-overload]
+
+
+def _contains(container: object, value: object) -> bool:
+    return value in container if isinstance(container, str) else any(True for _ in _alike_in(container, value))  # type: ignore[operator]
+
+
+def _index_of(container: object, value: object) -> int:
+    if (position := next(_alike_in(container, value), None)) is None:
+        raise ValueError("there is no such item")
+    return position
 
 
 def as_truth(value: object) -> bool:
@@ -106,12 +134,17 @@ MAX_DEPTH: Final = 100
 MAX_BITS: Final = 14_000
 """Of a whole number: Python writes none of more than 4300 digits."""
 _PLAIN: Final = (
-    *("eq", "ne", "lt", "le", "gt", "ge", "is_", "is_not", "contains", "countOf", "indexOf"),
+    *("lt", "le", "gt", "ge", "is_", "is_not"),
     *("abs", "add", "floordiv", "mod", "mul", "neg", "pos", "pow", "sub", "truediv", "concat", "getitem", "index"),
     *("and_", "inv", "invert", "lshift", "or_", "rshift", "xor"),
 )
 OPERATORS: Final[Mapping[str, Callable[..., object]]] = {
     **{name: getattr(operator, name) for name in _PLAIN},
+    "eq": alike,
+    "ne": lambda left, right: not alike(left, right),
+    "contains": _contains,
+    "countOf": lambda container, value: sum(1 for _ in _alike_in(container, value)),
+    "indexOf": _index_of,
     "truth": as_truth,
     "not_": lambda value: not as_truth(value),
     "div": operator.truediv,

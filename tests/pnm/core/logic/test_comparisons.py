@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from pnm.core.logic.computed_values import Literal, Parameter
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, fluents, ground
@@ -23,6 +25,7 @@ from pnm.core.logic.expressions import (
     same_value,
     value_of,
 )
+from pnm.core.logic.operators import Uncomputable, operate
 from tests.support.logic.conditions import GivenState
 
 U = UNKNOWN
@@ -183,3 +186,49 @@ def test_what_was_expected_and_what_is_so() -> None:
     assert explanation(wanted, state)[0] == "(q a) (> (n) 5) (absent)"
     assert observed(wanted, state) == "(absent) is false, (f) is false, (n) is 3.0 because it is 3, (p) is true, (q a) is unknown"
     assert observed(TRUE, state) == "no fluent involved"
+
+
+# --- one and true ---
+
+SIMPLE = st.sampled_from([0, 1, 2, 0.0, 1.0, True, False, None, "", "a"])
+DEEP = st.recursive(SIMPLE, lambda inner: st.lists(inner, max_size=2) | st.dictionaries(st.sampled_from("xy"), inner, max_size=2))
+
+
+def as_json(value: object) -> object:
+    """The value with what tells numbers and truth values apart; 1 and 1.0 are one number."""
+    match value:
+        case list():
+            return [as_json(item) for item in value]
+        case dict():
+            return {name: as_json(item) for name, item in value.items()}
+        case bool():
+            return "truth value", value
+        case _:
+            return value
+
+
+@given(DEEP, DEEP)
+def test_equal_is_what_is_equal_in_json(left: object, right: object) -> None:
+    if isinstance(left, str) is not isinstance(right, str):
+        return  # a text is read as what it is compared with
+    equal = as_json(left) == as_json(right)
+    assert operate("eq", [left, right]) is operate("eq", [right, left]) is equal
+    assert operate("ne", [left, right]) is not equal
+    assert operate("contains", [[left], right]) is equal
+    assert operate("countOf", [[left, right, left], right]) == (3 if equal else 1)
+    assert operate("indexOf", [[left, right], right]) == (0 if equal else 1)
+
+
+@pytest.mark.parametrize("name", ["lt", "le", "gt", "ge"])
+def test_a_truth_value_is_neither_less_nor_more_than_a_number(name: str) -> None:
+    for operands in ([True, 2], [0, False], [1.0, True]):
+        with pytest.raises(Uncomputable, match="a truth value is neither less nor more than anything else"):
+            operate(name, list(operands))
+
+
+@given(st.sampled_from([0.0, 1.0, True, False, "a"]), st.sampled_from([0.0, 1.0, True, False, "a"]), st.sampled_from(["=", "<", ">="]))
+def test_a_fluent_that_is_true_is_not_one(left: Value, right: Value, operation: str) -> None:
+    truth = evaluate(Compare(operation, Constant(left), Constant(right)), GivenState())
+    if isinstance(left, bool) is not isinstance(right, bool):
+        assert truth is (False if operation == "=" else UNKNOWN)
+    assert (Constant(left) == Constant(right)) is (type(left) is type(right) and left == right)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import TRUE, Holds, Not
 from pnm.core.logic.effects import (
+    OPERATIONS,
     Changes,
     Effect,
     Effects,
@@ -226,3 +227,16 @@ def test_numbers_and_conditions_are_no_plain_facts(effects: Effects) -> None:
 def test_plain_facts_of_every_object() -> None:
     assert facts((ForEach((Variable("?x"),), (add("at", "?x"),)),), rooms_state()) == {("at", "hall"): True, ("at", "kitchen"): True}
     assert facts((), rooms_state()) == {}
+
+
+SETS = st.builds(
+    Set,
+    st.sampled_from([("battery", "r1"), ("at", "r1", "hall")]),
+    st.sampled_from([0.0, 1.0, 2.5, True, False, "hall"]).map(Constant),
+    st.sampled_from(OPERATIONS),
+).filter(lambda effect: effect.operation == "assign" or not isinstance(effect.value.value, bool))
+
+
+@given(SETS, SETS)
+def test_effects_that_are_written_alike_are_the_same(one: Set, other: Set) -> None:
+    assert (str(one) == str(other)) is (one == other)
