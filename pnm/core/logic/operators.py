@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from math import isnan
 from typing import Final
 
@@ -55,28 +55,28 @@ def _compared(operands: list[object]) -> list[object]:
 
 def alike(left: object, right: object) -> bool:
     """Return whether two values are equal; a truth value equals no number, also inside of lists and mappings. In Python true is 1."""
-    match left, right:
-        case (list(), list()) | (tuple(), tuple()):
-            return len(left) == len(right) and all(map(alike, left, right))
-        case dict(), dict():
-            return left.keys() == right.keys() and all(alike(value, right[key]) for key, value in left.items())
-        case _:
-            return isinstance(left, bool) is isinstance(right, bool) and left == right
+    if isinstance(left, list | tuple) and type(left) is type(right):
+        return len(left) == len(right) and all(map(alike, left, right))
+    if isinstance(left, dict) and isinstance(right, dict):
+        return left.keys() == right.keys() and all(alike(value, right[key]) for key, value in left.items())
+    return isinstance(left, bool) is isinstance(right, bool) and left == right
 
 
-def _alike_in(container: object, value: object) -> Iterator[int]:
-    """Yield the positions in a list or mapping at which there is this value."""
-    return (position for position, item in enumerate(container) if alike(item, value))  # type: ignore[call-overload]
+def _places(container: object, value: object) -> list[int]:
+    """Return the positions of a value in a list, a mapping or a text."""
+    if not isinstance(container, Iterable):
+        raise TypeError(f"{type(container).__name__} has no items")
+    return [position for position, item in enumerate(container) if alike(item, value)]
 
 
 def _contains(container: object, value: object) -> bool:
-    return value in container if isinstance(container, str) else any(True for _ in _alike_in(container, value))  # type: ignore[operator]
+    return operator.contains(container, value) if isinstance(container, str) else bool(_places(container, value))
 
 
 def _index_of(container: object, value: object) -> int:
-    if (position := next(_alike_in(container, value), None)) is None:
+    if not (places := _places(container, value)):
         raise ValueError("there is no such item")
-    return position
+    return places[0]
 
 
 def as_truth(value: object) -> bool:
@@ -143,7 +143,7 @@ OPERATORS: Final[Mapping[str, Callable[..., object]]] = {
     "eq": alike,
     "ne": lambda left, right: not alike(left, right),
     "contains": _contains,
-    "countOf": lambda container, value: sum(1 for _ in _alike_in(container, value)),
+    "countOf": lambda container, value: len(_places(container, value)),
     "indexOf": _index_of,
     "truth": as_truth,
     "not_": lambda value: not as_truth(value),
