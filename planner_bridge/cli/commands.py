@@ -113,7 +113,7 @@ def plan(
         raise InputError("--json prints a plan as JSON; expected no --format or --output with it")
     if output:
         check_output(output, force=force)
-    loaded = problem_in(domain, problem, for_its_goal=True)
+    loaded = problem_in(domain, problem)
     with searching(planner, planner_timeout):
         result = solve(loaded, planner=planner, timeout=planner_timeout, improve=improve)
     if as_json:
@@ -203,7 +203,7 @@ def net(
 
         machine = machine_of(chosen, name, bindings)
     else:
-        loaded = problem_in(*chosen, for_its_goal=True)
+        loaded = problem_in(*chosen)
         bound = bindings_for(chosen[0], bindings, loaded.vocabulary)
         with searching(planner, planner_timeout):
             result = solve(loaded, planner=planner, timeout=planner_timeout, improve=improve)

@@ -19,8 +19,9 @@ from planner_bridge.cli.consoles.on_stderr import print_warnings
 from planner_bridge.model.problem import Problem
 from planner_bridge.pipeline.loading import load
 from planner_bridge.view.control.commands import Controlled
-from pnm.errors import InputError, PnmError, Position
+from pnm.errors import InputError, PnmError
 from pnm.files.database.place import Place, place_of
+from pnm.files.yaml_nodes import parse_value
 
 if TYPE_CHECKING:
     from planner_bridge.view.process import PageProcess
@@ -128,6 +129,7 @@ files_or_plan = options(
     click.option("--plan", "plan_file", type=FILE, help="a hand-written plan in YAML, or a world of plans, in place of DOMAIN and PROBLEM"),
     click.option("--name", help="which plan of that file, if there are several"),
 )
+set_option = click.option("--set", "given", metavar="NAME=VALUE", multiple=True, help="a parameter of that plan; the value as YAML")
 
 
 def planning_within(improve: float) -> Decorator:
@@ -182,6 +184,22 @@ def controlled_by(view: int | None, what: Controlled, *, controls: bool) -> Cont
     return what if controls else Controlled.NOTHING
 
 
+def named_values(given: tuple[str, ...], option: str) -> list[tuple[str, str]]:
+    """Return the names and texts of an option that is given as ``name=value``."""
+    values: list[tuple[str, str]] = []
+    for setting in given:
+        name, equals, text = setting.partition("=")
+        if not name or not equals:
+            raise InputError(f"expected NAME=VALUE after {option}, found {setting!r}")
+        values.append((name, text))
+    return values
+
+
+def plan_parameters(given: tuple[str, ...]) -> dict[str, object]:
+    """Return the parameters that `set_option` gives a plan."""
+    return {name: parse_value(text, f"--set {name}") for name, text in named_values(given, "--set")}
+
+
 def chosen_files(domain: Path | None, problem: Path | None, plan_file: Path | None) -> Path | tuple[Path, Path]:
     """Return the file of a hand-written plan, or DOMAIN and PROBLEM; raise an `InputError` if neither is given, or both."""
     if plan_file is not None:
@@ -193,11 +211,9 @@ def chosen_files(domain: Path | None, problem: Path | None, plan_file: Path | No
     return domain, problem
 
 
-def problem_in(domain: Path, problem: Path, *, for_its_goal: bool = False) -> Problem:
-    """Read a problem; warnings about its files go to stderr. One that is for its goal has to ask for something."""
+def problem_in(domain: Path, problem: Path) -> Problem:
+    """Read a problem; warnings about its files go to stderr."""
     loaded = load(domain, problem)
-    if for_its_goal and loaded.asks_for_nothing:
-        raise InputError("the problem asks for nothing; expected (:goal CONDITION), what is to be reached", Position(str(problem)))
     print_warnings(loaded.warnings)
     return loaded
 

@@ -21,8 +21,10 @@ from planner_bridge.cli.options import (
     command,
     files_or_plan,
     force_option,
+    plan_parameters,
     problem_in,
     sensing_option,
+    set_option,
     write_files,
 )
 from planner_bridge.pipeline.achieve import readiness, readiness_for_plan
@@ -75,6 +77,7 @@ def init(folder: Path, force: bool) -> int:
 
 @click.command(epilog="Example: pnm check domain.pddl problem.pddl --sensing sensing.yaml")
 @files_or_plan
+@set_option
 @bindings_option
 @sensing_option
 @click.option("--wait", type=Seconds(0), default=0.0, help="seconds for what is not there yet to appear")
@@ -86,6 +89,7 @@ def check(
     problem: Path | None,
     plan_file: Path | None,
     name: str | None,
+    given: tuple[str, ...],
     bindings: Path | None,
     sensing: Path | None,
     wait: float,
@@ -99,7 +103,7 @@ def check(
     if isinstance(chosen, Path):
         sensors = read_sensing(sensing) if sensing else NO_SENSING
         settings = Settings(bindings=read_bindings(bindings) if bindings else NO_BINDINGS, sensing=sensors)
-        rows = readiness_for_plan(chosen, name, settings, wait)
+        rows = readiness_for_plan(chosen, name, settings, wait, plan_parameters(given))
     else:
         loaded = problem_in(*chosen)
         sensors = read_sensing(sensing, loaded.vocabulary) if sensing else NO_SENSING

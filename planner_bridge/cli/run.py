@@ -35,10 +35,13 @@ from planner_bridge.cli.options import (
     force_option,
     journal_options,
     knowledge_option,
+    named_values,
+    plan_parameters,
     planning,
     problem_in,
     quiet_option,
     sensing_option,
+    set_option,
     timeline_option,
     view_option,
     write,
@@ -60,7 +63,6 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.errors import InputError
 from pnm.files.database.place import Place
-from pnm.files.yaml_nodes import parse_value
 from pnm.journal.kept import Durability, JournalChoice
 from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import NO_SENSING
@@ -72,7 +74,7 @@ from pnm.tasks import Code, Tasks
     cls=RepeatableCommand, epilog="Examples: pnm run domain.pddl problem.pddl --actions ros2; pnm run --plan tea.yaml --set guest=Ada"
 )
 @files_or_plan
-@click.option("--set", "given", metavar="NAME=VALUE", multiple=True, help="a parameter of that plan; the value as YAML")
+@set_option
 @click.option("--actions", type=click.Choice(["simulated", "ros2"]), default="simulated", show_default=True, help="who performs actions")
 @bindings_option
 @faults_option
@@ -168,7 +170,7 @@ def run_problem(domain: Path, problem: Path, files: Files, *, actions: Actions, 
     """Plan, execute and replan, print the result, and return the exit status."""
     console, stopwatch = SafeConsole(), Stopwatch()
     with stopwatch.of("parse"):
-        loaded = problem_in(domain, problem, for_its_goal=True)
+        loaded = problem_in(domain, problem)
         sensors = read_sensing(files.sensing, loaded.vocabulary) if files.sensing else NO_SENSING
         settings = replace(settings, bindings=bindings_for(domain, files.bindings, loaded.vocabulary), sensing=sensors)
         faults = faults_for(loaded, files.faults)
@@ -310,7 +312,7 @@ def run_written(
         result = carry_out(
             file,
             name,
-            {name: parse_value(text, f"--set {name}") for name, text in named_values(given, "--set")},
+            plan_parameters(given),
             actions=actions,
             faults=read_faults(files.faults, None) if files.faults else NO_FAULTS,
             settings=settings,
@@ -322,14 +324,3 @@ def run_written(
             journal=files.journal,
         )
     return print_ending(result, console, output, files.page)
-
-
-def named_values(given: tuple[str, ...], option: str) -> list[tuple[str, str]]:
-    """Return the names and texts of an option that is given as ``name=value``."""
-    values: list[tuple[str, str]] = []
-    for setting in given:
-        name, equals, text = setting.partition("=")
-        if not name or not equals:
-            raise InputError(f"expected NAME=VALUE after {option}, found {setting!r}")
-        values.append((name, text))
-    return values

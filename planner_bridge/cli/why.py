@@ -80,7 +80,7 @@ def why(
         raise InputError("--replan is about a run: expected no DOMAIN and PROBLEM")
     if journal is None and (task or last):
         raise InputError("--task and --to are about a journal: expected --journal")
-    loaded = problem_in(domain, problem, for_its_goal=journal is None)
+    loaded = problem_in(domain, problem)
     if journal is not None:
         loaded = _in_the_middle(loaded, journal, task, last)
     show(_of_problem(loaded, called, other, seconds), as_json=as_json)

@@ -148,11 +148,15 @@ class DeadEnds:
         Others are told of as well if nothing but a switch, such as a door, keeps them from it.
         """
         by_lack: dict[tuple[str, tuple[Condition, ...]], Achiever] = {}
-        for achiever in sorted(self.reachability.way(literal).achievers, key=self._rank):
+        for achiever in sorted(self.reachability.way(literal).achievers, key=self.reachability.likelihood):
             by_lack.setdefault((achiever.name, self.lacks(achiever.condition, achiever.env)), achiever)
         fresh = [key for key in by_lack if not any(lack in path for lack in key[1])] or [*by_lack]
-        least = self._rank(by_lack[fresh[0]])[0]
-        near = [key for key in fresh[1:] if self._rank(by_lack[key])[0] == least and all(map(self.reachability.is_end, key[1]))]
+        least = self.reachability.likelihood(by_lack[fresh[0]])[0]
+        near = [
+            key
+            for key in fresh[1:]
+            if self.reachability.likelihood(by_lack[key])[0] == least and all(map(self.reachability.is_end, key[1]))
+        ]
         likeliest = [fresh[0], *near][:_WAYS]
         reasons: dict[str, Answer] = {}
         for name, lacks in likeliest:
@@ -163,11 +167,6 @@ class DeadEnds:
                 closed = {text: Answer(text, Known.GIVEN, tuple(closed.values()))}
             reasons |= closed  # of a rule, which needs no words of its own
         return tuple(reasons.values()), len(by_lack) - len(likeliest)
-
-    def _rank(self, achiever: Achiever) -> tuple[int, int, str]:
-        """Return how likely people think of an action first: the fewer conditions are missing and the nearer they are, the likelier."""
-        lack = self.reachability.of(achiever.condition, achiever.env)
-        return self.reachability.cost(lack), len(lack), achiever.name
 
 
 def _short(condition: Condition) -> str:

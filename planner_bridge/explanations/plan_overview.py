@@ -12,7 +12,9 @@ from pnm.errors import counted
 def why_plan(problem: Problem, plan: Plan) -> Answer:
     """Return what each call of a plan is for."""
     if not plan.steps:
-        return Answer("there is nothing to do: the goal holds, or comes by itself", Known.PLAN, (), (Solves(problem, plan),))
+        return Answer(
+            "there is nothing to do: the goal is empty, holds already, or comes by itself", Known.PLAN, (), (Solves(problem, plan),)
+        )
     course = Course.of(problem, plan)
     best = ", and it is proved that none is better" if plan.is_best else ""
     lines = tuple(_line(course, number) for number in range(len(plan.steps)))

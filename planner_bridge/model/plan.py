@@ -36,7 +36,7 @@ class Plan:
 
     def __str__(self) -> str:
         if not self.steps:
-            return "nothing to do: the goal holds, or comes by itself"
+            return "nothing to do: the goal is empty, holds already, or comes by itself"
         parts = [counted(len(self.steps), "call"), *([f"{self.makespan:.1f} s"] if self.temporal else ())]
         parts += [f"cost {self.cost:g}"] if self.cost is not None else ()
         head = ", ".join((*parts, *(["no plan is better"] if self.is_best else ())))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from math import prod
 from typing import Final, Literal
 
-from pnm.core.logic.conditions import TRUE, choices_in
+from pnm.core.logic.conditions import choices_in
 from pnm.core.logic.domain import DomainModel, Preference, ProblemModel, Types
 from pnm.core.logic.expressions import Expression, Fluent
 from pnm.core.logic.trajectory import Constraint
@@ -93,11 +93,6 @@ class Problem(ProblemModel):
     def has_preferences(self) -> bool:
         """Whether there are preferences: here, in the domain, or in an action."""
         return bool(self.preferences or self.domain.preferences or any(schema.preferences for schema in self.domain.actions.values()))
-
-    @property
-    def asks_for_nothing(self) -> bool:
-        """Whether there is nothing to reach, to carry out or to keep: any plan would do, the empty one as well."""
-        return self.goal == TRUE and not (self.has_tasks or self.has_preferences or self.constraints or self.domain.constraints)
 
     @property
     def has_tasks(self) -> bool:

@@ -155,14 +155,16 @@ def readiness(problem: Problem, settings: Settings, wait: float = 0.0) -> tuple[
     return run_async(_look(backend, initial_knowledge(problem), (), wait))
 
 
-def readiness_for_plan(file: Path, name: str | None, settings: Settings, wait: float = 0.0) -> tuple[Readiness, ...]:
+def readiness_for_plan(
+    file: Path, name: str | None, settings: Settings, wait: float = 0.0, parameters: Mapping[str, object] | None = None
+) -> tuple[Readiness, ...]:
     """Return how ready the action servers and sensors for a hand-written plan are, and for the plans it calls; see `readiness`."""
     plans = {plan: _with_settings(described, settings, None) for plan, described in read_plans(file).items()}
     chosen = chosen_plan(plans, name)
     bound = replace(settings, bindings=merge_bindings(plans.values()))
     backend, world = backend_of("ros2", plans[chosen], bound, NO_FAULTS, tuple(plans.values())), initial_knowledge(plans[chosen])
     programs = {called: Program.of(plans[called]) for called in called_plans(plans, chosen)}
-    return run_async(_look(backend, world, PlanRunner(programs, backend, world).actions, wait))
+    return run_async(_look(backend, world, PlanRunner(programs, backend, world).actions_with(chosen, parameters or {}), wait))
 
 
 async def _look(backend: Backend, world: KnowledgeBase, actions: Iterable[GroundAction], wait: float) -> tuple[Readiness, ...]:

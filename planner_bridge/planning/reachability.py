@@ -165,7 +165,12 @@ class Reachability:
 
     def cost(self, lack: Lack) -> int:
         """Return how far the conditions are from true."""
-        return sum(self.way(literal).weight if (literal := literal_of(condition)) else 1 for condition in lack)
+        return sum(self.way(literal).weight if (literal := literal_of(condition)) else 2 for condition in lack)
+
+    def likelihood(self, achiever: Achiever) -> tuple[int, int, str]:
+        """Return the place of an action among those that people think of: the fewer conditions are missing and the nearer, the earlier."""
+        lack = self.of(achiever.condition, achiever.env)
+        return self.cost(lack), len(lack), achiever.name
 
     def lacking(self, condition: Condition, env: Environment = NOTHING, truth: bool = True) -> tuple[Condition, ...]:
         """Return what of the condition cannot be reached; of alternatives the cheapest."""
@@ -204,13 +209,18 @@ class Reachability:
         return self._ways[literal]
 
     def weight(self, literal: Literal) -> int:
-        """Return how far what is not true is from true: most what actions are there for, then maps and tables, least a single switch."""
+        """Return the cost of making a literal true: highest for what actions are there for, then maps and tables, lowest for a switch.
+
+        A switch without objects, such as a door that is open, is nearer than a fact about one.
+        """
         subject, truth = literal
         if isinstance(subject, Compare):
-            return max((len(fluent) for fluent in self.without_value(subject)), default=1)
+            return 2 * max((len(fluent) for fluent in self.without_value(subject)), default=1)
         if not self.is_end(literal.condition):
             return _FAR[min(len(self._ways), len(_FAR)) - 1]
-        return len(subject) if truth and subject[0] in self._in_tables else 1
+        if truth and subject[0] in self._in_tables:
+            return 2 * len(subject)
+        return 2 if subject[1:] else 1
 
     def may_be(self, literal: Literal) -> bool:
         """Return whether the literal is true at first, or may become so by itself."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from enum import Enum
-from typing import Final, TypeAlias
+from typing import Final, TypeAlias, cast
 
 from planner_bridge.model.problem import Problem
-from planner_bridge.planning.reachability import Reachability, TooLarge, literal_of
+from planner_bridge.planning.reachability import Achiever, Reachability, TooLarge, Way, literal_of
 from pnm.core.logic.conditions import Compare, Condition, conjuncts, fluents
 from pnm.core.logic.expressions import Fluent, fluent_text
 
@@ -72,15 +72,29 @@ def _reason(reachability: Reachability, problem: Problem, part: Condition) -> tu
     lacks, way = reachability.lacking(part), list[str]()
     while not (ends := tuple(filter(reachability.is_end, lacks))):
         ways = [reachability.way(literal) for lack in lacks if (literal := literal_of(lack))]
-        achiever = next((way.by for way in ways if way.by), None)
-        if way and not achiever:
+        open = next((found for found in ways if found.by), None)
+        if way and not open:
             break  # what actions are there for, but none can bring about
-        achievers = (achiever for way in ways for achiever in way.achievers)
-        achiever = achiever or min(achievers, key=lambda achiever: reachability.cost(reachability.of(achiever.condition, achiever.env)))
+        if open:
+            achiever = _nearest(reachability, open)
+        else:
+            achiever = min((achiever for found in ways for achiever in found.achievers), key=reachability.likelihood)
         way.append(achiever.name)
         lacks = reachability.lacking(achiever.condition, achiever.env)
     endings = (ending for lack in ends or lacks for ending in _endings(reachability, problem, lack))
     return tuple(endings), list(filter(None, way if way and way[-1] else way[:1]))
+
+
+def _nearest(reachability: Reachability, way: Way) -> Achiever:
+    """Return the action that people think of first, of those that only need what nothing brings about; else one on the cheapest way."""
+    cheapest = reachability.cost(way.lack)
+    near = [
+        achiever
+        for achiever in way.achievers
+        if reachability.cost(reachability.of(achiever.condition, achiever.env)) == cheapest
+        and all(map(reachability.is_end, reachability.lacking(achiever.condition, achiever.env)))
+    ]
+    return min(near, key=reachability.likelihood) if near else cast("Achiever", way.by)
 
 
 def _endings(reachability: Reachability, problem: Problem, lack: Condition) -> Iterator[_Said]:

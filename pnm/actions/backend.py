@@ -67,6 +67,7 @@ async def check_ready(backend: Backend, actions: Iterable[GroundAction] = (), kn
     """Log what is not ready yet of what the backend needs; raise an `InputError` if something can never work."""
     rows = await backend.check(actions, known=known)
     refuse_unfit(rows)
+    rows = tuple(row for row in rows if row.state is not ReadyState.OPEN)
     awaited = [row for row in rows if row.waits]
     if len(awaited) > _EACH:
         names = ", ".join(dict.fromkeys(row.name for row in awaited))

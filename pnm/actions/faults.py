@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 from typing import Literal
@@ -86,6 +86,7 @@ def read_faults(path: Path, known: Vocabulary | None = None) -> Faults:
     top.only("faults", "changes", "seed")
     faults = Faults(tuple(map(_fault, top.sequence("faults"))), tuple(map(_change, top.sequence("changes"))), top.whole("seed", 0))
     if known is not None:
+        faults = _spelled(faults, known)
         for fault, entry in zip(faults.faults, top.sequence("faults"), strict=True):
             known.check_call(fault.what, entry.position("action" if "action" in entry.nodes else "call"))
         for change, entry in zip(faults.changes, top.sequence("changes"), strict=True):
@@ -94,6 +95,29 @@ def read_faults(path: Path, known: Vocabulary | None = None) -> Faults:
             for fluent, value in change.changes.items():
                 known.check_change(fluent, value, entry.position("set"))
     return faults
+
+
+def _spelled(faults: Faults, known: Vocabulary) -> Faults:
+    """Return the faults with names spelled as they are declared."""
+
+    def call(what: str) -> str:
+        return re.sub(r"[^\s(),]+", lambda name: known.spelled(name[0]), what)
+
+    def value(one: Value) -> Value:
+        return known.spelled(one) if isinstance(one, str) else one
+
+    return replace(
+        faults,
+        faults=tuple([replace(fault, what=call(fault.what)) for fault in faults.faults]),
+        changes=tuple(
+            replace(
+                change,
+                what=call(change.what),
+                changes={tuple(map(known.spelled, fluent)): value(new) for fluent, new in change.changes.items()},
+            )
+            for change in faults.changes
+        ),
+    )
 
 
 def ground_name(text: str) -> str:

@@ -21,6 +21,8 @@ class ReadyState(Enum):
     """There, but nothing was heard of it."""
     STALE = "stale"
     """It was heard, and has fallen silent, or says what cannot be so."""
+    OPEN = "open"
+    """Its name depends on a value that its calls get when they start."""
     UNFIT = "unfit"
     """It can never work with the files as they are."""
 

@@ -10,7 +10,7 @@ import asyncio
 import logging
 import os
 from collections.abc import Coroutine, Mapping
-from dataclasses import InitVar, dataclass, field
+from dataclasses import InitVar, dataclass, field, replace
 from functools import partial
 from math import inf
 from uuid import UUID, uuid4
@@ -19,8 +19,10 @@ from pnm.actions.backend import Backend
 from pnm.clock import TimeLimit
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.events import Observer
+from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import MISSING, Layer, Literal, Query, Question, parts
+from pnm.core.logic.expressions import bind
 from pnm.core.machine.bindings import ABOUT_THE_CALL
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
@@ -199,14 +201,26 @@ class PlanRunner:
 
     @property
     def actions(self) -> tuple[GroundAction, ...]:
-        """The actions of the plans whose servers the bindings name."""
+        """The actions of the plans that servers carry out; the names of some servers are only known when their calls start."""
         needed = (
             call.action
             for program in self.programs.values()
             for call in program.plan.graph.calls
-            if call.action.operation is None and call.action.name not in self.programs and program.plan.bindings.names_server(call.action)
+            if call.action.operation is None and call.action.name not in self.programs
         )
         return tuple(dict.fromkeys(needed))
+
+    def actions_with(self, name: str, parameters: Mapping[str, object]) -> tuple[GroundAction, ...]:
+        """Return the same actions, with what a run of the plan knows at its beginning for the parameters that the plan leaves open."""
+        plan = self.programs[name].plan
+        knowledge = Layered(self.world, KnowledgeBase(variables={**plan.variables, **parameters}))
+        own = {call.action for call in plan.graph.calls}
+
+        def known(action: GroundAction) -> GroundAction:
+            environment = EvaluationContext(knowledge, action, plan.bindings.of(action.name)).environment()
+            return replace(action, arguments=bind(action.arguments, environment)) if action in own and environment else action
+
+        return tuple(map(known, self.actions))
 
     async def prepare(self) -> tuple[str, ...]:
         """Prepare the backend for the actions of the plans; return the names of servers that are not there yet."""

@@ -24,7 +24,7 @@ from pnm.ros.knowledge.goal_ids import service_prefix
 from pnm.ros.knowledge.knowledge_services import KnowledgeServices
 from pnm.ros.node.graph import server_name, snapshot
 from pnm.ros.node.ros_thread import RosThread
-from pnm.ros.readiness import action_readiness, sensor_readiness, server_calls
+from pnm.ros.readiness import action_readiness, open_readiness, sensor_readiness, server_calls
 from pnm.ros.sensors.sensor import resolved
 from pnm.ros.sensors.sensors import Sensors
 from pnm.ros.sensors.state_topic import TOPIC, SensedReports
@@ -33,6 +33,8 @@ from pnm.ros.sim_time import USE_SIM_TIME, follow_sim_time
 DISCOVERY: Final = 10.0
 """Seconds to wait for servers and reports of robots that are started together with this node."""
 _LOOK: Final = 0.25
+_FINAL: Final = frozenset({ReadyState.READY, ReadyState.UNFIT, ReadyState.OPEN})
+"""States that waiting does not change."""
 """Seconds between two looks at the ROS graph while something is waited for."""
 
 
@@ -124,7 +126,7 @@ class Ros2Backend:
         until, has_settled = monotonic() + wait, False
         while True:
             rows = await self.look(actions, known)
-            if all(row.state in (ReadyState.READY, ReadyState.UNFIT) for row in rows) or (has_settled and monotonic() >= until):
+            if all(row.state in _FINAL for row in rows) or (has_settled and monotonic() >= until):
                 return rows
             if not has_settled:
                 await self.ros.settled()
@@ -147,7 +149,8 @@ class Ros2Backend:
     async def look(self, actions: Iterable[GroundAction] = (), known: Vocabulary | None = None) -> tuple[Readiness, ...]:
         """Return how ready they are at this moment, as far as this node has discovered the others; see `check`."""
         known = known or self._known or Vocabulary({})
-        calls = tuple(dict.fromkeys((*server_calls(known, self._bindings), *actions)))
+        every = dict.fromkeys((*server_calls(known, self._bindings), *actions))
+        calls = [call for call in every if self._bindings.names_server(call)]
         bound = {call: (self._bindings.server(call), self._bindings.of(call.name).position) for call in calls}
         node = self.ros.node
         servers = await self.ros.ask(lambda: {call: server_name(node, *named) for call, named in bound.items()})
@@ -158,7 +161,7 @@ class Ros2Backend:
         variables = frozenset(self._knowledge.variables()).union(*sensed)
         reports = self._reports.readiness(topic, graph.topics.get(topic, ())) if self._reports else ()
         rows = (*action_readiness(servers, self._bindings, known, graph, variables, self._patience), *sensor_readiness(uses, graph))
-        return *rows, *reports
+        return *rows, *open_readiness([call for call in every if call not in bound], self._bindings), *reports
 
     async def refresh(self) -> None:
         """Ask the services that are sensors, and wait for their answers, within their limits."""
@@ -185,8 +188,9 @@ class Ros2Backend:
         return self.refresh()
 
     async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
-        """Look for the servers of these actions; wait for them only while this node itself is new."""
-        return await self._client.prepare(actions, self._patience)  # type: ignore[no-any-return]
+        """Look for the servers of these actions that have names already; wait for them only while this node itself is new."""
+        named = [action for action in actions if self._bindings.names_server(action)]
+        return await self._client.prepare(named, self._patience)  # type: ignore[no-any-return]
 
     async def busy_elsewhere(self) -> tuple[str, ...]:
         """Return the action servers that are at work on goals of other programs, or on goals that this node has forgotten."""

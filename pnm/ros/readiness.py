@@ -17,7 +17,7 @@ from pnm.core.knowledge_base import parse_fluent
 from pnm.core.logic.computed_values import MISSING
 from pnm.core.logic.declared_names import FluentKind, Vocabulary
 from pnm.core.logic.expressions import fluent_text
-from pnm.core.machine.bindings import Binding, Bindings, Table, placeholders
+from pnm.core.machine.bindings import Binding, Bindings, Table, open_parameters, placeholders
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.readiness import Readiness, ReadyState
 from pnm.errors import InputError, suggestion
@@ -125,6 +125,21 @@ def server_readiness(
         return replace(row, state=ReadyState.READY)
     waits = f"is waited for where it is needed, {patience:.0f} s at most"
     return replace(row, state=ReadyState.ABSENT, advice=absence(graph.servers, server, wanted), waits=waits)
+
+
+def open_readiness(actions: Iterable[GroundAction], bindings: Bindings) -> Iterator[Readiness]:
+    """Yield how ready the actions are whose servers have names that depend on values which their calls get when they start."""
+    for action in {action.name: action for action in actions}.values():
+        binding = bindings.of(action.name)
+        row = Readiness(action.name, binding.server or "", binding.type or "", ReadyState.OPEN, position=binding.position)
+        names = [name for name in dict.fromkeys(placeholders(row.name)) if name in open_parameters(action)]
+        advice = f"not looked for: it depends on {', '.join(names)}, which has no value before the call starts"
+        try:
+            if binding.type:
+                fitted_binding(binding, import_type(binding.type))
+        except InputError as error:
+            row, advice = replace(row, state=ReadyState.UNFIT), error.message
+        yield replace(row, advice=advice)
 
 
 def fit_goal(action: GroundAction, binding: Binding, action_type: Any, sources: ValueSources) -> str:

@@ -46,7 +46,7 @@ class ToldFailures:
             case TraceKind.ENDED:
                 self.ends[task, subject] = text
             case TraceKind.FAILED if self.ends.pop((task, subject.rpartition("#")[0]), "") == text:
-                return "it is not tried again"
+                return "it is not tried again in this plan"
             case TraceKind.STATE if text.startswith("over"):
                 self.ends = {key: end for key, end in self.ends.items() if key[0] != task}
         return text

@@ -40,6 +40,8 @@ DOMAIN_SECTIONS: Final = (
     *(":requirements", ":predicates", ":types", ":constants", ":functions", INSTANTANEOUS, DURATIVE, DERIVED, ":constraints"),
     *HIERARCHY,
 )
+MAX_READ: Final = 200_000
+"""Choices of objects that the quantifiers of a problem may range over; planners cope with more than questions at run time may ask."""
 PROBLEM_SECTIONS: Final = (*(":domain", ":init", ":goal", ":objects", ":metric", ":constraints", ":requirements", ":length"), *NETWORK)
 _DIRECTIONS: Final[dict[str, Literal["minimize", "maximize"]]] = {"minimize": "minimize", "maximize": "maximize"}
 
@@ -163,7 +165,7 @@ def _problem(definition: Definition, domain: Domain, warnings: tuple[Tolerated, 
     )
     objects = where((*definition.every(":objects"), definition.whole)[0])
     for what, choices in problem.ranges():
-        check_choices(choices, objects, f"the quantifiers in {what}")
+        check_choices(choices, objects, f"the quantifiers in {what}", MAX_READ)
     for fluent in missing_numbers(problem):
         Leniency.NUMBER_MISSING.note(definition.one(":init") or definition.whole, fluent_text(fluent))
     return replace(problem, warnings=(*domain.warnings, *warnings, *definition.whole.source.tolerated))

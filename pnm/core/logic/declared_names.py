@@ -52,6 +52,13 @@ class Vocabulary:
     is_complete: bool = True
     """Whether there are no other predicates and functions than those declared."""
 
+    def spelled(self, name: str) -> str:
+        """Return the declared name that is the same but for capitals, which PDDL does not tell apart; else the name as it is."""
+        every = (self.actions, self.fluents, self.objects)
+        if any(name in declared for declared in every):
+            return name
+        return next((one for declared in every for one in declared if one.casefold() == name.casefold()), name)
+
     def check_action(self, name: str, position: Position) -> None:
         """Refuse an action that is not declared."""
         _check(name, self.actions, "action", position)

@@ -31,8 +31,10 @@ class Level(IntEnum):
 
 _LEVELS: Final = {
     ReadyState.READY: Level.OK,
+    ReadyState.OPEN: Level.OK,
     ReadyState.SILENT: Level.WARN,
     ReadyState.ABSENT: Level.ERROR,
+    ReadyState.SEVERAL: Level.ERROR,
     ReadyState.UNFIT: Level.ERROR,
     ReadyState.STALE: Level.STALE,
 }

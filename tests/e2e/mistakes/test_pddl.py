@@ -31,15 +31,10 @@ MISTAKES = {
         PROBLEM, "(at r1 dock)", "(at r3 dock)", "problem.pddl:4:14: unknown object 'r3'; expected one of r1, r2, dock, hall, cup"
     ),
     "a predicate is misspelt": pddl(PROBLEM, "(on cup", "(onn cup", "problem.pddl:4:37: unknown predicate 'onn'; did you mean 'on'?"),
-    "no goal": pddl(
-        PROBLEM,
-        "  (:goal (holding r1 cup))",
-        "",
-        "problem.pddl: the problem asks for nothing; expected (:goal CONDITION), what is to be reached",
-    ),
-    "no goal to run for": pddl(PROBLEM, "  (:goal (holding r1 cup))", "", "the problem asks for nothing", command="run"),
-    "no goal to make a machine for": pddl(PROBLEM, "  (:goal (holding r1 cup))", "", "the problem asks for nothing", command="net"),
-    "a goal of nothing": pddl(PROBLEM, "(holding r1 cup)", "(and)", "the problem asks for nothing"),
+    "no goal": pddl(PROBLEM, "  (:goal (holding r1 cup))", "", "problem.pddl:1:1: warning: there is no :goal; any state will do", status=0),
+    "no goal to run for": pddl(PROBLEM, "  (:goal (holding r1 cup))", "", "there is no :goal; any state will do", command="run", status=0),
+    "a goal of nothing": pddl(PROBLEM, "(holding r1 cup)", "(and)", "nothing to do: the goal is empty", status=0),
+    "a goal of nothing at all": pddl(PROBLEM, "(holding r1 cup)", "()", "nothing to do: the goal is empty", status=0),
     "a number without a value": pddl(
         PROBLEM, "    (= (speed r2) 2)\n", "", "warning: (speed r2) has no value at first; actions that need it cannot be applied", status=0
     ),

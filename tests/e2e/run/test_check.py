@@ -174,6 +174,38 @@ def test_the_servers_of_plans_by_hand_are_looked_for(world):
     assert states == {"say": "absent", "ask_wish": "absent", "point_at": "absent"}
 
 
+PATROL = """
+actions:
+  inspect: {params: [robot, target], server: "/{robot}/inspect", ros_type: KIND}
+patrol:
+  params: [robot]
+  plan: [inspect: {robot: {LocalQuery: robot}, target: pump}]
+"""
+
+
+def checked(world, tmp_path, kind, *options):
+    plan = written(tmp_path, PATROL.replace("KIND", kind))
+    program = world.start(Program(["-m", "planner_bridge", "check", "--plan", str(plan), *options], world.environment))
+    return program.ended(), [line.split(maxsplit=4) for line in program.out[1:]]
+
+
+def test_servers_whose_names_depend_on_a_parameter_are_not_called_ready(world, tmp_path):
+    status, rows = checked(world, tmp_path, FIBONACCI)
+    advice = "not looked for: it depends on robot, which has no value before the call starts"
+    assert (status, rows) == (1, [["inspect", "/{robot}/inspect", FIBONACCI, "open", advice]])
+    status, (row,) = checked(world, tmp_path, FIBONACCI, "--set", "robot=r1")
+    assert (status, row[:4]) == (1, ["inspect", "/r1/inspect", FIBONACCI, "absent"])
+
+
+def test_a_type_that_there_is_not_is_found_whatever_the_server_is_called(world, tmp_path):
+    status, (row,) = checked(world, tmp_path, "test_msgs/action/Inspekt")
+    assert status == 2
+    assert row[3] == "unfit"
+    assert "test_msgs has no action Inspekt" in row[4]
+    run = ["-m", "planner_bridge", "run", "--plan", str(tmp_path / "plan.yaml"), "--actions", "ros2", "--set", "robot=r1"]
+    assert world.start(Program(run, world.environment)).ended() == 2
+
+
 def test_a_simulation_beside_the_robot_is_noticed(deploy):
     deployment = deploy("foreign", texts=(DOMAIN, PROBLEM), bindings="\n  ".join(("actions:", COUNT, MEASURE)), quick=True)
     for servers in [deployment.start(Program(["-m", "tests.support.e2e.programs.foreign_servers"], deployment.environment)) for _ in "12"]:

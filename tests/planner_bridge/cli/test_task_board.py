@@ -55,7 +55,7 @@ def test_a_failure_is_told_once() -> None:
     told, move, blocked = ToldFailures(), "move(r1, hall, kitchen)", "aborted: the way is blocked"
     assert told.text(TEA, TraceKind.ENDED, move, blocked) == blocked
     assert told.text(POST, TraceKind.FAILED, f"{move}#4", blocked) == blocked, "that is another task"
-    assert told.text(TEA, TraceKind.FAILED, f"{move}#4", blocked) == "it is not tried again"
+    assert told.text(TEA, TraceKind.FAILED, f"{move}#4", blocked) == "it is not tried again in this plan"
     assert told.text(TEA, TraceKind.FAILED, f"{move}#4", blocked) == blocked
     told.text(TEA, TraceKind.ENDED, move, "canceled: cancelled on request")
     late = "timed_out: expected an end within 30 s; observed none; then cancelled on request"

@@ -86,4 +86,4 @@ def test_the_overview_names_what_each_call_is_for() -> None:
     lines = [reason.statement for reason in why_plan(problem, plan_of(problem)).reasons]
     assert lines[2] == "#2 take(r1, cup, kitchen): for the goal (has r1 cup)"
     nothing = house("", "(at r1 hall)")
-    assert why_plan(nothing, plan_of(nothing)).statement == "there is nothing to do: the goal holds, or comes by itself"
+    assert why_plan(nothing, plan_of(nothing)).statement == "there is nothing to do: the goal is empty, holds already, or comes by itself"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.pddl.read.reader import MAX_READ
 from pnm.core.logic.conditions import choices_in
-from pnm.core.logic.domain import MAX_CHOICES
 from pnm.errors import InputError
 
 DOMAIN = """(define (domain d)
@@ -41,11 +41,11 @@ CASES = {
 
 @pytest.mark.parametrize("what", CASES)
 def test_quantifiers_over_too_many_choices_are_refused_where_the_objects_are_declared(what: str) -> None:
-    assert MAX_CHOICES < 50**3
+    assert MAX_READ < 60**3
     with pytest.raises(InputError) as caught:
-        problem(50, **CASES[what])
+        problem(60, **CASES[what])
     assert str(caught.value).startswith(f"problem.pddl:2:5: the quantifiers in {what}"), str(caught.value)
-    assert f"over {2 * 50**3 if 'effects' in what else 50**3} choices of objects; expected {MAX_CHOICES} at most" in str(caught.value)
+    assert f"over {2 * 60**3 if 'effects' in what else 60**3} choices of objects; expected {MAX_READ} at most" in str(caught.value)
     assert problem(20, **CASES[what]).name == "p"
 
 

@@ -85,7 +85,7 @@ def test_what_goals_are_and_why_calls_have_failed_is_said_once() -> None:
 
     simulate_tasks(scenario, chosen=Settings(), faults=Faults((Fault("move(r0, a0, a1)", FaultKind.ABORT, times=2, message="no way"),)))
     said = [line.split("  ")[-1].strip() for line in shown.getvalue().splitlines() if "  goal  " in line or "  failed  " in line]
-    assert said == ["(at r0 nowhere)", "(at r0 a1)", "move(r0, a0, a1)#0: it is not tried again"]
+    assert said == ["(at r0 nowhere)", "(at r0 a1)", "move(r0, a0, a1)#0: it is not tried again in this plan"]
     assert shown.getvalue().count("no way") == 2, "once for each attempt"
 
 

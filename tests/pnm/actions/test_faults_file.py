@@ -49,6 +49,17 @@ changes:
     assert read_faults(written(tmp_path, "faults:\nchanges:\n")) == Faults()
 
 
+def test_capitals_do_not_matter_as_in_pddl(tmp_path: Path) -> None:
+    content = """
+faults: [{call: '(MOVE R1 Lab LAB)', do: abort}]
+changes: [{on: end of Move, set: [(not (AT r1 LAB))]}]
+"""
+    read = read_faults(written(tmp_path, content), WORDS)
+    assert read == read_faults(written(tmp_path, content.lower()), WORDS)
+    assert [fault.what for fault in read.faults] == ["move(r1, lab, lab)"]
+    assert [dict(change.changes) for change in read.changes] == [{("at", "r1", "lab"): False}]
+
+
 @pytest.mark.parametrize(("content", "message"), refused(BAD_INPUT / "faults_with_unknown_names.yaml"))
 def test_faults_of_what_the_domain_does_not_have_are_refused(tmp_path: Path, content: str, message: str) -> None:
     path = written(tmp_path, content)
