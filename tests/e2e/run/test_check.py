@@ -201,7 +201,7 @@ def test_a_type_that_there_is_not_is_found_whatever_the_server_is_called(world, 
     status, (row,) = checked(world, tmp_path, "test_msgs/action/Inspekt")
     assert status == 2
     assert row[3] == "unfit"
-    assert "test_msgs has no action Inspekt" in row[4]
+    assert "the ROS type test_msgs/action/Inspekt is not installed" in row[4]
     run = ["-m", "planner_bridge", "run", "--plan", str(tmp_path / "plan.yaml"), "--actions", "ros2", "--set", "robot=r1"]
     assert world.start(Program(run, world.environment)).ended() == 2
 
