@@ -16,7 +16,7 @@ import click
 from rich.text import Text
 
 from planner_bridge.cli.consoles.safe_console import SafeConsole
-from planner_bridge.cli.options import ViewingCommand, check_output, command, force_option, timeline_option, view_option, write
+from planner_bridge.cli.options import ADOPT, ViewingCommand, check_output, command, force_option, timeline_option, view_option, write
 from planner_bridge.node.journal_place import latest_journal
 from planner_bridge.tasks.result import TASKS
 from planner_bridge.view.task_timeline import timelines
@@ -112,7 +112,7 @@ def _show(journal: Place, port: int) -> int:
     return 0
 
 
-def resume_run(journal: Place) -> int:
+def resume_run(journal: Place, *, adopts: bool) -> int:
     """Go on with the run that a journal has kept, with what its command was given, and end with its exit status."""
     from planner_bridge.cli.run import run  # here, because a look at a journal needs nothing of it
 
@@ -133,7 +133,7 @@ def resume_run(journal: Place) -> int:
     except OSError as error:
         raise InputError(f"{journal}: its command was given in {folder}: {error.strerror}") from error
     print(f"in {folder}: pnm run {shlex.join(given)}", file=sys.stderr)
-    return int(run.main([*given, "--journal", place], "pnm run", standalone_mode=False) or 0)
+    return int(run.main([*given, "--journal", place, *([ADOPT] if adopts else [])], "pnm run", standalone_mode=False) or 0)
 
 
 def chosen_journal(journal: str | None) -> Place:

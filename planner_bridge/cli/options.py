@@ -95,6 +95,7 @@ def options(*options: Decorator) -> Decorator:
     return add
 
 
+ADOPT: Final = "--adopt"
 GIVEN = "given"
 """The key of what a command was given, in the `meta` of its context."""
 
@@ -149,6 +150,9 @@ as_json_option = click.option("--json", "as_json", is_flag=True, help="print one
 bindings_option = click.option("--bindings", type=FILE, help="how actions are bound to servers; by default bindings.yaml beside DOMAIN")
 force_option = click.option("--force", is_flag=True, help="replace files that exist")
 output_options = options(click.option("-o", "--output", type=FILE, help="a new file; by default the terminal"), force_option)
+adopt_option = click.option(
+    ADOPT, is_flag=True, help="take the journal although it is that of a node or of another computer, a copy, or lacks what came last"
+)
 journal_options = options(
     click.option(
         "--journal", type=PlaceName(), help="file, or postgresql://…, that the run is kept in: `pnm resume` goes on if this process dies"
@@ -159,6 +163,7 @@ journal_options = options(
         help="what the journal survives: the death of the process, or that of the computer, which is slower; by default process-crash in a"
         " file, power-loss in PostgreSQL",
     ),
+    adopt_option,
 )
 timeline_option = click.option("--timeline", type=FILE, help="a new SVG file: what was planned and done when, what failed, new plans")
 knowledge_option = click.option(

@@ -17,6 +17,7 @@ from planner_bridge.cli.consoles.on_stderr import print_warnings
 from planner_bridge.cli.consoles.run_console import ConsoleObserver, print_result
 from planner_bridge.cli.consoles.safe_console import SafeConsole
 from planner_bridge.cli.options import (
+    ADOPT,
     GIVEN,
     Files,
     Output,
@@ -131,6 +132,7 @@ def run(
     answers: tuple[str, ...],
     journal: Place | None,
     durability: str | None,
+    adopt: bool,
     timeline: Path | None,
     force: bool,
     view: int | None,
@@ -149,7 +151,7 @@ def run(
         raise InputError("--faults belongs to simulated robots; give it to `pnm simulate`")
     if sensing and actions != "ros2":
         raise InputError("--sensing describes topics and services of ROS 2; expected --actions ros2")
-    choice = journal_choice(journal, durability) if journal else None
+    choice = journal_choice(journal, durability, adopts=adopt) if journal else None
     output = Output.JSON if as_json else Output.ENDING if quiet else Output.NUMBERS if verbose else Output.EVENTS
     policy = OnFailure(on_failure) if on_failure else None
     limits = Limits(replans=replans, seconds=seconds, patience=patience)
@@ -181,10 +183,10 @@ def run_problem(domain: Path, problem: Path, files: Files, *, actions: Actions, 
     return print_ending(result, console, output, files.page)
 
 
-def journal_choice(place: Place, durability: str | None) -> JournalChoice:
-    """Return the journal of a run; another process would go on with what the command was given here."""
-    given = click.get_current_context().meta[GIVEN]
-    return JournalChoice(place, Durability.of(durability) if durability else None, command=(os.getcwd(), *given))
+def journal_choice(place: Place, durability: str | None, *, adopts: bool) -> JournalChoice:
+    """Return the journal of a run; another process would go on with what the command was given here, but adopts nothing unasked."""
+    given = [argument for argument in click.get_current_context().meta[GIVEN] if argument != ADOPT]
+    return JournalChoice(place, Durability.of(durability) if durability else None, command=(os.getcwd(), *given), adopts=adopts)
 
 
 @contextmanager

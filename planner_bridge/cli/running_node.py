@@ -19,9 +19,10 @@ from rich.text import Text
 
 from planner_bridge.cli.consoles.event_lines import EventLines, ToldFailures
 from planner_bridge.cli.consoles.safe_console import SafeConsole
-from planner_bridge.cli.options import Seconds, as_json_option, command, options
+from planner_bridge.cli.options import Seconds, adopt_option, as_json_option, command, options
 from pnm.clock import run_async
 from pnm.core.machine.requests import OutcomeKind
+from pnm.errors import InputError
 from pnm.files.database.place import place_of
 from pnm.tasks import Code, OnConflict, TaskState, TraceKind
 
@@ -250,8 +251,9 @@ def pause(task: str, every: bool, namespace: str, at_once: bool) -> int:
 
 @click.command(epilog="Examples: pnm resume --all; pnm resume tea.journal")
 @one_or_all
+@adopt_option
 @command
-def resume(task: str, every: bool, namespace: str) -> int:
+def resume(task: str, every: bool, namespace: str, adopt: bool) -> int:
     """Let a paused task, or a run that has died, go on.
 
     TASK is the beginning of a task's id, by default of the only one that is paused; or the file that `pnm run --journal FILE`
@@ -260,7 +262,9 @@ def resume(task: str, every: bool, namespace: str) -> int:
     if task.strip("0123456789abcdefABCDEF-"):  # no id
         from planner_bridge.cli.journal import resume_run  # here, because it takes its time to import
 
-        return resume_run(place_of(task))
+        return resume_run(place_of(task), adopts=adopt)
+    if adopt:
+        raise InputError("--adopt is about a journal; expected its file")
     return _command("resume", "goes on", task, every=every, namespace=namespace)
 
 

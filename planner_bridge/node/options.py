@@ -36,6 +36,9 @@ PARAMETERS: Final = (
         choices=tuple(level.word for level in Durability),
     ),
     NodeParameter("keep_days", KEPT / DAY, "days for which the journal keeps what nothing needs any more; tasks are listed for longer"),
+    NodeParameter(
+        "adopt", False, "whether the journal is taken although it is that of another node or computer, a copy, or lacks what came last"
+    ),
     NodeParameter("lease", LEASE, "seconds until another node takes over a journal in PostgreSQL when this one is cut off", least=1),
     NodeParameter("planner", DEFAULT_PLANNER, "kairos, any engine of unified-planning, race, or race:NAME,NAME"),
     NodeParameter("planner_timeout", 30.0, "seconds the planner may take"),
@@ -80,6 +83,7 @@ class Options:
     durability: Durability | None
     """None for what is usual in the place of the journal."""
     keep_days: float
+    adopt: bool
     lease: float
     planner: str
     planner_timeout: float

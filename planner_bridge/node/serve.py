@@ -292,16 +292,17 @@ class ServingNode:
         files = RobotFiles.of(options)
         own, sensing = files.read(problem.vocabulary if problem else None)
         bindings = own.before(merge_bindings(plans))
-        place = await self._journal_place(origin := origin_of(options))
+        node, domain_id = await self._ros.ask(lambda: (self._ros.node.get_fully_qualified_name(), self._ros.node.context.get_domain_id()))
+        place = journal_of(options.journal, node, domain_id, origin := origin_of(options))
         plan_actions = await self._alone(programs, place)
-        journal, replay = await self._resume(place, origin, stack)
+        journal, replay = await self._resume(place, node, origin, stack)
         if replay and replay.shared and replay.shared.loaded:  # in place of that of the files
             domain, text = replay.shared.loaded
             problem = parse_problem(text, parse_domain(domain))
             own, sensing = files.read(problem.vocabulary, strangers=True)
             bindings = own.before(merge_bindings(plans))
         knowledge = replay.world if replay else initial_knowledge(*((problem,) if problem else ()), *plans)
-        own_prefix = sha256(self._ros.node.get_fully_qualified_name().encode()).digest()[:PREFIX]
+        own_prefix = sha256(node.encode()).digest()[:PREFIX]
         prefix = (replay.shared.prefix if replay and replay.shared else b"") or own_prefix
         kept = replay.open_requests if replay else ()
         backend = Ros2Backend(
@@ -339,11 +340,7 @@ class ServingNode:
                     raise
         return plan_actions
 
-    async def _journal_place(self, origin: str) -> Place | None:
-        node, domain_id = await self._ros.ask(lambda: (self._ros.node.get_fully_qualified_name(), self._ros.node.context.get_domain_id()))
-        return journal_of(self._options.journal, node, domain_id, origin)
-
-    async def _resume(self, place: Place | None, origin: str, stack: AsyncExitStack) -> tuple[Journal, Replay | None]:
+    async def _resume(self, place: Place | None, node: str, origin: str, stack: AsyncExitStack) -> tuple[Journal, Replay | None]:
         """Open the journal when no other process holds it; the time of what goes on in it goes on as well."""
         if place is None:
             self._observer.journalled("", None)
@@ -352,7 +349,8 @@ class ServingNode:
         if isinstance(place, Path) and not options.journal:
             for words in left_behind(place):
                 _log.warning("%s", words)
-        choice = JournalChoice(place, options.durability, options.keep_days * DAY, lease=options.lease)
+        kept = options.keep_days * DAY
+        choice = JournalChoice(place, options.durability, kept, lease=options.lease, node=node, adopts=options.adopt)
         taken = await stand_by(choice, TASKS, origin, partial(self._observer.standing_by, str(place)))
         journal, replay = taken.write(self.fenced.set_result), taken.replay
         stack.callback(journal.close)

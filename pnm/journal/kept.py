@@ -108,6 +108,8 @@ class JournalChoice:
         kept: seconds for which records are kept that nothing under way needs.
         command: what the command line is given, in which folder first, so that `pnm resume` goes on; empty for a node.
         lease: seconds for which no other process may take it, where it is in PostgreSQL.
+        node: whose it is: the name of a node, empty for a run; None if that does not matter, for nothing goes on from it.
+        adopts: whether it is taken although it is that of another node, a copy, or lacks what was written last.
     """
 
     place: Place
@@ -115,6 +117,8 @@ class JournalChoice:
     kept: float = KEPT
     command: tuple[str, ...] = ()
     lease: float = LEASE
+    node: str | None = ""
+    adopts: bool = False
 
 
 class Hold(Protocol):

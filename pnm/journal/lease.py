@@ -11,9 +11,7 @@ A thread renews the lease, on real time, if the event loop shows that it is aliv
 from __future__ import annotations
 
 import asyncio
-import fcntl
 import logging
-import os
 import threading
 import time
 from collections.abc import Callable
@@ -21,12 +19,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from pnm.files.database.place import Place
-from pnm.journal.kept import Durability, Fenced, Held, Hold, JournalError, Unshared
-from pnm.journal.store import JournalFile, this_process
+from pnm.files.database.driver import DatabaseError
+from pnm.files.database.lock import FileLock, Locked
+from pnm.journal.kept import Durability, Fenced, Held, Hold, JournalChoice, JournalError, Unshared
+from pnm.journal.store import JournalFile
 
 _SAFE: Final = 0.9
 """The part of its lease that its holder uses: what it sends at the end of that has arrived when another one may take over."""
+_LOOK: Final = 1.0
+"""Seconds until it is looked again whether a file is there."""
 _OFTEN: Final = 3
 """How often a lease is renewed in its time."""
 _CLOCK: Final = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
@@ -40,41 +41,44 @@ def elapsed() -> float:
     return time.clock_gettime(_CLOCK)
 
 
-class FileLock(Unshared):
-    """The lock of a journal file, in a file of its own beside it, which says who has it.
+class Watch(Unshared):
+    """The hold of a journal file, whose lock nobody else has. Once a second, on real time, it is looked whether the file is there.
 
-    Raises:
-        Held: another process has it.
-        JournalError: there can be no such file.
+    The mutable state is the thread that does so.
     """
 
-    def __init__(self, path: Path) -> None:
-        if path.exists() and not path.is_file():
-            raise JournalError(f"{path} is no file: it cannot be a journal")
-        try:
-            self._file = os.open(path.with_name(f"{path.name}-lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        except OSError as error:
-            raise JournalError(f"the journal {path} cannot be locked: {error}") from error
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            os.ftruncate(self._file, 0)
-            os.pwrite(self._file, this_process().encode(), 0)
-        except OSError as error:
-            holder = os.pread(self._file, 200, 0).decode(errors="replace") or "another process"
-            os.close(self._file)
-            if not isinstance(error, BlockingIOError):
-                raise JournalError(f"the journal {path} cannot be locked: {error}") from error
-            raise Held(f"{holder} holds the journal {path}", holder) from error
+    def __init__(self) -> None:
+        self._closing = threading.Event()
+
+    def keep(self, renewed: Callable[[], None], fenced: Callable[[Fenced], None]) -> None:
+        """Have the event loop look, as often as it is alive."""
+        loop = asyncio.get_running_loop()
+        threading.Thread(target=self._keep, args=(loop, renewed), name="watch", daemon=True).start()
 
     def release(self) -> None:
-        """Unlock it. The file stays: another process may wait for it."""
-        os.close(self._file)
+        """Look no more. The lock is let go with the file."""
+        self._closing.set()
+
+    def _keep(self, loop: asyncio.AbstractEventLoop, renewed: Callable[[], None]) -> None:
+        has_looked = threading.Event()
+        has_looked.set()
+
+        def look() -> None:
+            if not self._closing.is_set():
+                renewed()
+            has_looked.set()
+
+        with suppress(RuntimeError):  # the loop was closed
+            while not self._closing.wait(_LOOK):
+                if has_looked.is_set():  # or else the loop has other things to do
+                    has_looked.clear()
+                    loop.call_soon_threadsafe(look)
 
 
 def is_locked(path: Path) -> bool:
     """Return whether another process has the lock of a journal file."""
     try:
-        FileLock(path).release()
+        _locked(path).release()
     except Held:
         return True
     except JournalError:  # which whoever opens it says
@@ -147,20 +151,34 @@ class Lease:
                     loop.call_soon_threadsafe(renewed)
 
 
-def take(place: Place, durability: Durability, seconds: float) -> tuple[JournalFile, Hold]:
+def take(choice: JournalChoice) -> tuple[JournalFile, Hold]:
     """Open a journal for writing if nobody else writes it.
 
     Raises:
         Held: another process does.
+        InputError: it belongs elsewhere, or is not all there.
         JournalError: it cannot be used.
     """
+    place, durability = choice.place, choice.durability or Durability.usual(choice.place)
     if isinstance(place, Path):
-        lock = FileLock(place)
+        lock = _locked(place)
         try:
-            return JournalFile(place, durability, time.time()), lock
+            return JournalFile(place, durability, time.time(), lock=lock, node=choice.node, adopts=choice.adopts), Watch()
         except BaseException:
             lock.release()
             raise
     asked = elapsed()
-    file = JournalFile(place, durability, time.time(), seconds)
-    return file, Lease(file, seconds, asked)
+    file = JournalFile(place, durability, time.time(), choice.lease, node=choice.node, adopts=choice.adopts)
+    return file, Lease(file, choice.lease, asked)
+
+
+def _locked(path: Path) -> FileLock:
+    """Return the lock of a journal file; raise an error if another process has it, or it can be none."""
+    if path.exists() and not path.is_file():
+        raise JournalError(f"{path} is no file: it cannot be a journal")
+    try:
+        return FileLock(path)
+    except Locked as error:
+        raise Held(f"{error.holder} holds the journal {path}", error.holder) from error
+    except DatabaseError as error:
+        raise JournalError(f"the journal {path} cannot be locked: {error}") from error

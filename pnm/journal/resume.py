@@ -18,7 +18,7 @@ from pnm.core.net.no_collection import no_collection
 from pnm.errors import InputError, PnmError
 from pnm.files.database.place import Place
 from pnm.journal.codec import Codec, Undecodable
-from pnm.journal.kept import Damaged, Durability, Fenced, Held, Hold, JournalChoice, JournalError, log_end
+from pnm.journal.kept import Damaged, Fenced, Held, Hold, JournalChoice, JournalError, log_end
 from pnm.journal.lease import take
 from pnm.journal.records import Record, SharedBegan, TaskSummary
 from pnm.journal.replay import Replay, ReplayDiffers, Step
@@ -32,7 +32,7 @@ _SOON: Final = 0.05
 _LONG: Final = 200
 """Characters of a reason, which may quote what is in a file."""
 
-Take: TypeAlias = Callable[[Place, Durability, float], tuple[JournalFile, Hold]]
+Take: TypeAlias = Callable[[JournalChoice], tuple[JournalFile, Hold]]
 Apply: TypeAlias = Callable[[int, float, Record], Step]
 """Replays a record, with its number and its time."""
 
@@ -286,7 +286,7 @@ class _Candidate:
                 self._follower = Follower(place, self._codec)
         replay = self._replay()
         try:
-            file, hold = self._take(place, choice.durability or Durability.usual(place), choice.lease)
+            file, hold = self._take(choice)
         except Held as held:
             if replay is not None and replay.shared is not None and replay.shared.origin != self._origin:
                 raise InputError(f"{held.holder} holds {place}, for another domain, problem or world") from held

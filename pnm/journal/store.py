@@ -19,10 +19,9 @@ write is durable always: a lease that was taken back would be another's while it
 from __future__ import annotations
 
 import logging
-import os
-import socket
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from threading import Lock
 from types import TracebackType
@@ -30,21 +29,48 @@ from typing import Final, NamedTuple
 
 from sqlalchemy import Executable
 
+from pnm.errors import InputError
 from pnm.files.database.database import Database
 from pnm.files.database.driver import DatabaseError, Rows
+from pnm.files.database.lock import FileLock, this_host, this_process
 from pnm.files.database.place import Place
+from pnm.files.database.sqlite import has_log
 from pnm.journal import tables
 from pnm.journal.kept import Damaged, Durability, Fenced, Held, JournalError, Row
 
 _AT_ONCE: Final = 5000
 """Records that are dropped in a transaction."""
+_QUICK: Final = 64 * 1024 * 1024
+"""Bytes of a file up to which its structure is checked before it is gone on with: some 0.2 s, unless it has to be read first."""
+_WHOLE: Final = "expected the whole journal, or --adopt to go on with what is here"
+_ADOPT: Final = "two that go on with the same journal would send everything twice; expected --adopt if nobody else does"
 
 _log = logging.getLogger(__name__)
 
 
-def this_process() -> str:
-    """Return how others call this process: by its host and its number."""
-    return f"{socket.gethostname()} pid {os.getpid()}"
+class Home(NamedTuple):
+    """Where a journal belongs.
+
+    Args:
+        node: its node; empty for a run.
+        host: the computer; empty for PostgreSQL, which is for several.
+        file: what a copy does not have: the number of the file there.
+    """
+
+    node: str
+    host: str
+    file: str
+
+    @classmethod
+    def of(cls, place: Place, node: str) -> Home:
+        """Return where a journal that is there belongs, if it is taken here."""
+        return cls(node, this_host(), str(place.stat().st_ino)) if isinstance(place, Path) else cls(node, "", "")
+
+    def unlike(self, here: Home, holder: str) -> str:
+        """Return in words why a journal that belongs here is not one that belongs there."""
+        if self.node != here.node:
+            return f"is the journal of {self.node or 'a run'}, and not of {here.node or 'a run'}"
+        return f"was written on another computer, by {holder}" if self.host != here.host else "is a copy, or was moved by hand"
 
 
 class _Commit(NamedTuple):
@@ -79,39 +105,94 @@ class JournalFile:
         wall: the time of day in seconds, for the epoch.
         lease: the seconds for which nobody else may take it; None where something else sees to that. With it the journal is taken
             only if nobody else has a lease.
+        lock: of its file, which is let go when the journal is closed.
+        node: whose it is; None if that does not matter.
+        adopts: whether it is taken although it belongs elsewhere, or is behind what its lock says.
 
     The mutable state is the connection, which threads share by a lock; the number of the last record; and the latest commits, which a
     server may still forget.
 
     Raises:
         Held: another process has a lease.
-        JournalError: it is something else, of another version, or cannot be written.
+        InputError: it belongs elsewhere, or is not all there.
+        JournalError: it is something else, of another version, damaged, or cannot be written.
     """
 
-    def __init__(self, place: Place, durability: Durability, wall: float, lease: float | None = None) -> None:
+    def __init__(
+        self,
+        place: Place,
+        durability: Durability,
+        wall: float,
+        lease: float | None = None,
+        *,
+        lock: FileLock | None = None,
+        node: str | None = None,
+        adopts: bool = False,
+    ) -> None:
         self.place = place
         self._lock = Lock()
         self._lease = lease or 0.0
+        self._file_lock = lock
+        self._is_durable = durability is Durability.POWER_LOSS
+        log_is_there = _has_log(place)
+        if lock and not adopts:
+            _check_there(place, lock)
         self._database = _opened(place, read_only=False, durability=durability)
         try:
             with self._guarded("written"):
-                self.epoch: Final = self._begin_epoch(wall, only_free=lease is not None)
+                if lock and isinstance(place, Path) and place.stat().st_size <= _QUICK:
+                    self._database.check()
+                check = partial(
+                    self._check_home, Home.of(place, node) if node is not None else None, adopts=adopts, log_is_there=log_is_there
+                )
+                self.epoch: Final = self._begin_epoch(wall, check, only_free=lease is not None)
                 self._last, self._segment = self._run_one(tables.LAST), self._run_one(tables.LAST_SEGMENT)
+                walls = self._database.run(tables.SEGMENTS)
+                self.segment_wall: Final = float(walls[-1][1]) if walls else wall
+                """The time of day when the last segment began when the journal was opened."""
                 self._recent: list[_Commit] = []
+                if lock:
+                    self._database.gather()  # so that the file by itself is a journal, which says that it was not closed
+            self._mark()
         except BaseException:
             self._database.close()
             raise
 
-    def _begin_epoch(self, wall: float, *, only_free: bool) -> int:
+    def _begin_epoch(self, wall: float, check: Callable[[int, str], None], *, only_free: bool) -> int:
         database, me = self._database, this_process()
         with database.transaction(is_durable=True):
             database.run(tables.MAKE, id=1, epoch=0, holder="", until=0.0, rewritten=0)
             is_writing, epoch, holder, left = self._lease_to_take()
             if is_writing or (only_free and left > 0.0):
                 raise Held(f"{holder} holds the journal {self.place}", holder, left)
+            check(epoch, holder)
             database.run(tables.TAKE, mine=epoch + 1, me=me, seconds=self._lease)
             database.run(tables.BEGIN_EPOCH, epoch=epoch + 1, wall=wall, holder=me)
         return int(epoch) + 1
+
+    def _check_home(self, home: Home | None, epoch: int, holder: str, *, adopts: bool, log_is_there: bool) -> None:
+        """Raise an `InputError` unless the journal is all there, and belongs here; it does from now on."""
+        left, last = self._file_lock.left if self._file_lock else None, self._run_one(tables.LAST)
+        if self._file_lock and not adopts:
+            if left and left.is_sure and (left.epoch, left.last) > (epoch, last):
+                kept = (
+                    f"{left.holder} has kept {left.last} records in it, up to its epoch {left.epoch}; here are {last}, up to epoch {epoch}"
+                )
+                raise InputError(f"the journal {self.place} is an older copy, or has lost what was written last: {kept}; {_WHOLE}")
+            if left is None and holder and not log_is_there:
+                raise InputError(f"the journal {self.place} was not closed by {holder}, and its log is missing; {_WHOLE}")
+        rows = self._database.run(tables.HOME)
+        known = Home(*rows[0]) if rows else home
+        if home is not None and known is not None:
+            if known != home and not adopts:
+                writer = str(self._database.run(tables.LAST_HOLDER)[0][0])
+                raise InputError(f"the journal {self.place} {known.unlike(home, writer)}; {_ADOPT}")
+            self._database.run(tables.SETTLE, id=1, **home._asdict())
+
+    def _mark(self, *, is_closed: bool = False) -> None:
+        """Note beside the file how far it has come."""
+        if self._file_lock is not None:
+            self._file_lock.mark(self.epoch, self._last, is_on_disk=self._is_durable or (is_closed and not _has_log(self.place)))
 
     def _lease_to_take(self) -> tuple[bool, int, str, float]:
         """Return whether its holder writes at this moment, the epoch, the holder, and the seconds for which it has it."""
@@ -131,16 +212,34 @@ class JournalFile:
             segment = max((number for number, row in enumerate(rows, first) if row.begins is not None), default=self._segment)
             kept.append(commit := _Commit(first, tuple(rows), dict(parts), segment))
             self._keep(commit)
+        self._mark()
+
+    def look(self) -> None:
+        """Raise a `JournalError` if the journal is not where others look for it, as when its file was deleted or moved."""
+        with self._guarded("written"):
+            if self._database.is_connected:
+                self._database.look()
 
     def _keep(self, commit: _Commit) -> None:
         database, numbered = self._database, list(enumerate(commit.rows, commit.first))
-        values = [{"sequence": number, "epoch": self.epoch, "time": row.time, "text": row.text} for number, row in numbered]
+        sums = [tables.checksum(row.text, number, self.epoch, row.time) for number, row in numbered]
+        values = [
+            {"sequence": number, "epoch": self.epoch, "time": row.time, "text": row.text, "checksum": checksum}
+            for (number, row), checksum in zip(numbered, sums, strict=True)
+        ]
         database.run_many(tables.KEEP, values)
-        begins = [{"first": number, "wall": row.begins} for number, row in numbered if row.begins is not None]
-        database.run_many(tables.BEGIN_SEGMENT, begins)
-        changed = [{"accepted": number, **row.task._asdict(), "is_over": int(row.task.is_over)} for number, row in numbered if row.task]
+        begins = [(number, row.begins) for number, row in numbered if row.begins is not None]
+        began = [{"first": number, "wall": wall, "checksum": tables.checksum("", number, wall)} for number, wall in begins]
+        database.run_many(tables.BEGIN_SEGMENT, began)
+        changed = [
+            {"accepted": number, **task._asdict(), "is_over": int(task.is_over), "checksum": tables.checksum(task.text)}
+            for number, task in ((number, row.task) for number, row in numbered)
+            if task
+        ]
         database.run_many(tables.KEEP_TASK, changed)
-        named = [{"key": key, "segment": commit.segment, "text": text} for key, text in commit.parts.items()]
+        named = [
+            {"key": key, "segment": commit.segment, "text": text, "checksum": tables.checksum(text)} for key, text in commit.parts.items()
+        ]
         database.run_many(tables.KEEP_PART, named)
 
     def drop(self, records: float, tasks: float) -> None:
@@ -172,11 +271,15 @@ class JournalFile:
     def close(self) -> None:
         """End the lease, and close the file, or the connection."""
         with self._lock:
-            if self._lease and self._database.is_connected:
+            if self._database.is_connected:
                 with suppress(DatabaseError):
                     self._database.run(tables.RELEASE, mine=self.epoch)
                     self._database.announce()
             self._database.close()
+            if self._file_lock is not None:
+                self._mark(is_closed=True)
+                self._file_lock.release()
+                self._file_lock = None
 
     @contextmanager
     def _transaction(self, *, is_renewal: bool = False) -> Iterator[list[_Commit]]:
@@ -244,6 +347,19 @@ class _Guarded:
             raise JournalError(f"{self._failed}: {error}") from error
 
 
+def _has_log(place: Place) -> bool:
+    return isinstance(place, Path) and has_log(place)
+
+
+def _check_there(place: Place, lock: FileLock) -> None:
+    """Raise an `InputError` if there is no file any more that its lock says has been written."""
+    if lock.left and isinstance(place, Path) and not place.exists():
+        kept = f"{lock.left.holder} has kept {lock.left.last} records in it"
+        raise InputError(
+            f"the journal {place} is not there, and {kept}: it was deleted or moved; expected it with its log, or --adopt to begin anew"
+        )
+
+
 class Holding(NamedTuple):
     """Who holds a journal.
 
@@ -275,11 +391,13 @@ class KeptJournal:
         """Yield the records after this one, with their numbers.
 
         Raises:
-            Damaged: records are missing.
+            Damaged: records are missing, or not as they were written.
             JournalError: it cannot be read now.
         """
         while rows := self._read(tables.ROWS, number=after):
-            for sequence, time, text in rows:
+            for sequence, epoch, time, text, checksum in rows:
+                if not tables.is_whole(checksum, text, sequence, epoch, time):
+                    raise self._damaged(f"record {sequence}")
                 if sequence != after + 1 and sequence != self._read(tables.OLDEST)[0][0]:
                     missing = f"the records {after + 1} to {sequence - 1} are missing"
                     raise Damaged(f"the journal {self.place} is damaged: {missing}; its database has lost them")
@@ -288,11 +406,15 @@ class KeptJournal:
 
     def last_segment(self) -> int:
         """Return the number of the record with which the last segment begins; 0 if there is none."""
-        return int(self._read(tables.LAST_SEGMENT)[0][0])
+        return max(self.segments(), default=0)
 
     def segments(self) -> tuple[int, ...]:
         """Return the numbers of the records with which the segments begin, in order."""
-        return tuple(int(first) for (first,) in self._read(tables.SEGMENTS))
+        rows = self._read(tables.SEGMENTS)
+        for first, wall, checksum in rows:
+            if not tables.is_whole(checksum, "", first, wall):
+                raise self._damaged(f"the segment of record {first}")
+        return tuple(int(first) for first, _, _ in rows)
 
     def last(self) -> int:
         """Return the number of the last record; 0 if there is none."""
@@ -300,7 +422,9 @@ class KeptJournal:
 
     def tasks(self) -> Iterator[str]:
         """Yield the texts of all tasks, in the order in which they were accepted."""
-        for (text,) in self._read(tables.TASKS):
+        for text, checksum in self._read(tables.TASKS):
+            if not tables.is_whole(checksum, text):
+                raise self._damaged("a task in its list")
             yield text
 
     def part(self, key: str) -> str:
@@ -312,7 +436,10 @@ class KeptJournal:
         rows = self._read(tables.PART, wanted=key)
         if not rows:
             raise JournalError(f"the journal {self.place} names the part {key}, which is not there")
-        return str(rows[0][0])
+        text, checksum = rows[0]
+        if not tables.is_whole(checksum, text):
+            raise self._damaged(f"the part {key}")
+        return str(text)
 
     def holding(self) -> Holding:
         """Return who holds it."""
@@ -329,6 +456,9 @@ class KeptJournal:
     def close(self) -> None:
         """Close the file, or the connection."""
         self._database.close()
+
+    def _damaged(self, what: str) -> Damaged:
+        return Damaged(f"the journal {self.place} is damaged: {what} is not as it was written")
 
     def _read(self, statement: Executable, **values: object) -> Rows:
         try:

@@ -11,7 +11,7 @@ import hashlib
 import logging
 from collections import Counter, deque
 from collections.abc import Callable
-from math import isfinite
+from math import inf, isfinite
 from time import time
 from typing import TYPE_CHECKING, Final, Unpack
 from uuid import UUID
@@ -59,6 +59,8 @@ _RETRY: Final = 1.0
 """Seconds until it is tried again to write."""
 _LISTED: Final = 50
 """How many times longer tasks are listed than their records are kept."""
+_OFTEN: Final = 1 / 7
+"""The part of the time for which records are kept after which it is looked what is old, at least once a day."""
 _LONG: Final = 1000
 """Records of a segment after which another one begins as soon as nothing is under way."""
 
@@ -93,6 +95,7 @@ class WrittenJournal(Journal):
         self._file = file
         self._codec = codec
         self._kept = kept
+        self._period = min(DAY, kept * _OFTEN)
         self._hold = hold
         self._fenced = fenced
         self._wall = wall or (lambda: time())
@@ -118,6 +121,8 @@ class WrittenJournal(Journal):
         self._due: asyncio.Handle | None = None
         """What writes in a moment, or tries it again."""
         self.blocked = ""
+        self._is_astray = False
+        """Whether its file was not found when nothing was to be written."""
         self._is_lost = False
         """Whether another process has the journal."""
         self._is_closed = False
@@ -125,6 +130,12 @@ class WrittenJournal(Journal):
         self._shared = replay.shared if replay else None
         self._segment_began, self._length = (replay.segment_began, replay.length) if replay else (0.0, 0)
         """When the segment has begun, and its records."""
+        self._segment_wall = file.segment_wall
+        """The time of day when it has."""
+        self._fresh = 0
+        """The records with which it has begun, as far as that is known."""
+        self._dropped = -inf
+        """The time of day when old records were dropped."""
         self._is_held = bool(replay and replay.is_held)
         self._unfinished = {task.accepted.wanted.id: task.accepted for task in replay.unfinished} if replay else {}
         tasks = replay.tasks if replay else {}
@@ -135,7 +146,7 @@ class WrittenJournal(Journal):
         self._number_of = {id(base): number for number, base in self._bases.items()}
         for number, base in self._bases.items():
             follow(number, base, self._changed)
-        hold.keep(self._write, self._lose)
+        hold.keep(self._look, self._lose)
 
     def may_act(self) -> bool:
         """Return whether something may leave this process; asked by any thread, right before that."""
@@ -244,9 +255,7 @@ class WrittenJournal(Journal):
             return
         self._waiting.append((lambda _: then(), ()))
         self._write()
-        is_long = self._length >= _LONG or self._loop.time() - self._segment_began >= DAY
-        if is_long and self._shared and not (self._unfinished or self._resources.held or self.blocked):
-            self._begin_segment(self._bases[WORLD], self._shared)
+        self._begin_segment_if_due()
 
     def close(self) -> None:
         """Write what is not kept yet, and close the file."""
@@ -267,17 +276,40 @@ class WrittenJournal(Journal):
         self._runs.clear()
         self._segment_began, self._length = self._loop.time(), 0
         self._record(shared, begins=self._wall())
+        self._segment_wall = self._wall()
         self._record(knowledge_now(WORLD, world))
         if self._is_held:
             self._record(TaskHeld(None, is_held=True))
         for accepted, over in self._recent:
             self._record(accepted)
             self._record(over)
+        self._fresh = self._length
         self._write()
+        self._drop()
+
+    def _begin_segment_if_due(self) -> None:
+        """Begin a segment if nothing is under way, and this one is long, or has records that are old enough to be dropped some day."""
+        age = max(self._loop.time() - self._segment_began, self._wall() - self._segment_wall)
+        is_due = self._length >= _LONG or (age >= self._period and self._length > self._fresh)
+        if is_due and self._shared and not (self._unfinished or self._resources.held or self.blocked):
+            self._begin_segment(self._bases[WORLD], self._shared)
+
+    def _drop(self) -> None:
+        """Drop what is old."""
+        self._dropped = self._wall()
         try:
-            self._file.drop(self._wall() - self._kept, self._wall() - _LISTED * self._kept)
+            self._file.drop(self._dropped - self._kept, self._dropped - _LISTED * self._kept)
         except JournalError as error:
             _log.warning("old records are not dropped: %s", error)
+
+    def _look(self) -> None:
+        """Write what is not kept yet, see that what is kept can be found, and drop what is old, also while there is nothing to do."""
+        self._write()
+        if self._is_lost or self.blocked:
+            return
+        self._begin_segment_if_due()
+        if not self._dropped <= self._wall() < self._dropped + self._period:
+            self._drop()
 
     def _task_row(self, summary: TaskSummary) -> TaskRow:
         """Return the row of a task, as it is listed."""
@@ -341,19 +373,22 @@ class WrittenJournal(Journal):
             self._due = None
         if self._is_lost:
             return
-        if self._rows:
-            try:
+        try:
+            if self._rows:
                 self._file.append(self._rows, self._parts)
-            except Fenced as error:
-                self._lose(error)
-                return
-            except JournalError as error:
-                self._block(str(error))
-                return
-            self._rows, self._parts = [], {}
-            if self.blocked:
-                _log.warning("the journal can be written again")
-                self.blocked = ""
+            else:
+                self._file.look()
+        except Fenced as error:
+            self._lose(error)
+            return
+        except JournalError as error:
+            self._is_astray = self._is_astray or not self._rows
+            self._block(str(error))
+            return
+        if self.blocked and (self._rows or self._is_astray):
+            _log.warning("the journal can be written again")
+            self.blocked, self._is_astray = "", False
+        self._rows, self._parts = [], {}
         while self._waiting and self._hold.is_mine():  # otherwise when it has been renewed
             perform, commands = self._waiting.popleft()
             perform(commands)

@@ -178,7 +178,7 @@ class Silent:
 async def until_under_way(problem: Problem, file: Path, copy: Path | None = None) -> float:
     """Begin with all tasks, or go on with them, until the requests of all are out; return the seconds that this took."""
     began = time.perf_counter()
-    taken = take_up(JournalChoice(file), TASKS, "")
+    taken = take_up(JournalChoice(file, adopts=True), TASKS, "")
     journal, replay = taken.write(), taken.replay
     client, knowledge = Silent(), replay.world if replay else initial_knowledge(problem)
     runner = PlanRunner({}, ClientBackend(client), knowledge, None, journal, replay.resources if replay else None)

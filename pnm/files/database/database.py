@@ -123,17 +123,23 @@ class Database:
 
     def announce(self) -> None:
         """Have those go on that wait for something to be announced."""
-        self.connect()
-        with self._translated:
-            assert self._driver is not None
-            self._driver.announce()
+        self._do(lambda driver: driver.announce())
 
     def shrink(self) -> None:
         """Give space back that is not needed any more."""
-        self.connect()
-        with self._translated:
-            assert self._driver is not None
-            self._driver.shrink()
+        self._do(lambda driver: driver.shrink())
+
+    def look(self) -> None:
+        """Raise a `DatabaseError` if what is written is not where others look for it, as when its file was deleted."""
+        self._do(lambda driver: driver.look())
+
+    def check(self) -> None:
+        """Raise a `DatabaseError` if the tables cannot be read as they were written."""
+        self._do(lambda driver: driver.check())
+
+    def gather(self) -> None:
+        """Have the tables, as far as nobody reads them, in one file."""
+        self._do(lambda driver: driver.gather())
 
     def close(self) -> None:
         """Close the connection."""
@@ -141,6 +147,12 @@ class Database:
             with suppress(DatabaseError), self._translated:
                 self._driver.close()
             self._driver = None
+
+    def _do(self, work: Callable[[Driver], None]) -> None:
+        self.connect()
+        with self._translated:
+            assert self._driver is not None
+            work(self._driver)
 
     def _control(self, sql: str) -> None:
         assert self._driver is not None

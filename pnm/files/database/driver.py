@@ -65,6 +65,15 @@ class Driver(Protocol):
     def shrink(self) -> None:
         """Give space back that is not needed any more."""
 
+    def look(self) -> None:
+        """Raise a `DatabaseError` if what is written is not where others look for it, as when its file was deleted."""
+
+    def check(self) -> None:
+        """Raise a `DatabaseError` if the tables cannot be read as they were written."""
+
+    def gather(self) -> None:
+        """Have the tables, as far as nobody reads them, in one file."""
+
     def close(self) -> None:
         """Close the connection."""
 

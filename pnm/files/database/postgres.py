@@ -154,6 +154,8 @@ class Postgres:
     def shrink(self) -> None:
         """Do nothing: the server sees to that."""
 
+    look = check = gather = shrink
+
     def close(self) -> None:
         """Close the connection."""
         with suppress(OSError, ValueError):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
-from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -13,6 +11,7 @@ from pnm.errors import PnmError
 from pnm.journal.codec import Undecodable
 from pnm.journal.resume import replayed
 from pnm.journal.store import JournalError
+from tests.support.tasks.scenarios.forged_journal import forged
 from tests.support.tasks.scenarios.random_scenarios import run_scenario
 
 
@@ -36,7 +35,7 @@ def test_a_replay_does_what_tasks_have_done(number: int, tmp_path: Path) -> None
 )
 def test_a_record_that_cannot_be_replayed_is_named_with_its_place(text: str, error: type[PnmError], reason: str, tmp_path: Path) -> None:
     run_scenario(3, journal=tmp_path / "journal")
-    with closing(sqlite3.connect(tmp_path / "journal")) as file, file:
+    with forged(tmp_path / "journal") as file:
         file.execute("UPDATE records SET text = ? WHERE sequence = 5", (text,))
     with pytest.raises(error, match=f"the journal {tmp_path / 'journal'} {reason}"):
         replayed(tmp_path / "journal", TASKS)

@@ -125,7 +125,7 @@ def test_a_torn_file_loses_its_last_transaction_at_most(tmp_path: Path) -> None:
 def test_a_transaction_is_whole_or_not_there(place: Place) -> None:
     file = opened(place)
     with pytest.raises(JournalError, match="cannot be written"):
-        file.append([Row(0.0, "a"), Row(1.0, None)], {"key": "part"})  # type: ignore[arg-type]
+        file.append([Row(0.0, "a"), Row(1.0, "b", task=TaskRow(None, 0.0, False, ""))], {"key": "part"})  # type: ignore[arg-type]
     assert texts(place) == []
     if not isinstance(place, Path):  # a connection that something went wrong with is not used again
         with pytest.raises(JournalError, match="there is no connection to its database"):
@@ -156,7 +156,7 @@ def test_a_journal_of_another_version_is_refused_by_name(tmp_path: Path, version
     opened(tmp_path / "j").close()
     with sqlite3.connect(tmp_path / "j") as connection:
         connection.execute(f"PRAGMA user_version = {version}")
-    with pytest.raises(JournalError, match=f"has format {version}; this version of pnm reads format 3"):
+    with pytest.raises(JournalError, match=f"has format {version}; this version of pnm reads format 4"):
         KeptJournal(tmp_path / "j")
 
 

@@ -22,6 +22,7 @@ from pnm.tasks import Wanted
 from tests.support.pddl.problems import fleet
 from tests.support.processes import Program, pnm
 from tests.support.tasks.scenarios.crash import survive
+from tests.support.tasks.scenarios.forged_journal import forged
 
 GOAL = Wanted(UUID(int=1), "(in p0 a2)")
 
@@ -47,7 +48,7 @@ def other_class(record: dict[str, object]) -> None:
 def journal_of_another_version(path: Path, deaths: list[int], change: Callable[[dict[str, object]], None]) -> None:
     """Write a journal as a version would have that does something else; its process dies unless there are no deaths."""
     survive(fleet(), [GOAL], Settings(improve=0.0), path, deaths)
-    with sqlite3.connect(path) as connection:
+    with forged(path) as connection:
         if deaths:  # as if no other process had gone on
             (last,) = connection.execute("SELECT min(sequence) FROM records WHERE text LIKE '%\"Restarted\"%'").fetchone()
             connection.execute("DELETE FROM records WHERE sequence >= ?", (last,))
@@ -57,7 +58,6 @@ def journal_of_another_version(path: Path, deaths: list[int], change: Callable[[
             connection.execute("UPDATE tasks SET is_over = 0, text = ?", (json.dumps(record),))
         for number, text in connection.execute("SELECT sequence, text FROM records").fetchall():
             connection.execute("UPDATE records SET text = ? WHERE sequence = ?", (changed(text, change), number))
-    connection.close()
 
 
 def content(path: Path) -> list[str]:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from pnm.files.database.place import Place, place_of
-from pnm.journal.kept import Durability, Fenced, Held, JournalError, Row
+from pnm.journal.kept import Durability, Fenced, Held, JournalChoice, JournalError, Row
 from pnm.journal.lease import Lease, take
 from pnm.journal.store import JournalFile, KeptJournal
 from tests.support.e2e.hosts.postgres import PostgresServer
@@ -20,9 +20,9 @@ from tests.support.processes import LIMIT, Program, until
 HOLDER = """
 import sys
 from pnm.files.database.place import place_of
-from pnm.journal.kept import Durability
+from pnm.journal.kept import JournalChoice
 from pnm.journal.lease import take
-held = take(place_of(sys.argv[1]), Durability.PROCESS_CRASH, 1000.0)
+held = take(JournalChoice(place_of(sys.argv[1])))
 print("taken", flush=True)
 sys.stdin.readline()
 import time
@@ -31,7 +31,7 @@ time.sleep(1000.0)
 
 
 def try_to_take(place: Place, seconds: float = 1000.0) -> None:
-    file, hold = take(place, Durability.PROCESS_CRASH, seconds)
+    file, hold = take(JournalChoice(place, lease=seconds))
     hold.release()
     file.close()
 
@@ -56,7 +56,7 @@ def test_the_lock_of_a_file_is_free_when_its_process_is_dead_and_not_before(tmp_
 
 
 def test_a_place_is_held_once(place: Place) -> None:
-    file, hold = take(place, Durability.PROCESS_CRASH, 1000.0)
+    file, hold = take(JournalChoice(place, lease=1000.0))
     with pytest.raises(Held, match=f"pid {os.getpid()} holds the journal"):
         try_to_take(place)
     assert hold.is_mine()
@@ -89,7 +89,7 @@ def test_a_lease_is_renewed_while_the_event_loop_is_alive_and_not_while_it_hangs
     place = place_of(postgres.database())
 
     async def main() -> None:
-        file, hold = take(place, Durability.PROCESS_CRASH, 0.5)
+        file, hold = take(JournalChoice(place, lease=0.5))
         renewed, fenced = asyncio.Queue[None](), asyncio.get_running_loop().create_future()
         hold.keep(lambda: renewed.put_nowait(None), fenced.set_result)
         for _ in range(5):  # for longer than the lease is
@@ -100,7 +100,7 @@ def test_a_lease_is_renewed_while_the_event_loop_is_alive_and_not_while_it_hangs
         kept = KeptJournal(place)
         until(lambda: kept.holding().left < 0.0)  # on this thread, which is that of the event loop
         assert not hold.is_mine()
-        other, theirs = take(place, Durability.PROCESS_CRASH, 1000.0)
+        other, theirs = take(JournalChoice(place, lease=1000.0))
         assert isinstance(await fenced, Fenced)
         assert not hold.is_mine()
         assert theirs.is_mine()
@@ -114,7 +114,7 @@ def test_a_server_that_goes_away_is_tried_again_until_it_is_there(postgres: Post
     place = place_of(postgres.database())
 
     async def main() -> None:
-        file, hold = take(place, Durability.PROCESS_CRASH, 1.0)
+        file, hold = take(JournalChoice(place, lease=1.0))
         renewed = asyncio.Queue[None]()
         hold.keep(lambda: renewed.put_nowait(None), pytest.fail)
         await renewed.get()

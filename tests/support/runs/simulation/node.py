@@ -16,9 +16,8 @@ from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.resources import Resources
 from pnm.errors import InputError
 from pnm.executor import Executor
-from pnm.files.database.place import Place
 from pnm.journal.format import RECORDS
-from pnm.journal.kept import Durability, Fenced, Held, Hold, JournalChoice, JournalError
+from pnm.journal.kept import Fenced, Held, Hold, JournalChoice, JournalError
 from pnm.journal.replay import Replay, ReplayedTask
 from pnm.journal.resume import take_up
 from pnm.journal.written_journal import WrittenJournal
@@ -111,7 +110,7 @@ class Node:
                     raise
                 await asyncio.sleep(max(held.left, 0.25))
 
-    def _take(self, place: Place, durability: Durability, seconds: float) -> tuple[Disk, Hold]:
+    def _take(self, choice: JournalChoice) -> tuple[Disk, Hold]:
         self._folder.check_free(self.process)
         if self._plan.opening:
             self.process.sleep(self._plan.opening)

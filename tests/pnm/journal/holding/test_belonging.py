@@ -1,0 +1,226 @@
+"""Whose a journal file is, and whether it is all there: what was moved, copied, deleted or put back is never gone on with unasked."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from uuid import UUID
+
+import pytest
+
+from pnm.clock import run_async
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.resources import Resources
+from pnm.errors import InputError, PnmError
+from pnm.files.database.place import Place
+from pnm.files.database.sqlite import files_of, log_of
+from pnm.journal.format import RECORDS
+from pnm.journal.kept import Durability, Fenced, JournalChoice, JournalError, Unshared
+from pnm.journal.lease import Watch, take
+from pnm.journal.resume import replayed
+from pnm.journal.store import JournalFile, KeptJournal
+from pnm.journal.written_journal import WrittenJournal
+from pnm.tasks import Wanted
+from tests.support.processes import LIMIT, Program
+
+RECORDS_KEPT = 5
+WRITER = """
+import sys
+from pathlib import Path
+from pnm.journal.kept import JournalChoice, Row
+from pnm.journal.lease import take
+file, hold = take(JournalChoice(Path(sys.argv[1]), node="/pnm"))
+for number in range(int(sys.argv[2])):
+    file.append([Row(0.0, str(number))], {})
+print("kept", flush=True)
+sys.stdin.readline()
+import time
+time.sleep(1000.0)
+"""
+
+
+def killed(path: Path, records: int = RECORDS_KEPT) -> str:
+    """Have a process write a journal, and kill it; return how others call it."""
+    program = Program(["-c", WRITER, str(path), str(records)], {})
+    program.until(lambda: "kept" in program.out)
+    program.process.kill()
+    program.process.wait(LIMIT)
+    program.close()
+    return f"pid {program.process.pid}"
+
+
+def texts(path: Path, node: str = "/pnm", *, adopts: bool = False) -> list[str]:
+    """Take a journal, and return what is in it."""
+    file, hold = take(JournalChoice(path, node=node, adopts=adopts))
+    hold.release()
+    file.close()
+    kept = KeptJournal(path)
+    found = [row.text for _, row in kept.rows()]
+    kept.close()
+    return found
+
+
+ALL = [str(number) for number in range(RECORDS_KEPT)]
+
+
+def move(path: Path, to: Path) -> None:
+    """Move a journal with all its files."""
+    for file, target in zip(files_of(path), files_of(to), strict=True):
+        if file.exists():
+            file.rename(target)
+
+
+def copy(path: Path, to: Path) -> None:
+    """Copy a journal with all its files."""
+    for file, target in zip(files_of(path), files_of(to), strict=True):
+        if file.exists():
+            shutil.copy(file, target)
+
+
+def test_a_file_that_was_moved_without_its_log_is_refused_at_both_places_and_nothing_is_lost(tmp_path: Path) -> None:
+    path, away = tmp_path / "tasks.journal", tmp_path / "old.journal"
+    who = killed(path)
+    path.rename(away)
+    with pytest.raises(PnmError, match=r"tasks.journal is not there, and .* has kept 5 records in it: it was deleted or moved"):
+        texts(path)
+    for adopts in (False, True):
+        with pytest.raises(PnmError, match=r"there is only tasks.journal-wal, with what was written last|it was deleted or moved"):
+            texts(path, adopts=adopts)
+    with pytest.raises(PnmError, match=f"old.journal was not closed by .*{who}, and its log is missing"):
+        texts(away)
+    with pytest.raises(JournalError, match=r"there is only tasks.journal-wal"):
+        KeptJournal(path)
+    away.rename(path)
+    assert texts(path) == ALL
+
+
+def test_a_log_that_is_missing_after_a_kill_is_missed(tmp_path: Path) -> None:
+    path = tmp_path / "tasks.journal"
+    who = killed(path)
+    for file in files_of(path)[1:3]:
+        file.unlink()
+    with pytest.raises(InputError, match=rf"has lost what was written last: .*{who} has kept 5 records in it, .*; here are 0"):
+        texts(path)
+    assert texts(path, adopts=True) == []
+    assert texts(path) == [], "it was said"
+
+
+def test_a_journal_that_is_deleted_after_a_kill_is_missed(tmp_path: Path) -> None:
+    path = tmp_path / "tasks.journal"
+    killed(path)
+    for file in files_of(path)[:3]:
+        file.unlink()
+    with pytest.raises(InputError, match=r"is not there, and .* has kept 5 records in it"):
+        texts(path)
+    assert not path.exists()
+    assert texts(path, adopts=True) == []
+
+
+def test_a_copy_is_not_gone_on_with_unless_that_is_said(tmp_path: Path) -> None:
+    path, other = tmp_path / "tasks.journal", tmp_path / "copy.journal"
+    killed(path)
+    copy(path, other)
+    with pytest.raises(InputError, match=r"copy.journal is a copy, or was moved by hand; .*expected --adopt if nobody else does"):
+        texts(other)
+    assert texts(path) == ALL
+    assert texts(other, adopts=True) == ALL
+    assert texts(other) == ALL, "it belongs here from now on"
+
+
+def test_an_older_copy_that_was_put_back_is_not_gone_on_with_unless_that_is_said(tmp_path: Path) -> None:
+    path, backup = tmp_path / "tasks.journal", tmp_path / "backup"
+    killed(path)
+    copy(path, backup)
+    assert texts(path) == ALL
+    shutil.copy(backup, path)  # the same file, with what it had before
+    shutil.copy(log_of(backup), log_of(path))
+    with pytest.raises(InputError, match=r"tasks.journal is an older copy, or has lost what was written last"):
+        texts(path)
+    assert texts(path, adopts=True) == ALL
+
+
+def test_files_that_are_moved_together_are_the_same_journal(tmp_path: Path) -> None:
+    path, away = tmp_path / "tasks.journal", tmp_path / "old.journal"
+    killed(path)
+    move(path, away)
+    assert texts(away) == ALL
+    assert texts(path) == []
+
+
+def test_a_journal_belongs_to_its_node(place: Place) -> None:
+    first, hold = take(JournalChoice(place, node="/pnm"))
+    hold.release()
+    first.close()
+    with pytest.raises(InputError, match="is the journal of /pnm, and not of /other/pnm"):
+        take(JournalChoice(place, node="/other/pnm"))
+    for choice in (
+        JournalChoice(place, node=None),
+        JournalChoice(place, node="/other/pnm", adopts=True),
+        JournalChoice(place, node="/other/pnm"),
+    ):
+        file, hold = take(choice)
+        hold.release()
+        file.close()
+
+
+class Looking(Unshared):
+    """The hold of a file that is looked at when a test says so."""
+
+    look: Callable[[], None]
+
+    def keep(self, renewed: Callable[[], None], fenced: Callable[[Fenced], None]) -> None:
+        self.look = renewed
+
+
+def lost_and_found(path: Path, lose: Callable[[Path], None], find: Callable[[Path], None]) -> None:
+    """Lose a journal under a process that writes it, and find it again."""
+
+    async def main() -> None:
+        hold = Looking()
+        journal = WrittenJournal(JournalFile(path, Durability.PROCESS_CRASH, 0.0), RECORDS, hold=hold)
+        journal.begin(KnowledgeBase(), Resources())
+        journal.accepted(Wanted(UUID(int=1), "before"), 1)
+        lose(path)
+        hold.look()
+        assert journal.blocked, "although nothing was to be written"
+        with pytest.raises(JournalError, match=rf"{path.name}.*(it was deleted or moved|it was replaced)"):
+            journal.accepted(Wanted(UUID(int=2), "meanwhile"), 2)
+        find(path)
+        hold.look()
+        assert not journal.blocked
+        journal.accepted(Wanted(UUID(int=3), "after"), 3)
+        journal.close()
+
+    run_async(main(), virtual=True)
+    assert [task.accepted.wanted.text for task in replayed(path, RECORDS).tasks.values()] == ["before", "after"]
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_a_file_that_is_deleted_or_moved_under_a_node_blocks_it_until_it_is_back(number: int, tmp_path: Path) -> None:
+    def lose(path: Path) -> None:
+        os.link(files_of(path)[number], tmp_path / "kept")
+        files_of(path)[number].unlink()
+
+    lost_and_found(tmp_path / "tasks.journal", lose, lambda path: (tmp_path / "kept").rename(files_of(path)[number]))
+
+
+def test_a_file_that_is_replaced_under_a_node_blocks_it(tmp_path: Path) -> None:
+    def lose(path: Path) -> None:
+        path.rename(tmp_path / "kept")
+        shutil.copy(tmp_path / "kept", path)
+
+    lost_and_found(tmp_path / "tasks.journal", lose, lambda path: (tmp_path / "kept").rename(path))
+
+
+def test_a_file_is_looked_at_again_and_again_while_there_is_nothing_to_write(tmp_path: Path) -> None:
+    async def main() -> None:
+        looked, hold = asyncio.Queue[None](), Watch()
+        hold.keep(lambda: looked.put_nowait(None), pytest.fail)
+        for _ in range(2):
+            await looked.get()
+        hold.release()
+
+    asyncio.run(main())

@@ -1,0 +1,82 @@
+"""Damaged journals: whatever bit is another one, what is read is what was written, or the journal is refused by name."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import pytest
+from sqlalchemy import delete
+
+from planner_bridge.tasks.result import TASKS
+from pnm.core.logic.expressions import Fluent, Unknown, Value
+from pnm.errors import InputError, PnmError
+from pnm.files.database.place import Place
+from pnm.journal import tables
+from pnm.journal.kept import Durability, JournalChoice, JournalError, Row
+from pnm.journal.records import Record, TaskSummary
+from pnm.journal.replay import Replay
+from pnm.journal.resume import replay_steps, summaries, take_up
+from pnm.journal.store import JournalFile, KeptJournal
+from tests.support.tasks.scenarios.random_scenarios import run_scenario
+
+FLIPS = 400
+
+
+def records(path: Path) -> list[Record]:
+    return [step.record for step in replay_steps(path, TASKS, Replay())]
+
+
+def taken(path: Path) -> tuple[dict[Fluent, Value | Unknown], tuple[TaskSummary, ...]]:
+    """Return what goes on from a journal: what is known, and the tasks as they are listed."""
+    journal = take_up(JournalChoice(path), TASKS, "")
+    journal.hold.release()
+    journal.file.close()
+    assert journal.replay is not None
+    return dict(journal.replay.world.facts()), summaries(path, TASKS)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("written") / "journal"
+    run_scenario(3, journal=path)
+    return path
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_one_bit_that_is_another_one_changes_nothing_that_is_read_or_is_refused(seed: int, written: Path, tmp_path: Path) -> None:
+    (tmp_path / "whole").write_bytes(written.read_bytes())
+    whole, goes_on, rng, refused = records(written), taken(tmp_path / "whole"), random.Random(seed), list[str]()
+    for number in range(FLIPS // 4):
+        path, content = tmp_path / str(number), bytearray(written.read_bytes())
+        content[rng.randrange(len(content))] ^= 1 << rng.randrange(8)
+        path.write_bytes(content)
+        try:
+            assert taken(path) == goes_on
+            assert records(path) == whole
+        except PnmError as error:
+            refused.append(str(error))
+    assert all(str(tmp_path) in error for error in refused)
+    assert 0 < len(refused) < FLIPS // 4
+
+
+def test_a_fact_that_no_run_has_used_yet_is_checked_as_well(written: Path, tmp_path: Path) -> None:
+    fact = next(iter(taken(written)[0]))
+    content = bytearray(written.read_bytes())
+    text = f'"{fact[0]}","{fact[1]}'.encode()
+    content[content.index(text) + len(text) - 1] ^= 1
+    (tmp_path / "j").write_bytes(content)
+    with pytest.raises(InputError, match=r"the journal .*/j is damaged: record \d+ is not as it was written"):
+        taken(tmp_path / "j")
+
+
+def test_a_record_that_is_missing_is_missed(place: Place) -> None:
+    file = JournalFile(place, Durability.PROCESS_CRASH, 0.0)
+    for number in range(1, 6):
+        file.append([Row(0.0, str(number))], {})
+    file._database.run(delete(tables.records).where(tables.records.c.sequence == 3))
+    file.close()
+    kept = KeptJournal(place)
+    with pytest.raises(JournalError, match="is damaged: the records 3 to 3 are missing"):
+        list(kept.rows())
+    kept.close()
