@@ -177,13 +177,17 @@ def _print_state(state: Replay, console: SafeConsole) -> None:
 
 
 def _as_json(step: Step, state: Replay) -> dict[str, Any]:
-    """Return a record, and what has come of it."""
+    """Return a record, and what has come of it: of the places and calls of its run those that its transitions are about."""
     record = json.loads(TASKS.text(step.record))
     entry: dict[str, Any] = {"number": step.number, "time": step.time, "record": record, "words": list(words(step, state))}
     if isinstance(step.record, Happened):
         run = state.runs[step.record.run].run
-        entry["fired"], entry["marking"] = list(step.fired), dict(run.marking)
-        entry["results"] = {str(result.call): result.outcome for result in run.interim_result().calls}
+        net, marking = run.machine.net, run.marking
+        places = dict.fromkeys(place for name in step.fired for place in (*net.inputs[name], *net.outputs[name]))
+        steps = dict.fromkeys(call for name in step.fired if (call := run.machine.rules[name].call) is not None)
+        calls = [step for step in steps if step < len(run.machine.plan.calls)]  # the others are loops, choices and the like
+        entry["fired"], entry["marking"] = list(step.fired), {place: marking[place] for place in places}
+        entry["results"] = {str(result.call): result.outcome for result in map(run.result_of, calls)}
     return entry
 
 

@@ -209,6 +209,10 @@ class RunView:
         """What has become of its calls so far, every time they were reached."""
         return self._results.calls()
 
+    def result_of(self, call: int) -> CallResult:
+        """Return what has become of a call so far, the last time that it was reached."""
+        return self._results.current(call)
+
     def under_way(self) -> tuple[UnderWay, ...]:
         """Return the requests that were accepted and are not being cancelled: a successor can take them over."""
         return self._calls.under_way(self._results.current)
