@@ -165,14 +165,11 @@ class RunHistory:
         return self.replayed.made.run
 
     @property
-    def results(self) -> tuple[CallResult, ...]:
-        """What has become of its calls, every time that they were reached."""
-        return self.replayed.result.calls if self.replayed.result else self.replayed.run.results
-
-    @property
     def last_results(self) -> Mapping[int, CallResult]:
         """What has become of its calls, by number; of those reached several times, the last time."""
-        return {**self.unreached, **{result.call.index: result for result in self.results}}
+        if self.replayed.result is None:
+            return {call.index: self.replayed.run.result_of(call.index) for call in self.source.plan.calls}
+        return {**self.unreached, **{result.call.index: result for result in self.replayed.result.calls}}
 
     @cached_property
     def unreached(self) -> Mapping[int, CallResult]:

@@ -13,7 +13,7 @@ from uuid import UUID
 from planner_bridge.model.plan import Plan, PlanningResult
 from planner_bridge.tasks.control import TaskControl
 from planner_bridge.tasks.replanning import PlanAgain, ResumePlan, decision_words
-from planner_bridge.tasks.result import Stopwatch, TaskResult
+from planner_bridge.tasks.result import GoalNote, Stopwatch, TaskResult
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.core.broadcast import broadcast
 from pnm.core.execution.call_results import CallResult, Failure, RunResult
@@ -81,7 +81,6 @@ class Task(TaskObserver):
     preempted_by: set[UUID] = field(default_factory=set)
     """The tasks of higher priority for which it is preempted."""
     ended_calls: int = 0
-    replans: int = 0
     restarts: int = 0
     plans: int = 0
     nets: int = 0
@@ -95,6 +94,11 @@ class Task(TaskObserver):
     def __post_init__(self) -> None:
         self.observer = broadcast(TaskObserver, (self, *self.observers)) if self.observers else self
         self.control = TaskControl(self.observer)
+
+    @property
+    def replans(self) -> int:
+        """How many nets have followed the first."""
+        return max(0, self.nets - 1)
 
     @property
     def rank(self) -> tuple[int, int]:
@@ -196,7 +200,10 @@ class Task(TaskObserver):
         self.listener.happened(event)
 
     def restore(self, kept: ReplayedTask) -> None:
-        """Note what has become of the task in another process: the calls that have ended, and its ending if it is over."""
+        """Note what has become of the task in another process: its plans, the calls that have ended, and its ending if it is over."""
+        begun = sum(replayed.run.begun and replayed.made.caller is None for replayed in kept.runs)
+        self.nets = begun - self.wanted.is_plan if kept.ending is None else kept.ending.replans + 1  # a plan is said again to be there
+        self.plans = max((note.plans for note in kept.notes if isinstance(note, GoalNote)), default=0)
         results = (replayed.result or replayed.run.interim_result() for replayed in kept.runs)
         self.ended_calls = sum(call.attempts - call.is_under_way for result in results for call in result.calls)
         if kept.ending is not None:
@@ -232,16 +239,15 @@ class Task(TaskObserver):
         """Note that there is another net."""
         self.nets += 1
         self.listener.planned(self.id)
+        self.listener.changed(self.id)
 
     def resigned(self, reason: str) -> None:
         """Note that a hand-written plan has failed, and that a planner looks for another way."""
-        self.replans += 1
         self.note(TraceKind.REPLANNED, "", f"a planner looks for another way: {reason}", logging.WARNING)
         self.listener.changed(self.id)
 
     def replanning(self, decision: ResumePlan | PlanAgain, result: RunResult) -> None:
-        """Note that the plan is replaced."""
-        self.replans += 1
+        """Note that the plan is to be replaced."""
         self.note(TraceKind.REPLANNED, "", decision_words(decision), logging.WARNING)
         self.listener.changed(self.id)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Collection, Coroutine
+from dataclasses import replace
 from time import time
 from uuid import UUID
 
@@ -384,6 +385,7 @@ class TaskManager:
             self._ended(task, ending)
         elif task.id not in self._ending:
             self._ending.add(task.id)
+            ending = replace(ending, replans=task.replans)
             self._journal.over(task.id, ending, lambda: self._ended(task, ending))
 
     def _ended(self, task: Task, ending: TaskEnding) -> None:

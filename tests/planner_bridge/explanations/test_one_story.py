@@ -26,6 +26,7 @@ from pnm.journal.replay import Replay
 from pnm.journal.resume import replay_steps, summaries
 from tests.support.tasks.scenarios.random_deaths import run_deaths
 from tests.support.tasks.scenarios.random_scenarios import run_scenario
+from tests.support.tasks.simulation import TaskSimulation
 
 LENGTHS = (1, 60, 1000)
 """Records after which a segment begins."""
@@ -106,8 +107,20 @@ def test_all_readers_tell_one_story_of_tasks_that_people_interfere_with(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(written_journal, "_LONG", random.Random(number).choice(LENGTHS))
-    run_scenario(number, journal=tmp_path / "journal")
+    live: dict[str, tuple[str, int]] = {}
+
+    def note(simulation: TaskSimulation) -> None:
+        """Note what the tasks themselves say in the end: how often what has happened, and their replans."""
+        for task in simulation.master._tasks.past:
+            if task.result is not None and task.result.episodes:
+                live[task.id.hex] = str(task.result.counts), task.status.replans
+
+    run_scenario(number, journal=tmp_path / "journal", end=note)
     check_one_story(tmp_path / "journal")
+    view = Reader(tmp_path / "journal").newest()
+    for id, (counts, replans) in live.items():
+        if (task := view.tasks.get(id)) and task.runs:
+            assert (task.counts, len(task.runs) - 1) == (counts, replans)
 
 
 @pytest.mark.parametrize("number", range(20))

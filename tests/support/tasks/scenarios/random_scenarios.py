@@ -39,8 +39,10 @@ _OFTEN: Final = 12
 """Whoever makes way for others more often than that does nothing else."""
 
 
-def run_scenario(number: int, tell: Tell = lambda text: None, journal: Path | None = None) -> Counter[Code]:
-    """Run the scenario of this number to its end; return how many tasks have ended how.
+def run_scenario(
+    number: int, tell: Tell = lambda text: None, journal: Path | None = None, end: Callable[[TaskSimulation], None] = lambda end: None
+) -> Counter[Code]:
+    """Run the scenario of this number to its end, and look at what is left then; return how many tasks have ended how.
 
     In two of five scenarios no binding says what robots have for themselves: there only facts keep two tasks from commanding one robot.
     """
@@ -63,6 +65,7 @@ def run_scenario(number: int, tell: Tell = lambda text: None, journal: Path | No
             ending = simulation.endings[task]
             tell(f"{ending.code.word}: {simulation.goals[task]!r}: {ending.message}")
             check_end(simulation, task)
+        end(simulation)
 
     simulate_tasks(
         course,
