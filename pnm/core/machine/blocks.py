@@ -321,7 +321,7 @@ def built_from(machine: PetriNetMachine) -> MachineBlocks | None:
     blocks = rules_by_number(machine)
     if not isinstance(blocks, MachineBlocks) or any(one is not other for one, other in zip(parts_of(machine), blocks.parts, strict=True)):
         return None
-    return blocks
+    return blocks if all(template.is_as_made for template in {block.template for block in blocks.placed}) else None
 
 
 def parts_of(machine: PetriNetMachine) -> list[object]:

@@ -10,11 +10,12 @@ still holds, the loop has failed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
 from itertools import compress, count
+from types import MappingProxyType
 from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 from pnm.core.machine.bindings import Bindings
@@ -96,7 +97,7 @@ class BlockTemplate(Template):
         """Whether blocks of all machines have it."""
         self.rules = tuple(draft.rules) if self.is_shared else self.kinds
         self.inner = tuple(draft.inner)
-        self.initial = {self.codes[place]: tokens for place, tokens in draft.initial.items()}
+        self.initial: Mapping[int, int] = MappingProxyType({self.codes[place]: tokens for place, tokens in draft.initial.items()})
         self.failures, self.restarts = self.numbers(*draft.failures), self.numbers(*draft.restarts)
         self.budgets, self.alive, self.settling = (self.numbers(*found) for found in (draft.budgets, draft.alive, draft.settling))
         self.reported = tuple(number for number, rule in enumerate(self.kinds) if isinstance(rule.guard, Accepts | Ends))
@@ -110,6 +111,12 @@ class BlockTemplate(Template):
         asking = (ConditionTrue, ConditionFalse, ConditionUnknown)
         self.own = tuple(number for number, kind in enumerate(self.kinds) if number in made or isinstance(kind.guard, asking))
         """The transitions whose guards are made for each block, and all others that ask for conditions."""
+        self._made = tuple(vars(self).values())
+
+    @property
+    def is_as_made(self) -> bool:
+        """Whether it still consists of what it was made of: what was proved of it is then so."""
+        return all(part is made for part, made in zip(vars(self).values(), self._made, strict=False))
 
 
 class Inner(NamedTuple):

@@ -10,6 +10,7 @@ from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from typing import Generic, Protocol, TypeAlias, TypeVar
 
 from pnm.core.net.net import PetriNet, unmarked_at_first
@@ -21,14 +22,15 @@ _Codes: TypeAlias = "Iterable[tuple[int, int]]"
 
 
 class Template:
-    """A block by itself: its places and transitions by number, and its ports."""
+    """A block by itself: its places and transitions by number, and its ports. All that it consists of cannot be changed."""
 
     def __init__(self, net: PetriNet, ports: Sequence[str]) -> None:
         """Make the template of a small net, some of whose places are ports."""
         self.places = tuple(place for place in net.places if place not in set(ports))
         self.transitions = tuple(net.transitions)
         self.ports = tuple(ports)
-        self.codes = {place: number for number, place in enumerate(self.places)} | {port: ~number for number, port in enumerate(ports)}
+        codes = {place: number for number, place in enumerate(self.places)} | {port: ~number for number, port in enumerate(ports)}
+        self.codes: Mapping[str, int] = MappingProxyType(codes)
         self.inputs, self.outputs = (
             tuple(tuple((self.codes[place], weight) for place, weight in arcs[transition].items()) for transition in self.transitions)
             for arcs in (net.inputs, net.outputs)
@@ -37,9 +39,9 @@ class Template:
         for transition, arcs in enumerate(self.inputs):
             for code, weight in arcs:
                 consumers[code].append((transition, weight))
-        self.consumers = {code: tuple(found) for code, found in consumers.items()}
+        self.consumers: Mapping[int, tuple[tuple[int, int], ...]] = MappingProxyType({code: tuple(one) for code, one in consumers.items()})
         """For every place and port, the transitions that take from it, and how much."""
-        self.unmarked = [*map(unmarked_at_first, self.inputs)]
+        self.unmarked = tuple(map(unmarked_at_first, self.inputs))
         """As `Arcs.unmarked`, but for the transitions that take from ports."""
         self.giving = frozenset(code for arcs in self.outputs for code, _ in arcs)
         """The places and ports that some transition gives to."""

@@ -106,6 +106,13 @@ def verify(machine: PetriNetMachine) -> Proof:
         Unsound: it is not, or not of the form that `pnm.core.machine` makes.
     """
     check_kinds("verify", {"machine": (machine, PetriNetMachine)})
+    try:
+        return _verified(machine)
+    except LookupError as error:  # what was tampered with may name places, transitions or steps that are not there
+        raise Unsound(f"it refers to what it does not have: {error!r}") from error
+
+
+def _verified(machine: PetriNetMachine) -> Proof:
     proved, kinds = set[_Proved](), dict[Owner, object]()
     if (blocks := built_from(machine)) is None:
         check_flows(machine)
@@ -165,7 +172,8 @@ class _Contents:
         kind = template, asked.kind
         watched = self._looked_at.get(kind)
         if watched is None:
-            watched = self._looked_at[kind] = _KEEPS_ITS_RULES.get(kind) or self._first(block, asked)
+            watched = _KEEPS_ITS_RULES.get(kind) or self._first(block, asked)
+            self._looked_at[kind] = _KEEPS_ITS_RULES.keep(kind, watched) if template.is_shared else watched
         for position, watch in watched:
             check_guard(watch, guards[position][0], asked)
         if asked.resources and {self._resources[place] for place in block.ports[RESOURCES]} != {*asked.resources}:
@@ -173,10 +181,8 @@ class _Contents:
         return kind
 
     def _first(self, block: PlacedStep, asked: Asked) -> _Watched:
-        template = block.template
         found = check_content(net_of_block(self._blocks, block, self._resources), asked)
-        watched = tuple([(position, found[number]) for position, number in enumerate(template.own) if number in found])
-        return _KEEPS_ITS_RULES.keep((template, asked.kind), watched) if template.is_shared else watched
+        return tuple([(position, found[number]) for position, number in enumerate(block.template.own) if number in found])
 
 
 def _check_contents(anatomy: Anatomy) -> None:

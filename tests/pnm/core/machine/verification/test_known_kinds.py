@@ -11,7 +11,7 @@ from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.blocks import PlacedStep
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
-from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
+from pnm.core.machine.plan_graph import EMPTY, ActionCall, Cause, GroundAction, Moment, Ordering, PlanEvent, PlanGraph, Recovery, Then
 from pnm.core.machine.verification import verify as verify_module
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import forget_proofs, verify
@@ -108,3 +108,28 @@ def test_a_proof_is_the_same_whatever_was_proved_before() -> None:
     forget_proofs()
     verify(other)
     assert verify(machine) == proof
+
+
+def test_a_template_that_was_changed_is_not_known_any_more() -> None:
+    forget_proofs()
+    machine = generate(plan(1))
+    verify(machine)
+    template = blocks_of(machine).placed[CALL].template
+    outputs = template.outputs
+    try:
+        template.outputs = tuple(() if name == "stopped" else arcs for name, arcs in zip(template.transitions, outputs, strict=True))
+        with pytest.raises(Unsound):  # a call that is stopped would leave nothing behind
+            verify(generate(plan(1)))
+    finally:
+        template.outputs = outputs
+    verify(generate(plan(1)))
+
+
+def test_a_template_of_a_call_that_may_be_skipped_is_none_of_another() -> None:
+    spared = ActionCall(0, GroundAction("a0"), recoveries=(Recovery(frozenset({Cause.ABORTED}), Then.SKIP, EMPTY),))
+    machine = generate(PlanGraph((spared, ActionCall(1, GroundAction("a1")))))
+    verify(machine)
+    blocks = blocks_of(machine)
+    blocks.placed[CALL + 1] = replace(blocks.placed[CALL + 1], template=blocks.placed[CALL].template)
+    with pytest.raises(Unsound, match=r"^a1\(\)#1 does not keep the rule of its recoveries: "):
+        verify(machine)
