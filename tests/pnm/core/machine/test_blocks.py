@@ -20,6 +20,7 @@ from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.core.machine.step_block import Port
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import verify
+from tests.support.runs.mutation.block_edits import BLOCK_EDITS, Edit
 from tests.support.runs.mutation.machines import as_text, blocks_of, random_machine, random_plan, written_out
 from tests.support.runs.plan_graphs import plan
 
@@ -118,3 +119,21 @@ def test_a_release_is_waited_for_in_each_block(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(CallTerms, "release", property(lambda call: 1.0 if call.step.index == 2 else release.fget(call)))  # type: ignore[attr-defined]
     with pytest.raises(Unsound, match=r"a2\(\)#2 join does not wait for the times"):
         verify(machine)
+
+
+@pytest.mark.parametrize("edit", BLOCK_EDITS, ids=lambda edit: edit.__name__)
+def test_blocks_that_were_changed_are_unsound_or_prove_as_the_machine_that_they_make(edit: Edit) -> None:
+    refused = 0
+    for number in range(40):
+        machine, random = random_machine(number), Random(number)
+        try:
+            edit(blocks_of(machine), random)
+        except IndexError:  # there is nothing of that to be changed
+            continue
+        try:
+            verify(machine)
+        except Unsound:
+            refused += 1
+        else:
+            verify(written_out(machine))
+    assert refused > 5
