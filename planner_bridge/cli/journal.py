@@ -202,6 +202,7 @@ def _task_as_json(task: TaskSummary) -> dict[str, Any]:
         "goal": task.accepted.wanted.text,
         "accepted": task.accepted.wall,
         "ended": task.ended,
+        "seconds": task.seconds,
         "runs": task.runs,
         "code": ending.code.word if ending else None,
         "reason": ending.message if ending else None,
@@ -211,9 +212,10 @@ def _task_as_json(task: TaskSummary) -> dict[str, Any]:
 def _print_task(task: TaskSummary, console: SafeConsole) -> None:
     at = datetime.fromtimestamp(task.accepted.wall).astimezone().strftime("%Y-%m-%d %H:%M:%S")
     ending = task.ending
-    if ending is None or task.ended is None:
+    if ending is None:
         text = "not over"
     else:
-        text = f"{ending.code.word} after {task.ended - task.accepted.wall:.1f} s: {ending.message}"
+        after = "" if task.seconds is None else f" after {task.seconds:.1f} s"
+        text = f"{ending.code.word}{after}: {ending.message}"
     console.print(Text(f"{at}  {task.accepted.wanted.id.hex[:8]}  {_name(task.accepted)}"))
     console.print(Text(f"{'':21}{text}", style="" if ending else "yellow"))

@@ -212,12 +212,14 @@ class TaskSummary:
         runs: how many machines it has had, one after the other.
         ending: how it has ended, if it has.
         ended: the time of day when it did.
+        seconds: from its acceptance to its end, on the clock of the records: the time of day may be set meanwhile.
     """
 
     accepted: TaskAccepted
     runs: int = 0
     ending: TaskEnding | None = None
     ended: float | None = None
+    seconds: float | None = None
 
 
 def knowledge_now(number: int, base: KnowledgeBase) -> KnowledgeBegan:

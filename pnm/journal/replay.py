@@ -106,6 +106,8 @@ class ReplayedTask:
     """A task as its records tell it, in their order."""
 
     accepted: TaskAccepted
+    time: float
+    """When that was."""
     replay: Replay = field(repr=False)
     is_held: bool = False
     runs: list[ReplayedRun] = field(default_factory=list)
@@ -274,7 +276,7 @@ class Replay:
         match record:
             case TaskAccepted(wanted):
                 made = [replayed for replayed in self.runs.values() if replayed.made.task == wanted.id]  # of a plan, before it is accepted
-                self.tasks[wanted.id] = ReplayedTask(record, self, self.is_held, made)
+                self.tasks[wanted.id] = ReplayedTask(record, self.now, self, self.is_held, made)
             case TaskHeld(chosen, is_held):
                 if chosen is None:
                     self.is_held = is_held

@@ -137,7 +137,8 @@ class WrittenJournal(Journal):
         self._dropped = -inf
         """The time of day when old records were dropped."""
         self._is_held = bool(replay and replay.is_held)
-        self._unfinished = {task.accepted.wanted.id: task.accepted for task in replay.unfinished} if replay else {}
+        self._unfinished = {task.accepted.wanted.id: (task.accepted, task.time) for task in replay.unfinished} if replay else {}
+        """The tasks that are not over, with the times when they were accepted."""
         tasks = replay.tasks if replay else {}
         self._runs = Counter({id: sum(one.run.begun and one.made.caller is None for one in task.runs) for id, task in tasks.items()})
         """The machines that each task has had, one after the other."""
@@ -180,7 +181,9 @@ class WrittenJournal(Journal):
         local = self._number(knowledge.local)
         self._runs[run.task] += caller is None
         priority, origin = options.get("priority", 0), options.get("origin")
-        self._record(RunMade(run.id, run.task, name, self._part(source), local, caller, priority, origin, asks, adopted))
+        accepted, _ = self._unfinished.get(run.task, (None, 0.0))
+        row = self._task_row(TaskSummary(accepted, self._runs[run.task])) if accepted and caller is None else None
+        self._record(RunMade(run.id, run.task, name, self._part(source), local, caller, priority, origin, asks, adopted), task=row)
         return run
 
     def handle(self, run: Run, event: Event, now: float, perform: Perform) -> None:
@@ -223,12 +226,12 @@ class WrittenJournal(Journal):
             JournalError: it cannot be kept.
         """
         task = TaskAccepted(wanted, order, self._wall())
-        self._record(task, task=self._task_row(TaskSummary(task)))
+        self._record(task, task=self._task_row(TaskSummary(task, self._runs[wanted.id])))
         self._write()
         if self.blocked:
             del self._rows[-1]  # it is refused, and must not come up when the journal can be written again
             raise JournalError(self.blocked)
-        self._unfinished[wanted.id] = task
+        self._unfinished[wanted.id] = task, self._loop.time()
 
     def held(self, task: UUID | None, *, is_held: bool) -> None:
         """Record that an operator has paused a task, or those that are still to come, or has let them go on."""
@@ -247,8 +250,9 @@ class WrittenJournal(Journal):
 
     def over(self, task: UUID, ending: TaskEnding, then: Callable[[], None] = lambda: None) -> None:
         """Keep how a task has ended, and do something then. A segment begins, if nothing else is under way and this one is long."""
-        accepted, over = self._unfinished.pop(task), TaskOver(task, ending)
-        self._record(over, task=self._task_row(TaskSummary(accepted, self._runs.pop(task, 0), ending, self._wall())))
+        (accepted, began), over = self._unfinished.pop(task), TaskOver(task, ending)
+        summary = TaskSummary(accepted, self._runs.pop(task, 0), ending, self._wall(), self._loop.time() - began)
+        self._record(over, task=self._task_row(summary))
         self._recent.append((accepted, over))
         if self._is_lost:  # another process keeps it
             then()

@@ -85,14 +85,15 @@ def check_one_story(journal: Path) -> int:
     """Complain about what two readers of a journal tell differently; return how many tasks both tell with their plans."""
     view, told, listed, both = Reader(journal).newest(), timelines(journal), summaries(journal, TASKS), 0
     assert not view.problem
-    machines = {summary.accepted.wanted.id: summary.runs for summary in listed}
+    rows = {summary.accepted.wanted.id: summary for summary in listed}
     for id, timeline in zip(accepted(journal), told, strict=True):
         drawn = on_the_timeline(timeline)
         answers = explained(journal, id)
         assert new_plans(answers) == [why for why, *_ in drawn.replans]
         if drawn.ending:
             assert answers[0].statement.endswith(f" is over: {drawn.ending}")
-            assert max(0, machines[id] - 1) == len(drawn.replans)
+            assert max(0, rows[id].runs - 1) == len(drawn.replans)
+            assert rows[id].seconds == pytest.approx(timeline.now, abs=1e-6)
         if (shown := view.tasks.get(id.hex)) is not None and shown.runs:
             assert on_the_page(view, id.hex) == drawn
             both += 1
