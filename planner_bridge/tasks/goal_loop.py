@@ -18,7 +18,19 @@ from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.control import TaskEnded
 from planner_bridge.tasks.plan_execution import PlanExecution, ProvedMachine, proved_machine
 from planner_bridge.tasks.plan_search import NoPlan, PlanSearch
-from planner_bridge.tasks.replanning import Decision, GiveUp, History, PlanAgain, Progress, ResumePlan, decide, shortened, times_that_matter
+from planner_bridge.tasks.replanning import (
+    Decision,
+    GiveUp,
+    History,
+    PlanAgain,
+    Progress,
+    ResumePlan,
+    decide,
+    decision_words,
+    needless,
+    shortened,
+    times_that_matter,
+)
 from planner_bridge.tasks.result import (
     GoalNote,
     KeptGoal,
@@ -312,10 +324,14 @@ class GoalLoop:
         """Decide what follows the run. A failure makes nothing needless, but facts that have changed may."""
         context, progress, now, world = self._context, execution.progress, self._monitor.now(), snapshot(self._context.present)
         has_failed, limits, unusable = execution.is_over or execution.result.failures, context.settings.limits, context.unusable(history)
+        set_off_by = execution.set_off_by
 
         def decision() -> Decision:
             left = progress if has_failed else shortened(progress, world)
-            return decide(now, left, world, history, limits, unusable)
+            decided = decide(now, left, world, history, limits, unusable)
+            if has_failed or isinstance(decided, GiveUp):
+                return decided
+            return replace(decided, because="; ".join(filter(None, (set_off_by, needless(progress, left, world)))))
 
         return await asyncio.to_thread(decision)
 
@@ -345,7 +361,7 @@ class GoalLoop:
             if isinstance(decision, ResumePlan):
                 graph = decision.rest
             else:
-                self._control.enter(TaskState.REPLANNING, decision.why)
+                self._control.enter(TaskState.REPLANNING, decision_words(decision))
                 plan = await self._search.following(execution, decision.forbidden)
                 if plan is None:
                     return None

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Mapping
 from functools import partial
 from types import TracebackType
-from typing import TypeAlias
+from typing import Final, TypeAlias
 
 from planner_bridge.ordering.forecast import Forecast, forecast
 from planner_bridge.ordering.interference import ReadWriteSets, read_write_sets
@@ -21,8 +21,9 @@ from pnm.core.execution.events import Observer
 from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.machine_index import prepare
 from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import statement_text
 from pnm.core.logic.effects import names_written, possible_assignments
-from pnm.core.logic.expressions import Constant, Fluent, State, Unknown, Value
+from pnm.core.logic.expressions import Constant, Fluent, State, Unknown, Value, is_number
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import CallOutcome, PetriNetMachine
 from pnm.core.machine.plan_graph import PlanGraph
@@ -32,6 +33,8 @@ from pnm.journal.replay import ReplayedRun
 from pnm.tasks import TaskState
 
 ProvedMachine: TypeAlias = tuple[PetriNetMachine, Proof]
+_NAMED: Final = 3
+"""Facts of one report that are named; of others there is only their number."""
 
 
 class PlanExecution(Observer):
@@ -59,6 +62,9 @@ class PlanExecution(Observer):
         self._attention = asyncio.Event()
         self._timer: asyncio.TimerHandle | None = None
         self._is_held = False
+        self._news = ""
+        self.set_off_by = ""
+        """The reports for which the plan was looked at last, since it began, and when they came; empty if there were none."""
         self.is_finishing = False
         self.is_blocked = False
         """Whether others have begun, during a pause, with what the rest of the plan is in conflict with; its run ends then, even
@@ -169,6 +175,7 @@ class PlanExecution(Observer):
             await asyncio.wait((self._future, attention), return_when=asyncio.FIRST_COMPLETED)
         finally:
             attention.cancel()
+        self.set_off_by, self._news = self._news or self.set_off_by, ""
         self._attention.clear()  # after the wait: whatever calls for attention from now on is seen in the next round
 
     def call_attention_at(self, time: float) -> None:
@@ -187,7 +194,13 @@ class PlanExecution(Observer):
         if not self.is_eager or self._context.control.is_paused:
             return
         progress = self.progress
-        if is_relevant(progress, changes) and not is_foreseen(progress, changes, self._context.knowledge):
+        relevant = {fluent: value for fluent, value in changes.items() if is_relevant(progress, {fluent: value})}
+        if news := unforeseen(progress, relevant, self._context.knowledge):
+            said = [
+                statement_text(fluent, value) for fluent, value in sorted(news.items(), key=lambda one: is_number(one[1]))
+            ]  # facts first
+            named = " ".join(said[:_NAMED]) + (f" and {len(said) - _NAMED} more" if len(said) > _NAMED else "")
+            self._news = f"set off by the report {named} at {self._monitor.elapsed:.2f} s"
             self._attention.set()
 
     # --- control --------------------------------------------------------------------------------
@@ -244,7 +257,7 @@ class PlanExecution(Observer):
 
     def succeed(self, successor: ProvedMachine) -> None:
         """Go on with the machine of another plan, which takes over the calls that are under way."""
-        under_way = {running.call.index: running for running in self.run.under_way()}
+        self.set_off_by, under_way = "", {running.call.index: running for running in self.run.under_way()}
         numbers = (call.index for call in successor[0].plan.calls if call.under_way)  # in the order that they had in the old plan
         self.executor.succeed(self._run_of(successor, dict(zip(numbers, (under_way[index] for index in sorted(under_way)), strict=True))))
 
@@ -301,12 +314,13 @@ def is_relevant(progress: Progress, changed: Mapping[Fluent, object]) -> bool:
     return any(fluent[0] in names for fluent in changed for names in used)
 
 
-def is_foreseen(progress: Progress, changed: Mapping[Fluent, Value | Unknown], state: State) -> bool:
-    """Return whether calls that have begun make these changes: each to what one of them writes, or a number it computes."""
+def unforeseen(progress: Progress, changed: Mapping[Fluent, Value | Unknown], state: State) -> dict[Fluent, Value | Unknown]:
+    """Return those of the changes that no call that has begun makes: neither to what one of them writes, nor a number it computes."""
     mentioned = {fluent[0] for fluent in changed}
     begun = (result.call.action for result in progress.calls if result.kind is not CallOutcome.WAITING)
     written: dict[Fluent, list[Value | None]] = {}
     for effects in ((*action.start_effects, *action.end_effects) for action in begun):
         for fluent, effect, _ in possible_assignments(effects, state) if names_written(effects) & mentioned else ():
             written.setdefault(fluent, []).append(effect.value.value if isinstance(effect.value, Constant) else None)
-    return all(value in written.get(fluent, ()) or None in written.get(fluent, ()) for fluent, value in changed.items())
+    is_made = {fluent: value in written.get(fluent, ()) or None in written.get(fluent, ()) for fluent, value in changed.items()}
+    return {fluent: value for fluent, value in changed.items() if not is_made[fluent]}

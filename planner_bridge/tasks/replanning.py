@@ -15,8 +15,10 @@ from planner_bridge.model.plan_simulation import ConstraintProgression, NotAppli
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.plan_to_graph import deordered
 from pnm.core.execution.call_results import CallResult, Failure
-from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.knowledge_base import KnowledgeBase, statement_text
+from pnm.core.logic.effects import changes
 from pnm.core.logic.evaluation import evaluate, explanation
+from pnm.core.logic.expressions import is_number, same_value
 from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings, WhenLost
 from pnm.core.machine.machine import CallOutcome
@@ -160,6 +162,8 @@ class ResumePlan:
     """Go on with the rest of the plan in a new net; no planner is asked."""
 
     rest: PlanGraph
+    because: str = ""
+    """The reports that set it off while nothing had failed, and what they make needless."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,6 +172,8 @@ class PlanAgain:
 
     forbidden: frozenset[ForbiddenCall]
     why: str
+    because: str = ""
+    """The reports that set it off while nothing had failed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,11 +190,12 @@ Decision = ResumePlan | PlanAgain | GiveUp
 def decision_words(decision: Decision | None) -> str:
     """Return what follows a run, in the words in which everybody is told; None is a plan that was found without a decision."""
     match decision:
-        case ResumePlan(rest):
-            return f"the rest of the plan still works: going on with {counted(len(rest.calls), 'call')} in a new machine"
-        case PlanAgain(forbidden, why):
-            never = f"; not again: {', '.join(sorted(map(str, forbidden)))}" if forbidden else ""
-            return f"a new plan is needed: {why}{never}"
+        case ResumePlan(rest, because):
+            goes_on = f"the rest of the plan still works: going on with {counted(len(rest.calls), 'call')} in a new machine"
+            return "; ".join(filter(None, (goes_on, because)))
+        case PlanAgain(forbidden, why, because):
+            never = f"not again: {', '.join(sorted(map(str, forbidden)))}" if forbidden else ""
+            return f"a new plan is needed: {'; '.join(filter(None, (why, because, never)))}"
         case GiveUp(reason):
             return f"given up: {reason}"
         case None:
@@ -324,6 +331,16 @@ def why_not(
         return f"the rest of the plan would leave {explanation(plan.goal, simulation.state)[1]}"
     missing = progression.unfulfilled(simulation.state)
     return f"the rest of the plan would leave {', '.join(map(str, missing))} unfulfilled" if missing else ""
+
+
+def needless(before: Progress, after: Progress, knowledge: KnowledgeBase) -> str:
+    """Return which calls of the rest of a plan it goes without, and what of that which they would change is so already."""
+    left, texts = {call.index for call in after.rest}, list[str]()
+    for call in (call for call in before.rest if call.index not in left):
+        changed = {fluent: value for fluent, value in changes(call.action.end_effects, knowledge).items() if not is_number(value)}
+        so = [statement_text(fluent, value) for fluent, value in changed.items() if same_value(knowledge.value(fluent), value)]
+        texts.append(f"{call.action} is not needed{f': {chr(32).join(so)} already' if so else ''}")
+    return "; ".join(texts)
 
 
 def shortened(progress: Progress, knowledge: KnowledgeBase) -> Progress:

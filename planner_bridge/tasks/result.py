@@ -238,10 +238,12 @@ def _finite(value: object) -> object:
 
 def _decision_as_json(decision: Decision) -> dict[str, Any]:
     match decision:
-        case ResumePlan(rest):
-            return {"decision": "resume", "calls": [str(call.action) for call in rest.calls]}
-        case PlanAgain(forbidden, why):
-            return {"decision": "plan again", "why": why, "forbidden": sorted(map(str, forbidden))}
+        case ResumePlan(rest, because):
+            calls = [str(call.action) for call in rest.calls]
+            return {"decision": "resume", "calls": calls, **({"because": because} if because else {})}
+        case PlanAgain(forbidden, why, because):
+            never = sorted(map(str, forbidden))
+            return {"decision": "plan again", "why": why, "forbidden": never, **({"because": because} if because else {})}
         case GiveUp(reason):
             return {"decision": "give up", "why": reason}
 

@@ -11,10 +11,11 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.model.simulation import robots_of
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.achieve import achieve_at
+from planner_bridge.tasks.replanning import decision_words
 from planner_bridge.tasks.result import TaskResult
 from planner_bridge.tasks.settings import OnChange, Settings, TaskObserver
 from pnm.actions.backend import SimulatedBackend
-from pnm.actions.faults import NO_FAULTS, Faults
+from pnm.actions.faults import NO_FAULTS, Faults, HiddenChange
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.machine import OnFailure
@@ -93,3 +94,31 @@ def test_where_a_robot_has_just_left_is_not_where_it_is_planned_with(period: flo
     assert result.goal_reached
     assert (result.plans, result.replans, result.failures) == (1, 0, ())
     assert [str(call.call.action) for call in result.calls] == CALLS
+
+
+TWO_CUPS = THERE_AND_BACK.replace("cup - item", "cup ball - item").replace("(in cup dock)", "(in cup dock) (in ball dock)")
+
+
+def because(*changed: tuple[str, bool]) -> tuple[str, TaskResult]:
+    """What is said of the first other plan, when somebody moves the ball after a second; and the result."""
+    two = parse_problem(TWO_CUPS.replace("(in cup hall)", "(and (in cup hall) (in ball hall))"), parse_domain(FETCH))
+    moved = HiddenChange({("in", "ball", place): value for place, value in changed}, at=1.02)
+    result = fetched(Sampled(two, 0.5, faults=Faults(changes=(moved,))))
+    return next(decision_words(episode.decision) for episode in result.episodes if episode.decision), result
+
+
+def test_the_report_that_sets_off_another_plan_is_named() -> None:
+    said, result = because(("dock", False), ("hall", True))
+    assert result.goal_reached
+    assert (
+        "although (in ball dock) is false; set off by the report (not (in ball dock)) (in ball hall) (= (battery r1) 0.8995) at 1.05 s"
+        in said
+    )
+
+
+def test_what_a_report_makes_needless_is_named_with_what_is_so_already() -> None:
+    said, result = because(("hall", True))
+    assert result.goal_reached
+    assert "set off by the report (in ball hall) (= (battery r1) 0.8995) at 1.05 s; " in said
+    assert "release(r1, ball, hall) is not needed: " in said
+    assert "(in ball hall)" in said.partition("release(r1, ball, hall) is not needed: ")[2].partition(" already")[0]
