@@ -1,9 +1,10 @@
 """Long random runs: scenarios of many tasks in simulation, processes that die, broken machines, and visitors of the mall over ROS 2.
 
-usage: python -m tests.random_runs [--seeds 500] [--first 0] [--jobs 2] [--keep FOLDER] [scenarios] [deaths] [mutants] [visitors]
+usage: python -m tests.random_runs [--seeds 500] [--first 0] [--jobs 2] [--keep FOLDER] [KIND ...]
 
-The same number is the same run. Without a kind, all are run: as many scenarios, deaths and machines as there are seeds, six mutants
-of every machine, and a visitor for every tenth. The exit status is 1 if anything is wrong, and every failure is printed with its number.
+Kinds are scenarios, deaths, mutants, forgotten and visitors. The same number is the same run. Without a kind, all are run: as many
+scenarios, deaths and machines as there are seeds, six mutants of every machine, all of them without each trait of calls that templates
+could forget, and a visitor for every tenth. The exit status is 1 if anything is wrong, and every failure is printed with its number.
 """
 
 from __future__ import annotations
@@ -22,11 +23,12 @@ from pathlib import Path
 
 from tests.support.e2e.mall.deployment import Mall
 from tests.support.processes import ros_domain
+from tests.support.runs.mutation.forgotten import TRAITS, run_forgotten
 from tests.support.runs.mutation.gate import run_gate
 from tests.support.tasks.scenarios.random_deaths import run_deaths
 from tests.support.tasks.scenarios.random_scenarios import run_scenario
 
-KINDS = ("scenarios", "deaths", "mutants", "visitors")
+KINDS = ("scenarios", "deaths", "mutants", "forgotten", "visitors")
 
 
 def failure_of(number: int, *, dies: bool) -> str:
@@ -65,6 +67,17 @@ def mutants(numbers: range, jobs: int) -> Iterator[str]:
     print(f"mutants: {', '.join(f'{count} {verdict}' for verdict, count in sorted(verdicts.items()))}")
 
 
+def forgotten(numbers: range, jobs: int) -> Iterator[str]:
+    """Let templates forget each trait of calls, and none; yield the wrong machines that were proved, and the right ones that were not."""
+    with ProcessPoolExecutor(jobs) as pool:
+        for trait in ("", *TRAITS):
+            parts = [numbers[first : first + 500] for first in range(0, len(numbers), 500)]
+            reports = [*pool.map(partial(run_forgotten, trait), parts)]
+            wrong, refused = sum(report.wrong for report in reports), sum(report.refused for report in reports)
+            print(f"forgotten {trait or 'nothing'}: {wrong} wrong machines, {refused} times refused, by blocks or by name", flush=True)
+            yield from (complaint for report in reports for complaint in report.complaints)
+
+
 def visitors(numbers: range, keep: Path | None) -> Iterator[str]:
     """Run scripts of visitors one after the other; yield the verdict if there is anything to complain about."""
     with tempfile.TemporaryDirectory() as folder, ros_domain() as domain, closing(Mall(Path(folder), domain)) as mall:
@@ -84,6 +97,8 @@ def failures_of(kind: str, numbers: range, jobs: int, keep: Path | None) -> Iter
             return scenarios(numbers, jobs, dies=kind == "deaths")
         case "mutants":
             return mutants(numbers, jobs)
+        case "forgotten":
+            return forgotten(numbers, jobs)
         case _:
             return visitors(numbers, keep)
 
@@ -92,7 +107,7 @@ def main() -> int:
     """Return 1 if anything was wrong."""
     parser = argparse.ArgumentParser(prog="python -m tests.random_runs", description=__doc__.partition("\n")[0])
     parser.add_argument(
-        "kinds", nargs="*", choices=[*KINDS, []], metavar="KIND", help="scenarios, deaths, mutants or visitors; all without one"
+        "kinds", nargs="*", choices=[*KINDS, []], metavar="KIND", help="scenarios, deaths, mutants, forgotten or visitors; all without one"
     )
     parser.add_argument("--seeds", type=int, default=500, help="how many of each; visitors are a tenth if not alone")
     parser.add_argument("--first", type=int, default=0, help="the number of the first one")
