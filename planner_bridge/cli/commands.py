@@ -35,6 +35,8 @@ from planner_bridge.cli.options import (
     write,
 )
 from pnm.errors import InputError
+from pnm.files.database.place import without_password
+from pnm.files.private import hide_arguments
 from pnm.files.safe_stream import make_streams_safe
 
 if TYPE_CHECKING:
@@ -288,6 +290,7 @@ def demo(story: str) -> int:
 def main() -> None:
     """Run the command line."""
     make_streams_safe()
+    hide_arguments(without_password)
     # Shells without job control start background processes with SIGINT ignored; one that is sent all the same asks us to stop in order.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)

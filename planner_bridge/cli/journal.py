@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
+import hmac
 import json
 import os
 import shlex
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import click
 from rich.text import Text
 
 from planner_bridge.cli.consoles.safe_console import SafeConsole
-from planner_bridge.cli.options import ADOPT, ViewingCommand, check_output, command, force_option, timeline_option, view_option, write
+from planner_bridge.cli.options import (
+    ADOPT,
+    ViewingCommand,
+    check_output,
+    command,
+    force_option,
+    seal_of,
+    timeline_option,
+    view_option,
+    write,
+)
 from planner_bridge.node.journal_place import latest_journal
 from planner_bridge.tasks.result import TASKS
 from planner_bridge.view.task_timeline import timelines
@@ -112,13 +123,29 @@ def _show(journal: Place, port: int) -> int:
     return 0
 
 
-def resume_run(journal: Place, *, adopts: bool) -> int:
-    """Go on with the run that a journal has kept, with what its command was given, and end with its exit status."""
+_ACTS: Final = {
+    "--actions": "ros2 drives robots",
+    "--force": "replaces files",
+    "--timeline": "writes a file",
+    "--journal": "writes a journal",
+    "--knowledge": "reads and writes a database",
+    "--view": "serves a page",
+    "--view-controls": "lets people control it on that page",
+}
+"""Options by which a command does something to others than simulated robots."""
+
+
+def resume_run(journal: Place, *, adopts: bool, is_trusted: bool) -> int:
+    """Go on with the run that a journal has kept, with what its command was given, and end with its exit status.
+
+    A journal that this user has not begun on this computer may say anything: it is carried out only if somebody says so.
+    """
     from planner_bridge.cli.run import run  # here, because a look at a journal needs nothing of it
 
     with errors_of_journals():
-        tasks, command = summaries(journal, TASKS), command_of(journal, TASKS)
-    if not tasks and command != ():
+        tasks, begun = summaries(journal, TASKS), command_of(journal, TASKS)
+    command, seal = begun or ((), "")
+    if not tasks and (command or begun is None):
         raise InputError(f"{journal} has no task: the process died before it began one; give its command again")
     folder, *given = command or ("",)
     if not folder:
@@ -127,6 +154,8 @@ def resume_run(journal: Place, *, adopts: bool) -> int:
     if ending := tasks[-1].ending:
         _print_task(tasks[-1], SafeConsole())
         return 0 if ending.code is Code.GOAL_REACHED else 1
+    if not (is_trusted or (seal and hmac.compare_digest(seal, seal_of(command)))):
+        _ask(journal, folder, given)
     place = str(journal.resolve()) if isinstance(journal, Path) else journal.text
     try:
         os.chdir(folder)
@@ -134,6 +163,18 @@ def resume_run(journal: Place, *, adopts: bool) -> int:
         raise InputError(f"{journal}: its command was given in {folder}: {error.strerror}") from error
     print(f"in {folder}: pnm run {shlex.join(given)}", file=sys.stderr)
     return int(run.main([*given, "--journal", place, *([ADOPT] if adopts else [])], "pnm run", standalone_mode=False) or 0)
+
+
+def _ask(journal: Place, folder: str, given: Sequence[str]) -> None:
+    """Show what a journal would do, and ask whether it may; raise an `InputError` if not, or if there is nobody to ask."""
+    named = {option.partition("=")[0] for option in given}
+    acts = "".join(f"; {option} {what}" for option, what in _ACTS.items() if option in named)
+    would = f"{journal} was not begun by you on this computer. In {folder} it would do: pnm run {shlex.join(given)}{acts}"
+    if not sys.stdin.isatty():
+        raise InputError(f"{would}; --yes does it")
+    print(would, file=sys.stderr)
+    if not click.confirm("Is that what you want?", err=True):
+        raise InputError("nothing was done")
 
 
 def chosen_journal(journal: str | None) -> Place:

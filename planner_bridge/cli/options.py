@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hmac
+import json
 import os
 import sys
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import wraps
@@ -21,6 +23,7 @@ from planner_bridge.pipeline.loading import load
 from planner_bridge.view.control.commands import Controlled
 from pnm.errors import InputError, PnmError
 from pnm.files.database.place import Place, place_of
+from pnm.files.private import secret_in, write_private
 from pnm.files.yaml_nodes import parse_value
 
 if TYPE_CHECKING:
@@ -98,6 +101,32 @@ def options(*options: Decorator) -> Decorator:
 ADOPT: Final = "--adopt"
 GIVEN = "given"
 """The key of what a command was given, in the `meta` of its context."""
+
+
+def state_folder() -> Path:
+    """Return the folder of what is kept for this user; raise `SourceError` if the user has no home."""
+    from pnm.knowledge.sources.database import default_path  # here, because most commands keep nothing
+
+    return default_path().parent
+
+
+def seal_of(command: Sequence[str]) -> str:
+    """Return what shows that this user has given a command on this computer: nobody else has the secret. Empty if there can be none."""
+    try:
+        return hmac.new(secret_in(state_folder()), json.dumps(command).encode(), "sha256").hexdigest()
+    except (OSError, PnmError):
+        return ""
+
+
+def announce(page: PageProcess, more: str = "") -> None:
+    """Say on stderr where a page is. Its token is printed on terminals alone; others are logs, which get the name of a file that has it."""
+    where, _, token = page.url.partition("/#")
+    is_hidden = bool(token) and not sys.stderr.isatty()
+    if is_hidden:
+        file = state_folder() / f"page-{where.rpartition(':')[2]}.url"
+        write_private(file, f"{page.url}\n")
+        more = f"{more}; the URL with the token for its controls is in {file}, which only you can read"
+    print(f"view     {where if is_hidden else page.url}{more}", file=sys.stderr, flush=True)
 
 
 VIEW_PORT: Final = 8421

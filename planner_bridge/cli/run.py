@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import replace
@@ -23,6 +22,7 @@ from planner_bridge.cli.options import (
     Output,
     RepeatableCommand,
     Seconds,
+    announce,
     as_json_option,
     bindings_option,
     check_output,
@@ -41,6 +41,7 @@ from planner_bridge.cli.options import (
     planning,
     problem_in,
     quiet_option,
+    seal_of,
     sensing_option,
     set_option,
     timeline_option,
@@ -63,7 +64,7 @@ from pnm.core.broadcast import broadcast
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.errors import InputError
-from pnm.files.database.place import Place
+from pnm.files.database.place import Place, without_password
 from pnm.journal.kept import Durability, JournalChoice
 from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import NO_SENSING
@@ -185,8 +186,9 @@ def run_problem(domain: Path, problem: Path, files: Files, *, actions: Actions, 
 
 def journal_choice(place: Place, durability: str | None, *, adopts: bool) -> JournalChoice:
     """Return the journal of a run; another process would go on with what the command was given here, but adopts nothing unasked."""
-    given = [argument for argument in click.get_current_context().meta[GIVEN] if argument != ADOPT]
-    return JournalChoice(place, Durability.of(durability) if durability else None, command=(os.getcwd(), *given), adopts=adopts)
+    given = [without_password(argument) for argument in click.get_current_context().meta[GIVEN] if argument != ADOPT]
+    command, durable = (os.getcwd(), *given), Durability.of(durability) if durability else None
+    return JournalChoice(place, durable, command=command, seal=seal_of(command), adopts=adopts)
 
 
 @contextmanager
@@ -215,7 +217,7 @@ def looked_at(
         page = None
         if view is not None:
             page = stack.enter_context(PageProcess(view, controlled))
-            print(f"view     {page.url}", file=sys.stderr, flush=True)
+            announce(page)
             page.follow(str(kept.place) if isinstance(kept.place, Path) else kept.place.text)
         yield kept, page
         if timeline is not None:
@@ -264,7 +266,7 @@ def _stay(page: PageProcess) -> None:
     """Keep the page until a signal, such as Ctrl-C."""
 
     async def stay() -> None:
-        print(f"view     {page.url} stays until Ctrl-C", file=sys.stderr, flush=True)
+        announce(page, " stays until Ctrl-C")
         await page.ended()
 
     with suppress(KeyboardInterrupt):

@@ -252,19 +252,21 @@ def pause(task: str, every: bool, namespace: str, at_once: bool) -> int:
 @click.command(epilog="Examples: pnm resume --all; pnm resume tea.journal")
 @one_or_all
 @adopt_option
+@click.option("--yes", "is_trusted", is_flag=True, help="carry out what a FILE says that somebody else, or another computer, has begun")
 @command
-def resume(task: str, every: bool, namespace: str, adopt: bool) -> int:
+def resume(task: str, every: bool, namespace: str, adopt: bool, is_trusted: bool) -> int:
     """Let a paused task, or a run that has died, go on.
 
     TASK is the beginning of a task's id, by default of the only one that is paused; or the file that `pnm run --journal FILE`
-    has kept a run in, which goes on in this process, with the options that it was given.
+    has kept a run in, which goes on in this process, with the options that it was given. A file that you have not begun on this
+    computer is like a script of somebody else: what it would do is shown, and done if you say so.
     """
     if task.strip("0123456789abcdefABCDEF-"):  # no id
         from planner_bridge.cli.journal import resume_run  # here, because it takes its time to import
 
-        return resume_run(place_of(task), adopts=adopt)
-    if adopt:
-        raise InputError("--adopt is about a journal; expected its file")
+        return resume_run(place_of(task), adopts=adopt, is_trusted=is_trusted)
+    if adopt or is_trusted:
+        raise InputError("--adopt and --yes are about a journal; expected its file")
     return _command("resume", "goes on", task, every=every, namespace=namespace)
 
 

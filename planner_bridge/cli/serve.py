@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import click
 
-from planner_bridge.cli.options import FILE, ViewingCommand, command, controlled_by, controls_option, options, view_option
+from planner_bridge.cli.options import FILE, ViewingCommand, announce, command, controlled_by, controls_option, options, view_option
 from planner_bridge.node.options import PARAMETERS
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import load_yaml
@@ -89,7 +89,7 @@ def serve(files: tuple[Path, ...], view: int | None, controls: bool, **given: Pa
             serve(chosen, arguments, console)
         else:
             with PageProcess(view, controlled) as page:
-                print(f"view     {page.url}", file=sys.stderr, flush=True)
+                announce(page)
                 serve(chosen, arguments, broadcast(NodeObserver, (console, NodePage(page, journal))))
     except Fenced as error:
         print(error, file=sys.stderr)

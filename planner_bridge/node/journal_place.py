@@ -12,6 +12,7 @@ from planner_bridge.node.options import Options
 from planner_bridge.tasks.result import TASKS
 from pnm.errors import InputError, PnmError
 from pnm.files.database.place import Place, place_of
+from pnm.files.private import private_folder
 from pnm.journal.resume import summaries
 from pnm.knowledge.sources.database import default_path
 from pnm.knowledge.sources.source import SourceError
@@ -51,7 +52,7 @@ def journal_of(chosen: str, node: str, domain_id: int, origin: str) -> Place | N
         return None if chosen == NONE else place_of(chosen)
     folder, name = journals_folder(), node.strip("/").replace("/", ".")
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        private_folder(folder)
     except OSError as error:
         advice = f"--journal FILE names another place, --journal {NONE} keeps nothing"
         raise InputError(f"there is no place for the journal: {folder} cannot be made: {error.strerror}; {advice}") from error

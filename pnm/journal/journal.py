@@ -43,6 +43,7 @@ class WorldOptions(TypedDict, total=False):
     prefix: bytes
     origin: str
     command: tuple[str, ...]
+    seal: str
     loaded: tuple[str, ...]
 
 

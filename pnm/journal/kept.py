@@ -107,6 +107,7 @@ class JournalChoice:
         durability: what commits survive; None for what is usual in that place.
         kept: seconds for which records are kept that nothing under way needs.
         command: what the command line is given, in which folder first, so that `pnm resume` goes on; empty for a node.
+        seal: of the command, see `pnm.journal.records.SharedBegan`.
         lease: seconds for which no other process may take it, where it is in PostgreSQL.
         node: whose it is: the name of a node, empty for a run; None if that does not matter, for nothing goes on from it.
         adopts: whether it is taken although it is that of another node, a copy, or lacks what was written last.
@@ -116,6 +117,7 @@ class JournalChoice:
     durability: Durability | None = None
     kept: float = KEPT
     command: tuple[str, ...] = ()
+    seal: str = ""
     lease: float = LEASE
     node: str | None = ""
     adopts: bool = False

@@ -39,6 +39,7 @@ class SharedBegan:
         origin: what the world was made from, as text: another process goes on only if it is the same there.
         began: when the world began, which may have been in an earlier segment, on the clock of the event loop.
         command: what the command line is given, in which folder first, so that another process goes on; empty if it is a node.
+        seal: shows that this user has given the command on this computer; see `planner_bridge.cli.options.seal_of`.
         loaded: domain and problem, as PDDL, that were loaded in place of those of the files.
     """
 
@@ -47,6 +48,7 @@ class SharedBegan:
     origin: str = ""
     began: float = 0.0
     command: tuple[str, ...] = ()
+    seal: str = ""
     loaded: tuple[str, ...] = ()
 
 

@@ -169,8 +169,8 @@ def summaries(place: Place, codec: Codec) -> tuple[TaskSummary, ...]:
         kept.close()
 
 
-def command_of(place: Place, codec: Codec) -> tuple[str, ...] | None:
-    """Return what the command line was given that has begun a journal, in which folder first.
+def command_of(place: Place, codec: Codec) -> tuple[tuple[str, ...], str] | None:
+    """Return what the command line was given that has begun a journal, in which folder first, and the seal of that.
 
     It is empty if the journal is that of a node, None if there is nothing in it yet.
 
@@ -182,7 +182,7 @@ def command_of(place: Place, codec: Codec) -> tuple[str, ...] | None:
     try:
         for _, row in kept.rows(kept.last_segment() - 1):
             began = codec.value(row.text)
-            return began.command if isinstance(began, SharedBegan) else ()
+            return (began.command, began.seal) if isinstance(began, SharedBegan) else ((), "")
         return None
     finally:
         kept.close()

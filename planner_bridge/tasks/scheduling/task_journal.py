@@ -91,8 +91,8 @@ class TaskJournal:
         """Return what carries plans out, with the resources of what goes on; or begin the journal."""
         runner = PlanRunner(programs or {}, backend, world, source, journal, self.replay.resources if self.replay else None)
         if self.replay is None:
-            command = self.taken.choice.command if self.taken else ()
-            journal.begin(world, runner.resources, prefix=runner.prefix, origin=self.origin, command=command)
+            command, seal = (self.taken.choice.command, self.taken.choice.seal) if self.taken else ((), "")
+            journal.begin(world, runner.resources, prefix=runner.prefix, origin=self.origin, command=command, seal=seal)
         elif self.replay.shared:
             runner.prefix = self.replay.shared.prefix
         return runner

@@ -44,8 +44,9 @@ class ServerUrl:
         try:
             parts = urlsplit(text)
             port, options = parts.port or 5432, dict(parse_qsl(parts.query, strict_parsing=bool(parts.query)))
-        except ValueError as error:
-            raise InputError(f"{text.partition(':')[0]}://…: {error}") from error
+        except ValueError as error:  # which may quote a part of the password
+            expected = "postgresql://user:password@host:port/database, with %2F for / and the like in a password"
+            raise InputError(f"{text.partition(':')[0]}://…: this is no URL of a database; expected {expected}") from error
         if parts.scheme not in _SCHEMES:
             raise InputError(f"there are no databases of {parts.scheme}://; expected a file, or postgresql://host/database")
         for option, value in options.items():
@@ -69,6 +70,18 @@ class ServerUrl:
 
     def __str__(self) -> str:
         return f"postgresql://{self.host}:{self.port}/{self.database}?name={self.name}"
+
+
+_PASSWORD: Final = re.compile(r"(postgres(?:ql)?://[^\s:/?#@]*):[^\s]*@")
+
+
+def without_password(text: str) -> str:
+    """Return a text, such as an option with a URL, without the passwords of databases in it.
+
+    >>> without_password("--journal=postgresql://ada:secret@host/db")
+    '--journal=postgresql://ada@host/db'
+    """
+    return _PASSWORD.sub(r"\1@", text)
 
 
 Place: TypeAlias = Path | ServerUrl

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 from pnm.files.database.driver import DatabaseError, Layout, Rows, check_version
 from pnm.files.database.limit import SIZE, OperationLimit
 from pnm.files.database.lock import lock_of
+from pnm.files.private import private_file
 
 if TYPE_CHECKING:
     from sqlalchemy.engine import Dialect
@@ -58,6 +59,8 @@ class Sqlite:
             raise DatabaseError(f"there is only {log_of(path).name}, with what was written last; expected {path.name} beside it")
         if read_only and not path.exists():
             raise DatabaseError("there is no such file")
+        if not read_only:
+            private_file(path)  # the files beside it get the same mode
         self._path = path
         self._identities: dict[Path, tuple[int, int]] = {}
         """The files that are written."""

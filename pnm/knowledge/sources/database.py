@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, TypeVar
 from pnm.core.logic.computed_values import MISSING, Question
 from pnm.files.database.driver import DatabaseError
 from pnm.files.database.place import Place
+from pnm.files.private import private_folder
 from pnm.knowledge.sources.memory import read_value, write_value
 from pnm.knowledge.sources.source import Asker, SourceError
 
@@ -106,7 +107,7 @@ class DatabaseKnowledge:
             from pnm.knowledge.sources import variables
 
             if isinstance(self.place, Path):
-                self.place.parent.mkdir(parents=True, exist_ok=True)
+                private_folder(self.place.parent)
             self._database = Database(self.place, variables.LAYOUT, is_durable=True)
         return self._database
 

@@ -12,6 +12,7 @@ from sys import float_info
 from typing import Any, Final, TypeAlias
 
 from pnm.errors import InputError, suggestion
+from pnm.files.database.place import without_password
 
 _log = logging.getLogger(__name__)
 
@@ -53,7 +54,12 @@ def declare(node: Any, parameters: Iterable[NodeParameter], given: Mapping[str, 
         name, default = parameter.name, parameter.default
         try:
             descriptor, ignore = _descriptor(parameter), name in given
-            value = node.declare_parameter(name, given.get(name, default), descriptor, ignore_override=ignore).value
+            secret = given[name] if ignore else getattr(_overrides(node).get(name), "value", None)
+            if isinstance(secret, str) and (shown := without_password(secret)) != secret:  # every node may read parameters
+                node.declare_parameter(name, shown, descriptor, ignore_override=True)
+                value: Any = secret
+            else:
+                value = node.declare_parameter(name, given.get(name, default), descriptor, ignore_override=ignore).value
         except Exception as error:
             hint = "; expected a number such as 10.0" if isinstance(default, float) else ""
             raise InputError(f"the parameter {name} is wrong: {str(error) or type(error).__name__}{hint}") from error
@@ -62,11 +68,17 @@ def declare(node: Any, parameters: Iterable[NodeParameter], given: Mapping[str, 
             expected = f"expected one of {', '.join(parameter.choices)}{f'; {hint}' if hint else ''}"
             raise InputError(f"the parameter {name} is {value!r}; {expected}")
         values[name] = value
-    for name in sorted(getattr(node, "_parameter_overrides", ())):  # `rclpy` has no other way to them
+    for name in sorted(_overrides(node)):
         if not node.has_parameter(name) and not name.startswith(_OF_ROS):
             hint = suggestion(name, values) or "`ros2 param list` or `pnm serve --help` show which there are"
             _log.warning("there is no parameter %s; it is ignored; %s", name, hint)
     return values
+
+
+def _overrides(node: Any) -> Mapping[str, Any]:
+    """Return what ROS arguments, and the files that they name, say of parameters; `rclpy` has no other way to them."""
+    overrides: Mapping[str, Any] = getattr(node, "_parameter_overrides", {})
+    return overrides
 
 
 def _descriptor(parameter: NodeParameter) -> Any:

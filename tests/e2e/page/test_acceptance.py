@@ -21,7 +21,7 @@ from pnm.journal.records import TaskAccepted
 from tests.support.e2e.deployment import ProblemDeployment
 from tests.support.e2e.page.journals import steps
 from tests.support.e2e.page.lit_up import WATCH, in_order, told
-from tests.support.e2e.page.serving import asked
+from tests.support.e2e.page.serving import announced, asked
 from tests.support.e2e.plan_deployment import ClientProgram, Serving
 from tests.support.files import ROOT, written
 
@@ -62,7 +62,7 @@ def serve(deployment: ProblemDeployment, *more: str) -> Node:
     journal = deployment.folder / "node.journal"
     options = ["--view=0", "--view-controls", "--ask-for-help", "--journal", str(journal), *more]
     serving = deployment.start(Serving(["-m", "planner_bridge", "serve", *deployment.files, *options], deployment.environment)).ready()
-    return Node(next(line.split()[1] for line in serving.err if line.startswith("view ")), journal)
+    return Node(announced(serving.err), journal)
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ import pytest
 from pnm.journal.records import TaskAccepted, TaskHeld, TaskOver
 from tests.support.e2e.deployment import ProblemDeployment
 from tests.support.e2e.page.journals import steps
-from tests.support.e2e.page.serving import asked
+from tests.support.e2e.page.serving import announced, asked
 from tests.support.e2e.plan_deployment import Serving
 from tests.support.processes import until
 
@@ -34,7 +34,7 @@ def deployed(deploy: Callable[..., ProblemDeployment]) -> tuple[str, Path]:
     journal = deployment.folder / "node.journal"
     options = ["--view=0", "--view-controls", "--journal", str(journal)]
     serving = deployment.start(Serving(["-m", "planner_bridge", "serve", *deployment.files, *options], deployment.environment)).ready()
-    return next(line.split()[1] for line in serving.err if line.startswith("view ")), journal
+    return announced(serving.err), journal
 
 
 def test_a_goal_from_the_page_is_paused_resumed_and_cancelled_and_all_of_it_is_kept(deployed: tuple[str, Path]) -> None:

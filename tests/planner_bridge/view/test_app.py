@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import http.client
 import json
 import re
 from collections.abc import Iterator
@@ -11,9 +12,9 @@ from xml.etree import ElementTree
 
 import pytest
 
-from planner_bridge.view.app import PAGE
-from tests.support.e2e.page.serving import asked, page_of
-from tests.support.processes import pnm
+from planner_bridge.view.app import PAGE, WATCHING
+from tests.support.e2e.page.serving import Stream, asked, page_of
+from tests.support.processes import pnm, until
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +77,8 @@ def test_nothing_can_be_done_to_it(url: str, method: str) -> None:
         ("/state?at=0", 404),
         ("/state?at=99999", 404),
         ("/state?at=99999999999999999999999999", 404),
+        (f"/state?at={'9' * 5000}", 400),
+        (f"/call?call={'0' * 32}/{'9' * 5000}&at=5", 400),
         ("/call?at=5", 400),
         ("/call?call=0/x&at=5", 400),
         ("/call?call=0/0&at=5", 400),
@@ -90,6 +93,24 @@ def test_what_is_not_there_is_said_so(url: str, path: str, status: int) -> None:
     assert found == status
     assert "Traceback" not in text
     assert headers["content-security-policy"]
+
+
+def test_so_many_browsers_may_watch_and_no_more_until_one_has_left(url: str) -> None:
+    watching = [Stream(url) for _ in range(WATCHING)]
+    status, _, text = asked(url, "/events")
+    assert (status, f"{WATCHING} browsers" in text) == (503, True)
+    assert asked(url, "/state?at=5")[0] == 200
+    for stream in watching:
+        stream.close()
+    until(lambda: _can_watch(url))
+
+
+def _can_watch(url: str) -> bool:
+    connection = http.client.HTTPConnection(urlsplit(url).netloc, timeout=60)
+    connection.request("GET", "/events", headers={"Last-Event-ID": "9" * 5000})
+    status = connection.getresponse().status
+    connection.close()
+    return status == 200
 
 
 def test_the_state_a_call_and_a_picture_after_a_record(url: str) -> None:

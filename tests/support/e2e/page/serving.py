@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import http.client
 import json
+import re
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,13 @@ def page_of(journal: Path) -> Iterator[str]:
         over.set()
         serving.join(LIMIT)
         assert not serving.is_alive()
+
+
+def announced(lines: Sequence[str]) -> str:
+    """The URL of a page that a command has announced, with its token if it has one: that is in a file, for the lines are no terminal's."""
+    line = next(line for line in lines if line.startswith("view "))
+    kept = re.search(r"is in (\S+), which only you can read", line)
+    return Path(kept[1]).read_text().strip() if kept else line.split()[1]
 
 
 class Stream:
