@@ -44,6 +44,7 @@ from planner_bridge.tasks.result import (
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.handover import UnderWay
 from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.expressions import fluent_text
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import PlanGraph, PlanGraphError
 from pnm.core.machine.verification.part import Unsound
@@ -120,8 +121,9 @@ class GoalLoop:
                 graph = await self._execute(graph)
         except NoPlan as no_plan:
             withheld = who_keeps(self._context.resources.withheld)  # nobody knows what their servers have made of the world
-            unfulfilled = self._log.unfulfilled(self._monitor.missing)
-            reason = join_reasons(self._log.last_failure, str(no_plan), unfulfilled, withheld)
+            unfulfilled, why = self._log.unfulfilled(self._monitor.missing), str(no_plan)
+            silent = dict.fromkeys(said for fluent, said in self._context.world.why_unknown().items() if fluent_text(fluent) in why)
+            reason = join_reasons(self._log.last_failure, why, *silent, unfulfilled, withheld)
             return TaskEnded(code_of_planning(no_plan.status, self._log.failures), reason, can_be_helped=True)
         except TaskEnded as error:
             return error

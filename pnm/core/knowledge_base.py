@@ -34,7 +34,7 @@ Listener = Callable[[Mapping[Fluent, Value | Unknown]], None]
 class KnowledgeBase:
     """One store of facts, numbers and variables that notifies its listeners of changes.
 
-    The mutable state is the four dictionaries set in the constructor, the list of listeners, the last changes, and the
+    The mutable state is the five dictionaries set in the constructor, the list of listeners, the last changes, and the
     cache of derived facts. Given facts that rules derive raise `InputError`.
     """
 
@@ -55,6 +55,8 @@ class KnowledgeBase:
         self._variables: dict[str, object] = dict(variables or {})
         self._objects: dict[str, tuple[str, ...]] = dict(objects or {})
         self._sensed: dict[str, float] = dict(sensed or {})
+        self._why_unknown: dict[Fluent, str] = {}
+        """Why fluents are unknown, or were when they were last."""
         self._listeners: list[Listener] = []
         self._changed: list[Fluent] = []
         """The fluents that have changed last, in order."""
@@ -87,8 +89,15 @@ class KnowledgeBase:
     # derived facts
 
     def because(self, fluent: Fluent, /) -> str:
-        """Return why a derived fact holds or does not, in recorded facts; empty for any other fluent."""
-        return self._derived_facts.because(fluent) if fluent[0] in self._derived else ""
+        """Return why a derived fact holds or does not, in recorded facts, or why any other is unknown; empty if nothing is to be said."""
+        if fluent[0] in self._derived:
+            return self._derived_facts.because(fluent)
+        why = self._why_unknown.get(fluent) if self._facts.get(fluent) is UNKNOWN else None
+        return f"({why})" if why else ""
+
+    def why_unknown(self) -> dict[Fluent, str]:
+        """Return the fluents that are unknown for a reason that was given, with that."""
+        return {fluent: why for fluent, why in self._why_unknown.items() if self._facts.get(fluent) is UNKNOWN}
 
     def rests_on(self, fluents: frozenset[Fluent]) -> frozenset[Fluent]:
         """Return the fluents with each derived one replaced by the unknown fluents that decide whether it holds."""
@@ -126,6 +135,12 @@ class KnowledgeBase:
             for listener in tuple(self._listeners):
                 listener(real)
         return real
+
+    def forget(self, fluents: Iterable[Fluent], why: str) -> Changes:
+        """Record that the fluents are unknown, and why; return those that have become so. Derived ones raise `InputError`."""
+        unknown = dict.fromkeys(fluents, UNKNOWN)
+        self._why_unknown.update(dict.fromkeys(unknown, why))  # first: whoever is told of the change may ask
+        return self.update(unknown)
 
     def replace(self, names: Iterable[str], facts: Mapping[Fluent, Value | Unknown]) -> Changes:
         """Record a complete report about the named predicates and functions.

@@ -132,7 +132,7 @@ class StateReports:
             if name in self._watchdogs:
                 self._watchdogs[name].reset()
             else:
-                silence = f"nothing was reported about {name} for {self._stale:g} s; it is unknown now" if self._stale else ""
+                silence = f"nothing was reported about {name} for {self._stale:g} s" if self._stale else ""
                 self._watchdogs[name] = Watchdog(self._stale, partial(self._forget, name, silence))
         self._distrust(self._watched(names) & wrong.keys())
 
@@ -204,9 +204,9 @@ class StateReports:
             if name not in self._before:
                 self._forget(name)
 
-    def _forget(self, name: str, warning: str = "") -> None:
-        if warning:
-            _log.warning(warning)
+    def _forget(self, name: str, silence: str = "") -> None:
+        if silence:
+            _log.warning("%s; it is unknown now", silence)
         before: dict[Fluent, Value | Unknown] = {}
         signature = self._known.signatures.get(name) if self._known else None
         if signature is not None:
@@ -215,4 +215,4 @@ class StateReports:
                 before = {(name, *arguments): _ABSENT[signature.kind] for arguments in product(*objects)}
         before |= {fluent: absent_value(value) for fluent, value in self._knowledge.facts().items() if fluent[0] == name}
         self._before[name] = before
-        self._knowledge.update(dict.fromkeys(before, UNKNOWN))
+        self._knowledge.forget(before, silence)

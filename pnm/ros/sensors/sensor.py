@@ -71,7 +71,8 @@ class SensorRecorder:
                 _log.error("%s", error)
             self.refused = error
             self._watchdog.close()
-            self._store(unknown(self.instance, self._knowledge.objects))
+            self._knowledge.forget((refused := self._unknown()).facts, str(error))
+            self._store(refused)
             self.heard.set()
 
     def close(self) -> None:
@@ -81,8 +82,13 @@ class SensorRecorder:
 
     def _forget(self) -> None:
         self.is_stale = True
-        _log.warning("nothing was heard on %s for %g s; what it reports is unknown", self.instance.name, self.instance.sensor.stale)
-        self._store(unknown(self.instance, self._knowledge.objects))
+        why, silent = f"nothing was heard on {self.instance.name} for {self.instance.sensor.stale:g} s", self._unknown()
+        _log.warning("%s; what it reports is unknown", why)
+        self._knowledge.forget(silent.facts, why)
+        self._store(silent)
+
+    def _unknown(self) -> Reading:
+        return unknown(self.instance, self._knowledge.objects)
 
     def _store(self, reading: Reading) -> None:
         self._knowledge.update(reading.facts)

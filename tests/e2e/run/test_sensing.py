@@ -77,7 +77,7 @@ def test_what_is_unknown_because_its_sensor_was_killed_fails_a_call_and_is_plann
     (failure,) = finished.result["failures"]
     assert (failure["call"], failure["cause"]) == ("work(r1)#1", "precondition_false")
     assert failure["expected"] == "(charged r1)"
-    assert failure["observed"] == "(charged r1) is unknown"
+    assert failure["observed"] == "(charged r1) is unknown (nothing was heard on /r1/battery for 1 s)"
     assert (finished.result["goal_reached"], finished.result["plans"], finished.result["replans"]) == (True, 2, 1)
     assert finished.attempts("work_slowly") == [1]
     assert any("nothing was heard on /r1/battery for 1 s; what it reports is unknown" in line for line in run.err)

@@ -122,3 +122,20 @@ def test_what_a_report_makes_needless_is_named_with_what_is_so_already() -> None
     assert "set off by the report (in ball hall) (= (battery r1) 0.8995) at 1.05 s; " in said
     assert "release(r1, ball, hall) is not needed: " in said
     assert "(in ball hall)" in said.partition("release(r1, ball, hall) is not needed: ")[2].partition(" already")[0]
+
+
+class Silent(Sampled):
+    """The position is not reported any more after three seconds."""
+
+    async def open(self, knowledge: KnowledgeBase) -> None:
+        await super().open(knowledge)
+        self.tasks[0].cancel()
+        places = [("at", "r1", place) for place in ("dock", "hall")]
+        asyncio.get_running_loop().call_later(3.0, knowledge.forget, places, "nothing was heard on /r1/pose for 3 s")
+
+
+def test_a_silent_sensor_is_named_in_the_reason_of_the_goal() -> None:
+    result = run_async(achieve_at(Silent(problem(), 0.5), problem(), Settings(), TaskObserver()), virtual=True)
+    assert not result.goal_reached
+    assert "is unknown" in result.reason
+    assert "nothing was heard on /r1/pose for 3 s" in result.reason
