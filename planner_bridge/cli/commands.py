@@ -53,6 +53,7 @@ _ELSEWHERE: Final = {
     "serve": "serve",
     "replay": "journal",
     "history": "journal",
+    "journal": "journal",
     "why": "why",
     **dict.fromkeys(("status", "watch", "goal", "pause", "resume", "cancel", "facts"), "running_node"),
 }

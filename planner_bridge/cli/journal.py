@@ -8,9 +8,10 @@ import os
 import shlex
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from datetime import datetime
 from pathlib import Path
+from time import time
 from typing import Any, Final
 
 import click
@@ -19,6 +20,7 @@ from rich.text import Text
 from planner_bridge.cli.consoles.safe_console import SafeConsole
 from planner_bridge.cli.options import (
     ADOPT,
+    FILE,
     ViewingCommand,
     check_output,
     command,
@@ -36,11 +38,12 @@ from pnm.core.pictures.timeline_picture import timeline_svg
 from pnm.errors import InputError
 from pnm.files.database.place import Place, place_of
 from pnm.journal.codec import Undecodable
-from pnm.journal.kept import JournalError
+from pnm.journal.kept import DAY, KEPT, LISTED, JournalChoice, JournalError
+from pnm.journal.lease import take
 from pnm.journal.records import Happened, RunMade, TaskAccepted, TaskSummary
 from pnm.journal.replay import Replay, Step
 from pnm.journal.resume import command_of, replay_steps, summaries
-from pnm.journal.store import KeptJournal
+from pnm.journal.store import KeptJournal, copy_journal, move_journal
 from pnm.journal.text import words
 from pnm.tasks import Code
 
@@ -109,6 +112,99 @@ def history(journal: str | None, as_json: bool) -> int:
     if not (tasks or as_json):
         console.print("no tasks")
     return 0
+
+
+@click.group("journal", epilog="Example: pnm journal check tasks.journal")
+def journal_files() -> None:
+    """Check, move, copy or prune a journal.
+
+    With all that is in the log beside its file.
+    """
+
+
+_old = click.argument("journal", metavar="JOURNAL")
+_new = click.argument("to", metavar="TO", type=FILE)
+
+
+@journal_files.command(epilog="Example: pnm journal check tasks.journal")
+@_old
+@command
+def check(journal: str) -> int:
+    """Read everything in a journal.
+
+    Whether all of it is there and as it was written, whose it is, and whether it was closed.
+    """
+    with errors_of_journals(), closing(KeptJournal(place_of(journal))) as kept:
+        records, tasks = kept.check(), summaries(place_of(journal), TASKS)
+        home, holder = kept.home(), kept.holding().holder
+        segments, writer = len(kept.segments()), kept.writer()
+    unfinished = sum(task.ending is None for task in tasks)
+    lines = (
+        f"whole    {records} records in {segments} segments; {len(tasks)} tasks, {unfinished} of them not over",
+        f"node     {(home.node or 'a run') if home else 'not known'}",
+        f"written  by {writer or 'nobody'}, which {'has not closed it' if holder else 'has closed it'}",
+    )
+    for line in lines:
+        SafeConsole().print(Text(line), soft_wrap=True)
+    return 0
+
+
+@journal_files.command(epilog="Example: pnm journal move tasks.journal old.journal")
+@_old
+@_new
+@command
+def move(journal: str, to: Path) -> int:
+    """Move a journal that no process writes, as one file.
+
+    It goes on at its new place; what is started with the old one begins a new journal. It may be of any version.
+    """
+    with errors_of_journals():
+        move_journal(_file(journal), to)
+    print(f"moved to {to}", file=sys.stderr)
+    return 0
+
+
+@journal_files.command(epilog="Example: pnm journal copy tasks.journal /backup/tasks.journal")
+@_old
+@_new
+@command
+def copy(journal: str, to: Path) -> int:
+    """Copy a journal to one new file, also while a node writes it.
+
+    The copy can be looked at; who is to go on with it has to say --adopt.
+    """
+    with errors_of_journals():
+        copy_journal(_file(journal), to)
+    print(f"wrote {to}", file=sys.stderr)
+    return 0
+
+
+@journal_files.command(epilog="Example: pnm journal prune tasks.journal --keep-days 1")
+@_old
+@click.option("--keep-days", type=click.FloatRange(0), default=KEPT / DAY, show_default=True, help="days for which records are kept")
+@command
+def prune(journal: str, keep_days: float) -> int:
+    """Drop old records of a journal that no process writes.
+
+    Those that nothing needs any more: a running node does so by itself. The segment that goes on is kept whole.
+    """
+    with errors_of_journals():
+        place = place_of(journal)
+        KeptJournal(place).close()  # which says what is wrong with it, and makes none
+        file, hold = take(JournalChoice(place, node=None))
+        try:
+            file.drop(time() - keep_days * DAY, time() - LISTED * keep_days * DAY)
+        finally:
+            hold.release()
+            file.close()
+    return 0
+
+
+def _file(journal: str) -> Path:
+    place = place_of(journal)
+    if not isinstance(place, Path):
+        raise InputError("a journal in PostgreSQL is moved and copied by what the database has for that, such as pg_dump; expected a file")
+    return place
 
 
 def _show(journal: Place, port: int) -> int:

@@ -15,6 +15,8 @@ from pnm.files.database.place import Place
 DAY: Final = 86400.0
 KEPT: Final = 7 * DAY
 """Seconds for which records are kept that nothing under way needs, unless something else is chosen."""
+LISTED: Final = 50
+"""How many times longer tasks are listed than their records are kept."""
 LEASE: Final = 5.0
 """Seconds of a lease, unless something else is chosen."""
 

@@ -317,10 +317,10 @@ class _Candidate:
             self._follower.catch_up()
         except (ReplayDiffers, Undecodable) as error:
             if unfinished := self._follower.unfinished():
-                name = place.name if isinstance(place, Path) else f"the schema {place.name}"
+                away = f"`pnm journal move {place} FILE` moves this one" if isinstance(place, Path) else f"rename the schema {place.name}"
                 raise InputError(
                     f"{place}: tasks that are not finished cannot go on in this version: {_names(unfinished)}; {error}. Go on with the"
-                    f" version that has begun them; or, when their robots have been looked after, begin a new journal: move {name} away"
+                    f" version that has begun them; or, when their robots have been looked after, begin a new journal: {away}"
                     f" (`pnm history {place}` lists its tasks) or name another one"
                 ) from error
             self._why_not = str(error)

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from threading import Lock
@@ -32,7 +32,8 @@ from sqlalchemy import Executable
 from pnm.errors import InputError
 from pnm.files.database.database import Database
 from pnm.files.database.driver import DatabaseError, Rows
-from pnm.files.database.lock import FileLock, this_host, this_process
+from pnm.files.database.keeping import copy_file, move_file
+from pnm.files.database.lock import FileLock, Locked, Mark, mark_of, this_host, this_process
 from pnm.files.database.place import Place
 from pnm.files.database.sqlite import has_log
 from pnm.journal import tables
@@ -175,9 +176,7 @@ class JournalFile:
         left, last = self._file_lock.left if self._file_lock else None, self._run_one(tables.LAST)
         if self._file_lock and not adopts:
             if left and left.is_sure and (left.epoch, left.last) > (epoch, last):
-                kept = (
-                    f"{left.holder} has kept {left.last} records in it, up to its epoch {left.epoch}; here are {last}, up to epoch {epoch}"
-                )
+                kept = _behind(left, epoch, last)
                 raise InputError(f"the journal {self.place} is an older copy, or has lost what was written last: {kept}; {_WHOLE}")
             if left is None and holder and not log_is_there:
                 raise InputError(f"the journal {self.place} was not closed by {holder}, and its log is missing; {_WHOLE}")
@@ -347,6 +346,50 @@ class _Guarded:
             raise JournalError(f"{self._failed}: {error}") from error
 
 
+def copy_journal(path: Path, to: Path) -> None:
+    """Make one file of a journal, also while it is written: to be looked at, or for safety; it belongs where the other one does.
+
+    Raises:
+        JournalError: that cannot be done.
+    """
+    with _changed(path, "copied"):
+        copy_file(path, to)
+    _settle(to)
+
+
+def move_journal(path: Path, to: Path) -> None:
+    """Move a journal that nobody holds, of whatever version, as one file; it goes on there, and another one may begin here.
+
+    Raises:
+        JournalError: that cannot be done.
+    """
+    with _changed(path, "moved"):
+        move_file(path, to)
+    _settle(to, to.stat().st_ino)
+
+
+@contextmanager
+def _changed(path: Path, how: str) -> Iterator[None]:
+    try:
+        yield
+    except Locked as error:
+        raise Held(f"{error.holder} holds the journal {path}", error.holder) from error
+    except DatabaseError as error:
+        raise JournalError(f"the journal {path} cannot be {how}: {error}") from error
+
+
+def _settle(path: Path, inode: int | None = None) -> None:
+    """Note in a file that it is all there, and where it belongs if it was moved; a journal of another version has no place for that."""
+    with suppress(DatabaseError), closing(Database(path, tables.LAYOUT)) as database:
+        database.run(tables.CLOSE)
+        if inode is not None:
+            database.run(tables.MOVE, inode=str(inode))
+
+
+def _behind(left: Mark, epoch: int, last: int) -> str:
+    return f"{left.holder} has kept {left.last} records in it, up to its epoch {left.epoch}; here are {last}, up to epoch {epoch}"
+
+
 def _has_log(place: Place) -> bool:
     return isinstance(place, Path) and has_log(place)
 
@@ -440,6 +483,36 @@ class KeptJournal:
         if not tables.is_whole(checksum, text):
             raise self._damaged(f"the part {key}")
         return str(text)
+
+    def check(self) -> int:
+        """Read everything; return how many records there are.
+
+        Raises:
+            JournalError: something is damaged or missing.
+        """
+        try:
+            self._database.check()
+        except DatabaseError as error:
+            raise Damaged(f"the journal {self.place} is damaged: {error}") from error
+        count = sum(1 for _ in self.rows())
+        for (key,) in self._read(tables.PARTS):
+            self.part(key)
+        for _ in self.tasks():
+            """Each is checked."""
+        left, last, epoch = mark_of(self.place) if isinstance(self.place, Path) else None, self.last(), self.holding().epoch
+        if left and left.is_sure and (left.epoch, left.last) > (epoch, last):
+            raise Damaged(f"the journal {self.place} has lost what was written last: {_behind(left, epoch, last)}")
+        return count
+
+    def home(self) -> Home | None:
+        """Return where it belongs, if that is known."""
+        rows = self._read(tables.HOME)
+        return Home(*rows[0]) if rows else None
+
+    def writer(self) -> str:
+        """Return the process that has written it last."""
+        rows = self._read(tables.LAST_HOLDER)
+        return str(rows[0][0]) if rows else ""
 
     def holding(self) -> Holding:
         """Return who holds it."""

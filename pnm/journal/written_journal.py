@@ -26,7 +26,7 @@ from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.resources import Resources
 from pnm.journal.codec import Codec
 from pnm.journal.journal import Journal, Perform, RunOptions, WorldOptions
-from pnm.journal.kept import DAY, KEPT, UNSHARED, Fenced, Hold, JournalError, Row, TaskRow, log_end
+from pnm.journal.kept import DAY, KEPT, LISTED, UNSHARED, Fenced, Hold, JournalError, Row, TaskRow, log_end
 from pnm.journal.records import (
     HEARD,
     WORLD,
@@ -57,8 +57,6 @@ if TYPE_CHECKING:  # it takes 0.2 s to import: runs without a journal need not w
 
 _RETRY: Final = 1.0
 """Seconds until it is tried again to write."""
-_LISTED: Final = 50
-"""How many times longer tasks are listed than their records are kept."""
 _OFTEN: Final = 1 / 7
 """The part of the time for which records are kept after which it is looked what is old, at least once a day."""
 _LONG: Final = 1000
@@ -302,7 +300,7 @@ class WrittenJournal(Journal):
         """Drop what is old."""
         self._dropped = self._wall()
         try:
-            self._file.drop(self._dropped - self._kept, self._dropped - _LISTED * self._kept)
+            self._file.drop(self._dropped - self._kept, self._dropped - LISTED * self._kept)
         except JournalError as error:
             _log.warning("old records are not dropped: %s", error)
 

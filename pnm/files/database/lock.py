@@ -118,6 +118,14 @@ def _text(mark: Mark) -> bytes:
     return f"{mark.epoch:10} {mark.last:20} {mark.boot:36} {mark.holder}\n".encode()
 
 
+def mark_of(path: Path) -> Mark | None:
+    """Return how far a file has come, as the lock beside it says; None if that is not known."""
+    try:
+        return _mark_in(lock_of(path).read_text(encoding="utf-8", errors="replace"))
+    except OSError:
+        return None
+
+
 def _mark_in(text: str) -> Mark | None:
     """Return the mark in a lock file, which is its second line."""
     match text.partition("\n")[2].split(maxsplit=3):

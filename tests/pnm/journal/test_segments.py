@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from itertools import count
 from pathlib import Path
 from uuid import UUID
@@ -21,13 +22,13 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.core.resources import Resources
 from pnm.journal import written_journal
-from pnm.journal.kept import DAY
+from pnm.journal.kept import DAY, Fenced, Unshared
 from pnm.journal.records import KnowledgeDelta, SharedBegan
 from pnm.journal.replay import Replay
 from pnm.journal.resume import Follower, replay_steps, replayed, summaries
-from pnm.journal.store import Durability, JournalFile
+from pnm.journal.store import Durability, JournalFile, KeptJournal
 from pnm.journal.written_journal import WrittenJournal
-from pnm.tasks import Code, Wanted
+from pnm.tasks import Code, TaskEnding, Wanted
 from tests.support.pddl.problems import fleet
 from tests.support.tasks.scenarios.crash import survive
 from tests.support.tasks.scenarios.random_deaths import run_deaths
@@ -119,6 +120,39 @@ def test_tasks_in_turn_survive_a_death_at_every_commit(tmp_path: Path, before: b
 @pytest.mark.parametrize("number", range(100, 115))
 def test_random_tasks_survive_random_deaths_with_many_segments(number: int, tmp_path: Path) -> None:
     run_deaths(number, tmp_path)
+
+
+def test_records_of_the_past_are_dropped_while_there_is_nothing_to_do(tmp_path: Path) -> None:
+    class Looking(Unshared):
+        look: Callable[[], None]
+
+        def keep(self, renewed: Callable[[], None], fenced: Callable[[Fenced], None]) -> None:
+            self.look = renewed
+
+    async def main() -> None:
+        wall, hold, path = 0.0, Looking(), tmp_path / "j"
+        file = JournalFile(path, Durability.PROCESS_CRASH, wall)
+        journal, world = WrittenJournal(file, TASKS, kept=7 * DAY, hold=hold, wall=lambda: wall), KnowledgeBase()
+        journal.begin(world, Resources())
+        secret = Wanted(UUID(int=1), "(open door1)")
+        journal.accepted(secret, 1)
+        world.update({("said",): "secret"})
+        world.update({("said",): "nothing"})
+        for hours in range(10 * 24):
+            wall = hours * DAY / 24
+            if hours == 1:
+                journal.over(secret.id, TaskEnding(Code.CANCELLED, "by its client"))
+            hold.look()
+            kept = KeptJournal(path)
+            texts = "".join(row.text for _, row in kept.rows())
+            assert ("secret" in texts) or wall > 7 * DAY, "it is kept for as long as was said"
+            segments = len(kept.segments())
+            kept.close()
+        assert "secret" not in texts
+        assert segments == 1, "nothing begins while nothing is new"
+        journal.close()
+
+    run_async(main(), virtual=True)
 
 
 @pytest.mark.usefixtures("short")

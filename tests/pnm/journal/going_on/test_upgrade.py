@@ -76,7 +76,7 @@ def test_unfinished_tasks_of_another_version_are_named_with_what_to_do(tmp_path:
     said = str(error.value)
     assert "tasks that are not finished cannot go on in this version: (in p0 a2)" in said
     assert "Go on with the version that has begun them" in said
-    assert f"move tasks.journal away (`pnm history {path}` lists its tasks)" in said
+    assert f"`pnm journal move {path} FILE` moves this one (`pnm history {path}` lists its tasks)" in said
     assert content(path) == before
     history = pnm("history", str(path))
     assert history.returncode == 0, history.stderr

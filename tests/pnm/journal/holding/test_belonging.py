@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import shutil
+import sqlite3
 from collections.abc import Callable
 from pathlib import Path
 from uuid import UUID
@@ -18,13 +19,13 @@ from pnm.errors import InputError, PnmError
 from pnm.files.database.place import Place
 from pnm.files.database.sqlite import files_of, log_of
 from pnm.journal.format import RECORDS
-from pnm.journal.kept import Durability, Fenced, JournalChoice, JournalError, Unshared
+from pnm.journal.kept import Durability, Fenced, JournalChoice, JournalError, Row, Unshared
 from pnm.journal.lease import Watch, take
 from pnm.journal.resume import replayed
 from pnm.journal.store import JournalFile, KeptJournal
 from pnm.journal.written_journal import WrittenJournal
 from pnm.tasks import Wanted
-from tests.support.processes import LIMIT, Program
+from tests.support.processes import LIMIT, Program, pnm
 
 RECORDS_KEPT = 5
 WRITER = """
@@ -148,6 +149,71 @@ def test_files_that_are_moved_together_are_the_same_journal(tmp_path: Path) -> N
     move(path, away)
     assert texts(away) == ALL
     assert texts(path) == []
+
+
+def test_a_journal_that_is_moved_after_a_kill_goes_on_at_its_new_place_and_another_one_begins_at_the_old(tmp_path: Path) -> None:
+    path, away = tmp_path / "tasks.journal", tmp_path / "old.journal"
+    killed(path)
+    moved = pnm("journal", "move", str(path), str(away))
+    assert moved.returncode == 0, moved.stderr
+    assert texts(away) == ALL
+    assert texts(path) == []
+    again = pnm("journal", "move", str(path), str(away))
+    assert (again.returncode, again.stderr.count("\n")) == (2, 1)
+    assert "cannot be moved: there is old.journal already" in again.stderr
+    assert texts(away) == ALL
+
+
+def test_a_journal_that_is_written_is_copied_whole_and_not_moved(tmp_path: Path) -> None:
+    path, backup, away = tmp_path / "tasks.journal", tmp_path / "backup", tmp_path / "away"
+    file, hold = take(JournalChoice(path, node="/pnm"))
+    for text in ALL:
+        file.append([Row(0.0, text)], {})
+    copied, moved = pnm("journal", "copy", str(path), str(backup)), pnm("journal", "move", str(path), str(away))
+    assert copied.returncode == 0, copied.stderr
+    assert backup.stat().st_mode & 0o777 == 0o600
+    assert moved.returncode == 2
+    assert f"pid {os.getpid()} holds the journal {path}" in moved.stderr
+    file.append([Row(0.0, "more")], {})
+    hold.release()
+    file.close()
+    assert texts(path) == [*ALL, "more"]
+    assert not away.exists()
+    with pytest.raises(InputError, match="backup is a copy, or was moved by hand"):
+        texts(backup)
+    assert texts(backup, adopts=True) == ALL
+
+
+def test_a_check_says_whose_a_journal_is_and_what_is_missing_or_damaged(tmp_path: Path) -> None:
+    path = tmp_path / "tasks.journal"
+    who = killed(path)
+    said = pnm("journal", "check", str(path))
+    assert said.returncode == 0, said.stderr
+    assert "whole    5 records in 0 segments; 0 tasks, 0 of them not over" in said.stdout
+    assert "node     /pnm" in said.stdout
+    assert f"{who}, which has not closed it" in said.stdout
+    log_of(path).rename(tmp_path / "kept")
+    assert "has lost what was written last: " in pnm("journal", "check", str(path)).stderr
+    (tmp_path / "kept").rename(log_of(path))
+    with sqlite3.connect(path) as connection:
+        connection.execute("UPDATE records SET text = 'x' WHERE sequence = 3")
+    connection.close()
+    damaged = pnm("journal", "check", str(path))
+    assert (damaged.returncode, damaged.stderr) == (2, f"the journal {path} is damaged: record 3 is not as it was written\n")
+
+
+def test_old_records_are_pruned_by_hand_and_the_segment_that_goes_on_is_kept(tmp_path: Path) -> None:
+    path = tmp_path / "tasks.journal"
+    file, hold = take(JournalChoice(path, node="/pnm"))
+    for wall in (0.0, 1.0, 2.0):
+        file.append([Row(0.0, f"begin {wall}", begins=wall)], {})
+    held = pnm("journal", "prune", str(path))
+    assert "holds the journal" in held.stderr
+    hold.release()
+    file.close()
+    pruned = pnm("journal", "prune", str(path), "--keep-days", "1")
+    assert pruned.returncode == 0, pruned.stderr
+    assert texts(path) == ["begin 2.0"]
 
 
 def test_a_journal_belongs_to_its_node(place: Place) -> None:
