@@ -20,6 +20,8 @@ def server_name(node: Any, server: str, position: Position | None = None) -> str
 
     Names in ROS have no hyphens, names in PDDL often do: ``pick-up`` becomes ``pick_up``.
     """
+    if "\0" in server:  # where `rclpy` would cut the name off: another server would get the goal
+        raise InputError(f"not a name for an action server: {server!r} (it contains a zero character)", position)
     try:
         return str(node.resolve_topic_name(server.replace("-", "_") + _STATUS)).removesuffix(_STATUS)
     except Exception as error:
