@@ -7,6 +7,7 @@ import json
 import subprocess
 from pathlib import Path
 from urllib.parse import quote
+from uuid import UUID
 from xml.etree import ElementTree
 
 import pytest
@@ -17,11 +18,13 @@ from rich.text import Text
 
 from planner_bridge.cli.consoles.event_lines import EventLines
 from planner_bridge.cli.consoles.safe_console import SafeConsole
+from planner_bridge.cli.running_node import Event, EventPrinter, TaskBoard
 from planner_bridge.view.control.shown_json import shown_json
 from planner_bridge.view.follow import Reader
 from pnm.core.machine.export import quoted
 from pnm.core.pictures.svg import picture, xml
 from pnm.errors import printable, printable_lines
+from pnm.tasks import TraceKind
 from tests.support.e2e.hostile import HOSTILE, hostile_journal, is_safe
 from tests.support.e2e.page.serving import asked, page_of
 from tests.support.files import ROOT
@@ -81,6 +84,17 @@ def test_a_console_prints_any_text_as_a_text_whatever_it_comes_in(text: str, is_
     EventLines(console, text).print(0.0, Text(text), text)
     assert is_safe(out.getvalue().replace("\u200c", "").replace("\u200d", ""))
     assert out.getvalue().count("[/nope]") >= 8 * text.count("[/nope]")
+
+
+@given(ANY)
+def test_what_a_node_says_is_printed_as_it_is(text: str) -> None:
+    out = io.StringIO()
+    printer = EventPrinter(SafeConsole(file=out, width=200))
+    for kind in (TraceKind.GOAL, TraceKind.STATE, TraceKind.SENT, TraceKind.ENDED):
+        printer.print(Event(UUID(int=1), kind, text, text, text, 1.0), text)
+    SafeConsole(file=out).print(TaskBoard({UUID(int=1): text}, {UUID(int=1): text}, {UUID(int=1): {text: (None, text)}}).shown(0.0))
+    printer.close()
+    assert is_safe(out.getvalue().replace("\u200c", "").replace("\u200d", ""))
 
 
 # --- commands ---

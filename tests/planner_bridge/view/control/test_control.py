@@ -163,6 +163,18 @@ def test_requests_of_other_pages_are_refused_even_with_the_token(delivery: Path)
     asyncio.run(use())
 
 
+def test_what_is_nested_deeper_than_any_command_is_refused_and_nothing_else_suffers(delivery: Path) -> None:
+    async def use() -> None:
+        async with page_with(Controlled.NODE, delivery) as controlled:
+            headers = {"Authorization": f"Bearer {controlled.token}", "Content-Type": "application/json"}
+            for depth in (10, 900, 940, *range(950, 1000, 5), 100_000):
+                body = f'{{"do": "check", "goal": {"[" * depth}{"]" * depth}}}'
+                assert (await asyncio.to_thread(asked, controlled.page.url, "/control", "POST", body, **headers))[0] == 400
+            await begun(controlled)
+
+    asyncio.run(use())
+
+
 def test_a_page_without_controls_has_no_token_and_says_how_to_get_one(delivery: Path) -> None:
     async def use() -> None:
         async with page_with(Controlled.NOTHING, delivery) as controlled:
