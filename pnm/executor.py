@@ -144,6 +144,21 @@ class Executor:
         self._handle(Begin())
         self._inbox.put_nowait(Tick())  # so that `paused` is looked at again once the inbox is empty
 
+    async def at_rest(self) -> bool:
+        """Wait during a pause until all that is under way can be handed over. Return whether it can.
+
+        It cannot once the run has ended, nor while a call that has ended waits for others, which the pause keeps from beginning.
+        """
+        while not self.ended:
+            run = self.run
+            # A request that is out but not accepted, or that is being cancelled, cannot be handed over yet.
+            if len(run.open_requests) == len(run.under_way()) and not run.settling:
+                return True
+            if self.paused and not run.looks_for_effects:
+                return False
+            await self.happens()
+        return False
+
     async def happens(self) -> None:
         """Wait until something has happened to the run, or it is not carried out any more."""
         self._progress = self._progress or asyncio.Event()

@@ -1,9 +1,9 @@
-"""Long random runs: scenarios of many tasks in simulation, processes that die, broken machines, and visitors of the mall over ROS 2.
+"""Long random runs: scenarios of many tasks, runs that are held, processes that die, broken machines, visitors of the mall.
 
 usage: python -m tests.random_runs [--seeds 500] [--first 0] [--jobs 2] [--keep FOLDER] [KIND ...]
 
-Kinds are scenarios, deaths, mutants, forgotten and visitors. The same number is the same run. Without a kind, all are run: as many
-scenarios, deaths and machines as there are seeds, six mutants of every machine, all of them without each trait of calls that templates
+Kinds are scenarios, holds, deaths, mutants, forgotten and visitors. The same number is the same run. Without a kind, all are run: as many
+scenarios, holds, deaths and machines as there are seeds, six mutants of every machine, all of them without each trait of calls that templates
 could forget, and a visitor for every tenth. The exit status is 1 if anything is wrong, and every failure is printed with its number.
 """
 
@@ -26,28 +26,32 @@ from tests.support.processes import ros_domain
 from tests.support.runs.mutation.forgotten import TRAITS, run_forgotten
 from tests.support.runs.mutation.gate import run_gate
 from tests.support.tasks.scenarios.random_deaths import run_deaths
+from tests.support.tasks.scenarios.random_holds import run_holds
 from tests.support.tasks.scenarios.random_scenarios import run_scenario
 
-KINDS = ("scenarios", "deaths", "mutants", "forgotten", "visitors")
+KINDS = ("scenarios", "holds", "deaths", "mutants", "forgotten", "visitors")
 
 
-def failure_of(number: int, *, dies: bool) -> str:
-    """Run a scenario, or tasks in processes that die; return what was wrong, or nothing."""
+def failure_of(kind: str, number: int) -> str:
+    """Run a scenario of this kind; return what was wrong, or nothing."""
     try:
-        if dies:
-            with tempfile.TemporaryDirectory() as folder:
-                run_deaths(number, Path(folder))
-        else:
-            run_scenario(number)
+        match kind:
+            case "scenarios":
+                run_scenario(number)
+            case "holds":
+                run_holds(number)
+            case _:
+                with tempfile.TemporaryDirectory() as folder:
+                    run_deaths(number, Path(folder))
     except Exception:
-        return f"{'deaths' if dies else 'scenario'} {number}\n{traceback.format_exc()}"
+        return f"{kind} {number}\n{traceback.format_exc()}"
     return ""
 
 
-def scenarios(numbers: range, jobs: int, *, dies: bool) -> Iterator[str]:
+def scenarios(kind: str, numbers: range, jobs: int) -> Iterator[str]:
     """Run scenarios, several at a time; yield the failures."""
     with ProcessPoolExecutor(jobs) as pool:
-        yield from filter(None, pool.map(partial(failure_of, dies=dies), numbers, chunksize=5))
+        yield from filter(None, pool.map(partial(failure_of, kind), numbers, chunksize=5))
 
 
 def false_accepts(numbers: range) -> tuple[Counter[str], list[str]]:
@@ -93,8 +97,8 @@ def visitors(numbers: range, keep: Path | None) -> Iterator[str]:
 
 def failures_of(kind: str, numbers: range, jobs: int, keep: Path | None) -> Iterator[str]:
     match kind:
-        case "scenarios" | "deaths":
-            return scenarios(numbers, jobs, dies=kind == "deaths")
+        case "scenarios" | "holds" | "deaths":
+            return scenarios(kind, numbers, jobs)
         case "mutants":
             return mutants(numbers, jobs)
         case "forgotten":
@@ -107,7 +111,11 @@ def main() -> int:
     """Return 1 if anything was wrong."""
     parser = argparse.ArgumentParser(prog="python -m tests.random_runs", description=__doc__.partition("\n")[0])
     parser.add_argument(
-        "kinds", nargs="*", choices=[*KINDS, []], metavar="KIND", help="scenarios, deaths, mutants, forgotten or visitors; all without one"
+        "kinds",
+        nargs="*",
+        choices=[*KINDS, []],
+        metavar="KIND",
+        help="scenarios, holds, deaths, mutants, forgotten or visitors; all without one",
     )
     parser.add_argument("--seeds", type=int, default=500, help="how many of each; visitors are a tenth if not alone")
     parser.add_argument("--first", type=int, default=0, help="the number of the first one")

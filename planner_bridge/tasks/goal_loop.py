@@ -217,12 +217,18 @@ class GoalLoop:
             if not execution.is_over:
                 execution.hold()
                 await self._context.backend.refresh()
-                # Only requests that are settled can be handed over; the run has come to its end while it was waited for.
-                if not await execution.at_rest():
-                    await self._catch_up(execution)
+                if not await execution.at_rest():  # only what is settled can be handed over
+                    if not execution.is_over:
+                        return None
+                    await self._catch_up(execution)  # it has come to its end while that was waited for
                     continue
             was_over, under_way, history = execution.is_over, execution.under_way, self._next_history(execution)
-            decision = await self._decide(execution, history)
+            try:
+                decision = await self._decide(execution, history)
+            except PlanGraphError:
+                if execution.is_over:
+                    raise
+                return None  # what is under way does not fit into the rest of its plan: the run has to go on
             if execution.is_over is not was_over:
                 continue
             if isinstance(decision, GiveUp):
@@ -367,7 +373,9 @@ class GoalLoop:
                 plan = await self._search.following(execution, decision.forbidden)
                 if plan is None:
                     return None
-                under_way = execution.under_way if await execution.at_rest() else ()
+                if not await execution.at_rest() and not execution.is_over:
+                    return None
+                under_way = execution.under_way
                 graph = await self._accepted(plan, under_way)
                 if self._monitor.why_not(Progress.beginning(graph), self._context.forbidden(history)):
                     return None

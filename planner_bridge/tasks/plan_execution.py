@@ -244,22 +244,17 @@ class PlanExecution(Observer):
         self.executor.stop(cancel=False, reason=reason)
 
     async def at_rest(self) -> bool:
-        """Wait until everything that is under way can be handed over; return whether the run is still going on then."""
-        while not self.executor.ended:
-            # A request that is out but not accepted, or that is being cancelled, cannot be handed over yet; nor can a call that has failed,
-            # and that its server has reported done while it was being cancelled.
-            is_settled = not self.run.settling and all(call.kind is not CallOutcome.RUNNING for call in self.run.interim_result().calls)
-            if is_settled and set(self.run.open_requests) == {running.request for running in self.under_way}:
-                return True
-            await self.executor.happens()
-        await asyncio.wait((self._future,))  # which is done a moment after the executor has ended
-        return False
+        """Wait until everything that is under way can be handed over; return whether it can: if not, the run is over or has to go on."""
+        rests = await self.executor.at_rest()
+        if self.executor.ended:
+            await asyncio.wait((self._future,))  # which is done a moment later
+        return rests
 
     def succeed(self, successor: ProvedMachine) -> None:
         """Go on with the machine of another plan, which takes over the calls that are under way."""
-        self.set_off_by, under_way = "", {running.call.index: running for running in self.run.under_way()}
+        self.set_off_by = ""
         numbers = (call.index for call in successor[0].plan.calls if call.under_way)  # in the order that they had in the old plan
-        self.executor.succeed(self._run_of(successor, dict(zip(numbers, (under_way[index] for index in sorted(under_way)), strict=True))))
+        self.executor.succeed(self._run_of(successor, dict(zip(numbers, self.run.under_way(), strict=True))))
 
     def _go_on_with(self, replayed: ReplayedRun) -> Run:
         """Return the run with which another process has begun."""

@@ -196,7 +196,7 @@ class PlanSearch:
             unsubscribe()
 
     async def following(self, execution: PlanExecution, forbidden: frozenset[ForbiddenCall]) -> Plan | None:
-        """Find a plan from the state after what is under way; None if it is in conflict with those of other tasks.
+        """Find a plan from the state after what is under way; None if it is in conflict with those of other tasks, or the run has to go on.
 
         If there is none, that may be because what has just happened has not been reported yet: the second attempt is the last one.
         """
@@ -206,6 +206,8 @@ class PlanSearch:
             try:
                 if await execution.at_rest():
                     return (await self.plan(forbidden, execution.run))[0]
+                if not execution.is_over:
+                    return None
                 return await self.in_turn(partial(self.plan, forbidden))
             except NoPlan:
                 if is_last:  # nothing new has been reported between the attempts, or it has not helped

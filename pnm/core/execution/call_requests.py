@@ -324,10 +324,10 @@ class Calls:
         )
 
     def under_way(self, result: Callable[[int], CallResult]) -> tuple[UnderWay, ...]:
-        """Return the requests that another run may take over; `result` returns the interim result of a call."""
+        """Return the requests that another run may take over, in the order of their calls; `result` returns the result so far of a call."""
         return tuple(
             UnderWay(self.as_sent(call), request, last.accepted, result(call), last.intended, last.begun, self.resources(last.action))
-            for request, call in self.open.items()
+            for request, call in sorted(self.open.items(), key=lambda entry: entry[1])
             if (last := self._attempts[call]).accepted is not None
         )
 

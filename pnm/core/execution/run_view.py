@@ -234,6 +234,11 @@ class RunView:
         return {fluent: value for call in (*self._calls.open.values(), *settling) for fluent, value in self._calls.unreported(call).items()}
 
     @property
+    def looks_for_effects(self) -> bool:
+        """Whether effects of calls are looked for, or what that depends on is asked: it ends by itself, unlike a wait for other calls."""
+        return any(self._engine.tokens[place] and place in self._undecided for place in self._index.settling)
+
+    @property
     def handover(self) -> Handover:
         """Its state as far as it matters when one run succeeds another."""
         return Handover(self.id, self.over or self.stopped, self.settling, self.open_calls, self.under_way())

@@ -301,7 +301,8 @@ class CallBlock(Block[ActionCall]):
         abandon(self, "recover", *announced, phase=phase)  # asked before `retry`: an ending run does not try again
         budget, spent, retries = "budget", "spent", self.terms.retries
         if retries:  # by their counters just one of `retry` and `give_up` is enabled at any time
-            self.add(Rule("retry"), [recover, budget], [ready, spent], title=f"{phase}retry")
+            again = Rule("retry", outcome=CallOutcome.SUSPENDED)
+            self.add(again, [recover, budget], [ready, spent], title=f"{phase}retry")
         self.add(Rule("give_up"), {recover: 1, spent: retries} if retries else {recover: 1}, failed, title=f"{phase}give_up")
 
     def _run(self, phase: str) -> None:

@@ -207,7 +207,7 @@ class CallOutcome(StrEnum):
     RUNNING = "running"
     """Its request is out."""
     SUSPENDED = "suspended"
-    """Cancelled for a pause, and not begun anew yet."""
+    """Between two attempts: its last request has failed, or was cancelled for a pause, and the next one is not out yet."""
     HANDED_OVER = "handed over"
     """Another run goes on with its request."""
     SUCCEEDED = "succeeded"

@@ -19,7 +19,7 @@ from planner_bridge.tasks.scheduling.task_manager import TaskManager
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import NO_FAULTS, Faults
-from pnm.clock import run_async
+from pnm.clock import VirtualTimeLoop
 from pnm.core.logic.conditions import Condition
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.machine.bindings import Bindings
@@ -31,10 +31,13 @@ from pnm.knowledge.sources.source import Source
 from pnm.language.runner import PlanRunner, Program
 from pnm.tasks import Code, TaskEnding, TaskListener, TaskState, TraceEvent, TraceKind, Wanted
 from tests.support.pddl.problems import fleet
-from tests.support.tasks.laws import contradictory_requests
+from tests.support.tasks.laws import QUIET, contradictory_requests, standing_still
 
 LIMIT = 20000.0
 """Virtual seconds within which everything must be over."""
+
+LATE = 10.0
+"""Virtual seconds within which a search for a plan that nobody waits for any more has come to its end."""
 
 
 class TaskSimulation(TaskListener):
@@ -64,6 +67,8 @@ class TaskSimulation(TaskListener):
         self.wrong: list[str] = []
         """What is against the rules."""
         self._news = asyncio.Event()
+        self._heard: dict[UUID, float] = {}
+        """When something has happened to each task last."""
 
     def read(self, text: str) -> Condition:
         if not text.startswith("("):
@@ -84,6 +89,7 @@ class TaskSimulation(TaskListener):
 
     def happened(self, moment: TraceEvent) -> None:
         self._is_not_over(moment.task, str(moment))
+        self._heard[moment.task] = asyncio.get_running_loop().time()
         if not moment.kind.is_frequent:
             self.moments.append(moment)
         if moment.kind is TraceKind.SENT:
@@ -120,6 +126,13 @@ class TaskSimulation(TaskListener):
     def _stir(self) -> None:
         self._news.set()
         self._news = asyncio.Event()
+
+    async def watch(self) -> None:
+        """See that no task stands still."""
+        while True:
+            await asyncio.sleep(QUIET / 4.0)
+            now, tasks = asyncio.get_running_loop().time(), self.master._tasks.active.values()
+            self.wrong += standing_still(tasks, {task.id: now - self._heard[task.id] for task in tasks})
 
     # --- what scenarios do and wait for -----------------------------------------------------------
 
@@ -198,6 +211,7 @@ def simulate_tasks(
     helper: Source | None = None,
     make_backend: Callable[[Problem, Bindings, Faults], SimulatedBackend] = simulated_backend,
     journal: Path | None = None,
+    loop: Callable[[], VirtualTimeLoop] = VirtualTimeLoop,
 ) -> None:
     """Run a scenario, close the task manager, and check that nothing was against the rules; keep a journal in a file, if there is one."""
     errors = _Errors()
@@ -212,9 +226,11 @@ def simulate_tasks(
         )
         await simulation.backend.open(simulation.knowledge)
         (written or NO_JOURNAL).begin(simulation.knowledge, simulation.master._resources)
+        watching = asyncio.ensure_future(simulation.watch())
         try:
             await scenario(simulation)
         finally:
+            watching.cancel()
             await asyncio.wait_for(simulation.master.close(), LIMIT)
             left = simulation.orphans()
             await simulation.backend.close()
@@ -223,7 +239,7 @@ def simulate_tasks(
         assert simulation.goals.keys() == simulation.endings.keys(), "every task has an end"
         await asyncio.sleep(0)
         gc.collect()
-        await asyncio.sleep(0)
+        await asyncio.sleep(LATE)
         others = [one for one in asyncio.all_tasks() if one is not asyncio.current_task()]
         assert not simulation.wrong, simulation.wrong
         assert not left, f"{left} go on after the end"
@@ -233,7 +249,8 @@ def simulate_tasks(
 
     logging.getLogger().addHandler(errors)
     try:
-        run_async(whole(), virtual=True)
+        with asyncio.Runner(loop_factory=loop) as runner:
+            runner.run(whole())
     finally:
         logging.getLogger().removeHandler(errors)
     assert not errors.found, errors.found

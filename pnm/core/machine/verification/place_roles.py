@@ -91,8 +91,6 @@ def _outcome_is_so(step: Step, part: Part) -> bool:
             return not any(step.call == other.call and not step.inputs.keys().isdisjoint(other.outputs) for other in part.steps)
         case CallOutcome.RUNNING:
             return step.action is TransitionAction.SEND
-        case CallOutcome.SUSPENDED:
-            return isinstance(guard, Ends)
         case CallOutcome.SKIPPED:
             return isinstance(guard, Ending)
         case CallOutcome.ALREADY_TRUE:

@@ -52,6 +52,8 @@ def misuse(step: Step, life: Life, *, ending: bool) -> str:
             return f"{step.name} is about the effects of a request that was not sent"
         case _:
             pass
+    if step.outcome is CallOutcome.SUSPENDED and following(step, life) is not Life.OVER:
+        return f"{step.name} makes its call {step.outcome}, and its last request is not over"
     if step.gives_up and life is not Life.ALIVE:
         return f"{step.name} gives a request up, and none is alive"
     if isinstance(step.guard, EffectsSeen | EffectsMissing) and life in (Life.NONE, Life.ADOPTABLE):

@@ -61,6 +61,14 @@ def test_what_is_not_accepted_or_being_cancelled_is_not_under_way() -> None:
     assert old.under_way() == ()
 
 
+def test_what_is_under_way_is_told_in_the_order_of_the_calls_whatever_was_sent_last() -> None:
+    run = going(GroundAction("one"), GroundAction("two"), bindings=Bindings({"one": Binding(retries=1)}))
+    run.handle(Ended(run.open_requests[0], ABORTED), 2.0)
+    run.handle(Accepted(run.open_requests[1]), 3.0)
+    assert [str(call) for call in run.open_calls.values()] == ["two()#1", "one()#0"]
+    assert [str(one.call) for one in run.under_way()] == ["one()#0", "two()#1"]
+
+
 def test_how_far_a_run_has_come_is_told() -> None:
     old = going(GroundAction("one"), GroundAction("two"))
     old.handle(Ended(old.open_requests[0], SUCCEEDED), 2.0)

@@ -18,7 +18,7 @@ from tests.support.runs.commands import RUN, accepted, begun, cancelled, sent
 from tests.support.runs.plan_graphs import plan, plan_of
 from tests.support.runs.simulated import move
 
-CANCELED, SUCCEEDED = Outcome(OutcomeKind.CANCELED), Outcome(OutcomeKind.SUCCEEDED)
+ABORTED, CANCELED, SUCCEEDED = (Outcome(kind) for kind in (OutcomeKind.ABORTED, OutcomeKind.CANCELED, OutcomeKind.SUCCEEDED))
 
 
 def test_nothing_starts_while_a_run_is_paused_and_what_runs_goes_on() -> None:
@@ -55,6 +55,17 @@ def test_a_call_is_cancelled_at_once_and_begins_anew_without_spending_its_budget
     assert sent(run.handle(Resume(), 3.0)) == ["a0"]
     run.handle(Ended(run.open_requests[0], SUCCEEDED), 4.0)
     assert [(call.outcome, call.attempts) for call in run.result().calls] == [("succeeded", 2)]
+
+
+def test_a_call_that_fails_during_a_pause_is_between_two_attempts_and_holds_up_nobody() -> None:
+    run = accepted(bindings=Bindings({"a0": Binding(retries=1)}))
+    run.handle(Pause(), 1.0)
+    run.handle(Ended(run.open_requests[0], ABORTED), 2.0)
+    assert run.paused
+    assert (run.open_requests, run.under_way(), run.settling) == ((), (), ())
+    assert [(call.outcome, call.attempts, call.is_under_way) for call in run.interim_result().calls] == [("suspended", 1, False)]
+    assert sent(run.handle(Resume(), 3.0)) == ["a0"]
+    assert run.interim_result().calls[0].outcome == "running"
 
 
 def test_being_told_twice_cancels_once_and_at_once_is_the_stronger_word() -> None:

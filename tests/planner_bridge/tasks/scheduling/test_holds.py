@@ -1,23 +1,30 @@
-"""A run that ends while the plan that should succeed it becomes a graph."""
+"""Runs that are held while their plans are looked at again: what happens meanwhile, and that they are never held for ever."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from uuid import UUID
+
+import pytest
 
 from planner_bridge.model.plan import Plan
 from planner_bridge.pipeline.achieve import achieve_at
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.actions.backend import ClientBackend
+from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.clock import run_async
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Request
 from tests.support.pddl.problems import fleet
+from tests.support.tasks.node import EAGER
+from tests.support.tasks.scenarios.random_holds import run_holds
+from tests.support.tasks.scenarios.slow_work import SlowLoop, slow_backend
+from tests.support.tasks.simulation import TaskSimulation, simulate_tasks
 
 FAILING, SLOW = "move(r0, a0, a1)", "move(r1, a1, a2)"
 
@@ -62,3 +69,39 @@ def test_a_plan_that_counts_on_what_was_under_way_is_not_begun_when_the_run_has_
     result = run_async(achieve_at(ClientBackend(robots), problem, settings, robots), virtual=True)
     assert result.goal_reached, result.reason
     assert (robots.actions.count(FAILING), robots.actions.count(SLOW)) == (1, 1), "both go another way"
+
+
+@pytest.mark.parametrize("work", [0.0, 0.3, 0.4, 0.7, 1.5, 3.0], ids=lambda seconds: f"work takes {seconds:g} s")
+def test_a_call_that_fails_while_its_run_is_held_is_tried_again(work: float) -> None:
+    """After the hold, while there is a new plan, while it is searched for, while the world is asked, or before the hold."""
+    settings = replace(EAGER, bindings=Bindings({"move": Binding(retries=1)}))
+    failing = Faults((Fault("move", FaultKind.ABORT, times=1),))
+
+    async def scenario(simulation: TaskSimulation) -> None:
+        task = await simulation.begun("(at r0 a2)")
+        await asyncio.sleep(1.0)  # a call fails when half of its time is over, which is 4 s
+        over = simulation.sent(task)[0].removesuffix(")")[-2:]
+        closed = {("way", over, "a2"): False}
+        simulation.backend.robots.world.change(closed)
+        simulation.knowledge.update(closed)  # no sensor tells of ways; a person does
+        await simulation.reaches(task)
+        assert simulation.ended_at(task) < 100.0
+
+    simulate_tasks(
+        scenario, fleet(3), faults=failing, chosen=settings, make_backend=slow_backend(lambda: work), loop=lambda: SlowLoop(lambda: work)
+    )
+
+
+BROKEN = {
+    2: "a call failed while the world was asked about",
+    18: "a match that was out waited for the mending by its light, which was to be tried again",
+    56: "a call failed while there was no new plan yet",
+    81: "what was under way did not fit into the rest of its plan",
+    371: "requests that were out in another order than their calls went to the wrong calls of the next run",
+}
+"""Scripts that went wrong once; in the first ones a task hung for ever."""
+
+
+@pytest.mark.parametrize("number", [*BROKEN, *range(100, 140)])
+def test_a_task_that_nobody_pauses_makes_progress(number: int) -> None:
+    run_holds(number)
