@@ -223,14 +223,13 @@ class GoalLoop:
                     await self._catch_up(execution)  # it has come to its end while that was waited for
                     continue
             was_over, under_way, history = execution.is_over, execution.under_way, self._next_history(execution)
-            try:
+            decision: Decision | None = None
+            with suppress(*(() if was_over else (PlanGraphError,))):  # what is under way may not fit into the rest: the run has to go on
                 decision = await self._decide(execution, history)
-            except PlanGraphError:
-                if execution.is_over:
-                    raise
-                return None  # what is under way does not fit into the rest of its plan: the run has to go on
             if execution.is_over is not was_over:
                 continue
+            if decision is None:
+                return None
             if isinstance(decision, GiveUp):
                 if not execution.is_over:
                     return None

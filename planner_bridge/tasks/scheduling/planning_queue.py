@@ -17,8 +17,8 @@ T = TypeVar("T")
 class PlanningQueue(Generic[T]):
     """The tasks that want to plan, and those whose attempt failed, which wait for a change.
 
-    The mutable state is both; the tasks that are planning, and which of them are slow or have been outdated by a change; and the
-    number of failed attempts since the last change.
+    The mutable state is both; the tasks that are planning, and which of them are slow or have been outdated by a change; which of them
+    were planning beside each attempt that failed; and the number of failed attempts since the last change.
 
     Args:
         rank: the task of the lowest rank plans first.
@@ -31,6 +31,7 @@ class PlanningQueue(Generic[T]):
         self._planning: dict[T, asyncio.TimerHandle] = {}
         self._slow: set[T] = set()
         self._outdated: set[T] = set()
+        self._beside: dict[T, set[T]] = {}
         self._failures = 0
 
     async def enter(self, task: T) -> None:
@@ -55,12 +56,19 @@ class PlanningQueue(Generic[T]):
             self._failures = self._failures + 1 if failed else 0
             if failed and task not in self._outdated:
                 self._waiting_for_change.add(task)
+                self._beside[task] = {*self._planning}
             self._outdated.discard(task)
+            # What this one had in mind may have been in the way of those that failed meanwhile, and is not any more.
+            for other in [other for other, beside in self._beside.items() if task in beside]:
+                self._waiting_for_change.discard(other)
+                del self._beside[other]
+                self._failures = 0
             self._admit()
 
     def changed(self) -> None:
         """Let the tasks whose attempts failed try again."""
         self._waiting_for_change.clear()
+        self._beside.clear()
         self._outdated = {*self._planning}  # they plan from a world that is no longer so; if they fail, that says nothing about the new one
         self._failures = 0
         self._admit()

@@ -97,6 +97,7 @@ BROKEN = {
     18: "a match that was out waited for the mending by its light, which was to be tried again",
     56: "a call failed while there was no new plan yet",
     81: "what was under way did not fit into the rest of its plan",
+    1245: "two tasks, whose plans were searched for at the same time, waited for each other",
     371: "requests that were out in another order than their calls went to the wrong calls of the next run",
 }
 """Scripts that went wrong once; in the first ones a task hung for ever."""

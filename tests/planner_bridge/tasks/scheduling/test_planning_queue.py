@@ -27,6 +27,19 @@ def test_who_is_overtaken_by_a_change_tries_again():
     run_async(scene(), virtual=True)
 
 
+def test_who_failed_beside_another_tries_again_when_that_one_has_planned_as_well():
+    async def scene() -> None:
+        queue: PlanningQueue[str] = PlanningQueue(lambda who: (0, ord(who)))
+        await queue.enter("a")
+        await queue.enter("b")
+        queue.leave("b", failed=True)  # because of what a has in mind
+        queue.leave("a", failed=True)  # and will not do
+        async with asyncio.timeout(1.0):
+            await queue.enter("b")
+
+    run_async(scene(), virtual=True)
+
+
 def test_those_who_are_slow_keep_nobody_waiting_but_for_a_moment():
     async def scene() -> list[tuple[str, float]]:
         queue: PlanningQueue[str] = PlanningQueue(lambda who: (0, ord(who)))
