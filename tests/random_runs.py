@@ -10,6 +10,7 @@ could forget, and a visitor for every tenth. The exit status is 1 if anything is
 from __future__ import annotations
 
 import argparse
+import gc
 import sys
 import tempfile
 import time
@@ -50,7 +51,7 @@ def failure_of(kind: str, number: int) -> str:
 
 def scenarios(kind: str, numbers: range, jobs: int) -> Iterator[str]:
     """Run scenarios, several at a time; yield the failures."""
-    with ProcessPoolExecutor(jobs) as pool:
+    with ProcessPoolExecutor(jobs, initializer=gc.freeze) as pool:  # each looks for garbage at its end: what is loaded is none
         yield from filter(None, pool.map(partial(failure_of, kind), numbers, chunksize=5))
 
 

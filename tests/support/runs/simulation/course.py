@@ -20,6 +20,7 @@ from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import PlanGraph
+from pnm.executor import Executor
 from pnm.journal import replay
 from tests.support.runs.simulation.disk import DiskPlan, Fate, Folder
 from tests.support.runs.simulation.fleet import Fleet, Weather, robots_of
@@ -30,6 +31,10 @@ from tests.support.runs.simulation.story import Story, Suffered
 
 LIMIT: Final = 3000.0
 """Virtual seconds within which everything must be over."""
+_REST: Final = 100.0
+"""Virtual seconds within which a run that is held comes to rest, as long as its process goes on: all limits of its calls are shorter."""
+_SEARCH: Final = 3.0
+"""Virtual seconds for which it is held besides."""
 _FAST: Final = Path("/dev/shm")
 
 
@@ -113,7 +118,7 @@ FATES: Final = (Fate.DIES_BEFORE, Fate.DIES_DURING, Fate.DIES_AFTER, Fate.DIES_A
 
 
 class Course:
-    """One simulation. The mutable state is the processes so far."""
+    """One simulation. The mutable state is the processes so far, and what waits for runs that are held."""
 
     def __init__(self, seed: int, number: int, loop: ProcessLoop, folder: Folder, story: Story) -> None:
         self._rng = random.Random(f"{seed}/course")
@@ -125,6 +130,7 @@ class Course:
         weather = Weather.drawn(chance)
         self._fleet = Fleet(robots_of(story.scenario, chance, weather), loop, chance, story, weather)
         self._nodes: list[Node] = []
+        self._held: list[asyncio.Task[None]] = []
         self._done = asyncio.Event()
 
     async def run(self) -> None:
@@ -203,15 +209,42 @@ class Course:
                 for again in range(20):  # until one of the processes has it in its journal
                     loop.call_later(at + 5.0 + 40.0 * again, self._tell, job, "resume")
 
+        for _ in range(rng.choice([0, 1, 2])):
+            job, at = rng.choice(self._story.scenario.jobs), 12.0 * rng.random()
+            loop.call_later(at, self._tell, job, "hold")
+            for again in range(20):  # as another process does, that finds it held back
+                loop.call_later(at + 2.0 * _REST + 40.0 * again, self._tell, job, "resume")
+
     def _tell(self, job: Job, what: str) -> None:
         """Have an operator say something about a task to the process that carries it out."""
         working = [node for node in self._nodes if job.task in node.executors and not node.process.is_dead]
         for node in working[-1:]:
             executor = node.executors[job.task]
-            deed = {"stop": executor.stop, "pause": executor.pause, "pause at once": partial(executor.pause, at_once=True)}
+            deed = {
+                "stop": executor.stop,
+                "pause": executor.pause,
+                "pause at once": partial(executor.pause, at_once=True),
+                "hold": partial(self._hold, executor),
+            }
             node.process.do(deed.get(what, executor.resume))
             if what != "resume":
                 self._suffer(f"t{self._story.scenario.jobs.index(job)}", what)
+
+    def _hold(self, executor: Executor) -> None:
+        """Hold a run as it is held while its plan is looked at again: it comes to rest before a new one is looked for, and after it."""
+        executor.pause()
+
+        async def held() -> None:
+            try:
+                async with asyncio.timeout(_REST):
+                    await executor.at_rest()
+                    await asyncio.sleep(_SEARCH)
+                    await executor.at_rest()
+            except TimeoutError:
+                self._story.failures.append(f"{executor.run} is held for ever")
+            executor.resume()
+
+        self._held.append(asyncio.ensure_future(held()))
 
     def _suffer(self, who: str, what: str) -> None:
         self._story.moments.append(Suffered(self._loop.time(), who, what))

@@ -120,11 +120,27 @@ MISTAKES: Final = (
         (
             Change(
                 "pnm/core/machine/call_block.py",
-                'self.add(Rule("retry"), [recover, budget], [ready, spent], title=f"{phase}retry")',
-                'self.add(Rule("retry"), [recover, budget], [ready, budget], title=f"{phase}retry")',
+                'self.add(again, [recover, budget], [ready, spent], title=f"{phase}retry")',
+                'self.add(again, [recover, budget], [ready, budget], title=f"{phase}retry")',
             ),
         ),
         "a_call_is_tried_as_often_as_it_may_be",
+    ),
+    Mistake(
+        "a call between two attempts counts as under way while its run is held",
+        (
+            Change(
+                "pnm/core/machine/call_block.py",
+                'again = Rule("retry", outcome=CallOutcome.SUSPENDED)',
+                'again = Rule("retry")',
+            ),
+            Change(
+                "pnm/executor.py",
+                "if len(run.open_requests) == len(run.under_way()) and not run.settling:",
+                "if not (run.settling or any(call.kind.value == 'running' for call in run.interim_result().calls)):",
+            ),
+        ),
+        "every_task_ends",
     ),
     Mistake(
         "the lease is not looked at before something is sent",
