@@ -120,6 +120,11 @@ class Executor:
         """Whether the run is to pause, nothing is under way, and no queued event can begin anything."""
         return self.run.paused and self._inbox.empty()
 
+    @property
+    def awaits(self) -> bool:
+        """Whether something has come that the run has not handled, or is to come that may move it."""
+        return self.run.awaits or bool(self._source_tasks) or not self._inbox.empty()
+
     def succeed(self, run: Run) -> None:
         """Go on with another run in the place of this one, at once. Not to be called by observers.
 

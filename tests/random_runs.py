@@ -2,9 +2,9 @@
 
 usage: python -m tests.random_runs [--seeds 500] [--first 0] [--jobs 2] [--keep FOLDER] [KIND ...]
 
-Kinds are scenarios, holds, deaths, mutants, forgotten and visitors. The same number is the same run. Without a kind, all are run: as many
-scenarios, holds, deaths and machines as there are seeds, six mutants of every machine, all of them without each trait of calls that templates
-could forget, and a visitor for every tenth. The exit status is 1 if anything is wrong, and every failure is printed with its number.
+Kinds are scenarios, holds, deaths, mutants, forgotten and visitors. The same number is the same run. Without a kind, all are run: as
+many scenarios, holds, deaths and machines as there are seeds, six mutants of every machine, all of them without each trait of calls that
+templates could forget, and a visitor for every tenth. The exit status is 1 if anything is wrong; every failure is printed with its number.
 """
 
 from __future__ import annotations

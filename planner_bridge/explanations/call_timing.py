@@ -15,6 +15,7 @@ from pnm.core.logic.expressions import Fluent, fluent_text
 from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering
 from pnm.errors import PnmError
+from pnm.tasks import TaskState
 
 
 def why_now(history: JournalHistory, task: TaskHistory, run: RunHistory, call: int) -> Answer:
@@ -75,8 +76,10 @@ def _waited(history: JournalHistory, run: RunHistory, call: int, started: float)
 def _obstacles(history: JournalHistory, task: TaskHistory, run: RunHistory, call: int) -> Iterator[Answer]:
     """Yield what holds a call back now."""
     replay, planned = history.replay, run.source.plan.calls[call]
-    if task.is_held or run.replayed.run.pausing:
-        yield Answer("its task is paused", Known.JOURNAL)
+    if task.state in (TaskState.PAUSING, TaskState.PAUSED):
+        yield Answer(f"its task is {task.state.word}: {task.reason}", Known.JOURNAL)
+    elif run.replayed.run.pausing:
+        yield Answer("nothing of its plan begins while that is looked at again", Known.JOURNAL)
     for ordering in _orderings(run, call):
         if run.time_of(ordering.before) is None:
             verb = "begin" if ordering.before.moment is Moment.START else "end"

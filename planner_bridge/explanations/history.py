@@ -38,6 +38,7 @@ from pnm.journal.records import (
     RunSucceeded,
     SharedBegan,
     TaskAccepted,
+    TaskEntered,
     TaskHeld,
     TaskNoted,
     TaskOver,
@@ -47,7 +48,7 @@ from pnm.journal.replay import Replay, ReplayedRun
 from pnm.journal.resume import steps_after
 from pnm.journal.store import KeptJournal
 from pnm.knowledge.sources.help import HelpAsked, HelpEnded
-from pnm.tasks import TaskEnding
+from pnm.tasks import TaskEnding, TaskState
 
 _FREES: Final = (Happened, EndConfirmed, RunRetired, RunSucceeded)
 """Records with which resources are given, or given back."""
@@ -241,14 +242,15 @@ class TaskHistory:
     Args:
         accepted: what it is about.
         time: when it was accepted.
-        is_held: whether an operator has paused it.
         runs: its runs, in the order in which they were made.
     """
 
     accepted: TaskAccepted
     time: float
-    is_held: bool
     runs: list[RunHistory]
+    state: TaskState = TaskState.QUEUED
+    reason: str = ""
+    """Why it is in this state, if that was said."""
     decision: Decision | None = None
     """What was decided after the last run; None while it goes on."""
     plans: int = 0
@@ -259,8 +261,6 @@ class TaskHistory:
     ending: TaskEnding | None = None
     ended: float | None = None
     """When it was over."""
-    ended_with: int | None = None
-    """The record that has said so first."""
     is_told: bool = True
     """Whether the records are there that tell how it went; else only how it has ended."""
 
@@ -376,11 +376,10 @@ class JournalHistory:
             case TaskAccepted():
                 self._begins = begins
                 self._accept(record, is_told=not begins or len(self.segments) < 2)
-            case TaskHeld(chosen, is_held):
+            case TaskHeld():
                 self._begins = begins
-                for id in (chosen,) if chosen else tuple(self.tasks):
-                    if id in self.tasks:
-                        self.tasks[id].is_held = is_held
+            case TaskEntered(id, state, reason) if id in self.tasks:
+                self.tasks[id].state, self.tasks[id].reason = state, reason
             case TaskNoted(id, note) if id in self.tasks:
                 self._note_task(self.tasks[id], note)
             case TaskOver(id, ending):
@@ -412,11 +411,12 @@ class JournalHistory:
         id = accepted.wanted.id
         if id not in self.tasks or self.tasks[id].accepted != accepted:  # else it is said again
             runs = [run for run in self.runs.values() if run.replayed.made.task == id]  # of a plan, made before it is accepted
-            self.tasks[id] = TaskHistory(accepted, self.time, self.replay.is_held, runs, is_told=is_told)
+            self.tasks[id] = TaskHistory(accepted, self.time, runs, is_told=is_told)
 
     def _end(self, task: TaskHistory, ending: TaskEnding) -> None:
         if task.ending is None:  # else it is said again
-            task.ending, task.ended, task.ended_with = ending, self.time, self.number
+            task.ending, task.ended = ending, self.time
+            task.state, task.reason = TaskState.OVER, ending.message
             for run in task.runs:
                 run.follow(f"its task is over: {ending.code.word}")
 

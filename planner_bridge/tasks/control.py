@@ -92,6 +92,8 @@ class TaskControl:
         self.over = asyncio.Event()
         """Set once the task is over and its listeners know."""
         self._last_run: Run | None = None
+        self._waits = 0
+        """For how many things the task waits that come by themselves, or that others see to."""
         self._time_limit: TimeLimit | None = None
         self._is_stopped = asyncio.Event()
         self._is_unpaused = asyncio.Event()
@@ -103,6 +105,16 @@ class TaskControl:
     def is_paused(self) -> bool:
         """Whether the task is paused, or is to pause."""
         return not self._is_unpaused.is_set()
+
+    @property
+    def awaits(self) -> bool:
+        """Whether something is to come without which the task cannot go on; not if it is paused, or a person is asked."""
+        return self._waits > 0 or (self.execution is not None and self.execution.executor.awaits)
+
+    @property
+    def awaits_people(self) -> bool:
+        """Whether the task does not go on before somebody resumes it, or answers."""
+        return self.is_paused or self.awaits_help or (self.execution is not None and self.execution.awaits_answers)
 
     @property
     def run(self) -> Run | None:
@@ -247,7 +259,21 @@ class TaskControl:
             self.state, self.reason = state, reason
             self._observer.entered(state, reason)
 
-    # --- waiting, which always ends when the task is stopped ----------------------------------------
+    # --- waiting for what comes by itself, or what others see to --------------------------------------
+
+    @contextmanager
+    def waiting(self) -> Iterator[None]:
+        """Have the task count as waiting meanwhile: it does not stand still."""
+        self._waits += 1
+        try:
+            yield
+        finally:
+            self._waits -= 1
+
+    async def in_thread(self, work: Callable[[], T]) -> T:
+        """Do work in a thread, and return what comes of it."""
+        with self.waiting():
+            return await asyncio.to_thread(work)
 
     async def unpaused(self) -> None:
         """Wait until the task is not paused; raise `TaskEnded` if it was stopped."""
@@ -258,7 +284,8 @@ class TaskControl:
         """Wait for something, and return it; raise `TaskEnded` if the task was stopped."""
         happening, stopping = asyncio.ensure_future(event), asyncio.ensure_future(self._is_stopped.wait())
         try:
-            await asyncio.wait((happening, stopping), return_when=asyncio.FIRST_COMPLETED)
+            with self.waiting():
+                await asyncio.wait((happening, stopping), return_when=asyncio.FIRST_COMPLETED)
         finally:
             happening.cancel()
             stopping.cancel()
@@ -267,7 +294,7 @@ class TaskControl:
 
     async def wait(self, seconds: float) -> None:
         """Wait some seconds, or until the task is stopped."""
-        with suppress(TimeoutError):
+        with self.waiting(), suppress(TimeoutError):
             async with asyncio.timeout(seconds):
                 await self._is_stopped.wait()
 
@@ -275,3 +302,50 @@ class TaskControl:
         """Raise `TaskEnded` if the task was stopped."""
         if self.stopped:
             raise self.stopped
+
+
+STILL: Final = 60.0
+"""Seconds after which a task that stands still is ended."""
+
+
+class Watchdog:
+    """Ends a task that stands still: nothing has happened to it for some time, it waits for nothing, and nobody has paused it.
+
+    What is proved is the machine of a plan; this is for what stands around it. A task never stands still unless there is a mistake here.
+
+    Args:
+        control: of the task.
+        end: called each time that the task is found to stand still.
+
+    The mutable state is when something has happened last, and the timer.
+    """
+
+    def __init__(self, control: TaskControl, end: Callable[[], None]) -> None:
+        self._control = control
+        self._end = end
+        self._loop = asyncio.get_running_loop()
+        self._timer: asyncio.TimerHandle | None = None
+        self.heard()
+
+    def heard(self) -> None:
+        """Note that something has happened to the task."""
+        self._last = self._loop.time()
+        if self._timer is None:
+            self._look_at(self._last + STILL)
+
+    def close(self) -> None:
+        """Look no more."""
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def _look_at(self, time: float) -> None:
+        self._timer = self._loop.call_at(time, self._look)
+
+    def _look(self) -> None:
+        self._timer, now = None, self._loop.time()
+        if now < self._last + STILL:
+            self._look_at(self._last + STILL)
+        elif not self._control.awaits_people:  # of which is heard when it is over
+            if not self._control.awaits:
+                self._end()
+            self._look_at(now + STILL)

@@ -216,7 +216,8 @@ class GoalLoop:
                 continue
             if not execution.is_over:
                 execution.hold()
-                await self._context.backend.refresh()
+                with self._control.waiting():
+                    await self._context.backend.refresh()
                 if not await execution.at_rest():  # only what is settled can be handed over
                     if not execution.is_over:
                         return None
@@ -260,11 +261,13 @@ class GoalLoop:
         self._context.journal.noted(self._context.task.id, GoalNote(log.history, log.plans, decision, log.helped))
 
     async def _catch_up(self, execution: PlanExecution) -> None:
-        await self._context.backend.refresh()
+        with self._control.waiting():
+            await self._context.backend.refresh()
         if not (execution.is_eager or execution.result.goal) or not self._monitor.constraints.idle:
             if execution.result.failures and self._given is None:
                 self._search.begin_ahead(self._next_history(execution))
-            await asyncio.sleep(self._context.world.longest_lag)
+            with self._control.waiting():
+                await asyncio.sleep(self._context.world.longest_lag)
         await self._monitor.settle()
 
     def _check_end(self, execution: PlanExecution) -> None:
@@ -301,7 +304,7 @@ class GoalLoop:
             execution.finish("the goal holds already")
             return False
         progress, world = execution.progress, snapshot(context.present)
-        return bool(execution.obstacle()) or await asyncio.to_thread(lambda: shortened(progress, world) != progress)
+        return bool(execution.obstacle()) or await self._control.in_thread(lambda: shortened(progress, world) != progress)
 
     def _next_history(self, execution: PlanExecution) -> History:
         """Return the history with this run, if another is to follow it."""
@@ -340,7 +343,7 @@ class GoalLoop:
                 return decided
             return replace(decided, because="; ".join(filter(None, (set_off_by, needless(progress, left, world)))))
 
-        return await asyncio.to_thread(decision)
+        return await self._control.in_thread(decision)
 
     async def _follower(self, execution: PlanExecution, decision: ResumePlan | PlanAgain) -> PlanGraph:
         if isinstance(decision, ResumePlan) and not execution.is_blocked:

@@ -299,7 +299,7 @@ async def proved_machine(context: TaskContext, graph: PlanGraph) -> ProvedMachin
         prepare(machine)
         return machine, proof
 
-    return await asyncio.to_thread(prove)
+    return await context.control.in_thread(prove)
 
 
 def is_relevant(progress: Progress, changed: Mapping[Fluent, object]) -> bool:

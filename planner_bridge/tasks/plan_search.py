@@ -185,7 +185,7 @@ class PlanSearch:
                     reason = f"waits {until - loop.time():g} s at most for facts to change: {no_plan}"
                     control.enter(TaskState.QUEUED, reason)
                     self._context.observer.blocked(reason)
-                    while not changed.is_set() and await self._context.backend.busy_elsewhere() == no_plan.busy:
+                    while not changed.is_set() and await control.until(self._context.backend.busy_elsewhere()) == no_plan.busy:
                         if loop.time() >= until:
                             raise no_plan from None
                         with suppress(TimeoutError):
@@ -261,7 +261,8 @@ class PlanSearch:
             conflicts = await self._too_early(now, running, result)
         self._control.check()
         if result.plan is None and not conflicts:
-            busy = await context.backend.busy_elsewhere()
+            with self._control.waiting():
+                busy = await context.backend.busy_elsewhere()
             if result.status is PlanningStatus.UNSOLVABLE and (busy or context.resources.given_up):  # not in the world that will be
                 result = replace(result, status=PlanningStatus.NO_PLAN)
             raise NoPlan(result, forbidden, busy)
@@ -347,7 +348,7 @@ class PlanSearch:
         """Ask the planner, in a thread."""
         stop, ahead = self._control.planner_stop, self._ahead
         try:
-            with self._context.task.stopwatch.of("plan"):
+            with self._context.task.stopwatch.of("plan"), self._control.waiting():
                 if ahead is not None and ahead.is_for(problem):
                     self._ahead = None
                     return await ahead.answer

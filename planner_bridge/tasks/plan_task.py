@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import replace
+from functools import partial
 from math import inf
 from pathlib import Path
 
@@ -68,8 +69,9 @@ class PlanTask:
         program = plan_run.program
         with context.control.executing(self):
             context.control.limit_time(plan_run.limit)
-            await self._runner.check(plan_run)
-            await context.backend.refresh()
+            with context.control.waiting():
+                await self._runner.check(plan_run)
+                await context.backend.refresh()
             context.observer.generated(program.machine, program.proof)
             context.control.enter(TaskState.RUNNING)
             origin = plan_run.executor.run.origin  # of a run with which another process has begun
@@ -174,7 +176,7 @@ class PlanTask:
             raise InputError(f"the plan {plan.name} has no goal")
         if not plan.domain_file:
             raise InputError(f"the plan {plan.name} has no domain")
-        contents = await asyncio.to_thread(read, Path(plan.domain_file))
+        contents = await self._context.control.in_thread(partial(read, Path(plan.domain_file)))
         described = contents.problem or Problem(plan.name, contents.domain)
         elapsed = asyncio.get_running_loop().time() - began
         return replace(problem_now(replace(described, timed=plan.timed), self._context.world, elapsed), goal=plan.goal)

@@ -11,7 +11,7 @@ from typing import Final, TypeAlias, assert_never
 from uuid import UUID
 
 from planner_bridge.model.plan import Plan, PlanningResult
-from planner_bridge.tasks.control import TaskControl
+from planner_bridge.tasks.control import STILL, TaskControl, Watchdog
 from planner_bridge.tasks.replanning import PlanAgain, ResumePlan, decision_words
 from planner_bridge.tasks.result import GoalNote, Stopwatch, TaskResult
 from planner_bridge.tasks.settings import TaskObserver
@@ -90,6 +90,9 @@ class Task(TaskObserver):
     """What went wrong, if there is no result."""
     trace: deque[TraceEvent] = field(default_factory=lambda: deque(maxlen=TRACE))
     deadline: asyncio.TimerHandle | None = None
+    watchdog: Watchdog | None = None
+    is_abandoned: bool = False
+    """Whether it was left alone because it could not be ended in order."""
 
     def __post_init__(self) -> None:
         self.observer = broadcast(TaskObserver, (self, *self.observers)) if self.observers else self
@@ -126,6 +129,16 @@ class Task(TaskObserver):
         execution = self.control.execution
         has_work = self.control.has_begun and self.ending is None and not self.is_held and not self.control.awaits_help
         return has_work and not (execution is not None and execution.awaits_answers)
+
+    @property
+    def why_still(self) -> str:
+        """Why it is ended when it stands still: that, and how it stands."""
+        control, run = self.control, self.control.run
+        state = f"{control.state.word}{f', {control.reason}' if control.reason else ''}"
+        unfinished = [result for result in run.results if result.kind in (CallOutcome.RUNNING, CallOutcome.SUSPENDED)] if run else []
+        calls = "".join(f"; {result.call.action}: {result.kind}" for result in unfinished)
+        still = f"for {STILL:g} s nothing has happened to it, although it waits for nothing and nobody has paused it"
+        return f"it stands still: {still} ({state}{calls}); that is a mistake of pnm, and its journal says how it came about"
 
     @property
     def status(self) -> TaskStatus:
@@ -190,12 +203,15 @@ class Task(TaskObserver):
     def entered(self, state: TaskState, why: str) -> None:
         """Note that the task is in another state."""
         if state is not TaskState.OVER:  # which is noted with the result
+            self.listener.entered(self.id, state, why)  # before others hear of it, who may have it enter the next one
             self.note(TraceKind.STATE, "", f"{state.name.lower()}{f': {why}' if why else ''}")
             self.listener.changed(self.id)
 
     def note(self, kind: TraceKind, subject: str = "", text: str = "", level: int = logging.INFO) -> None:
         """Note an event of the task."""
         event = TraceEvent(self.id, self.clock(), kind, subject, text, level)
+        if self.watchdog:
+            self.watchdog.heard()
         self.trace.append(event)
         self.listener.happened(event)
 
@@ -218,6 +234,8 @@ class Task(TaskObserver):
         self.ending = TaskEnding(ending.code, ending.message, self.replans, tuple(self.trace), ending.results, ending.cause)
         if self.deadline:
             self.deadline.cancel()
+        if self.watchdog:
+            self.watchdog.close()
         self.listener.ended(self.id, self.ending)
         self.control.over.set()
 

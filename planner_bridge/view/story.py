@@ -78,7 +78,7 @@ class Story(JournalHistory):
     def _mark(self, record: Record) -> str:
         """Return how a record is marked on the way through them."""
         match record:
-            case TaskOver(id) if self.tasks[id].ended_with == self.number:
+            case TaskOver():  # also when it is said again, or what is shown would depend on what was read before
                 return "end"
             case RunMade(run) if self.runs[run].replan is not None:
                 return "replan"

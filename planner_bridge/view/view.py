@@ -39,12 +39,12 @@ def view_of(story: Story) -> View:
 
 
 def _task(story: Story, task: TaskHistory) -> TaskShown:
-    wanted, state = task.accepted.wanted, _state(task)
+    wanted = task.accepted.wanted
     limit = task.used.limit if task.used and isfinite(task.used.limit) else None
     return TaskShown(
         task.name,
-        state.word,
-        _reason(task, state),
+        task.state.word,
+        _reason(task),
         wanted.priority,
         task.accepted.wall,
         None if wanted.deadline is None else task.accepted.wall + wanted.deadline,
@@ -57,35 +57,20 @@ def _task(story: Story, task: TaskHistory) -> TaskShown:
     )
 
 
-def _state(task: TaskHistory) -> TaskState:
-    """Return how a task is doing, as far as the journal says: it does not say when a planner is asked."""
-    last = task.runs[-1].replayed.run if task.runs else None
-    run = None if last is None or task.runs[-1].is_over else last
-    if task.ending:
-        return TaskState.OVER
-    if task.is_held or (run and run.pausing):
-        return TaskState.PAUSING if run and not run.paused else TaskState.PAUSED
-    if (run and run.begun) or (last and last.over and last.result().goal):  # with its goal there is nothing to plan again
-        return TaskState.RUNNING
-    if task.runs:
-        return TaskState.REPLANNING
-    return TaskState.PLANNING if task.used and task.used.since is not None else TaskState.QUEUED
-
-
-def _reason(task: TaskHistory, state: TaskState) -> str:
-    """Return why a task is as it is."""
-    if task.ending:
-        return task.ending.message
+def _reason(task: TaskHistory) -> str:
+    """Return why a task is as it is; if nobody has said that, what it does."""
+    if task.reason or task.ending:
+        return task.reason
     if task.helps:
         return "a person is asked what is to be done"
     if not task.runs:
-        return "it has no plan yet: a planner looks for one, or it waits for other tasks" if state is TaskState.PLANNING else ""
+        return "it has no plan yet: a planner looks for one, or it waits for other tasks" if task.state is TaskState.PLANNING else ""
     run = task.runs[-1]
-    if state is TaskState.REPLANNING and task.decision:
+    if task.decision:  # about what follows the last run
         return decision_words(task.decision)
     if run.failures:
         failed = f"{_step(run.failures[-1])} has failed: {run.failures[-1].cause.cause}"
-        return f"{failed}; what else runs comes to its end" if state is TaskState.RUNNING else failed
+        return f"{failed}; what else runs comes to its end" if task.state is TaskState.RUNNING else failed
     going_on = [str(call.action) for call in run.replayed.run.open_calls.values()]
     return f"{', '.join(going_on)} {'run' if len(going_on) > 1 else 'runs'}" if going_on else ""
 

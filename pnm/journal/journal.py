@@ -16,7 +16,7 @@ from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.resources import Resources
 from pnm.journal.replay import ReplayedRun
-from pnm.tasks import TaskEnding, Wanted
+from pnm.tasks import TaskEnding, TaskState, Wanted
 
 Perform: TypeAlias = Callable[[Sequence[Command]], None]
 """Carries out commands."""
@@ -106,6 +106,9 @@ class Journal:
 
     def held(self, task: UUID | None, *, is_held: bool) -> None:
         """Record that an operator has paused a task, or those that are still to come, or has let them go on."""
+
+    def entered(self, task: UUID, state: TaskState, reason: str) -> None:
+        """Record that a task is in another state."""
 
     def noted(self, task: UUID, note: object) -> None:
         """Record what a task needs to know when it goes on in another process."""

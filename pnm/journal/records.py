@@ -23,7 +23,7 @@ from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, Feedback, Postponed
-from pnm.tasks import TaskEnding, Wanted
+from pnm.tasks import TaskEnding, TaskState, Wanted
 
 WORLD: Final = 0
 """The number of the knowledge base that all runs share."""
@@ -190,6 +190,15 @@ class TaskHeld:
 
 
 @dataclass(frozen=True, slots=True)
+class TaskEntered:
+    """A task is in another state, for a reason: whoever tells of a task tells this."""
+
+    task: UUID
+    state: TaskState
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class TaskNoted:
     """Something that a task needs to know when it goes on in another process; a value of the codec's classes."""
 
@@ -260,6 +269,7 @@ Record: TypeAlias = (
     | EndConfirmed
     | TaskAccepted
     | TaskHeld
+    | TaskEntered
     | TaskNoted
     | TaskOver
     | TimeCounted

@@ -36,6 +36,7 @@ from pnm.journal.records import (
     RunSucceeded,
     SharedBegan,
     TaskAccepted,
+    TaskEntered,
     TaskHeld,
     TaskNoted,
     TaskOver,
@@ -214,6 +215,8 @@ class Replay:
             case TimeCounted(of, used):
                 if (counted := self.runs.get(of) or self.tasks.get(of)) is not None:
                     counted.used = used
+            case TaskEntered():  # for people: what it does follows from the rest
+                pass
             case EndConfirmed(request):
                 self.resources.confirm(request)
             case _:

@@ -33,6 +33,7 @@ from pnm.journal.records import (
     RunSucceeded,
     SharedBegan,
     TaskAccepted,
+    TaskEntered,
     TaskHeld,
     TaskNoted,
     TaskOver,
@@ -67,6 +68,8 @@ def words(step: Step, replay: Replay) -> tuple[str, ...]:
             return (f"accepted {wanted.text or 'the goal of the problem'}",)
         case TaskHeld(task, is_held):
             return (f"{'paused' if is_held else 'resumed'} {'all' if task is None else task.hex[:8]}",)
+        case TaskEntered(task, state, reason):
+            return (f"{task.hex[:8]} is {state.word}{f': {reason}' if reason else ''}",)
         case TaskNoted(_, note):
             return (str(note) if type(note).__str__ is not object.__str__ else f"noted {type(note).__name__}",)
         case TimeCounted(of, used):

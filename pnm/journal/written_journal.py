@@ -40,6 +40,7 @@ from pnm.journal.records import (
     RunSucceeded,
     SharedBegan,
     TaskAccepted,
+    TaskEntered,
     TaskHeld,
     TaskNoted,
     TaskOver,
@@ -50,7 +51,7 @@ from pnm.journal.records import (
     knowledge_now,
 )
 from pnm.journal.replay import Replay, ReplayedRun
-from pnm.tasks import REMEMBERED, TaskEnding, Wanted
+from pnm.tasks import REMEMBERED, TaskEnding, TaskState, Wanted
 
 if TYPE_CHECKING:  # it takes 0.2 s to import: runs without a journal need not wait for it
     from pnm.journal.store import JournalFile
@@ -235,6 +236,11 @@ class WrittenJournal(Journal):
         """Record that an operator has paused a task, or those that are still to come, or has let them go on."""
         self._is_held = is_held if task is None else self._is_held
         self._record(TaskHeld(task, is_held))
+
+    def entered(self, task: UUID, state: TaskState, reason: str) -> None:
+        """Record that a task is in another state; how it ends is recorded by `over`."""
+        if task in self._unfinished:
+            self._record(TaskEntered(task, state, reason))
 
     def noted(self, task: UUID, note: object) -> None:
         """Record what a task needs to know when it goes on in another process."""

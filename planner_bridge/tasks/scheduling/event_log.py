@@ -1,8 +1,11 @@
-"""The log of what happens to tasks: a line per event, at the level that it deserves."""
+"""The log of what happens to tasks: a line per event, at the level that it deserves. And their states, for the journal."""
 
 from __future__ import annotations
 
-from pnm.tasks import EVENTS, TaskListener, TraceEvent
+from uuid import UUID
+
+from pnm.journal.journal import Journal
+from pnm.tasks import EVENTS, TaskListener, TaskState, TraceEvent
 
 
 class EventLog(TaskListener):
@@ -13,3 +16,14 @@ class EventLog(TaskListener):
         if not moment.kind.is_frequent:
             text = ": ".join(filter(None, (moment.kind.word, moment.subject, moment.text)))
             EVENTS.log(moment.level, "%s %s", moment.task.hex[:8], text)
+
+
+class StateLog(TaskListener):
+    """Keeps the states of tasks in a journal: whoever reads it tells the same of a task as its status does."""
+
+    def __init__(self, journal: Journal) -> None:
+        self._journal = journal
+
+    def entered(self, task: UUID, state: TaskState, reason: str) -> None:
+        """Keep the state of a task."""
+        self._journal.entered(task, state, reason)

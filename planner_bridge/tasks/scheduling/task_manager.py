@@ -14,8 +14,9 @@ from time import time
 from uuid import UUID
 
 from planner_bridge.model.problem import Problem
+from planner_bridge.tasks.control import Watchdog
 from planner_bridge.tasks.result import Stopwatch, TaskResult, join_reasons
-from planner_bridge.tasks.scheduling.event_log import EventLog
+from planner_bridge.tasks.scheduling.event_log import EventLog, StateLog
 from planner_bridge.tasks.scheduling.planning_queue import PlanningQueue
 from planner_bridge.tasks.scheduling.preemption import Preemption
 from planner_bridge.tasks.scheduling.task_limits import TaskLimits
@@ -84,7 +85,7 @@ class TaskManager:
         self._queue: PlanningQueue[Task] = PlanningQueue(lambda task: task.rank)
         self._preemption = Preemption(self._tasks.active, self._resources, self._queue)
         self._start = TaskStart(problem, runner, settings, read_goal, self._preemption, self._limits.on_conflict, helper)
-        self._listeners += [self._preemption, EventLog()]
+        self._listeners += [StateLog(self._journal), self._preemption, EventLog()]
         self._listener = broadcast(TaskListener, self._listeners)
         self._stop_listening = self._resources.listen(self._preemption.preempt_holders)
 
@@ -177,7 +178,9 @@ class TaskManager:
             self._is_held = False
             self._journal.held(None, is_held=False)
         elif not chosen[0].is_held:
-            raise TaskRefused(f"the task {task} was not paused")
+            control = chosen[0].control
+            why = f", {control.reason}" if control.reason else ""
+            raise TaskRefused(f"nobody has paused the task {task}: it is {control.state.word}{why}")
         for active_task in chosen:
             active_task.is_held = False
             self._journal.held(active_task.id, is_held=False)
@@ -283,6 +286,8 @@ class TaskManager:
             return
         task.is_held = self._is_held
         self._list(task, 0.0)
+        if task.is_held:
+            self._hold(task)
         if is_long:
             self._go_beside(self._understand_beside(task, read))
         self._admit()
@@ -307,9 +312,13 @@ class TaskManager:
         self._list(task, time() - kept.accepted.wall)
         if task.start and any(replayed.run.begun for replayed in kept.runs):  # what it has begun may still go on
             if task.is_held:
-                task.control.hold()
-                self._go_beside(task.control.pause("paused on request", at_once=False))
+                self._hold(task)
             self._set_out(task, task.start)
+
+    def _hold(self, task: Task) -> None:
+        """Have a task be paused from the beginning."""
+        task.control.hold()
+        self._go_beside(task.control.pause("paused on request", at_once=False))
 
     async def _understand_beside(self, task: Task, read: Callable[[], TaskText]) -> None:
         """Read a long text in a thread; the task may be over meanwhile."""
@@ -347,6 +356,7 @@ class TaskManager:
 
     def _set_out(self, task: Task, start: StartTask) -> None:
         task.control.begin(TaskState.RUNNING if task.wanted.is_plan else TaskState.PLANNING)
+        task.watchdog = Watchdog(task.control, lambda: self._end_still(task))
         self._work[task.id] = self._loop.create_task(self._carry_out(task, start))
 
     async def _carry_out(self, task: Task, start: StartTask) -> None:
@@ -365,7 +375,8 @@ class TaskManager:
             stopped = task.control.stopped
             reasons = join_reasons(stopped.reason if stopped else "", "what it runs is left alone")
             ending = TaskEnding(stopped.code if stopped else Code.CANCELLED, reasons)
-            raise
+            if not task.is_abandoned:
+                raise
         finally:
             del self._work[task.id]
             self._end(task, ending)
@@ -378,6 +389,15 @@ class TaskManager:
             task.control.stop(code, reason)
         else:
             self._end(task, TaskEnding(code, reason))
+
+    def _end_still(self, task: Task) -> None:
+        """End a task that stands still, in order; leave it alone if that does not end it either."""
+        _log.error("%s: %s", task.name, task.why_still)
+        if task.control.stopped:
+            task.is_abandoned = True
+            self._work[task.id].cancel()
+        else:
+            self._stop(task, Code.ERROR, task.why_still)
 
     def _end(self, task: Task, ending: TaskEnding) -> None:
         """End a task; nobody hears of that before it is kept."""

@@ -111,6 +111,11 @@ class Agenda:
         """Note that no timer is set outside any more: the next one has to be asked for even if it is not earlier."""
         self._wake = inf
 
+    @property
+    def awaits_time(self) -> bool:
+        """Whether a place is asked again at some time; timers of places that tokens have left do not count."""
+        return any(place in self.undecided for _, place in self._timers)
+
     def next_timer(self) -> float | None:
         """Return the time of a timer that has to be asked for. A later one than the last needs none: after that it is asked for anew."""
         if self._timers and self._timers[0][0] < self._wake:

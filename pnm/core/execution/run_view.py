@@ -146,6 +146,11 @@ class RunView:
         return self._agenda.hears_of_facts
 
     @property
+    def awaits(self) -> bool:
+        """Whether something is to come that may move it: the end of a request, an answer, a resource, or a time."""
+        return bool(self._calls.open or self._questions.asked or self._claims.waiting or self._agenda.awaits_time)
+
+    @property
     def awaits_answers(self) -> bool:
         """Whether nothing goes on before a person has answered."""
         return self._questions.wait_for_people and self._state.idle and not self._claims.waiting

@@ -50,7 +50,8 @@ def test_a_task_is_planned_for_runs_and_is_over(reader: Reader, records: list[St
     accepted = next(step for step in records if isinstance(step.record, TaskAccepted))
     begins = next(step for step in records if isinstance(step.record, Happened) and isinstance(step.record.event, Begin))
     over = next(step for step in records if isinstance(step.record, TaskOver))
-    states = [next(iter(at(reader, step).tasks.values())).state for step in (accepted, records[accepted.number], begins, over)]
+    made = next(step for step in records if isinstance(step.record, RunMade))
+    states = [next(iter(at(reader, step).tasks.values())).state for step in (accepted, records[made.number - 2], begins, over)]
     assert states == ["queued", "planning", "running", "over"]
     ended = next(iter(at(reader, over).tasks.values()))
     assert (ended.code, ended.reason, len(ended.runs)) == ("goal_reached", "the goal holds", 3)
@@ -125,11 +126,12 @@ def test_what_is_marked_on_the_way_through_the_records(reader: Reader, records: 
 def test_a_task_is_planned_again_after_a_failure_and_not_after_its_goal(reader: Reader, records: list[Step]) -> None:
     (over,) = [step for step in records if isinstance(step.record, TaskOver)]
     before_replans = [number for number, step in enumerate(records[1:]) if isinstance(step.record, RunMade)][1:]
-    states = [
-        next(iter(at(reader, step).tasks.values())).state
+    shown = [
+        next(iter(at(reader, step).tasks.values()))
         for step in (*(records[number] for number in before_replans), records[over.number - 2], over)
     ]
-    assert states == [*["replanning"] * len(before_replans), "running", "over"]
+    assert [task.state for task in shown] == ["running", "planning", "running", "over"], "with the rest of its plan, and with another one"
+    assert [task.reason.partition(":")[0] for task in shown[:2]] == ["the rest of the plan still works", "a new plan is needed"]
 
 
 def told(reader: Reader, step: Step, action: str) -> CallDetail:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import random
-from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,18 +14,18 @@ from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import OnChange
 from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange
 from pnm.core.machine.machine import OnFailure
-from pnm.tasks import Code, TaskRefused
+from pnm.tasks import Code, TaskRefused, TraceEvent
 from tests.support.tasks.scenarios.random_scenarios import People, Scenario, Tell, check_end, draw
 from tests.support.tasks.scenarios.slow_work import SlowLoop, seconds_of, slow_backend
 from tests.support.tasks.simulation import TaskSimulation, simulate_tasks
 
 
-def run_holds(number: int, tell: Tell = lambda text: None, journal: Path | None = None) -> Counter[Code]:
-    """Run the script of this number to its end; return how many tasks have ended how."""
+def run_holds(number: int, tell: Tell = lambda text: None, journal: Path | None = None) -> list[TraceEvent]:
+    """Run the script of this number to its end; return what has happened to its tasks."""
     rng = random.Random(f"{number}/holds")
     scenario = held(rng, draw(rng))
     seconds = seconds_of(random.Random(f"{number}/seconds"))
-    codes: Counter[Code] = Counter()
+    happened: list[TraceEvent] = []
 
     async def course(simulation: TaskSimulation) -> None:
         people = People(scenario, simulation, rng, tell)
@@ -35,9 +34,10 @@ def run_holds(number: int, tell: Tell = lambda text: None, journal: Path | None 
             people.tasks.append(simulation.want(f"(and {' '.join(sorted(goals))})", priority=rng.choice([0, 0, 1])))
         await meddle(people, rng)
         await simulation.master.resume(None)
-        codes.update(await simulation.ended_with(*people.tasks))
+        codes = await simulation.ended_with(*people.tasks)
         for task in people.tasks:
             check_end(simulation, task)
+        happened.extend(simulation.moments)
         assert Code.PLANNER_ERROR not in codes, "what is found can be carried out"
 
     simulate_tasks(
@@ -52,7 +52,7 @@ def run_holds(number: int, tell: Tell = lambda text: None, journal: Path | None 
         journal=journal,
         loop=lambda: SlowLoop(seconds),
     )
-    return codes
+    return happened
 
 
 def held(rng: random.Random, scenario: Scenario) -> Scenario:
