@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from planner_bridge.node.options import Options
 from pnm.core.readiness import Readiness
 from pnm.errors import InputError
+from pnm.journal.journal import NO_JOURNAL, Journal
 from pnm.tasks import EVENTS, Tasks
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ async def open_diagnoses(
     tasks: Tasks,
     state: Callable[[], str],
     clock: SimClock | None,
+    journal: Journal,
     options: Options,
 ) -> None:
     """Publish diagnoses until the stack is closed; there is a warning when their type is not installed.
@@ -32,6 +34,7 @@ async def open_diagnoses(
         look: returns how ready action servers and sensors are.
         state: returns that of the life cycle.
         clock: that of the simulation whose time is followed, if one is.
+        journal: of the tasks.
     """
     from pnm.ros.tasks.diagnostics import Diagnosis, Diagnostics, Level, diagnosis_of, diagnosis_of_tasks  # here, because rclpy is an extra
 
@@ -42,7 +45,18 @@ async def open_diagnoses(
         node = Diagnosis("node", level, message, served)
         trouble = clock.trouble(monotonic()) if clock else ""
         watched = (Diagnosis("clock", Level.WARN if trouble else Level.OK, trouble or "/clock goes on"),) if clock else ()
-        return node, *watched, diagnosis_of_tasks(tasks.status()), *map(diagnosis_of, await look())
+        kept = () if journal is NO_JOURNAL else (diagnosis_of_journal(journal),)
+        return node, *watched, *kept, diagnosis_of_tasks(tasks.status()), *map(diagnosis_of, await look())
+
+    def diagnosis_of_journal(journal: Journal) -> Diagnosis:
+        """Return how the journal is, and whether another node would go on with it if there has been one."""
+        others = journal.stand_bys()
+        if journal.blocked:
+            return Diagnosis("journal", Level.ERROR, journal.blocked)
+        if others.are_missed:
+            missed = f"no other node stands by any more; the last one was {others.names[-1]}, {others.ago:.0f} s ago"
+            return Diagnosis("journal", Level.WARN, missed)
+        return Diagnosis("journal", Level.OK, f"{', '.join(others.names)} stands by" if others.names else "can be written")
 
     try:
         diagnostics = Diagnostics(ros, diagnose)

@@ -378,7 +378,7 @@ class ServingNode:
         self._node = TaskNode(self._ros, api.tasks, api.make, api.world, context.plan_actions, kept_tasks(context.replay))
         self._restore = partial(self._restore_tasks, api, context.replay)
         look = partial(context.backend.look, runner.actions)
-        await open_diagnoses(stack, self._ros, look, api.tasks, lambda: self._state, self._clock, self._options)
+        await open_diagnoses(stack, self._ros, look, api.tasks, lambda: self._state, self._clock, context.journal, self._options)
         self._observer.configured(api.tasks, self._node, api.world)
         # The stack closes in reverse: first the node, which gives tasks their time to end and answers all goals; then the task manager.
         stack.push_async_callback(_close_in_time, api.close)

@@ -15,6 +15,7 @@ from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.resources import Resources
+from pnm.journal.kept import StandBys
 from pnm.journal.replay import ReplayedRun
 from pnm.tasks import TaskEnding, TaskState, Wanted
 
@@ -62,6 +63,10 @@ class Journal:
     def may_act(self) -> bool:
         """Return whether something may leave this process; asked by any thread, right before that."""
         return True
+
+    def stand_bys(self) -> StandBys:
+        """Return the processes that stand by to go on with it, as far as they can be seen."""
+        return StandBys()
 
     def make_run(
         self,

@@ -17,6 +17,8 @@ KEPT: Final = 7 * DAY
 """Seconds for which records are kept that nothing under way needs, unless something else is chosen."""
 LISTED: Final = 50
 """How many times longer tasks are listed than their records are kept."""
+_ANEW: Final = 5.0
+"""Seconds for which a process that stood by may not be seen because it connects anew."""
 LEASE: Final = 5.0
 """Seconds of a lease, unless something else is chosen."""
 
@@ -125,8 +127,31 @@ class JournalChoice:
     adopts: bool = False
 
 
+class StandBys(NamedTuple):
+    """The processes that stand by for a journal.
+
+    Args:
+        names: those that did when any was seen last.
+        ago: seconds since then.
+    """
+
+    names: tuple[str, ...] = ()
+    ago: float = 0.0
+
+    @property
+    def are_missed(self) -> bool:
+        """Whether there was one, and it does not only connect anew."""
+        return bool(self.names) and self.ago > _ANEW
+
+
 class Hold(Protocol):
     """The right to write a journal."""
+
+    def stand_bys(self) -> StandBys:
+        """Return the processes that stand by, as far as they can be seen."""
+
+    def saw(self, others: tuple[str, ...]) -> None:
+        """Note the processes of which one would go on, if there is any."""
 
     def is_mine(self) -> bool:
         """Return whether nobody else can have it now; to be asked, by any thread, right before anything is sent."""
@@ -140,6 +165,13 @@ class Hold(Protocol):
 
 class Unshared:
     """The right to write a journal that nobody else knows of."""
+
+    def stand_bys(self) -> StandBys:
+        """Return none."""
+        return StandBys()
+
+    def saw(self, others: tuple[str, ...]) -> None:
+        """Do nothing."""
 
     def is_mine(self) -> bool:
         """Return True."""

@@ -21,7 +21,7 @@ from typing import Final
 
 from pnm.files.database.driver import DatabaseError
 from pnm.files.database.lock import FileLock, Locked
-from pnm.journal.kept import Durability, Fenced, Held, Hold, JournalChoice, JournalError, Unshared
+from pnm.journal.kept import Durability, Fenced, Held, Hold, JournalChoice, JournalError, StandBys, Unshared
 from pnm.journal.store import JournalFile
 
 _SAFE: Final = 0.9
@@ -95,7 +95,8 @@ class Lease:
         asked: when it was asked for, on the clock.
         clock: see `elapsed`.
 
-    The mutable state is when the lease is over, which the thread that renews it moves on.
+    The mutable state is when the lease is over, which the thread that renews it moves on; which processes stood by,
+    when, and whether it was said that none does any more.
     """
 
     def __init__(self, file: JournalFile, seconds: float, asked: float, clock: Callable[[], float] = elapsed) -> None:
@@ -105,10 +106,22 @@ class Lease:
         self._until = asked + seconds * _SAFE
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
+        self._others: tuple[str, ...] = ()
+        self._seen = 0.0
+        self._has_told = False
 
     def is_mine(self) -> bool:
         """Return whether the lease lasts."""
         return self._clock() < self._until
+
+    def stand_bys(self) -> StandBys:
+        """Return the processes that stand by, as they were seen at the last renewal."""
+        return StandBys(self._others, self._clock() - self._seen if self._others else 0.0)
+
+    def saw(self, others: tuple[str, ...]) -> None:
+        """Note the processes of which one would go on, if there is any."""
+        if others:
+            self._others, self._seen, self._has_told = others, self._clock(), False
 
     def keep(self, renewed: Callable[[], None], fenced: Callable[[Fenced], None]) -> None:
         """Renew the lease from now on, as long as the event loop is alive; these are called on the event loop."""
@@ -121,6 +134,10 @@ class Lease:
         asked = self._clock()
         self._file.renew()
         self._until = asked + self._seconds * _SAFE
+        self.saw(self._file.standing)
+        if self.stand_bys().are_missed and not self._has_told:
+            self._has_told = True
+            _log.warning("no other node stands by any more for the journal %s; the last one was %s", self._file.place, self._others[-1])
 
     def release(self) -> None:
         """Renew the lease no more; it ends when its file is closed."""

@@ -223,24 +223,25 @@ async def stand_by(choice: JournalChoice, codec: Codec, origin: str, waits: Call
     Raises:
         InputError: as for `take_up`, or the process that holds it serves another world.
     """
-    candidate, has_reached, told, pause = _Candidate(choice, codec, origin), False, "", _SOON
+    candidate, holder, told, pause = _Candidate(choice, codec, origin), "", "", _SOON
     try:
         while True:
             try:
                 match await asyncio.to_thread(candidate.asked):
                     case Taken() as taken:
+                        taken.hold.saw((holder,) if holder else ())  # which is expected to stand by now
                         return taken
-                    case Held(holder=holder, left=left):
-                        has_reached = True
+                    case Held() as held:
+                        holder = held.holder
                         if holder != told:
                             waits(holder)
                         told = holder
-                        await asyncio.to_thread(candidate.wait, left)
+                        await asyncio.to_thread(candidate.wait, held.left)
                         pause = _SOON
             except Damaged:
                 raise
             except JournalError as error:
-                if not has_reached:
+                if not holder:  # it has never been reached
                     raise
                 if told:
                     _log.warning("%s; it is tried again", error)

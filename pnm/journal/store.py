@@ -152,6 +152,8 @@ class JournalFile:
                 self.segment_wall: Final = float(walls[-1][1]) if walls else wall
                 """The time of day when the last segment began when the journal was opened."""
                 self._recent: list[_Commit] = []
+                self.standing: tuple[str, ...] = ()
+                """The processes that stood by when the lease was renewed."""
                 if lock:
                     self._database.gather()  # so that the file by itself is a journal, which says that it was not closed
             self._mark()
@@ -266,6 +268,7 @@ class JournalFile:
         """
         with self._transaction(is_renewal=True):
             self._database.run(tables.RENEW, mine=self.epoch, seconds=self._lease)
+            self.standing = self._database.waiting()
 
     def close(self) -> None:
         """End the lease, and close the file, or the connection."""
@@ -522,7 +525,7 @@ class KeptJournal:
     def wait(self, seconds: float) -> None:
         """Wait until its holder lets it go, or for so long."""
         try:
-            self._database.wait(seconds)
+            self._database.wait(seconds, this_process())
         except DatabaseError as error:
             raise JournalError(f"the journal {self.place} cannot be read: {error}") from error
 

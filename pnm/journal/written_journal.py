@@ -26,7 +26,7 @@ from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.resources import Resources
 from pnm.journal.codec import Codec
 from pnm.journal.journal import Journal, Perform, RunOptions, WorldOptions
-from pnm.journal.kept import DAY, KEPT, LISTED, UNSHARED, Fenced, Hold, JournalError, Row, TaskRow, log_end
+from pnm.journal.kept import DAY, KEPT, LISTED, UNSHARED, Fenced, Hold, JournalError, Row, StandBys, TaskRow, log_end
 from pnm.journal.records import (
     HEARD,
     WORLD,
@@ -151,6 +151,10 @@ class WrittenJournal(Journal):
     def may_act(self) -> bool:
         """Return whether something may leave this process; asked by any thread, right before that."""
         return not self._is_lost and self._hold.is_mine()
+
+    def stand_bys(self) -> StandBys:
+        """Return the processes that stand by to go on with it, as far as they can be seen."""
+        return self._hold.stand_bys()
 
     def begin(
         self, knowledge: KnowledgeBase, resources: Resources, anew: Callable[[], None] = lambda: None, **world: Unpack[WorldOptions]

@@ -113,13 +113,20 @@ class Database:
                     self._control("ROLLBACK")
             raise
 
-    def wait(self, seconds: float) -> None:
-        """Wait until something was announced in the database, or for so long."""
+    def wait(self, seconds: float, process: str) -> None:
+        """Wait until something was announced in the database, or for so long; others see meanwhile that this process does."""
         self.connect()
         with self._translated:
             assert self._driver is not None
             self._limit.begin(seconds)
-            self._driver.wait(seconds)
+            self._driver.wait(seconds, process)
+
+    def waiting(self) -> tuple[str, ...]:
+        """Return the processes that wait, as far as they can be seen."""
+        self.connect()
+        with self._translated:
+            assert self._driver is not None
+            return self._driver.waiting()
 
     def announce(self) -> None:
         """Have those go on that wait for something to be announced."""

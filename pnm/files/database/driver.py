@@ -56,8 +56,11 @@ class Driver(Protocol):
     def prepare(self, layout: Layout, ddl: Sequence[str], *, read_only: bool) -> None:
         """Make the tables unless they are there; refuse those of something else or of another version."""
 
-    def wait(self, seconds: float) -> None:
-        """Wait until something was announced, or for so long."""
+    def wait(self, seconds: float, process: str) -> None:
+        """Wait until something was announced, or for so long; others see meanwhile that this process does."""
+
+    def waiting(self) -> tuple[str, ...]:
+        """Return the processes that wait, as far as they can be seen."""
 
     def announce(self) -> None:
         """Have those that wait go on."""

@@ -25,6 +25,10 @@ if TYPE_CHECKING:
 
 LIMIT: Final = 1.0
 """Seconds to wait for a server: to reach it, and for each of its answers."""
+_SILENT: Final = 5.0
+"""Seconds after which a connection that waits is dead: it asks more often."""
+_NAME: Final = 63
+"""Bytes of the name of a connection."""
 MAKING: Final = 0x504E4D
 """The lock of those that make tables."""
 _ASK_FOR_SSL: Final = bytes.fromhex("00000008 04d2162f")
@@ -87,6 +91,8 @@ class Postgres:
             self._socket.close()
             raise
         self._name = url.name
+        self._waits = f"{url.name[:20]} waits: "
+        """How the names of connections begin that wait for what is announced here."""
         self._statements: dict[str, Any] = {}
         self._listens = False
 
@@ -137,15 +143,28 @@ class Postgres:
         rows = self._connection.run("SELECT version FROM formats WHERE kind = :kind", kind=layout.kind)
         return int(rows[0][0]) if rows else 0
 
-    def wait(self, seconds: float) -> None:
-        """Wait until something was announced in the database, or for so long."""
+    def wait(self, seconds: float, process: str) -> None:
+        """Wait until something was announced in the database, or for so long; the name of the connection shows who does."""
         if not self._listens:
             self._connection.run(f"LISTEN {self._name}")
+            self._connection.run("SELECT set_config('application_name', :name, false)", name=f"{self._waits}{process}"[:_NAME])
             self._listens = True
         if not self._connection.notifications:
             select.select([self._socket], [], [], seconds)
             self._connection.run("SELECT 1")  # which reads what has come
         self._connection.notifications.clear()
+
+    def waiting(self) -> tuple[str, ...]:
+        """Return the processes that wait: their connections are there, and have not been silent for long, as one that is cut off."""
+        rows = self._connection.run(
+            "SELECT DISTINCT substr(application_name, :begin) FROM pg_stat_activity"
+            " WHERE datname = current_database() AND starts_with(application_name, :waits)"
+            " AND coalesce(clock_timestamp() - state_change < make_interval(secs => :silent), true) ORDER BY 1",
+            begin=len(self._waits) + 1,
+            waits=self._waits,
+            silent=_SILENT,
+        )
+        return tuple(str(process) for (process,) in rows or ())
 
     def announce(self) -> None:
         """Have those that wait go on."""

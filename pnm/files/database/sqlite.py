@@ -126,9 +126,13 @@ class Sqlite:
         if not read_only:
             self._connection.execute("PRAGMA journal_mode = WAL")  # a copy has another one
 
-    def wait(self, seconds: float) -> None:
+    def wait(self, seconds: float, process: str) -> None:
         """Wait for so long: nothing is announced in a file."""
         sleep(seconds)
+
+    def waiting(self) -> tuple[str, ...]:
+        """Return nothing: a file does not show it."""
+        return ()
 
     def announce(self) -> None:
         """Do nothing: nobody hears it."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 from collections.abc import Mapping
+from socket import gethostname
 from typing import Any
 
 import pytest
@@ -68,13 +69,16 @@ def test_the_levels_are_those_of_the_messages():
     assert (INFO, WARN, ERROR) == (20, 30, 40)
 
 
+def listening(deployment: PlanDeployment) -> Heard:
+    listener = deployment.start(ClientProgram(["-m", "tests.support.e2e.programs.listener"], deployment.environment))
+    listener.until(lambda: "ready" in listener.out)
+    return Heard(listener)
+
+
 @pytest.fixture(scope="module")
 def heard(deployment_of_module: PlanDeployment) -> Heard:
     """A listener."""
-    command = ["-m", "tests.support.e2e.programs.listener"]
-    listener = deployment_of_module.start(ClientProgram(command, deployment_of_module.environment))
-    listener.until(lambda: "ready" in listener.out)
-    return Heard(listener)
+    return listening(deployment_of_module)
 
 
 @pytest.fixture(scope="module")
@@ -119,6 +123,7 @@ def test_what_fails_is_an_error(deployment_of_module, heard, node):
 def test_diagnostics_of_node_tasks_and_action_servers(deployment_of_module, heard, node):
     assert heard.diagnosis("node", Level.OK, "active", planner="kairos")["hardware"] == "/pnm"
     heard.diagnosis("action move (/r1/move)", Level.OK, "is there", type="pnm_interfaces/action/GroundAction")
+    heard.diagnosis("journal", Level.OK, "can be written")
     heard.diagnosis("sensor *at* (/knowledge/sensed)", Level.OK, "is heard")
     heard.diagnosis("sensor r1_beat (/r1/beat)", Level.ERROR, "there is no topic /r1/beat")
 
@@ -135,3 +140,22 @@ def test_servers_that_are_gone_are_errors(heard, node, robots):
     robots.stop()
     heard.diagnosis("sensor *at* (/knowledge/sensed)", Level.STALE, "nothing reports about at")
     heard.diagnosis("action move (/r1/move)", Level.ERROR, "there is no action server /r1/move")
+
+
+def test_diagnostics_show_a_pair_of_nodes_that_has_become_a_single_one(deployment, postgres):
+    heard, journal = listening(deployment), postgres.database()
+
+    def serving() -> Serving:
+        return deployment.start(Serving(["-m", "planner_bridge", "serve", DOMAIN, PROBLEM, "--journal", journal], deployment.environment))
+
+    first = serving().ready()
+    heard.diagnosis("journal", Level.OK, "can be written")
+    second = serving()
+    heard.diagnosis("journal", Level.OK, f"pid {second.process.pid} stands by")
+    second.process.kill()
+    heard.diagnosis("journal", Level.WARN, f"no other node stands by any more; the last one was {gethostname()} pid {second.process.pid}")
+    heard.log("pnm", WARN, "no other node stands by any more")
+    third = serving()
+    heard.diagnosis("journal", Level.OK, f"pid {third.process.pid} stands by")
+    first.process.kill()
+    heard.diagnosis("journal", Level.WARN, f"no other node stands by any more; the last one was {gethostname()} pid {first.process.pid}")

@@ -18,14 +18,14 @@ from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.core.resources import Resources
 from pnm.journal.format import RECORDS
-from pnm.journal.kept import Durability, Fenced, JournalError
+from pnm.journal.kept import Durability, Fenced, JournalError, Unshared
 from pnm.journal.resume import replayed
 from pnm.journal.store import JournalFile
 from pnm.journal.written_journal import WrittenJournal
 from pnm.tasks import Wanted
 
 
-class Lapsing:
+class Lapsing(Unshared):
     """A right to write that ends and comes back."""
 
     mine = True

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from pnm.files.database.lock import this_process
 from pnm.files.database.place import Place, place_of
-from pnm.journal.kept import Durability, Fenced, Held, JournalChoice, JournalError, Row
+from pnm.journal.kept import Durability, Fenced, Held, JournalChoice, JournalError, Row, StandBys
 from pnm.journal.lease import Lease, take
 from pnm.journal.store import JournalFile, KeptJournal
 from tests.support.e2e.hosts.postgres import PostgresServer
@@ -82,6 +83,33 @@ def test_a_holder_trusts_its_own_clock_from_before_it_asked_and_is_done_earlier_
     assert not lease.is_mine(), "although its database has heard nothing of the time"
     lease.renew()
     assert lease.is_mine()
+    file.close()
+
+
+def test_a_holder_sees_who_stands_by_and_misses_who_does_not_any_more(postgres: PostgresServer, caplog: pytest.LogCaptureFixture) -> None:
+    place, clock = place_of(postgres.database()), Clock()
+    file = JournalFile(place, Durability.PROCESS_CRASH, 0.0, 10.0)
+    lease = Lease(file, 10.0, clock.now, clock)
+
+    def renewed_after(seconds: float) -> StandBys:
+        clock.now += seconds
+        lease.renew()
+        return lease.stand_bys()
+
+    assert renewed_after(9.0) == StandBys(), "one that has always been alone misses nobody"
+    other = KeptJournal(place)
+    other.wait(0.0)
+    assert renewed_after(3.0) == StandBys((this_process(),), 0.0)
+    other.close()
+    until(lambda: not file._database.waiting())
+    assert not renewed_after(3.0).are_missed, "it may be back"
+    assert renewed_after(3.0).are_missed
+    assert renewed_after(3.0) == StandBys((this_process(),), 9.0)
+    assert caplog.text.count("no other node stands by any more") == 1
+    other = KeptJournal(place)
+    other.wait(0.0)
+    assert renewed_after(3.0) == StandBys((this_process(),), 0.0)
+    other.close()
     file.close()
 
 
