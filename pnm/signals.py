@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-import asyncio
+import _thread
+import atexit
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Coroutine, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from math import inf
-from time import monotonic
-from typing import Any, Final, TypeVar
+from time import monotonic, sleep
+from typing import TYPE_CHECKING, Any, Final, NoReturn, TypeVar
+
+if TYPE_CHECKING:
+    import asyncio
 
 T = TypeVar("T")
 
@@ -20,6 +25,8 @@ _ONE_REQUEST: Final = 1.0
 """Seconds in which signals count as one: some supervisors send theirs to a process and to its group as well."""
 LEAVING: Final = 2.0
 """Seconds of real time that a process has to leave in order after a second signal; then it leaves at once."""
+_CALLBACK: Final = 0.01
+"""Seconds for a callback that has swallowed Ctrl-C to be over."""
 _SPEAKING: Final = 0.5
 """Seconds for its last words."""
 CANCELLED: Final = 1
@@ -27,10 +34,38 @@ CANCELLED: Final = 1
 
 
 class LastWords:
-    """Says what is said last by a process that leaves at once. The mutable state is that; it is set by the program that it is."""
+    """How a program ends that leaves at once: what it says then, unless that has been said, and with which status.
+
+    The mutable state is those, whether they are said, and whether this process is such a program: what is no program of ours leaves
+    when its caller does.
+    """
 
     def __init__(self) -> None:
-        self.say: Callable[[], object] = lambda: None
+        self._words: Callable[[], object] = _cancelled
+        self.status = CANCELLED
+        self.is_program = False
+        self.are_said = False
+
+    def belong_to_program(self, words: Callable[[], object]) -> None:
+        """Have the process leave at once, with these words, when it is told so twice, or before it has begun."""
+        self._words, self.is_program = words, True
+
+    def say(self) -> None:
+        """Say them, once."""
+        words, self._words, self.are_said = self._words, _nothing, True
+        words()
+
+    def drop(self, status: int) -> None:
+        """Have nothing left to say: how it went has been told, and is the exit status."""
+        self._words, self.status = _nothing, status
+
+
+def _cancelled() -> None:
+    sys.stderr.write("cancelled\n")
+
+
+def _nothing() -> None:
+    """Say nothing."""
 
 
 LAST_WORDS: Final = LastWords()
@@ -59,7 +94,9 @@ class StoppableWork:
 
     async def run(self, main: Coroutine[Any, Any, T]) -> T:
         """Await the coroutine that is the work, and return its result."""
-        self._task = asyncio.current_task()
+        from asyncio import current_task  # here, because a program imports this before anything that takes its time
+
+        self._task = current_task()
         return await main
 
     @contextmanager
@@ -80,7 +117,7 @@ class StoppableWork:
         before, self._last = self._last, monotonic()
         if self._last - before < _ONE_REQUEST:
             return
-        if before > -inf:
+        if before > -inf and LAST_WORDS.is_program:
             leave_within(LEAVING)
         if self._is_pending:
             raise KeyboardInterrupt
@@ -96,14 +133,77 @@ class StoppableWork:
 
 def leave_within(seconds: float) -> None:
     """Have the process leave at once when it has not ended after these seconds: by a thread, since its own work may be what hangs."""
-    timer = threading.Timer(seconds, leave)
-    timer.daemon = True
-    timer.start()
+    _later(seconds, leave)
 
 
-def leave(status: int = CANCELLED) -> None:
+def leave() -> NoReturn:
     """End the process at once. Nothing is closed: what is kept, such as a journal, is as after a crash."""
-    words = threading.Thread(target=LAST_WORDS.say, daemon=True)
-    words.start()
-    words.join(_SPEAKING)  # who should read them may have stopped reading
-    os._exit(status)
+    _later(0.0, _say_and_exit)
+    sleep(_SPEAKING)  # who should read the words may have stopped reading
+    os._exit(LAST_WORDS.status)
+
+
+def _say_and_exit() -> None:
+    try:
+        LAST_WORDS.say()
+    finally:
+        os._exit(LAST_WORDS.status)
+
+
+def _later(seconds: float, function: Callable[[], object]) -> None:
+    """Call a function in a thread of its own. Not one of `threading`, whose lock this thread may have just now: signals come anywhere."""
+
+    def call() -> None:
+        sleep(seconds)
+        function()
+
+    _thread.start_new_thread(call, ())
+
+
+def leave_at_ctrl_c(words: Callable[[], object]) -> None:
+    """Have Ctrl-C end this program at once where it is not `interruptible`.
+
+    While it is being imported, and when it is over, there is nothing to be closed; and what is unwound there is no business of people.
+
+    Args:
+        words: says that it was cancelled.
+    """
+    LAST_WORDS.belong_to_program(words)
+    signal.signal(signal.SIGINT, _leave_now)  # also when it was ignored, as by shells for what they start in the background
+    sys.unraisablehook = _raise_again
+    atexit.register(_end)  # first, so that it comes last
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Have Ctrl-C raise `KeyboardInterrupt` while this is entered, also in a program that would leave at once."""
+    is_ours = signal.getsignal(signal.SIGINT) is _leave_now
+    if is_ours:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        if is_ours:
+            signal.signal(signal.SIGINT, _leave_now)
+
+
+def _end() -> None:
+    """End the process with its status: once Python itself ends, Ctrl-C would become the status, even one that was handled long ago."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if LAST_WORDS.are_said:
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(LAST_WORDS.status)
+
+
+def _leave_now(number: int, frame: object) -> None:
+    leave()
+
+
+def _raise_again(swallowed: sys.UnraisableHookArgs) -> None:
+    """Have Ctrl-C be heard that came while Python was in a callback out of which nothing can be raised."""
+    if issubclass(swallowed.exc_type, KeyboardInterrupt):
+        _later(_CALLBACK, _thread.interrupt_main)  # later, or it would be swallowed here
+    else:
+        sys.__unraisablehook__(swallowed)

@@ -5,9 +5,7 @@ Commands import what they need in their functions, so that each starts as fast a
 
 from __future__ import annotations
 
-import json
 import logging
-import signal
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -31,6 +29,7 @@ from planner_bridge.cli.options import (
     output_options,
     planning,
     planning_within,
+    print_json,
     problem_in,
     write,
 )
@@ -126,7 +125,7 @@ def plan(
         ]
         found = {"cost": result.plan.cost, "is_best": result.plan.is_best} if result.plan else {}
         fields = {"status": result.status.value, "message": result.message, "planner": result.planner, **found}
-        print(json.dumps({**fields, "steps": steps if result.plan else None}))
+        print_json({**fields, "steps": steps if result.plan else None})
     elif result.plan is None:
         from planner_bridge.cli.consoles.safe_console import SafeConsole  # here and below: a plan alone needs neither rich nor pictures
 
@@ -292,9 +291,6 @@ def main() -> None:
     """Run the command line."""
     make_streams_safe()
     hide_arguments(without_password)
-    # Shells without job control start background processes with SIGINT ignored; one that is sent all the same asks us to stop in order.
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
     logging.basicConfig(level=logging.WARNING, format="%(message)s", handlers=[_Warnings()])
     app(prog_name="pnm")
 

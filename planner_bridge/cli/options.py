@@ -25,6 +25,7 @@ from pnm.errors import InputError, PnmError
 from pnm.files.database.place import Place, place_of
 from pnm.files.private import secret_in, write_private
 from pnm.files.yaml_nodes import parse_value
+from pnm.signals import CANCELLED, LAST_WORDS, LEAVING, interruptible, leave_within
 
 if TYPE_CHECKING:
     from planner_bridge.view.process import PageProcess
@@ -66,8 +67,9 @@ def command(function: Callable[P, int]) -> Callable[P, None]:
     @wraps(function)
     def run(*args: P.args, **kwargs: P.kwargs) -> None:
         try:
-            status = function(*args, **kwargs)
-            sys.stdout.flush()
+            with interruptible():
+                status = function(*args, **kwargs)
+                sys.stdout.flush()
         except PnmError as error:
             print(error, file=sys.stderr)
             status = 2 if isinstance(error, InputError) else 1
@@ -75,16 +77,26 @@ def command(function: Callable[P, int]) -> Callable[P, None]:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             status = 1
         except KeyboardInterrupt:
-            print("cancelled", file=sys.stderr)
-            status = 1
+            LAST_WORDS.say()
+            if LAST_WORDS.is_program:  # a thread that was left alone may go on for long
+                leave_within(LEAVING)
+            status = CANCELLED
         except Exception as error:  # a bug; its place is enough for a report
             where = traceback.extract_tb(error.__traceback__)[-1]
             place = f"{Path(where.filename).name}:{where.lineno}"
             print(f"internal error, please report it: {type(error).__name__} at {place}: {error}", file=sys.stderr)
             status = 1
+        LAST_WORDS.drop(status)
         sys.exit(status)
 
     return run
+
+
+def print_json(value: object) -> None:
+    """Print the JSON object that ``--json`` asks for. It says how a command went, whatever signal comes after it."""
+    text = json.dumps(value, default=str)
+    LAST_WORDS.drop(CANCELLED)
+    print(text, flush=True)
 
 
 def options(*options: Decorator) -> Decorator:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,6 +21,7 @@ from planner_bridge.cli.options import (
     files_or_plan,
     force_option,
     plan_parameters,
+    print_json,
     problem_in,
     sensing_option,
     set_option,
@@ -110,7 +110,7 @@ def check(
         settings = Settings(bindings=bindings_for(chosen[0], bindings, loaded.vocabulary), sensing=sensors)
         rows = readiness(loaded, settings, wait)
     if as_json:
-        print(json.dumps({"ready": all(row.state is ReadyState.READY for row in rows), "rows": [row.as_json() for row in rows]}))
+        print_json({"ready": all(row.state is ReadyState.READY for row in rows), "rows": [row.as_json() for row in rows]})
     else:
         print_table(SafeConsole(), rows)
     states = {row.state for row in rows}

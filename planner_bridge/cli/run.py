@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
@@ -39,6 +38,7 @@ from planner_bridge.cli.options import (
     named_values,
     plan_parameters,
     planning,
+    print_json,
     problem_in,
     quiet_option,
     seal_of,
@@ -276,7 +276,7 @@ def _stay(page: PageProcess) -> None:
 def print_ending(result: TaskResult, console: SafeConsole, output: Output, page: PageProcess | None = None) -> int:
     """Print the result of a task, for people or as one JSON object; keep its page, unless it was cancelled; return the exit status."""
     if output is Output.JSON:
-        print(json.dumps(result.as_json(), default=str), flush=True)
+        print_json(result.as_json())
     else:
         print_result(console, result)
     if page and result.code is not Code.CANCELLED:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import Awaitable, Callable
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
@@ -19,7 +18,7 @@ from rich.text import Text
 
 from planner_bridge.cli.consoles.event_lines import EventLines, ToldFailures
 from planner_bridge.cli.consoles.safe_console import SafeConsole
-from planner_bridge.cli.options import Seconds, adopt_option, as_json_option, command, options
+from planner_bridge.cli.options import Seconds, adopt_option, as_json_option, command, options, print_json
 from pnm.clock import run_async
 from pnm.core.machine.requests import OutcomeKind
 from pnm.errors import InputError
@@ -157,7 +156,7 @@ def status(namespace: str, as_json: bool) -> int:
     """
     message = _with_node(namespace, lambda node: node.status())
     if as_json:
-        print(json.dumps({"paused": message.paused, "tasks": [_task_data(task) for task in message.tasks]}))
+        print_json({"paused": message.paused, "tasks": [_task_data(task) for task in message.tasks]})
     else:
         _print_status(SafeConsole(), message)
     return 0
@@ -228,7 +227,7 @@ def goal(*, goal: str, priority: int, deadline: float | None, policy: str, names
     is_reached = outcome.kind is OutcomeKind.SUCCEEDED
     if as_json:
         trace = {"trace": [f"{event['word']} {event['subject']} {event['text']}".strip() for event in outcome.result.get("trace", ())]}
-        print(json.dumps({"task": str(task), "goal_reached": is_reached, **outcome.result, "message": outcome.message, **trace}))
+        print_json({"task": str(task), "goal_reached": is_reached, **outcome.result, "message": outcome.message, **trace})
     else:
         if is_reached:
             console.print_text("holds", "[bold green]goal[/]     ")
@@ -308,7 +307,7 @@ def facts(
 
     known = _with_node(namespace, exchange)
     if as_json:
-        print(json.dumps(known))
+        print_json(known)
     else:
         for fact, value in sorted(known.items()):
             SafeConsole().print(f"{fact}  {value}")

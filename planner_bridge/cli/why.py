@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +13,7 @@ import click
 from planner_bridge.cli.consoles.on_stderr import searching
 from planner_bridge.cli.consoles.safe_console import SafeConsole
 from planner_bridge.cli.journal import chosen_journal, errors_of_journals
-from planner_bridge.cli.options import FILE, Seconds, as_json_option, command, problem_in
+from planner_bridge.cli.options import FILE, Seconds, as_json_option, command, print_json, problem_in
 from planner_bridge.explanations.answer import Answer, Known
 from planner_bridge.explanations.goal_now import why_goal
 from planner_bridge.explanations.history import JournalHistory
@@ -155,7 +154,7 @@ def _call(problem: Problem, text: str, option: str) -> PlanStep:
 def show(answers: Sequence[Answer], *, as_json: bool) -> None:
     """Print answers: as trees that fit the terminal, in lines of any length elsewhere, or as JSON."""
     if as_json:
-        print(json.dumps({"answers": [answer.as_json() for answer in answers]}))
+        print_json({"answers": [answer.as_json() for answer in answers]})
         return
     console = SafeConsole()
     for answer in answers:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from pnm import signals
 from pnm.clock import FollowingLoop, run_async
 from pnm.signals import CANCELLED
 from tests.support.processes import Program
@@ -76,13 +77,30 @@ def test_what_ends_does_not_wait_for_a_clock_that_was_followed() -> None:
     assert run_async(work())
 
 
+def test_a_process_that_is_no_program_of_ours_leaves_when_its_own_program_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    left: list[float] = []
+    monkeypatch.setattr(signals, "_ONE_REQUEST", 0.0)
+    monkeypatch.setattr(signals, "leave_within", left.append)
+
+    async def work() -> None:
+        for _ in range(2):
+            signal.raise_signal(signal.SIGTERM)
+            with contextlib.suppress(asyncio.CancelledError):
+                await asyncio.Event().wait()
+
+    for is_program in (False, True):
+        monkeypatch.setattr(signals.LAST_WORDS, "is_program", is_program)
+        run_async(work())
+        assert left == [signals.LEAVING] * is_program
+
+
 BEGINNING = """
 import asyncio, threading
 from pnm import signals
 from pnm.clock import run_async
 
 signals._ONE_REQUEST = 0.0
-signals.LAST_WORDS.say = lambda: print("last words", flush=True)
+signals.LAST_WORDS.belong_to_program(lambda: print("last words", flush=True))
 
 
 async def work():
@@ -129,7 +147,7 @@ HANGING = {
         await asyncio.to_thread(threading.Event().wait)
 """,
     "has nobody who reads its last words": """
-    signals.LAST_WORDS.say = threading.Event().wait
+    signals.LAST_WORDS.belong_to_program(threading.Event().wait)
     print("last words", flush=True)
     while True:
         try:
