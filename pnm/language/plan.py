@@ -134,7 +134,8 @@ def _plan(head: PlanHead, others: Mapping[str, PlanHead]) -> HandWrittenPlan:
     facts = {**domain.model.init, **read_facts(entry.listed("facts"), scope)}
     own = {name: action.recoveries for name, action in actions.items() if action.recoveries is not None}
     recoveries = {name: reader.recoveries(actions[name], node) for name, node in own.items()}
-    builder = PlanGraphBuilder(lambda action: recoveries.get(action.name, ()), Facts(facts), max(1, entry.whole("restarts", 1)))
+    restarts = entry.whole("restarts", None)
+    builder = PlanGraphBuilder(lambda action: recoveries.get(action.name, ()), Facts(facts), None if restarts is None else max(1, restarts))
     goal = read_goal(entry, scope)
     graph = builder.graph(steps, domain.model.goal if goal == TRUE else goal, domain.rules, _capacities(entry))
     graph = replace(graph, due=_due(graph.goal, domain))

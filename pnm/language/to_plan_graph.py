@@ -70,11 +70,13 @@ class _Region:
 class PlanGraphBuilder:
     """Makes the graph of one plan. The mutable state is the number of steps so far, where calls stand, and which have recoveries.
 
-    Recoveries of actions come from the domain, facts are those at the beginning; a plan may begin anew `restarts` times where a recovery
-    gives no number.
+    Recoveries of actions come from the domain, facts are those at the beginning; a plan may begin anew `restarts` times; where that is not
+    said, once, or as often as a recovery that asks for it says.
     """
 
-    def __init__(self, recoveries: Callable[[LanguageAction], tuple[WrittenRecovery, ...]], facts: Facts, restarts: int = 1) -> None:
+    def __init__(
+        self, recoveries: Callable[[LanguageAction], tuple[WrittenRecovery, ...]], facts: Facts, restarts: int | None = None
+    ) -> None:
         self._recoveries = recoveries
         self._facts = facts
         self._restarts = restarts
@@ -91,7 +93,7 @@ class PlanGraphBuilder:
         calls = [step.index for step in steps if isinstance(step, ActionCall)]
         others = [step.index for step in steps if not isinstance(step, ActionCall)]
         flow = _renumbered(flow, {old: new for new, old in enumerate((*calls, *others))})  # calls in the order in which they stand
-        return PlanGraph(flow.steps, flow.orderings, goal, rules, capacities=dict(capacities or {}))
+        return PlanGraph(flow.steps, flow.orderings, goal, rules, capacities=dict(capacities or {}), restarts=self._restarts)
 
     def _flow(self, steps: SequenceStep, region: _Region) -> Flow:
         """Return the flow of steps; a call whose start others wait for, or whose end waits itself, can only be tried again or fail."""
@@ -215,7 +217,7 @@ class PlanGraphBuilder:
 
     def _recovery(self, written: WrittenRecovery, own: Substitution, around: _Region) -> Recovery:
         chain = self._flow(written.chain, _Region(around.outer, around.depth, around.recovering))
-        usual = self._restarts if written.then is Then.RESTART_PLAN else 1
+        usual = self._restarts or 1 if written.then is Then.RESTART_PLAN else 1
         times = usual if written.times is None else written.times
         return Recovery(written.causes, written.then, chain, times, TRUE if written.when is None else ground(written.when, own.env))
 

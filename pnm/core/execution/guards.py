@@ -270,6 +270,8 @@ class Guards:
                 passed = f"{self._state.passed:g} s have passed"
                 what = "a start" if rule.cause is Cause.TOO_LATE else "an end"
                 return Explanation(rule.cause, f"{what} within {seconds:g} s of the plan's start", passed)
+            case Always() if rule.expected:
+                return Explanation(rule.cause, rule.expected, rule.observed)
             case _:
                 return None
 

@@ -19,7 +19,7 @@ from pnm.core.knowledge_base import Layered
 from pnm.core.logic.effects import Changes
 from pnm.core.machine.bindings import Bindings, WhenLost
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import ActionCall
+from pnm.core.machine.plan_graph import ActionCall, Cause
 from pnm.core.machine.requests import Accepted, Ended, Report
 from pnm.core.net.firing_engine import Engine
 from pnm.core.net.net import Marking
@@ -205,8 +205,9 @@ class RunView:
         elif self._results.failures:
             reason = str(self._results.failures[0])
         else:
-            _, expected, seen = self._results.last_check or ("", "", "")
-            reason = f"every call is done but the goal does not hold: expected {expected}; observed {seen}"
+            cause, expected, seen = self._results.last_check or ("", "", "")
+            why = "every call is done but the goal does not hold" if cause is Cause.GOAL_FALSE else cause
+            reason = f"{why}: expected {expected}; observed {seen}"
         return RunResult(goal, reason, self._results.calls(), tuple(self._results.failures), self.stopped)
 
     @property

@@ -288,7 +288,7 @@ class MachineBlocks(BlockArcs[PlacedStep]):
             failed_place=places[FAILED],
             failure_places=of_steps(lambda template: template.failures),
             restart_places=of_steps(lambda template: template.restarts),
-            budget_places=names(lambda template: template.budgets),
+            budget_places=NamesOf(places, lambda: [one.place + number for one in self.placed for number in one.template.budgets]),
             resource_places=ByName(places, lambda: resources),
             settling_places=of_steps(lambda template: template.settling),
             alive_places=names(lambda template: template.alive),

@@ -14,12 +14,12 @@ from pnm.core.machine.bindings import Bindings, is_open
 from pnm.core.machine.blocks import END, FAILED, GOAL, START, MachineBlocks, PlacedRegion, PlacedStep
 from pnm.core.machine.call_block import CallBlock
 from pnm.core.machine.machine import Always, ConditionFalse, ConditionTrue, Due, Ending, Failing, OnFailure, PetriNetMachine, Rule
-from pnm.core.machine.plan_graph import ActionCall, Cause, Choice, Junction, Loop, Moment, PlanEvent, PlanGraph, Step, Then
+from pnm.core.machine.plan_graph import ActionCall, Cause, Choice, Junction, Loop, Moment, PlanEvent, PlanGraph, Step
 from pnm.core.machine.step_block import PORTS, Block, BlockTemplate, ChoiceBlock, Context, Draft, Inner, JunctionBlock, LoopBlock
 from pnm.core.net.no_collection import no_collection
 from pnm.core.net.when_asked import Remembered
 from pnm.core.resources import check_capacity
-from pnm.errors import check_kinds
+from pnm.errors import check_kinds, counted
 
 _TEMPLATES: Final = Remembered[object, BlockTemplate]()
 """Those that blocks of all machines share, by what they depend on."""
@@ -30,7 +30,7 @@ class Builder:
 
     def __init__(self, plan: PlanGraph, bindings: Bindings) -> None:
         self.blocks = MachineBlocks(plan, bindings)
-        starts_anew = any(recovery.then is Then.RESTART_PLAN for call in plan.calls for recovery in call.recoveries)
+        starts_anew = plan.restart_limit > 0
         # If the plan can begin anew, every block can be entered again, and must give back what it has spent.
         self.context = Context(plan, bindings, starts_anew, repeated=starts_anew)
         self.resources: dict[str, int] = {}
@@ -198,7 +198,14 @@ def _ending(plan: PlanGraph, restarts: Sequence[str]) -> Draft:
             ending.port(place)
             for source, name in ((end, "restart"), (restarting, "restart_too")):
                 ending.transition(f"{name} {place}", Rule(name), [source, place], [restarting])
-        ending.transition("begin_anew", Rule("begin_anew", restarts=True), [restarting], [start])
+        # Counted here, for the plan as a whole: what asks for a restart only counts how often it asks itself.
+        left, spent = (ending.net.place(f"restarts {name}") for name in ("left", "spent"))
+        ending.budgets += (left, spent)
+        ending.initial[left] = plan.restart_limit
+        ending.transition("begin_anew", Rule("begin_anew", restarts=True), [restarting, left], [start, spent])
+        limit = f"the plan to begin anew {counted(plan.restart_limit, 'time')} at most"
+        used_up = Rule("restart_limit", cause=Cause.RESTART_LIMIT, expected=limit, observed="one more is asked for")
+        ending.transition("restart_limit", used_up, {restarting: 1, spent: plan.restart_limit}, [failed])
     # The last two rules exclude each other, so that one of them opens whatever the world is like.
     ending.transition("goal_holds", Rule("goal_holds", ConditionTrue(plan.goal)), [end], [goal])
     ending.transition("goal_missing", Rule("goal_missing", ConditionFalse(plan.goal), cause=Cause.GOAL_FALSE), [end], [failed])

@@ -93,6 +93,8 @@ class Cause(StrEnum):
     """All rounds of a loop are spent."""
     CONDITION_UNKNOWN = "condition_unknown"
     """The condition of a loop or a choice is neither true nor false."""
+    RESTART_LIMIT = "restart_limit"
+    """The plan shall begin anew once more, and has done so as often as it may."""
     GOAL_FALSE = "goal_false"
     """Every step is done, and the goal of the plan does not hold."""
 
@@ -302,6 +304,8 @@ class PlanGraph:
     """Seconds after the moment the plan starts from before which the goal is not looked at: time itself does the last part."""
     capacities: Mapping[str, int] = field(default_factory=dict)
     """How many calls may have a resource at the same time; one for those not listed."""
+    restarts: int | None = None
+    """How often it may begin anew, whichever recoveries ask for that; as often as that which may ask most often when not given."""
 
     def __post_init__(self) -> None:
         outermost, waiting = {step.index for step in self.steps}, {ordering.after for ordering in self.orderings}
@@ -334,6 +338,13 @@ class PlanGraph:
     def every_step(self) -> tuple[Step, ...]:
         """All steps, those inside others included."""
         return tuple(every_step(self.steps))
+
+    @cached_property
+    def restart_limit(self) -> int:
+        """How often it may begin anew; 0 if no recovery asks for that."""
+        recoveries = (recovery for call in self.calls for recovery in call.recoveries if recovery.then is Then.RESTART_PLAN)
+        most = max((recovery.times for recovery in recoveries), default=0)
+        return most if self.restarts is None else min(most, 1) * self.restarts
 
     @cached_property
     def calls(self) -> tuple[ActionCall, ...]:

@@ -163,7 +163,7 @@ class AskedOf:
 
     def __init__(self, machine: PetriNetMachine) -> None:
         plan, bindings = machine.plan, machine.bindings
-        starts_anew = any(recovery.then is Then.RESTART_PLAN for call in plan.calls for recovery in call.recoveries)
+        starts_anew = plan.restart_limit > 0
         self._once, self._often = (Context(plan, bindings, starts_anew, repeated) for repeated in (starts_anew, True))
         self._again = frozenset[int]() if starts_anew else frozenset(_reached_again(plan))
         orderings = [one for flow in (plan.flow, *(flow for step in plan.every_step for flow in flows(step))) for one in flow.orderings]

@@ -129,6 +129,10 @@ def _verified(machine: PetriNetMachine) -> Proof:
         for name in anatomy.transitions[owner]:
             if taken.goal_place in taken.net.outputs[name] and taken.rules[name].guard != ConditionTrue(taken.plan.goal):
                 raise Unsound(f"{name} marks the goal place without asking for the goal")
+    for name in anatomy.transitions[None]:
+        counted_by = [taken.initial[place] for place in taken.net.inputs[name] if place in taken.budget_places]
+        if taken.rules[name].restarts and counted_by != [taken.plan.restart_limit]:
+            raise Unsound(f"{name} does not count how often the plan begins anew, which is {taken.plan.restart_limit} at most")
     for owner in anatomy.transitions:
         block = anatomy.block(owner)
         if owner is not None and not block.part.ends:

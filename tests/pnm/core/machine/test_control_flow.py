@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from pnm.core.execution.events import Begin, Send
@@ -168,6 +170,22 @@ def test_restarting_the_plan_ends_what_is_beside_it_first_and_begins_once() -> N
     trace = drive(restarting, answering_with(a0=["aborted"] * 2), bindings=ONCE)
     assert not trace.result.goal
     assert trace.actions == ["a0", "a1"] * 2
+
+
+def test_a_plan_begins_anew_as_often_as_it_may_whoever_asks() -> None:
+    calls = (call_with(0, on(Cause.ABORTED, Then.RESTART_PLAN)), call_with(1, on(Cause.ABORTED, Then.RESTART_PLAN)))
+    reason = "restart_limit: expected the plan to begin anew 1 time at most; observed one more is asked for"
+    for restarts, actions, why in ((None, 3, reason), (1, 3, reason), (2, 5, "the goal holds")):
+        restarting = replace(plan_of_steps(*calls, orders=("0e<1s",)), restarts=restarts)
+        verify(generate(restarting))
+        trace = drive(restarting, answering_with(a0=["aborted"], a1=["aborted"]), bindings=ONCE)
+        assert (len(trace.actions), trace.result.reason) == (actions, why)
+
+
+def test_a_restart_that_is_not_counted_for_the_plan_is_found() -> None:
+    machine = generate(plan_of_steps(call_with(0, on(Cause.ABORTED, Then.RESTART_PLAN))))
+    with pytest.raises(Unsound, match="does not count how often the plan begins anew"):
+        verify(replace(machine, plan=replace(machine.plan, restarts=2)))
 
 
 def test_however_many_calls_may_restart_the_plan_the_proof_costs_the_same() -> None:
