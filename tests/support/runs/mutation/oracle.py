@@ -65,7 +65,7 @@ def _execute(machine: PetriNetMachine, random: Random) -> None:
         if call.kind is CallOutcome.WAITING and call.call not in machine.plan.steps:
             continue  # it stands where the plan need not come by
         is_spared = call.kind is CallOutcome.PASSED_OVER and any(
-            recovery.then is Then.SKIP and call.cause in recovery.causes for recovery in call.call.recoveries
+            recovery.then in (Then.SKIP, Then.RESTART_PLAN) and call.cause in recovery.causes for recovery in call.call.recoveries
         )
         was_sent = call.kind is CallOutcome.SUCCEEDED and call.call.action.name in sent
         assert was_sent or is_spared or call.kind is CallOutcome.ALREADY_TRUE, f"goal, and {call.call} was not carried out: {call.kind}"
