@@ -26,7 +26,7 @@ def why_now(history: JournalHistory, task: TaskHistory, run: RunHistory, call: i
     if run.source.plan.calls[call].under_way:
         return Answer(f"{name} goes on from the run before", Known.JOURNAL)
     if result.started is None:
-        if run.is_over or task.ending:
+        if run.is_over or task.replayed.ending:
             return Answer(f"{name} never began: its run was over before", Known.JOURNAL)
         reasons = tuple(_obstacles(history, task, run, call))
         if not reasons:

@@ -16,7 +16,6 @@ from uuid import UUID
 from planner_bridge.model.plan_simulation import snapshot
 from planner_bridge.tasks.replanning import Decision, decision_words
 from planner_bridge.tasks.result import TASKS, GoalNote, TaskCounts
-from pnm.clock import TimeUsed
 from pnm.core.execution.call_results import CallResult, Explanation, Failure
 from pnm.core.execution.events import Observer
 from pnm.core.knowledge_base import KnowledgeBase
@@ -42,9 +41,8 @@ from pnm.journal.records import (
     TaskHeld,
     TaskNoted,
     TaskOver,
-    TimeCounted,
 )
-from pnm.journal.replay import Replay, ReplayedRun
+from pnm.journal.replay import Replay, ReplayedRun, ReplayedTask
 from pnm.journal.resume import steps_after
 from pnm.journal.store import KeptJournal
 from pnm.knowledge.sources.help import HelpAsked, HelpEnded
@@ -240,14 +238,14 @@ class TaskHistory:
     """The history of a task. The history of its journal alone changes it.
 
     Args:
-        accepted: what it is about.
-        time: when it was accepted.
+        replayed: the task, as its replay has it.
         runs: its runs, in the order in which they were made.
+        is_told: whether the records are there that tell how it went; else only how it has ended.
     """
 
-    accepted: TaskAccepted
-    time: float
+    replayed: ReplayedTask
     runs: list[RunHistory]
+    is_told: bool = True
     state: TaskState = TaskState.QUEUED
     reason: str = ""
     """Why it is in this state, if that was said."""
@@ -255,19 +253,15 @@ class TaskHistory:
     """What was decided after the last run; None while it goes on."""
     plans: int = 0
     """How many a planner has found."""
-    used: TimeUsed | None = None
     helps: dict[UUID | None, Help] = field(default_factory=dict)
     """The questions to a person that are open, by the lost request that they are about; None for one how it goes on."""
-    ending: TaskEnding | None = None
     ended: float | None = None
     """When it was over."""
-    is_told: bool = True
-    """Whether the records are there that tell how it went; else only how it has ended."""
 
     @property
     def name(self) -> str:
         """What it is about."""
-        return self.accepted.wanted.text or "the goal of the problem"
+        return self.replayed.accepted.wanted.text or "the goal of the problem"
 
     @property
     def own_runs(self) -> tuple[RunHistory, ...]:
@@ -276,7 +270,8 @@ class TaskHistory:
 
     def seconds(self, now: float) -> float:
         """Return the seconds of its limit that are used, which stop with its end."""
-        return self.used.until(now if self.ended is None else self.ended) if self.used else 0.0
+        used = self.replayed.used
+        return used.until(now if self.ended is None else self.ended) if used else 0.0
 
     @property
     def counts(self) -> TaskCounts:
@@ -375,7 +370,7 @@ class JournalHistory:
                 self._note_event(record)
             case TaskAccepted():
                 self._begins = begins
-                self._accept(record, is_told=not begins or len(self.segments) < 2)
+                self._accept(record, is_told=not begins or self.segments[-1][0] == 1)
             case TaskHeld():
                 self._begins = begins
             case TaskEntered(id, state, reason) if id in self.tasks:
@@ -385,8 +380,6 @@ class JournalHistory:
             case TaskOver(id, ending):
                 self._begins = begins
                 self._end(self.tasks[id], ending)
-            case TimeCounted(of, used) if of in self.tasks:
-                self.tasks[of].used = used
             case _:
                 pass
 
@@ -409,14 +402,16 @@ class JournalHistory:
 
     def _accept(self, accepted: TaskAccepted, *, is_told: bool) -> None:
         id = accepted.wanted.id
-        if id not in self.tasks or self.tasks[id].accepted != accepted:  # else it is said again
-            runs = [run for run in self.runs.values() if run.replayed.made.task == id]  # of a plan, made before it is accepted
-            self.tasks[id] = TaskHistory(accepted, self.time, runs, is_told=is_told)
+        if id not in self.tasks or self.tasks[id].replayed.accepted != accepted:  # else it is said again
+            replayed = self.replay.tasks[id]
+            self.tasks[id] = TaskHistory(replayed, self._runs_of(replayed), is_told)
+
+    def _runs_of(self, task: ReplayedTask) -> list[RunHistory]:
+        return [self.runs[replayed.made.run] for replayed in task.runs]
 
     def _end(self, task: TaskHistory, ending: TaskEnding) -> None:
-        if task.ending is None:  # else it is said again
-            task.ending, task.ended = ending, self.time
-            task.state, task.reason = TaskState.OVER, ending.message
+        if task.ended is None:  # else it is said again
+            task.ended, task.state, task.reason = self.time, TaskState.OVER, ending.message
             for run in task.runs:
                 run.follow(f"its task is over: {ending.code.word}")
 
@@ -449,14 +444,13 @@ class JournalHistory:
         replayed.run.observer = _Listening(self, run)
         if task is None:
             return
+        task.runs = self._runs_of(task.replayed)
         if run.is_own:
-            task.runs = [one for one in task.runs if one.replayed.run.begun]  # the process of another one has died before it began it
-            if task.own_runs:
-                before = task.own_runs[-1]
+            if len(task.own_runs) > 1:
+                before = task.own_runs[-2]
                 run.replan, run.is_decided = _replan(before, source, task.decision), task.decision is not None
                 before.follow(run.replan.why)
             task.decision = None
-        task.runs.append(run)
 
     def _hand_over(self, new: RunHistory) -> None:
         """Note that a run goes on with requests of another one."""

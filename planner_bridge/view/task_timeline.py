@@ -25,8 +25,8 @@ def timelines(journal: Place | str) -> tuple[Timeline, ...]:
 
 def _timeline(history: JournalHistory, task: TaskHistory) -> Timeline:
     runs = [run for run in task.runs if run.replayed.run.begun]
-    began = min((task.time, *(run.time for run in runs)))
-    words = f"{task.ending.code.word}: {task.ending.message}" if task.ending else ""
+    began = min((task.replayed.time, *(run.time for run in runs)))
+    words = f"{task.replayed.ending.code.word}: {task.replayed.ending.message}" if task.replayed.ending else ""
     end = history.time if task.ended is None else task.ended
     return Timeline(task.name, tuple(_plan(history, run, began) for run in runs), end - began, words)
 

@@ -39,27 +39,27 @@ def view_of(story: Story) -> View:
 
 
 def _task(story: Story, task: TaskHistory) -> TaskShown:
-    wanted = task.accepted.wanted
-    limit = task.used.limit if task.used and isfinite(task.used.limit) else None
+    wanted, used = task.replayed.accepted.wanted, task.replayed.used
+    limit = used.limit if used and isfinite(used.limit) else None
     return TaskShown(
         task.name,
         task.state.word,
         _reason(task),
         wanted.priority,
-        task.accepted.wall,
-        None if wanted.deadline is None else task.accepted.wall + wanted.deadline,
+        task.replayed.accepted.wall,
+        None if wanted.deadline is None else task.replayed.accepted.wall + wanted.deadline,
         round(task.seconds(story.time), 6),
         limit,
-        task.ending.code.word if task.ending else "",
+        task.replayed.ending.code.word if task.replayed.ending else "",
         tuple(run.id.hex for run in task.runs),
-        task.accepted.order,
+        task.replayed.accepted.order,
         str(task.counts) if task.runs else "",
     )
 
 
 def _reason(task: TaskHistory) -> str:
     """Return why a task is as it is; if nobody has said that, what it does."""
-    if task.reason or task.ending:
+    if task.reason or task.replayed.ending:
         return task.reason
     if task.helps:
         return "a person is asked what is to be done"

@@ -59,7 +59,7 @@ def test_what_a_call_waits_for_is_what_has_not_come_after_every_record(journal: 
     for last in range(1, length(journal), 3):
         history = JournalHistory.read(journal, last)
         for task in history.tasks.values():
-            for run in task.runs[-1:] if task.ending is None and task.runs and not task.runs[-1].is_over else ():
+            for run in task.runs[-1:] if task.replayed.ending is None and task.runs and not task.runs[-1].is_over else ():
                 for call in run.source.plan.calls:
                     if run.last_results[call.index].kind is CallOutcome.WAITING:
                         _, now, *_ = why_call_of_run(history, task, run, call.index)
