@@ -5,13 +5,16 @@ from __future__ import annotations
 import re
 import signal
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, FloatRect, Page, expect
 
+from planner_bridge.pipeline.achieve import achieve
 from planner_bridge.view.follow import Reader
 from planner_bridge.view.view import view_of
+from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.machine.requests import Ended
 from pnm.journal.records import Happened, TaskOver
 from tests.support.e2e.page.browser import browser
@@ -97,6 +100,24 @@ def test_a_failure_can_be_read_and_what_followed(page: Page, delivery: Path) -> 
         expect(page.locator("#cuts li")).to_have_count(2)
         expect(page.locator("#cuts li").last).to_contain_text(f"not again: {FAILING}")
         expect(page.locator("#cuts li").last).to_contain_text("added: ")
+        page.close()
+
+
+def test_a_task_that_is_over_needs_nobody_and_counts_as_its_command_has_counted(page: Page, tmp_path: Path) -> None:
+    domain, problem = ROOT / "domains/delivery/domain.pddl", ROOT / "problems/delivery/p01.pddl"
+    faults = Faults((Fault("unload", FaultKind.ABORT, times=99),))
+    with ThreadPoolExecutor() as beside:  # the browser has an event loop in this thread
+        result = beside.submit(achieve, domain, problem, faults=faults, journal=tmp_path / "journal").result()
+    assert not result.goal_reached
+    assert result.failures
+    with page_of(tmp_path / "journal") as url:
+        page.goto(url)
+        expect(page.locator("#needs > p")).to_have_text("nothing")
+        expect(page.locator(".task")).to_contain_text(str(result.counts))
+        page.get_by_text("before, and what followed").click()
+        needs = page.locator("#needs details .need")
+        expect(needs.first).to_contain_text(f"its task is over: {result.code.word}")
+        expect(needs.filter(has_text="not decided yet")).to_have_count(0)
         page.close()
 
 
