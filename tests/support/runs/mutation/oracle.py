@@ -61,11 +61,13 @@ def _execute(machine: PetriNetMachine, random: Random) -> None:
     assert left == ({machine.goal_place: 1} if result.goal else {machine.failed_place: 1}), f"it ends in {left}"
     assert not run.open_requests, "it ends while a request is alive"
     assert not (result.goal and (result.failures or run.stopped)), "goal after a failure or a stop"
-    for call in result.calls if result.goal else ():
+    # A plan that begins anew is carried out the last time.
+    last = {call.call.index: call for call in result.calls}.values() if machine.restart_places else result.calls
+    for call in last if result.goal else ():
         if call.kind is CallOutcome.WAITING and call.call not in machine.plan.steps:
             continue  # it stands where the plan need not come by
         is_spared = call.kind is CallOutcome.PASSED_OVER and any(
-            recovery.then in (Then.SKIP, Then.RESTART_PLAN) and call.cause in recovery.causes for recovery in call.call.recoveries
+            recovery.then is Then.SKIP and call.cause in recovery.causes for recovery in call.call.recoveries
         )
         was_sent = call.kind is CallOutcome.SUCCEEDED and call.call.action.name in sent
         assert was_sent or is_spared or call.kind is CallOutcome.ALREADY_TRUE, f"goal, and {call.call} was not carried out: {call.kind}"
