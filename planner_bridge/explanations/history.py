@@ -240,12 +240,12 @@ class TaskHistory:
     Args:
         replayed: the task, as its replay has it.
         runs: its runs, in the order in which they were made.
-        is_told: whether the records are there that tell how it went; else only how it has ended.
     """
 
     replayed: ReplayedTask
     runs: list[RunHistory]
     is_told: bool = True
+    """Whether the records are there that tell how it went; else only how it has ended."""
     state: TaskState = TaskState.QUEUED
     reason: str = ""
     """Why it is in this state, if that was said."""
@@ -370,7 +370,7 @@ class JournalHistory:
                 self._note_event(record)
             case TaskAccepted():
                 self._begins = begins
-                self._accept(record, is_told=not begins or self.segments[-1][0] == 1)
+                self._accept(record)
             case TaskHeld():
                 self._begins = begins
             case TaskEntered(id, state, reason) if id in self.tasks:
@@ -379,7 +379,7 @@ class JournalHistory:
                 self._note_task(self.tasks[id], note)
             case TaskOver(id, ending):
                 self._begins = begins
-                self._end(self.tasks[id], ending)
+                self._end(self.tasks[id], ending, is_told=not begins or self.segments[-1][0] == 1)
             case _:
                 pass
 
@@ -400,17 +400,18 @@ class JournalHistory:
 
     # --- tasks ------------------------------------------------------------------------------------
 
-    def _accept(self, accepted: TaskAccepted, *, is_told: bool) -> None:
+    def _accept(self, accepted: TaskAccepted) -> None:
         id = accepted.wanted.id
         if id not in self.tasks or self.tasks[id].replayed.accepted != accepted:  # else it is said again
             replayed = self.replay.tasks[id]
-            self.tasks[id] = TaskHistory(replayed, self._runs_of(replayed), is_told)
+            self.tasks[id] = TaskHistory(replayed, self._runs_of(replayed))
 
     def _runs_of(self, task: ReplayedTask) -> list[RunHistory]:
         return [self.runs[replayed.made.run] for replayed in task.runs]
 
-    def _end(self, task: TaskHistory, ending: TaskEnding) -> None:
+    def _end(self, task: TaskHistory, ending: TaskEnding, *, is_told: bool) -> None:
         if task.ended is None:  # else it is said again
+            task.is_told = is_told
             task.ended, task.state, task.reason = self.time, TaskState.OVER, ending.message
             for run in task.runs:
                 run.follow(f"its task is over: {ending.code.word}")

@@ -8,22 +8,31 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from uuid import UUID
 
 import pytest
 
 from planner_bridge.explanations.answer import Answer
+from planner_bridge.explanations.history import JournalHistory
 from planner_bridge.explanations.run_questions import explained
+from planner_bridge.pipeline.achieve import carry_out
 from planner_bridge.tasks.result import TASKS
+from planner_bridge.tasks.settings import Settings
 from planner_bridge.view.follow import Reader
 from planner_bridge.view.shown import View
 from planner_bridge.view.task_timeline import timelines
 from pnm.core.pictures.timeline import Timeline
 from pnm.journal import written_journal
+from pnm.journal.kept import DAY
 from pnm.journal.records import TaskAccepted
 from pnm.journal.replay import Replay
 from pnm.journal.resume import replay_steps, summaries
+from pnm.tasks import Wanted
+from tests.support.files import written
+from tests.support.pddl.problems import fleet
+from tests.support.tasks.scenarios.crash import survive
 from tests.support.tasks.scenarios.random_deaths import run_deaths
 from tests.support.tasks.scenarios.random_scenarios import run_scenario
 from tests.support.tasks.simulation import TaskSimulation
@@ -129,3 +138,36 @@ def test_all_readers_tell_one_story_of_tasks_whose_processes_die(number: int, tm
     monkeypatch.setattr(written_journal, "_LONG", random.Random(number).choice(LENGTHS))
     run_deaths(number, tmp_path)
     check_one_story(tmp_path / "journal")
+
+
+CALLS_ANOTHER = """
+actions: {say: {params: [text]}}
+all: {plan: [say: {text: first}, more: , say: {text: last}]}
+more: {plan: [say: {text: one}, say: {text: two}]}
+"""
+
+
+def test_a_plan_that_is_a_call_of_another_is_no_replan(tmp_path: Path) -> None:
+    file, journal = written(tmp_path / "plan.yaml", CALLS_ANOTHER), tmp_path / "journal"
+    result = carry_out(file, "all", journal=journal)
+    assert result.goal_reached
+    check_one_story(journal)
+    (task,) = Reader(journal).newest().tasks.values()
+    assert len(task.runs) == 2
+    assert task.counts == str(result.counts) == "3 requests, 0 failures"
+    (id,) = accepted(journal)
+    assert new_plans(explained(journal, id)) == []
+
+
+def test_of_a_task_whose_records_are_dropped_nothing_is_claimed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(written_journal, "_LONG", 1)
+    days = count()
+    tasks = [Wanted(UUID(int=number + 1), f"(at r1 a{2 + number % 2})") for number in range(12)]
+    survive(fleet(), tasks, Settings(improve=0.0), tmp_path / "journal", [], in_turn=True, wall=lambda: next(days) * DAY)
+    told = JournalHistory.read(tmp_path / "journal").tasks.values()
+    dropped = [task for task in told if not task.is_told]
+    assert 0 < len(dropped) < len(told)
+    for task in dropped:
+        ended, unknown = explained(tmp_path / "journal", task.replayed.accepted.wanted.id)
+        assert "is over: goal_reached" in ended.statement
+        assert unknown.statement == f"how {task.name} went is not known: its records are not kept any more"
