@@ -233,7 +233,7 @@ def goal(*, goal: str, priority: int, deadline: float | None, policy: str, names
             console.print_text("holds", "[bold green]goal[/]     ")
         else:
             console.print(Text.assemble(("goal", "bold red"), f"     not reached: {outcome.message or outcome.kind.value}"))
-    return 0 if is_reached else 1
+    return 0 if is_reached else 2 if outcome.result.get("code") == Code.INVALID_GOAL else 1
 
 
 @click.command(epilog="Example: pnm pause 3f2a --at-once")

@@ -9,7 +9,7 @@ from typing import Final, TypeAlias, cast
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.reachability import Achiever, Reachability, TooLarge, Way, literal_of
 from pnm.core.logic.conditions import Compare, Condition, conjuncts, fluents
-from pnm.core.logic.expressions import Fluent, fluent_text
+from pnm.core.logic.expressions import Fluent, fluent_text, is_number
 
 _LISTED: Final = 3
 """Facts, conditions and reasons that are named; others are counted."""
@@ -58,8 +58,8 @@ def _why(problem: Problem, possible: frozenset[Fluent], verdict: str) -> str:
         actions = parts[0][1]
         would = f"{actions[0]} would {'do it' if len(parts) == 1 else 'do the first'}, but " if actions else ""
         why = _clauses(endings, actions[-1] if actions[1:] else "")
-        if not actions and endings == ((_Ending.NEVER, parts[0][0]),):
-            why = "no action brings it about"
+        if not actions and len(endings) == 1 and endings[0][0] is _Ending.NEVER and endings[0][1].startswith(parts[0][0]):
+            why = f"no action brings it about{endings[0][1].removeprefix(parts[0][0])}"
         reason = f"{'; ' if text else ''}{_listed([part for part, _ in parts])} {verdict}: {would}{why}"
         if text and len(text) + len(reason) > _LENGTH:
             return f"{text}; and {left} more"
@@ -107,7 +107,9 @@ def _endings(reachability: Reachability, problem: Problem, lack: Condition) -> I
     elif literal and isinstance(literal.subject, Compare) and (missing := reachability.without_value(literal.subject)):
         yield from ((_Ending.NO_VALUE, fluent_text(fluent)) for fluent in missing)
     else:
-        yield _Ending.NEVER, str(lack)
+        numbers = {fluent_text(fluent): value for fluent in sorted(mentioned) if is_number(value := reachability.state.value(fluent))}
+        values = [f"{value:g}" if len(numbers) == 1 else f"{text} is {value:g}" for text, value in numbers.items()]
+        yield _Ending.NEVER, f"{lack} [now {', '.join(values)}]" if values else str(lack)
 
 
 def _clauses(endings: tuple[_Said, ...], action: str) -> str:

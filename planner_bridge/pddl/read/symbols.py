@@ -96,7 +96,8 @@ class SymbolTable:
         if known is not None:
             return known
         if not self.lenient or not NAME.fullmatch(word.text) or is_number(word) or nearest(word, self.objects):
-            raise unknown("object", word, self.objects)
+            fitting = [name for name, types in self._objects.values() if self.domain.matches(types, needed)]
+            raise unknown("object", word, fitting or self.objects)
         Leniency.OBJECT_OF_PROBLEMS.note(word, word)
         self.borrowed[word.text] = Borrowed(needed, where(word))
         self._objects[word.key] = word.text, needed

@@ -16,7 +16,7 @@ _TIME: Final = ("sec", "nanosec")
 
 
 def feedback_line(message: Any) -> str:
-    """Return the fields of a message as "distance_remaining 1.2, recoveries 0"; headers and empty texts are left out."""
+    """Return the fields of a message as "distance_remaining 1.2, recoveries 0"; headers, empty texts and nested messages that nobody filled in are left out."""
     line = ""
     for part in readable_fields(message):
         longer = f"{line}, {part}" if line else part
@@ -37,7 +37,8 @@ def readable_fields(message: Any) -> Iterator[str]:
                 if name == "header":
                     continue
                 if _is_message(value) and fields(value) != _TIME:
-                    deeper.append((f"{path}{name}.", value))
+                    if value != type(value)():  # the pose of a server that fills in only the distance
+                        deeper.append((f"{path}{name}.", value))
                 elif text := _text(value):
                     yield f"{path}{name} {text}"
         level = deeper

@@ -28,7 +28,7 @@ MISTAKES = {
         PROBLEM, "(= (speed r1) 1)", "(= (speed r1) 1", "problem.pddl:5:5: this '(' is not closed; expected ')' before line 6"
     ),
     "an object is not declared": pddl(
-        PROBLEM, "(at r1 dock)", "(at r3 dock)", "problem.pddl:4:14: unknown object 'r3'; expected one of r1, r2, dock, hall, cup"
+        PROBLEM, "(at r1 dock)", "(at r3 dock)", "problem.pddl:4:14: unknown object 'r3'; expected one of r1, r2"
     ),
     "a predicate is misspelt": pddl(PROBLEM, "(on cup", "(onn cup", "problem.pddl:4:37: unknown predicate 'onn'; did you mean 'on'?"),
     "no goal": pddl(PROBLEM, "  (:goal (holding r1 cup))", "", "problem.pddl:1:1: warning: there is no :goal; any state will do", status=0),

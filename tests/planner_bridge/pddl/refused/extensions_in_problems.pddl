@@ -4,7 +4,7 @@
 ;! 2:21: 'r2' is of type robot; expected room
 
 (:init (= (home r2) 3)) (:goal ())
-;! 2:21: unknown object '3'; expected one of hall, r2, kitchen
+;! 2:21: unknown object '3'; expected one of hall, kitchen
 
 (:init (= (home r2) (place r2))) (:goal ())
 ;! 2:21: expected an object, found (place ...)

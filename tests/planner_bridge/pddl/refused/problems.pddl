@@ -14,7 +14,7 @@
 ;! 3:1: a second :goal section; the first is in line 2
 
 (:goal (at r2 nowhere))
-;! 2:15: unknown object 'nowhere'; expected one of hall, r2, kitchen
+;! 2:15: unknown object 'nowhere'; expected one of hall, kitchen
 
 (:goal (at r2 kitchn))
 ;! 2:15: unknown object 'kitchn'; did you mean 'kitchen'?
@@ -53,7 +53,7 @@
 ;! 2:15: expected an object or a variable, found (idle)
 
 (:init (at 5 hall))
-;! 2:12: unknown object '5'; expected one of hall, r2, kitchen
+;! 2:12: unknown object '5'; expected one of r2
 
 (:init (= (charge r2) hall))
 ;! 2:23: expected a number, found 'hall'
