@@ -16,7 +16,10 @@ _TIME: Final = ("sec", "nanosec")
 
 
 def feedback_line(message: Any) -> str:
-    """Return the fields of a message as "distance_remaining 1.2, recoveries 0"; headers, empty texts and nested messages that nobody filled in are left out."""
+    """Return the fields of a message as "distance_remaining 1.2, recoveries 0".
+
+    Headers, empty texts and nested messages that nobody filled in are left out.
+    """
     line = ""
     for part in readable_fields(message):
         longer = f"{line}, {part}" if line else part

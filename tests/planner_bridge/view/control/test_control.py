@@ -17,7 +17,7 @@ import pytest
 from planner_bridge.explanations.goal_now import packed
 from planner_bridge.pipeline.loading import load
 from planner_bridge.view.control import operator
-from planner_bridge.view.control.commands import Controlled, Reply, read_command
+from planner_bridge.view.control.commands import Controlled, Reply
 from planner_bridge.view.control.operator import Operator
 from planner_bridge.view.process import PageProcess
 from pnm.core.knowledge_base import KnowledgeBase, parse_fluent
@@ -210,40 +210,6 @@ def test_when_the_tasks_are_over_that_is_said(delivery: Path) -> None:
 
         asyncio.run(operate())
         assert "it is over" in asyncio.run(send({"do": "pause"}))[1]["refused"]
-
-
-@pytest.mark.parametrize(
-    "command",
-    [
-        None,
-        [],
-        "pause",
-        {},
-        {"do": "explode"},
-        {"do": ["pause"]},
-        {"do": "pause", "task": "x"},
-        {"do": "pause", "task": 7},
-        {"do": "pause", "at_once": "yes"},
-        {"do": "step"},
-        {"do": "settle", "request": "1", "is_done": True},
-        {"do": "settle", "request": "00000000000000000000000000000001"},
-        {"do": "tell", "add": "(at r1 hall)"},
-        {"do": "tell", "add": [1]},
-        {"do": "goal", "goal": 5},
-        {"do": "goal", "goal": "x" * 100_001},
-        {"do": "goal", "goal": "", "priority": 1.5},
-        {"do": "goal", "goal": "", "priority": 2**31},
-    ],
-)
-def test_what_is_no_command_is_refused(command: object) -> None:
-    with pytest.raises(InputError, match="expected"):
-        read_command(command)
-
-
-@pytest.mark.parametrize("command", [{"do": "goal", "goal": "\ud800"}, {"do": "tell", "add": ["\udcff"]}])
-def test_half_a_character_is_no_text(command: object) -> None:
-    with pytest.raises(InputError, match="half of a character"):
-        read_command(command)
 
 
 class DeliveryWorld(FakeWorld):

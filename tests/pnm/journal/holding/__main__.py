@@ -11,7 +11,7 @@ import argparse
 import sys
 
 from pnm.files.database.place import place_of
-from tests.pnm.journal.holding.test_database_crash import kill, stop, survive
+from tests.support.e2e.hosts.crashes import kill, stop, survive
 from tests.support.e2e.hosts.postgres import postgres_server
 
 AT_ONCE = 10

@@ -25,7 +25,7 @@ from pnm.core.machine.export import quoted
 from pnm.core.pictures.svg import picture, xml
 from pnm.errors import printable, printable_lines
 from pnm.tasks import TraceKind
-from tests.support.e2e.hostile import HOSTILE, hostile_journal, is_safe
+from tests.support.e2e.page.hostile import HOSTILE, hostile_journal, is_safe
 from tests.support.e2e.page.serving import asked, page_of
 from tests.support.files import ROOT
 from tests.support.processes import pnm
