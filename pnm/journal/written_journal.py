@@ -230,7 +230,7 @@ class WrittenJournal(Journal):
         """
         task = TaskAccepted(wanted, order, self._wall())
         self._record(task, task=self._task_row(TaskSummary(task, self._runs[wanted.id])))
-        self._write()
+        self._write(looks=True)
         if self.blocked:
             del self._rows[-1]  # it is refused, and must not come up when the journal can be written again
             raise JournalError(self.blocked)
@@ -316,7 +316,7 @@ class WrittenJournal(Journal):
 
     def _look(self) -> None:
         """Write what is not kept yet, see that what is kept can be found, and drop what is old, also while there is nothing to do."""
-        self._write()
+        self._write(looks=True)
         if self._is_lost or self.blocked:
             return
         self._begin_segment_if_due()
@@ -378,18 +378,22 @@ class WrittenJournal(Journal):
         if self._due is None:
             self._due = self._loop.call_soon(self._write)
 
-    def _write(self) -> None:
-        """Keep what was recorded, and do what has waited for that."""
+    def _write(self, *, looks: bool = False) -> None:
+        """Keep what was recorded, and do what has waited for that.
+
+        Args:
+            looks: whether it is looked first that the file is where others find it, as always when the journal is blocked.
+        """
         if self._due is not None:
             self._due.cancel()
             self._due = None
         if self._is_lost:
             return
         try:
+            if looks or self.blocked:
+                self._file.look()
             if self._rows:
                 self._file.append(self._rows, self._parts)
-            else:
-                self._file.look()
         except Fenced as error:
             self._lose(error)
             return

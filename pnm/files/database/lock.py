@@ -89,7 +89,8 @@ class FileLock:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             self.left: Final = _mark_in(text)
             """How far the file had come when its lock was let go; None if that is not known."""
-            self._holder = f"{this_process()}\n".encode()
+            self._me = this_process()
+            self._holder = f"{self._me}\n".encode()
             kept = _text(self.left) if self.left else b""
             os.pwrite(self._file, self._holder + kept, 0)
             os.ftruncate(self._file, len(self._holder + kept))
@@ -102,7 +103,7 @@ class FileLock:
     def mark(self, epoch: int, last: int, *, is_on_disk: bool) -> None:
         """Note how far the file has come, in the same bytes each time."""
         with suppress(OSError):  # a mark that is too low does no harm
-            mark = Mark(epoch, last, _FOR_GOOD if is_on_disk else _BOOT, this_process())
+            mark = Mark(epoch, last, _FOR_GOOD if is_on_disk else _BOOT, self._me)
             os.pwrite(self._file, _text(mark), len(self._holder))
 
     def forget(self) -> None:

@@ -62,8 +62,8 @@ class Sqlite:
         if not read_only:
             private_file(path)  # the files beside it get the same mode
         self._path = path
-        self._identities: dict[Path, tuple[int, int]] = {}
-        """The files that are written."""
+        self._identities: dict[str, tuple[int, int]] = {}
+        """The files that are written; as texts, for these are looked at often."""
         self.dialect = _dialect()
         uri = f"{path.absolute().as_uri()}{'?mode=ro' if read_only else ''}"
         self._connection = sqlite3.connect(uri, uri=True, timeout=0.0, isolation_level=None, check_same_thread=False)
@@ -95,7 +95,6 @@ class Sqlite:
 
     def begin(self, *, is_durable: bool) -> None:
         """Begin a transaction that writes; all are as durable as the file was opened to be."""
-        self.look()
         self._connection.execute("BEGIN IMMEDIATE")
 
     def prepare(self, layout: Layout, ddl: Sequence[str], *, read_only: bool) -> None:
@@ -103,7 +102,7 @@ class Sqlite:
         self._within(partial(_patiently, partial(self._prepare, layout, ddl, read_only=read_only)))
         self._connection.execute(f"PRAGMA busy_timeout = {LIMIT * 1000:.0f}")
         if not read_only:
-            self._identities = {file: _identity(file) for file in files_of(self._path) if file.exists()}
+            self._identities = {os.fspath(file): _identity(os.fspath(file)) for file in files_of(self._path) if file.exists()}
 
     def _prepare(self, layout: Layout, ddl: Sequence[str], *, read_only: bool) -> None:
         self._connection.execute(f"PRAGMA synchronous = {self._synchronous}")
@@ -150,8 +149,8 @@ class Sqlite:
                 if _identity(file) == identity:
                     continue
             except OSError:
-                raise DatabaseError(f"{file.name} is not there any more: it was deleted or moved") from None
-            raise DatabaseError(f"{file.name} is not the file any more that is written: it was replaced")
+                raise DatabaseError(f"{Path(file).name} is not there any more: it was deleted or moved") from None
+            raise DatabaseError(f"{Path(file).name} is not the file any more that is written: it was replaced")
 
     def check(self) -> None:
         """Raise a `DatabaseError` if the structure of the file is damaged."""
@@ -171,7 +170,7 @@ class Sqlite:
         return int(self._connection.execute(f"PRAGMA {pragma}").fetchone()[0])
 
 
-def _identity(file: Path) -> tuple[int, int]:
+def _identity(file: str) -> tuple[int, int]:
     found = os.stat(file)
     return found.st_dev, found.st_ino
 
