@@ -54,7 +54,7 @@ def test_a_run_that_is_interrupted_has_an_ending_in_its_journal(deploy: Callable
 def test_simulated_robots_die_with_a_run_and_begin_anew_where_they_were_known_to_be(root: Path, tmp_path: Path) -> None:
     files = [str(root / "domains/delivery/domain.pddl"), str(root / "problems/delivery/p01.pddl")]
     journal = tmp_path / "j"
-    program = ["-m", "tests.support.e2e.programs.dying_run", "9", *files, "--journal", str(journal), "--improve", "0", "--json"]
+    program = ["-m", "tests.support.e2e.programs.dying_run", "11", *files, "--journal", str(journal), "--improve", "0", "--json"]
     dying = Program(program, {})
     assert dying.process.wait(LIMIT) == -signal.SIGKILL
     dying.close()
