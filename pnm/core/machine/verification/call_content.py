@@ -31,7 +31,7 @@ After it:
 - lost: a request that is lost ends the call for good if the binding says `abort`.
 - retries: a retry takes one of the tokens of a counter, and there are as many as the plan, or else the binding, says.
 - recoveries: each cause leads to the recoveries that the plan has for it: in their order, under their conditions, with their chains, and as
-  often; without one it leads to another attempt or to failure.
+  often; without one a false check and an end for good lead to failure, and every other end to another attempt.
 - counters: what was spent is given back before the call is left, if it may be reached again and its end waits for no others.
 - restart: while the plan begins anew, a call that recovers is dropped and has not failed; without recoveries that ask for it, none is.
 - attempts: attempts after the start was announced have ready places of their own, and there are such only if others wait for the start.
@@ -69,6 +69,7 @@ from pnm.core.machine.machine import (
     Rule,
     TransitionAction,
     Withheld,
+    is_check,
 )
 from pnm.core.machine.plan_graph import ActionCall, Cause, Choice, Loop, Moment, PlanGraph, Recovery, Step, Then, flows
 from pnm.core.machine.recovery_block import is_direct
@@ -83,6 +84,13 @@ _ASIDE: Final = (Ending, Failing, Withheld)
 """Guards of ways out that are there whatever a recovery says."""
 _OWN: Final = (Cause.BEFORE, Cause.AFTER)
 """Causes that each recovery has a condition of its own for."""
+_RECOVERED: Final = frozenset(
+    (
+        *(*_OWN, Cause.PRECONDITION_FALSE, Cause.DATA_MISSING, Cause.REJECTED, Cause.UNAVAILABLE, Cause.ABORTED, Cause.CANCELED),
+        *(Cause.TIMED_OUT, Cause.LOST, Cause.EFFECTS_MISSING),
+    )
+)
+"""Causes after which recoveries are used; those for any other have no effect."""
 
 
 # --- what is asked ---------------------------------------------------------------------------
@@ -137,7 +145,7 @@ class Asked:
         """For each cause that the plan has recoveries for, how the call goes on, as `CallNet.course` says it."""
         lists: dict[Cause, list[Recovery]] = {}
         for recovery in self.step.recoveries:
-            for cause in recovery.causes:
+            for cause in recovery.causes & _RECOVERED:
                 lists.setdefault(cause, []).append(recovery)
         return {
             cause: [(ConditionTrue(one.when), _asked_course(found[number:])) for number, one in enumerate(found)]
@@ -543,6 +551,14 @@ def _restart(net: CallNet, call: Asked) -> _Compared:
     return asked, {(type(net.rules[number].guard), net.fails(number)) for number in leaving}
 
 
+def _usual(net: CallNet, number: int, call: Asked) -> Then | None:
+    """Return how the call goes on after a transition that finds a cause without recoveries: by another attempt, or it has failed."""
+    rule = net.rules[number]
+    is_final = isinstance(rule.guard, Ends) and rule.guard.kinds == {OutcomeKind.ABORTED_FOR_GOOD}
+    is_lost = _ends_lost(rule) and net.sources[number] <= net.under_way and call.terms.binding.when_lost is WhenLost.ABORT
+    return Then.FAIL if is_final or is_lost or is_check(rule.guard) else None
+
+
 def _recoveries(net: CallNet, call: Asked) -> _Compared:
     found: dict[Cause, object] = {}
     for number, rule in enumerate(net.rules):
@@ -552,7 +568,7 @@ def _recoveries(net: CallNet, call: Asked) -> _Compared:
         course = net.course(net.outputs[number])
         if cause in _OWN:
             found[cause] = [*found.get(cause, []), (rule.guard, course)]  # type: ignore[misc]
-        elif cause in call.recoveries or course not in (None, Then.FAIL):
+        elif cause in call.recoveries or course is not _usual(net, number, call):
             found[cause] = course if found.setdefault(cause, course) == course else "several"
     return call.recoveries, found
 

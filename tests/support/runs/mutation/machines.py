@@ -13,6 +13,7 @@ from pnm.core.machine.blocks import MachineBlocks, built_from
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import (
+    EMPTY,
     ActionCall,
     Cause,
     Choice,
@@ -42,7 +43,8 @@ def random_plan(random: Random) -> PlanGraph:
     if shape in ("recovery", "restart"):  # what stands inside a call is numbered after it
         causes = frozenset({random.choice([Cause.ABORTED, Cause.REJECTED, Cause.TIMED_OUT, Cause.EFFECTS_MISSING])})
         then = Then.RESTART_PLAN if shape == "restart" else random.choice([Then.RETRY, Then.RETRY, Then.SKIP, Then.FAIL])
-        recovery = Recovery(causes, then, Flow((_call(random, next(numbers)),)), random.randint(1, 3))
+        chain = Flow((_call(random, next(numbers)),)) if random.random() < 0.7 else EMPTY
+        recovery = Recovery(causes, then, chain, random.randint(1, 3))
         outer = [replace(outer[0], recoveries=(recovery,))]
     outer += [_call(random, next(numbers)) for _ in range(random.randint(0, 2))]
     steps: list[Step] = [*outer]

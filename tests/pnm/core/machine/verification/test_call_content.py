@@ -13,12 +13,13 @@ from pnm.core.logic.expressions import Constant
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import After, ConditionFalse, ConditionTrue, Guard, InvariantFalse, PetriNetMachine
-from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
+from pnm.core.machine.plan_graph import EMPTY, ActionCall, Cause, GroundAction, PlanGraph, Recovery, Then
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import verify
 from pnm.core.net.net import Marking, PetriNet, Weights
 from tests.support.runs.mutation.changes import with_rule, without_transition
 from tests.support.runs.mutation.forgotten import TRAITS, run_forgotten
+from tests.support.runs.mutation.machines import written_out
 
 OK, WET = Holds(("ok",)), Holds(("wet",))
 
@@ -94,3 +95,17 @@ def test_a_trait_that_templates_forget_is_missed_by_the_proof(trait: str) -> Non
     report = run_forgotten(trait, range(1000), enough=2)
     assert report.complaints == []
     assert report.wrong == 2
+
+
+@pytest.mark.parametrize("cause", Cause)
+def test_a_call_may_have_recoveries_for_any_cause(cause: Cause) -> None:
+    recovery = Recovery(frozenset({cause}), Then.RETRY, EMPTY, when=OK)
+    machine = generate(PlanGraph((replace(call(0), recoveries=(recovery,)), call(1))))
+    verify(machine)
+    verify(written_out(machine))
+
+
+def test_a_call_that_is_not_tried_again_where_it_might_be_is_refused() -> None:
+    outputs = {**MACHINE.net.outputs, "a0()#0 aborted": MACHINE.net.outputs["a0()#0 aborted_for_good"]}
+    with pytest.raises(Unsound, match=r"^a0\(\)#0 does not keep the rule of its recoveries: "):
+        verify(replace(MACHINE, net=PetriNet(MACHINE.net.places, MACHINE.net.inputs, outputs)))
