@@ -122,6 +122,7 @@ class Course:
 
     def __init__(self, seed: int, number: int, loop: ProcessLoop, folder: Folder, story: Story) -> None:
         self._rng = random.Random(f"{seed}/course")
+        self._holds = random.Random(f"{seed}/holds")
         self._number = number
         self._loop = loop
         self._folder = folder
@@ -209,8 +210,8 @@ class Course:
                 for again in range(20):  # until one of the processes has it in its journal
                     loop.call_later(at + 5.0 + 40.0 * again, self._tell, job, "resume")
 
-        for _ in range(rng.choice([0, 1, 2])):
-            job, at = rng.choice(self._story.scenario.jobs), 12.0 * rng.random()
+        for _ in range(self._holds.choice([0, 1, 2])):
+            job, at = self._holds.choice(self._story.scenario.jobs), 12.0 * self._holds.random()
             loop.call_later(at, self._tell, job, "hold")
             for again in range(20):  # as another process does, that finds it held back
                 loop.call_later(at + 2.0 * _REST + 40.0 * again, self._tell, job, "resume")

@@ -139,6 +139,11 @@ MISTAKES: Final = (
                 "if len(run.open_requests) == len(run.under_way()) and not run.settling:",
                 "if not (run.settling or any(call.kind.value == 'running' for call in run.interim_result().calls)):",
             ),
+            Change(
+                "pnm/executor.py",
+                "            if self.paused and not run.looks_for_effects:\n                return False\n",
+                "",
+            ),
         ),
         "every_task_ends",
     ),
