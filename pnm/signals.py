@@ -114,9 +114,10 @@ class StoppableWork:
                 signal.signal(number, usual[number])
 
     def _receive(self, number: int, frame: object) -> None:
-        before, self._last = self._last, monotonic()
-        if self._last - before < _ONE_REQUEST:
+        now = monotonic()
+        if now - self._last < _ONE_REQUEST:  # of the same request; what is ignored does not put the next one off
             return
+        before, self._last = self._last, now
         if before > -inf and LAST_WORDS.is_program:
             leave_within(LEAVING)
         if self._is_pending:

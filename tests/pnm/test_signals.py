@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import signal
 from collections.abc import Iterator
+from itertools import count
 
 import pytest
 
@@ -45,6 +46,13 @@ def test_a_signal_cancels_the_work_which_still_has_its_result(number: signal.Sig
 
 def test_signals_that_come_together_count_as_one() -> None:
     assert run_async(stopped_by(signal.SIGTERM, signal.SIGTERM, signal.SIGINT)) == 1
+
+
+def test_signals_that_do_not_stop_coming_are_a_second_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = count(start=0.0, step=0.5)
+    monkeypatch.setattr(signals, "monotonic", lambda: next(now))
+    with pytest.raises(KeyboardInterrupt):
+        run_async(stopped_by(*[signal.SIGINT] * 4))
 
 
 def test_a_signal_that_is_ignored_stays_ignored() -> None:

@@ -72,7 +72,7 @@ class ServerUrl:
         return f"postgresql://{self.host}:{self.port}/{self.database}?name={self.name}"
 
 
-_PASSWORD: Final = re.compile(r"(postgres(?:ql)?://[^\s:/?#@]*):[^\s]*@")
+_PASSWORD: Final = re.compile(r"(postgres(?:ql)?://[^\s:/?#@]*):.*@", re.IGNORECASE)
 
 
 def without_password(text: str) -> str:

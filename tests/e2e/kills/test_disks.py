@@ -16,7 +16,7 @@ from tests.support.tasks.kills.instants import DiskFull
 from tests.support.tasks.kills.scenario import random_scenario
 
 
-@pytest.mark.parametrize("number", [7, 8])
+@pytest.mark.parametrize("number", [9, 12])
 def test_tasks_wait_while_the_disk_is_full_and_go_on_when_it_is_not(number: int, tmp_path: Path) -> None:
     full = [DiskFull(5, 0.3, is_killed=True), DiskFull(2, 0.2, is_killed=True), DiskFull(3, 0.4, is_killed=False)]
     with small_disk(tmp_path / "disk") as disk:

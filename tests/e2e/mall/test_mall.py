@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Final
 
 import pytest
-from rich.console import Console
 
 from planner_bridge.cli import demo as mall_demo
+from planner_bridge.cli.consoles.safe_console import SafeConsole
 from tests.support.e2e.mall.deployment import Mall
 from tests.support.processes import Program, ros_domain
 
@@ -55,6 +55,6 @@ def test_the_demo_tells_who_speaks_and_how_the_tasks_are_doing(mall):
 
 def test_without_ros_the_demo_says_what_to_install(monkeypatch):
     monkeypatch.setattr(mall_demo, "find_spec", lambda _: None)
-    console = Console(file=io.StringIO(), width=200)
+    console = SafeConsole(file=io.StringIO(), width=200)
     assert mall_demo.show_mall(console) == 1
     assert "pip install 'petri-net-machines[ros2]' && pip install ./ros/pnm_interfaces" in console.file.getvalue()

@@ -59,7 +59,8 @@ def test_a_file_of_parameters_that_is_no_yaml_says_where(deployment):
 def test_a_second_node_of_the_same_name_offers_nothing(deployment):
     serving = serve(deployment, DOMAIN, PROBLEM).ready()
     deployment.write(FILES)
-    second, third = serve(deployment, DOMAIN, PROBLEM), serve(deployment, "--world", str(deployment.folder / "world.yaml"))
+    second = serve(deployment, DOMAIN, PROBLEM, "--journal", "none")
+    third = serve(deployment, "--world", str(deployment.folder / "world.yaml"), "--journal", "none")
     elsewhere = serve(deployment, DOMAIN, PROBLEM, "--ros-args", "-r", "__ns:=/r1").ready()
     for refused in (second, third):
         assert refused.ended() == 1

@@ -76,7 +76,12 @@ def test_an_action_that_is_not_to_be_tried_again_is_the_reason() -> None:
     [
         ("(p)", "", "", "(p) cannot be reached: no action brings it about"),
         ("(not (p))", "(p)", "", "(not (p)) cannot be reached: no action brings it about"),
-        ("(p)", "(= (a) 1)", "(:action add :parameters () :precondition (> (a) 2) :effect (p))", "add() would do it, but (> (a) 2) is"),
+        (
+            "(p)",
+            "(= (a) 1)",
+            "(:action add :parameters () :precondition (> (a) 2) :effect (p))",
+            "add() would do it, but (> (a) 2) [now 1] is",
+        ),
         ("(p)", "", "(:action add :parameters () :precondition (or (q) (r)) :effect (p))", "add() would do it, but (q) is never true"),
         ("(p)", "", "(:action add :parameters () :precondition (and (q) (r)) :effect (p))", "but (q) and (r) are never true"),
         ("(p)", "", "(:action add :parameters () :effect (when (q) (p)))", "add() would do it, but (q) is never true"),
@@ -133,9 +138,21 @@ def test_a_tour_that_is_possible_has_a_plan() -> None:
         ("(way a b)", "", "go(t, a, b) needs (way a b), which is never true"),
         ("(= (speed t) 0.5)", "", "(speed t) has no value"),
         ("(= (distance b c) 2)", "", "(distance b c) has no value"),
-        ("(= (battery t) 3)", "(= (battery t) 1)", "go(t, a, b) needs (>= (battery t) (distance a b)), which is never true"),
-        ("(= (distance b c) 2)", "(= (distance b c) 12)", "(>= (battery t) (distance b c)) is never true"),
-        ("(= (distance a b) 2)", "(= (distance a b) 12)", "go(t, a, b) needs (>= (battery t) (distance a b)), which is never true"),
+        (
+            "(= (battery t) 3)",
+            "(= (battery t) 1)",
+            "go(t, a, b) needs (>= (battery t) (distance a b)) [now (battery t) is 1, (distance a b) is 2], which is never true",
+        ),
+        (
+            "(= (distance b c) 2)",
+            "(= (distance b c) 12)",
+            "(>= (battery t) (distance b c)) [now (battery t) is 3, (distance b c) is 12] is never true",
+        ),
+        (
+            "(= (distance a b) 2)",
+            "(= (distance a b) 12)",
+            "go(t, a, b) needs (>= (battery t) (distance a b)) [now (battery t) is 3, (distance a b) is 12], which is never true",
+        ),
     ],
 )
 def test_what_is_missing_for_a_tour_is_named(gone: str, instead: str, why: str) -> None:
