@@ -16,9 +16,9 @@ from tests.support.tasks.kills.instants import DiskFull
 from tests.support.tasks.kills.scenario import random_scenario
 
 
-@pytest.mark.parametrize("number", [9, 12])
+@pytest.mark.parametrize("number", [7, 8])
 def test_tasks_wait_while_the_disk_is_full_and_go_on_when_it_is_not(number: int, tmp_path: Path) -> None:
-    full = [DiskFull(5, 0.3, is_killed=True), DiskFull(2, 0.2, is_killed=True), DiskFull(3, 0.4, is_killed=False)]
+    full = [DiskFull(2, 0.1, is_killed=True), DiskFull(1, 0.1, is_killed=True), DiskFull(2, 0.4, is_killed=False)]
     with small_disk(tmp_path / "disk") as disk:
         verdict = carried_out_on_a_disk(replace(random_scenario(number), deaths=(*full, *full)), tmp_path, disk)
     assert not verdict.wrong, "\n".join(verdict.wrong)
