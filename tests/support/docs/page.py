@@ -24,7 +24,7 @@ from tests.support.files import ROOT
 
 DOCS: Final = ROOT / "docs"
 PICTURES: Final = DOCS / "pictures"
-PAGES: Final = (ROOT / "README.md", *sorted(DOCS.rglob("*.md")))
+PAGES: Final = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md")))
 NOT_RUN: Final = "not run"
 LEFT_OUT: Final = "…\n"
 _BLOCK = re.compile(r"^```(?P<kind>\w+)(?: (?P<name>[^\n]+))?\n(?P<body>.*?)^```$", re.DOTALL | re.MULTILINE)
