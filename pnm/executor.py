@@ -39,8 +39,17 @@ from pnm.core.execution.run import Run
 from pnm.core.logic.computed_values import MISSING, Question
 from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.core.machine.bindings import WhenLost
-from pnm.core.machine.machine import TransitionAction
-from pnm.core.machine.requests import NOT_REATTACHED, ActionClient, Ended, Outcome, OutcomeKind, ReattachingClient, Report, Request
+from pnm.core.machine.requests import (
+    NOT_REATTACHED,
+    ActionClient,
+    Ended,
+    Outcome,
+    OutcomeKind,
+    ReattachingClient,
+    Report,
+    Request,
+    TransitionAction,
+)
 from pnm.errors import RunError
 from pnm.journal.journal import NO_JOURNAL, Journal
 from pnm.knowledge.sources import Asker, Source, SourceError

@@ -15,8 +15,7 @@ from pnm.core.logic.domain import ActionSchema, ProblemModel, Types
 from pnm.core.logic.effects import TimedChange, names_written
 from pnm.core.logic.expressions import UNKNOWN, Environment, Fluent, State, Unknown, Value, fluent_text, value_of
 from pnm.core.logic.rules import DerivationRule, Rules
-from pnm.core.machine.grounding import ground_schema
-from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.machine.plan_graph import GroundAction, ground_schema
 from pnm.errors import InputError
 
 if TYPE_CHECKING:

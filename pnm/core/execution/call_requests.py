@@ -35,9 +35,9 @@ from pnm.core.logic.evaluation import observed, unmet
 from pnm.core.logic.expressions import bind, same_value
 from pnm.core.logic.operators import CHANGING, Uncomputable
 from pnm.core.machine.bindings import Binding, Bindings, goal_data, open_parameters, placeholders
-from pnm.core.machine.machine import PetriNetMachine, TransitionAction
+from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
-from pnm.core.machine.requests import Ended, Feedback, Outcome, OutcomeKind, Request, identities
+from pnm.core.machine.requests import Ended, Feedback, Outcome, OutcomeKind, Request, TransitionAction, identities
 from pnm.core.message_fields import Unreadable, parse_field, value_in
 
 _NOTHING: Final = Performed()

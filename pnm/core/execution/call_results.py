@@ -6,7 +6,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
-from pnm.core.machine.machine import CallOutcome, Rule, is_check
+from pnm.core.machine.machine import CallOutcome, Rule
 from pnm.core.machine.plan_graph import ActionCall, Cause, PlanGraph, Step
 from pnm.core.machine.requests import Outcome
 
@@ -214,7 +214,7 @@ class CallResults:
         """
         if check is not None:
             self._causes[call] = check
-        elif rule.cause is not None and not is_check(rule.guard):
+        elif rule.cause is not None and not rule.guard.is_check:
             answer = self._answers.get(call)
             message = (answer.message or answer.kind.value) if answer else ""
             expected, seen = unseen or (rule.expected or SUCCESS, rule.observed.format(message=message) or message)

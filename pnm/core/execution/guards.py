@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from math import nextafter
-from typing import Final
+from typing import Final, assert_never
 from uuid import UUID
 
 from pnm.core.execution.call_requests import Calls
@@ -20,7 +20,7 @@ from pnm.core.execution.run_state import RunState
 from pnm.core.logic.conditions import Condition, conjuncts, ground, names
 from pnm.core.logic.evaluation import evaluate, explanation, observed
 from pnm.core.logic.expressions import UNKNOWN, Truth
-from pnm.core.machine.machine import (
+from pnm.core.machine.guards import (
     Accepts,
     Adopted,
     After,
@@ -39,9 +39,9 @@ from pnm.core.machine.machine import (
     Failing,
     InvariantFalse,
     PauseAsked,
-    Rule,
     Withheld,
 )
+from pnm.core.machine.machine import Rule
 from pnm.core.machine.plan_graph import Cause
 from pnm.core.resources import Claim, RunClaims, who_keeps
 
@@ -172,9 +172,9 @@ class Guards:
 
     def _asked(self, site: Site, firing: Firing) -> Condition:
         """Return the condition that the guard asks for."""
-        guard = self._state.index.guard(site, firing)
-        assert isinstance(guard, ConditionTrue | ConditionFalse | ConditionUnknown | InvariantFalse)
-        return guard.condition
+        condition = self._state.index.guard(site, firing).asks
+        assert condition is not None, "only such guards come here"
+        return condition
 
     def _lag(self, site: Site, firing: Firing) -> float:
         return self._calls.world.lag(names(self._asked(site, firing)))
@@ -272,8 +272,12 @@ class Guards:
                 return Explanation(rule.cause, f"{what} within {seconds:g} s of the plan's start", passed)
             case Always() if rule.expected:
                 return Explanation(rule.cause, rule.expected, rule.observed)
-            case _:
+            case Always() | After() | Ending() | Failing() | CancelAsked() | PauseAsked():
                 return None
+            case AlreadyTrue() | EffectsSeen() | EffectsMissing() | Adopted() | Accepts() | Ends():
+                return None  # explained by the end of the request, or by what the call lacks
+            case _ as unexplained:
+                assert_never(unexplained)
 
 
 def _grounded(condition: Condition, context: EvaluationContext) -> Condition:

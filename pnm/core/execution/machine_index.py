@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import Final, assert_never
 from weakref import WeakKeyDictionary
 
 from pnm.core.execution.closed_call import ClosedCall, closed_call
@@ -19,44 +19,23 @@ from pnm.core.logic.effects import Set, every_effect
 from pnm.core.logic.expressions import Fluent
 from pnm.core.logic.rules import NO_RULES, Reads, read_by, reads_of
 from pnm.core.machine.blocks import MachineBlocks, PlacedStep, rules_by_number
-from pnm.core.machine.machine import (
+from pnm.core.machine.guards import (
     Accepts,
     After,
-    AlreadyTrue,
     Always,
-    CallOutcome,
-    CancelAsked,
-    ConditionFalse,
-    ConditionTrue,
-    ConditionUnknown,
-    DataMissing,
     Due,
-    EffectsMissing,
-    EffectsSeen,
-    Ending,
     Ends,
-    Failing,
     Guard,
-    InvariantFalse,
-    OnFailure,
-    PauseAsked,
-    PetriNetMachine,
-    Rule,
-    TransitionAction,
-    Withheld,
+    Opener,
+    Reading,
 )
-from pnm.core.machine.requests import OutcomeKind
+from pnm.core.machine.machine import CallOutcome, OnFailure, PetriNetMachine, Rule
+from pnm.core.machine.requests import OutcomeKind, TransitionAction
 from pnm.core.machine.step_block import BlockTemplate
 from pnm.core.net.block_net import NumberedArcs, Placed, whole
 from pnm.core.net.firing_engine import CompiledNet
 from pnm.core.net.no_collection import no_collection
 from pnm.core.net.when_asked import WhenAsked
-
-_KNOWING: Final = (ConditionTrue, ConditionFalse, ConditionUnknown, InvariantFalse, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
-"""Guards whose answer may change when facts change."""
-_LEAVING: Final = (Ending, Failing, CancelAsked, PauseAsked)
-"""Guards that open only when a run is ending, stopped or paused."""
-_MOMENTS: Final = (After, Due)
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +160,7 @@ class Shape:
             gives=gives,
             counts=index.unmarked[transition] > 0,
             guarded=type(rule.guard),
-            is_moment=isinstance(rule.guard, _MOMENTS),
+            is_moment=rule.guard.opened_by is Opener.TIME,
             turns=turns,
             action=rule.action,
             outcome=rule.outcome if is_call else None,
@@ -193,9 +172,9 @@ class Shape:
     def _decision(self, code: int) -> Decision:
         like, first = self._index.by_number.like, self._block.transition
         guards = {number: like(first + number).guard for number, _ in self._block.template.consumers[code]}
-        by_guard = [one for one, guard in guards.items() if not isinstance(guard, Accepts | Ends)]
-        knows = any(isinstance(guards[one], _KNOWING) for one in by_guard)
-        staying = tuple([self.firings[one] for one in by_guard if not isinstance(guards[one], _LEAVING)])
+        by_guard = [one for one, guard in guards.items() if guard.opened_by is not Opener.REPORT]
+        knows = any(guards[one].opened_by is Opener.KNOWLEDGE for one in by_guard)
+        staying = tuple([self.firings[one] for one in by_guard if guards[one].opened_by is not Opener.ENDING])
         only, count = staying[0] if len(staying) == 1 else None, len(guards)
         passage = only if only and count == 1 and only.guarded is Always and not only.acts else None
         limit = only if only and only.guarded is After and not (only.counts or only.takes) else None
@@ -331,17 +310,22 @@ class MachineIndex:
         # what the parameters are of a call that is not closed depends on anything.
         if firing.takes or (call is not None and self.closed[call] is None):
             return None
-        match self.guard(site, firing):
-            case ConditionTrue(condition) | ConditionFalse(condition) | ConditionUnknown(condition) | InvariantFalse(condition):
-                return read_by(condition, self.rules_of_facts)
-            case AlreadyTrue() | DataMissing() | Withheld():
+        guard = self.guard(site, firing)
+        match guard.reads:
+            case Reading.NOTHING:
+                return frozenset()
+            case Reading.ANYTHING:
                 return None
-            case EffectsSeen() | EffectsMissing() if action is not None:
+            case Reading.CONDITION:
+                return None if guard.asks is None else read_by(guard.asks, self.rules_of_facts)
+            case Reading.EFFECTS if action is None:
+                return None
+            case Reading.EFFECTS:
                 checked = read_by(All((action.end_condition, action.expected)), self.rules_of_facts)
                 fluents = [one.fluent for one in every_effect((*action.start_effects, *action.end_effects)) if isinstance(one, Set)]
                 return None if checked is None else checked.union(*(reads_of(fluent, NO_RULES) for fluent in fluents))
-            case _:
-                return frozenset()
+            case _ as unread:
+                assert_never(unread)
 
     def _closed(self, call: int) -> ClosedCall | None:
         return closed_call(self._calls[call])
@@ -361,7 +345,7 @@ class MachineIndex:
     def _condition(self, transition: int) -> CompiledCondition | None:
         step, guard = self.by_number.asks(transition)
         is_open = self.is_call(step) and self.closed[step or 0] is None
-        return None if is_open or not isinstance(guard, ConditionTrue | ConditionFalse | InvariantFalse) else compiled(guard.condition)
+        return None if is_open or guard.asks is None else compiled(guard.asks)
 
 
 # An index must not hold the net that it belongs to, or none would ever be forgotten.

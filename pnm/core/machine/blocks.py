@@ -8,26 +8,17 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any, Final, Protocol
+from typing import Protocol
 
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.call_block import CallTerms
-from pnm.core.machine.machine import (
-    Accepts,
-    Adopted,
-    AlreadyTrue,
-    DataMissing,
+from pnm.core.machine.guards import (
     Due,
-    EffectsMissing,
-    EffectsSeen,
-    Ends,
     Guard,
-    OnFailure,
-    PetriNetMachine,
-    Region,
-    Rule,
-    Withheld,
+    OfCall,
+    Opener,
 )
+from pnm.core.machine.machine import OnFailure, PetriNetMachine, Region, Rule
 from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, PlanEvent, PlanGraph, Step
 from pnm.core.machine.step_block import BlockTemplate, Context, Inner
 from pnm.core.net.block_net import BlockArcs, Placed
@@ -68,7 +59,7 @@ class _NamedRules:
     def __init__(self, rules: Iterable[Rule]) -> None:
         self._rules, self._reported = [*rules], dict[int, list[tuple[int, Rule]]]()
         for transition, rule in enumerate(self._rules):
-            if isinstance(rule.guard, Accepts | Ends):
+            if isinstance(rule.guard, OfCall) and rule.guard.opened_by is Opener.REPORT:
                 self._reported.setdefault(rule.guard.call, []).append((transition, rule))
 
     def rule(self, transition: int) -> Rule:
@@ -188,9 +179,7 @@ class MachineBlocks(BlockArcs[PlacedStep]):
         made = rule if isinstance(rule, Rule) else rule.made_for(self._terms_of(block))
         if (step := block.step) is None:
             return made
-        about = _ABOUT.get(type(made.guard))
-        guard = made.guard if about is None else about(made.guard, step.index)
-        return Rule._make((made.name, guard, step.index, *made[3:]))  # as `_replace`, which takes longer than all else
+        return Rule._make((made.name, made.guard.about(step.index), step.index, *made[3:]))  # `_replace` takes longer
 
     def asks(self, transition: int) -> tuple[int | None, Guard]:
         """Return the step that a transition belongs to, and its guard; what that says of its call may be that of another."""
@@ -327,14 +316,6 @@ def built_from(machine: PetriNetMachine) -> MachineBlocks | None:
 def parts_of(machine: PetriNetMachine) -> list[object]:
     """Return all that a machine consists of."""
     return [getattr(machine, field.name) for field in fields(machine)]
-
-
-_ABOUT: Final[Mapping[type, Callable[[Any, int], Guard]]] = {
-    Ends: lambda guard, call: Ends(call, guard.kinds),
-    Withheld: lambda guard, call: Withheld(call, guard.seconds, guard.action),
-    **{kind: lambda guard, call: type(guard)(call) for kind in (AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing, Adopted, Accepts)},
-}
-"""For the kinds of guards that say which call they are about: the guard, about another call."""
 
 
 def _chosen(places: Names, numbers: Sequence[int]) -> Names:

@@ -34,12 +34,11 @@ from pnm.core.logic.conditions import TRUE, Condition, conjunction, conjuncts, d
 from pnm.core.logic.effects import When, every_effect, names_written
 from pnm.core.logic.rules import Rules
 from pnm.core.machine.bindings import Binding, WhenLost
-from pnm.core.machine.machine import (
+from pnm.core.machine.guards import (
     Accepts,
     Adopted,
     After,
     AlreadyTrue,
-    CallOutcome,
     CancelAsked,
     ConditionFalse,
     ConditionTrue,
@@ -52,14 +51,12 @@ from pnm.core.machine.machine import (
     Guard,
     InvariantFalse,
     PauseAsked,
-    Rule,
-    TransitionAction,
     Withheld,
-    check_rule,
 )
+from pnm.core.machine.machine import CallOutcome, Rule, check_rule
 from pnm.core.machine.plan_graph import ActionCall, Cause, GroundAction
 from pnm.core.machine.recovery_block import Recoveries, abandon, build_recoveries, succeeded_place
-from pnm.core.machine.requests import OutcomeKind
+from pnm.core.machine.requests import OutcomeKind, TransitionAction
 from pnm.core.machine.step_block import OWN, Block, OwnRule, Port, Terms
 
 _SUCCEEDED = frozenset({OutcomeKind.SUCCEEDED})

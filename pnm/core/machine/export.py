@@ -13,7 +13,8 @@ from dataclasses import fields
 from enum import Enum
 from typing import Any
 
-from pnm.core.machine.machine import Guard, PetriNetMachine
+from pnm.core.machine.guards import Guard
+from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, Step, flows
 from pnm.errors import printable_lines
 

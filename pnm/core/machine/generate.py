@@ -13,7 +13,8 @@ from typing import Any, Final, assert_never
 from pnm.core.machine.bindings import Bindings, is_open
 from pnm.core.machine.blocks import END, FAILED, GOAL, START, MachineBlocks, PlacedRegion, PlacedStep
 from pnm.core.machine.call_block import CallBlock
-from pnm.core.machine.machine import Always, ConditionFalse, ConditionTrue, Due, Ending, Failing, OnFailure, PetriNetMachine, Rule
+from pnm.core.machine.guards import Always, ConditionFalse, ConditionTrue, Due, Ending, Failing
+from pnm.core.machine.machine import OnFailure, PetriNetMachine, Rule
 from pnm.core.machine.plan_graph import ActionCall, Cause, Choice, Junction, Loop, Moment, PlanEvent, PlanGraph, Step
 from pnm.core.machine.step_block import PORTS, Block, BlockTemplate, ChoiceBlock, Context, Draft, Inner, JunctionBlock, LoopBlock
 from pnm.core.net.no_collection import no_collection

@@ -15,189 +15,19 @@ from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from enum import Enum, StrEnum
 from functools import cached_property
-from typing import NamedTuple, TypeAlias
+from typing import Final, NamedTuple
 
 from pnm.core import notebook
-from pnm.core.logic.conditions import Condition
 from pnm.core.machine.bindings import Bindings, is_open
+from pnm.core.machine.guards import Always, Guard
 from pnm.core.machine.plan_graph import Cause, Moment, Ordering, PlanGraph
-from pnm.core.machine.requests import OutcomeKind
+from pnm.core.machine.requests import TransitionAction
 from pnm.core.net.firing_engine import CompiledNet
 from pnm.core.net.net import Marking, PetriNet
 from pnm.core.net.no_collection import no_collection
 from pnm.core.net.time_order import TimeOrder, time_order
 
-# --- guards --------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class Always:
-    """Open at once."""
-
-
-@dataclass(frozen=True, slots=True)
-class Ending:
-    """Open when nothing more is started: a failure place or a restart place is marked, or the run was stopped."""
-
-
-@dataclass(frozen=True, slots=True)
-class Failing:
-    """Open when the run can no longer succeed: a failure place is marked, or it was stopped."""
-
-
-@dataclass(frozen=True, slots=True)
-class CancelAsked:
-    """Open when running calls shall be cancelled: it was stopped so, or is ending under policy `CANCEL`."""
-
-
-@dataclass(frozen=True, slots=True)
-class PauseAsked:
-    """Open when the run was paused at once: running calls shall be cancelled, to begin anew later."""
-
-
-@dataclass(frozen=True, slots=True)
-class ConditionTrue:
-    """Open when the condition is true."""
-
-    condition: Condition
-
-
-@dataclass(frozen=True, slots=True)
-class ConditionFalse:
-    """Open when the condition has not been true for as long as reports about it may be late."""
-
-    condition: Condition
-
-
-@dataclass(frozen=True, slots=True)
-class ConditionUnknown:
-    """Open when that is so and the condition is unknown: it cannot be computed, or nothing reports what it is about."""
-
-    condition: Condition
-
-
-@dataclass(frozen=True, slots=True)
-class InvariantFalse:
-    """Open when the over-all condition of a call under way is reported false; only what may not be reported yet gets the time for that."""
-
-    condition: Condition
-
-
-@dataclass(frozen=True, slots=True)
-class AlreadyTrue:
-    """Open when all that the call would change is a plain fact and is so already."""
-
-    call: int
-
-
-@dataclass(frozen=True, slots=True)
-class DataMissing:
-    """Open when a goal field has no value."""
-
-    call: int
-
-
-@dataclass(frozen=True, slots=True)
-class Withheld:
-    """Open when the call has waited `seconds` for withheld resources, those of abandoned requests that may still go on."""
-
-    call: int
-    seconds: float
-    action: TransitionAction | None
-    """Action of the transition that waits: a request to be sent may need other resources than one that goes on."""
-
-
-@dataclass(frozen=True, slots=True)
-class EffectsSeen:
-    """Open when every sensed effect of the call is reported and its end condition held."""
-
-    call: int
-
-
-@dataclass(frozen=True, slots=True)
-class EffectsMissing:
-    """Open when that has not been so for as long as the reports may be late."""
-
-    call: int
-
-
-@dataclass(frozen=True, slots=True)
-class Adopted:
-    """Open when another run has sent the call's request, which is under way, and this run has not taken it over yet."""
-
-    call: int
-
-
-@dataclass(frozen=True, slots=True)
-class Accepts:
-    """Opened by the report that the call's request was accepted."""
-
-    call: int
-
-
-@dataclass(frozen=True, slots=True)
-class Ends:
-    """Opened by the report that the call's request ended in one of these ways."""
-
-    call: int
-    kinds: frozenset[OutcomeKind]
-
-
-@dataclass(frozen=True, slots=True)
-class After:
-    """Open when the token has been in the place for `seconds`."""
-
-    seconds: float
-
-
-@dataclass(frozen=True, slots=True)
-class Due:
-    """Open `seconds` after the origin of the run, the moment it was planned from."""
-
-    seconds: float
-    since: tuple[tuple[str, float], ...] = ()
-    """And for each of these places, its seconds after the place was marked."""
-
-
-Guard: TypeAlias = (
-    Always
-    | Ending
-    | Failing
-    | CancelAsked
-    | PauseAsked
-    | ConditionTrue
-    | ConditionFalse
-    | ConditionUnknown
-    | InvariantFalse
-    | AlreadyTrue
-    | DataMissing
-    | Withheld
-    | EffectsSeen
-    | EffectsMissing
-    | Adopted
-    | Accepts
-    | Ends
-    | After
-    | Due
-)
-
-
-def is_check(guard: Guard) -> bool:
-    """Return whether the guard compares a condition, data, time or resources with what is known, and no end of a request."""
-    return isinstance(guard, (ConditionTrue, ConditionFalse, ConditionUnknown, InvariantFalse, DataMissing, Withheld, Due))
-
-
-class TransitionAction(Enum):
-    """Action of a transition: what its firing does about the request or the assumed effects of its call."""
-
-    SEND = "send the request"
-    ADOPT = "take over the request that another run has sent"
-    CANCEL = "ask for the request to be cancelled"
-    BEGIN = "write the assumed start effects"
-    FINISH = "write the assumed end effects"
-    UNDO = "take the assumed start effects back"
-
-    __hash__ = object.__hash__  # each is there once; shapes of blocks are hashed for every call
+_ALWAYS: Final = Always()
 
 
 class CallOutcome(StrEnum):
@@ -228,7 +58,7 @@ class Rule(NamedTuple):
 
     name: str
     """The event for people and exports, such as ``start`` or ``aborted``; the same for every call."""
-    guard: Guard = Always()
+    guard: Guard = _ALWAYS
     call: int | None = None
     """The number of the step it belongs to, which most often is a call; None for the frame around all steps."""
     action: TransitionAction | None = None
@@ -248,7 +78,7 @@ class Rule(NamedTuple):
     """The whole plan begins anew."""
 
 
-def check_rule(cause: Cause, guard: Guard = Always(), call: int | None = None, action: TransitionAction | None = None) -> Rule:
+def check_rule(cause: Cause, guard: Guard = _ALWAYS, call: int | None = None, action: TransitionAction | None = None) -> Rule:
     """Return the rule of a check, which goes by the name of the cause that it finds."""
     return Rule(cause.value, guard, call, action, cause=cause)
 

@@ -17,9 +17,10 @@ from typing import Final, NamedTuple, TypeAlias
 
 from pnm.core import notebook
 from pnm.core.logic.computed_values import Data, KnowledgeOperation
-from pnm.core.logic.conditions import TRUE, Condition, names
-from pnm.core.logic.effects import Effects, names_written
-from pnm.core.logic.expressions import Fluent, fluent_text
+from pnm.core.logic.conditions import TRUE, Condition, ground, names
+from pnm.core.logic.domain import ActionSchema
+from pnm.core.logic.effects import Effects, ground_effects, names_written
+from pnm.core.logic.expressions import DURATION, Environment, Fluent, fluent_text
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.core.net.topological_order import topological_order
 from pnm.core.resources import check_capacity
@@ -65,6 +66,31 @@ class GroundAction:
 
     def __str__(self) -> str:
         return f"{self.name}({', '.join(self.arguments)})"
+
+
+def ground_schema(schema: ActionSchema, arguments: tuple[str, ...], env: Environment, duration: float | None = None) -> GroundAction:
+    """Substitute values for the parameters of a schema.
+
+    Args:
+        schema: the action.
+        arguments: how the values are written, in the order of the parameters.
+        env: the values, by parameter with ``?``; a parameter without one stays.
+        duration: the planned one, in seconds.
+    """
+    if duration is not None:
+        env = {**env, DURATION[0]: duration}
+    return GroundAction(
+        name=schema.name,
+        arguments=arguments,
+        parameters=tuple(variable.name[1:] for variable in schema.parameters),
+        precondition=ground(schema.precondition, env),
+        invariant=ground(schema.invariant, env),
+        end_condition=ground(schema.end_condition, env),
+        start_effects=ground_effects(schema.start_effects, env),
+        end_effects=ground_effects(schema.end_effects, env),
+        duration=duration,
+        expected=ground(schema.expected, env),
+    )
 
 
 class Cause(StrEnum):

@@ -13,8 +13,10 @@ from dataclasses import dataclass, field
 from typing import Final, assert_never
 
 from pnm.core.logic.conditions import TRUE, Condition
-from pnm.core.machine.machine import Always, ConditionTrue, Ending, Failing, Rule, TransitionAction
+from pnm.core.machine.guards import Always, ConditionTrue, Ending, Failing
+from pnm.core.machine.machine import Rule
 from pnm.core.machine.plan_graph import EMPTY, ActionCall, Cause, PlanGraphError, Recovery, Then
+from pnm.core.machine.requests import TransitionAction
 from pnm.core.machine.step_block import Block
 
 _OWN: Final[frozenset[Cause]] = frozenset((Cause.BEFORE, Cause.AFTER))

@@ -37,6 +37,19 @@ def identities(run: UUID) -> Callable[[str], UUID]:
     return identity
 
 
+class TransitionAction(Enum):
+    """Action of a transition: what its firing does about the request or the assumed effects of its call."""
+
+    SEND = "send the request"
+    ADOPT = "take over the request that another run has sent"
+    CANCEL = "ask for the request to be cancelled"
+    BEGIN = "write the assumed start effects"
+    FINISH = "write the assumed end effects"
+    UNDO = "take the assumed start effects back"
+
+    __hash__ = object.__hash__  # each is there once; shapes of blocks are hashed for every call
+
+
 class OutcomeKind(Enum):
     """Kind of end of a request."""
 

@@ -19,23 +19,20 @@ from types import MappingProxyType
 from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 from pnm.core.machine.bindings import Bindings
-from pnm.core.machine.machine import (
-    Accepts,
+from pnm.core.machine.guards import (
     After,
-    CallOutcome,
     ConditionFalse,
     ConditionTrue,
     ConditionUnknown,
     Due,
     Ending,
-    Ends,
     Guard,
     InvariantFalse,
-    Rule,
-    TransitionAction,
-    check_rule,
+    Opener,
 )
+from pnm.core.machine.machine import CallOutcome, Rule, check_rule
 from pnm.core.machine.plan_graph import Cause, Choice, Flow, Junction, Loop, PlanGraph, Step
+from pnm.core.machine.requests import TransitionAction
 from pnm.core.net.block_net import Template
 from pnm.core.net.net import NetBuilder, Weights
 
@@ -100,7 +97,7 @@ class BlockTemplate(Template):
         self.initial: Mapping[int, int] = MappingProxyType({self.codes[place]: tokens for place, tokens in draft.initial.items()})
         self.failures, self.restarts = self.numbers(*draft.failures), self.numbers(*draft.restarts)
         self.budgets, self.alive, self.settling = (self.numbers(*found) for found in (draft.budgets, draft.alive, draft.settling))
-        self.reported = tuple(number for number, rule in enumerate(self.kinds) if isinstance(rule.guard, Accepts | Ends))
+        self.reported = tuple(number for number, rule in enumerate(self.kinds) if rule.guard.opened_by is Opener.REPORT)
         """The transitions that reports open."""
         made = [number for number, rule in enumerate(self.rules) if isinstance(rule, OwnRule) and rule.guard]
         checked = [kind.action is TransitionAction.SEND or isinstance(kind.guard, InvariantFalse) for kind in self.kinds]
@@ -108,8 +105,7 @@ class BlockTemplate(Template):
         """The transitions that ask for the conditions of a call that goes well."""
         self.limiting = tuple(number for number in made if isinstance(self.kinds[number].guard, After))
         """The transitions that open after the time that a call may take, where each has its own."""
-        asking = (ConditionTrue, ConditionFalse, ConditionUnknown)
-        self.own = tuple(number for number, kind in enumerate(self.kinds) if number in made or isinstance(kind.guard, asking))
+        self.own = tuple(number for number, kind in enumerate(self.kinds) if number in made or kind.guard.asks is not None)
         """The transitions whose guards are made for each block, and all others that ask for conditions."""
         self._made = tuple(vars(self).values())
 

@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final, TypeAlias
 
-from pnm.core.machine.machine import Accepts, Always, ConditionTrue, EffectsSeen, Ends, PetriNetMachine, Rule
-from pnm.core.machine.requests import OutcomeKind
+from pnm.core.machine.machine import PetriNetMachine, Rule
 
 PITCH: Final = 46
 """Pixels from one place to the next."""
@@ -195,10 +194,7 @@ def _main_line(machine: PetriNetMachine, transitions: Sequence[str]) -> frozense
     takers: dict[str, list[str]] = {}
     for name in transitions:
         rule = machine.rules[name]
-        goes_well = isinstance(rule.guard, Always | ConditionTrue | Accepts | EffectsSeen) or (
-            isinstance(rule.guard, Ends) and OutcomeKind.SUCCEEDED in rule.guard.kinds
-        )
-        if goes_well and rule.cause is None:
+        if rule.guard.goes_well and rule.cause is None:
             for place in machine.net.inputs[name]:
                 takers.setdefault(place, []).append(name)
     found: dict[str, None] = {}

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 from itertools import count
-from math import isfinite
 
 from pnm.core.logic.conditions import Condition
-from pnm.core.machine.machine import After, ConditionFalse, ConditionTrue, ConditionUnknown, Due, Ends, Guard, Withheld
-from pnm.core.machine.verification.exits import is_timed
+from pnm.core.machine.guards import Due, Guard
 from pnm.core.machine.verification.part import Inside, Part
 from pnm.core.net.net import Weights
 
@@ -98,18 +96,8 @@ def _arcs_and_roles(part: Part) -> dict[str, object]:
 
 def _kind(guard: Guard | Inside, inputs: Weights, conditions: list[Condition]) -> object:
     """Return what is proved of a guard: when it opens, as far as the world does not decide, and which conditions are the same."""
-    match guard:
-        case ConditionTrue(condition) | ConditionFalse(condition) | ConditionUnknown(condition):
-            if condition not in conditions:  # only whether two guards have the same condition matters: then exactly one of them opens
-                conditions.append(condition)
-            return type(guard), conditions.index(condition)
-        case Ends():
-            return Ends, guard.kinds
-        case After():
-            return After, is_timed(guard)
-        case Due(_, since):
-            return Due, is_timed(guard), all(place in inputs for place, _ in since)
-        case Withheld(_, seconds):
-            return Withheld, isfinite(seconds)
-        case _:
-            return type(guard)
+    if (condition := guard.asks) is not None:
+        if condition not in conditions:  # only whether two guards have the same condition matters: then exactly one of them opens
+            conditions.append(condition)
+        return guard.proved, conditions.index(condition)
+    return (guard.proved, all(place in inputs for place, _ in guard.since)) if isinstance(guard, Due) else guard.proved

@@ -50,7 +50,7 @@ from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.bindings import WhenLost
 from pnm.core.machine.blocks import MachineBlocks, PlacedRegion, PlacedStep
 from pnm.core.machine.call_block import CallTerms
-from pnm.core.machine.machine import (
+from pnm.core.machine.guards import (
     Accepts,
     Adopted,
     After,
@@ -65,15 +65,12 @@ from pnm.core.machine.machine import (
     Failing,
     Guard,
     InvariantFalse,
-    PetriNetMachine,
-    Rule,
-    TransitionAction,
     Withheld,
-    is_check,
 )
+from pnm.core.machine.machine import PetriNetMachine, Rule
 from pnm.core.machine.plan_graph import ActionCall, Cause, Choice, Loop, Moment, PlanGraph, Recovery, Step, Then, flows
 from pnm.core.machine.recovery_block import is_direct
-from pnm.core.machine.requests import OutcomeKind
+from pnm.core.machine.requests import OutcomeKind, TransitionAction
 from pnm.core.machine.step_block import PORTS, Context, Port
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.net.net import Weights
@@ -556,7 +553,7 @@ def _usual(net: CallNet, number: int, call: Asked) -> Then | None:
     rule = net.rules[number]
     is_final = isinstance(rule.guard, Ends) and rule.guard.kinds == {OutcomeKind.ABORTED_FOR_GOOD}
     is_lost = _ends_lost(rule) and net.sources[number] <= net.under_way and call.terms.binding.when_lost is WhenLost.ABORT
-    return Then.FAIL if is_final or is_lost or is_check(rule.guard) else None
+    return Then.FAIL if is_final or is_lost or rule.guard.is_check else None
 
 
 def _recoveries(net: CallNet, call: Asked) -> _Compared:

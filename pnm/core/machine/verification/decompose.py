@@ -11,8 +11,9 @@ from functools import cached_property
 from itertools import chain
 from typing import Final, TypeAlias
 
-from pnm.core.machine.machine import CallOutcome, ConditionFalse, ConditionTrue, OnFailure, PetriNetMachine, Region
-from pnm.core.machine.plan_graph import Choice, Loop, Moment
+from pnm.core.machine.guards import ConditionFalse, ConditionTrue
+from pnm.core.machine.machine import CallOutcome, OnFailure, PetriNetMachine, Region
+from pnm.core.machine.plan_graph import Choice, Flow, Loop, Moment
 from pnm.core.machine.verification.part import Inside, Part, Step, Unsound, step_of, without_counts
 from pnm.core.machine.verification.place_roles import check_roles
 from pnm.core.net.net import Weights
@@ -281,7 +282,8 @@ class Anatomy:
             case Loop(condition=condition):
                 settles = step.guard == ConditionFalse(condition)
             case Choice(condition=condition, then=then, otherwise=otherwise):
-                chosen = {ConditionTrue(condition): then, ConditionFalse(condition): otherwise}.get(step.guard)
+                branches: dict[object, Flow] = {ConditionTrue(condition): then, ConditionFalse(condition): otherwise}
+                chosen = branches.get(step.guard)
                 settles = chosen is not None and entered == {inner.index for inner in chosen.steps}
             case None:
                 settles = isinstance(step.guard, Inside) and not entered

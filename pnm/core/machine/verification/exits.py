@@ -3,22 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from math import isfinite
-from typing import NamedTuple
 
-from pnm.core.machine.machine import (
-    After,
-    Always,
-    CancelAsked,
-    ConditionFalse,
-    ConditionTrue,
-    Due,
-    EffectsMissing,
-    EffectsSeen,
-    Ending,
+from pnm.core.machine.guards import (
     Ends,
-    Failing,
     Guard,
+    Moods,
+    Opener,
 )
 from pnm.core.machine.requests import OutcomeKind
 from pnm.core.machine.verification.part import Inside
@@ -26,32 +16,14 @@ from pnm.core.machine.verification.part import Inside
 _ANY = frozenset(OutcomeKind)
 
 
-class Moods(NamedTuple):
-    """What opens guards besides tokens and the world: whether a run is failing, ending, and to cancel what is under way."""
-
-    failing: bool = False
-    ending: bool = False
-    cancels: bool = False
-
-
 def is_open(guard: Guard | Inside, moods: Moods) -> bool | None:
     """Return whether the guard is open, closed, or either, depending on the world."""
-    match guard:
-        case Always():
-            return True
-        case Ending():
-            return moods.ending
-        case Failing():
-            return moods.failing
-        case CancelAsked():
-            return moods.cancels
-        case _:
-            return None
+    return guard.open_in(moods)
 
 
 def asks_the_world(guard: Guard | Inside) -> bool:
     """Return whether the guard opens because of the world, of a request from outside, or of time."""
-    return not isinstance(guard, Inside) and is_open(guard, Moods()) is None
+    return guard.opened_by is not Opener.TOKENS and guard.open_in(Moods()) is None
 
 
 def lacking_exit(guards: Collection[Guard | Inside], moods: Moods) -> str:
@@ -66,36 +38,10 @@ def missing_exit(guards: Collection[Guard | Inside]) -> str:
     outcomes = [guard.kinds for guard in guards if isinstance(guard, Ends)]
     if outcomes and (others := _ANY.difference(*outcomes)):
         return f"has no exit for a request that has {'/'.join(sorted(kind.value for kind in others))}"
+    # A condition and its complement: one of them opens, if perhaps only after the report delay.
+    if any(guard.is_sure or guard.complement in guards for guard in guards):
+        return ""
     for guard in guards:
-        match guard:
-            # A condition and its complement: one of them opens, if perhaps only after the report delay.
-            case ConditionFalse(condition) if ConditionTrue(condition) in guards:
-                return ""
-            case EffectsMissing(call) if EffectsSeen(call) in guards:
-                return ""
-            case _ if is_timed(guard):
-                return ""
-            case _:
-                pass
-    for guard in guards:
-        match guard:
-            case ConditionTrue(condition):
-                return f"has no exit for when {condition} does not hold"
-            case ConditionFalse(condition):
-                return f"has no exit for when {condition} holds"
-            case EffectsSeen():
-                return "has no exit for when the effects are not seen"
-            case _:
-                pass
+        if guard.closed_for:
+            return f"has no exit for when {guard.closed_for}"
     return "has no exit that is sure to open in finite time"
-
-
-def is_timed(guard: object) -> bool:
-    """Return whether the guard opens by itself, in finite time."""
-    match guard:
-        case After(seconds):
-            return isfinite(seconds)
-        case Due(seconds, since):
-            return all(map(isfinite, (seconds, *(delay for _, delay in since))))
-        case _:
-            return False

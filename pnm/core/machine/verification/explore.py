@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator, Set
 from dataclasses import dataclass
 from typing import Final, NamedTuple, TypeAlias
 
-from pnm.core.machine.machine import Accepts, Ends, PauseAsked
+from pnm.core.machine.guards import Accepts, Ends, PauseAsked
 from pnm.core.machine.requests import BEFORE_ACCEPTANCE
 from pnm.core.machine.verification.block_shape import without_twins
 from pnm.core.machine.verification.moves import AGAIN, FROM_OUTSIDE, Moves, State

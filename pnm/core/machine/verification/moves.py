@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Final, NamedTuple, TypeAlias
 
-from pnm.core.machine.machine import Accepts, Adopted, After, Due, Ends
-from pnm.core.machine.verification.exits import Moods, is_open
+from pnm.core.machine.guards import Accepts, Adopted, Moods, Opener
+from pnm.core.machine.verification.exits import is_open
 from pnm.core.machine.verification.part import Part, Step, Unsound, in_each_case
 from pnm.core.machine.verification.request_life import Account, Life, accounted, following, lacking_account, may_come, misuse
 
@@ -17,6 +17,8 @@ AGAIN: Final = "enter again"
 SUPPLY: Final = "supply"
 FROM_OUTSIDE: Final = frozenset((*STOPS, AGAIN, SUPPLY))
 """What happens to a part from outside; no step of its own may be called so."""
+
+_OF_REQUESTS: Final = (Opener.REPORT, Opener.HANDOVER)
 
 
 class State(NamedTuple):
@@ -55,7 +57,7 @@ class Moves:
             self.calls.setdefault(step.call, len(self.calls))
             for place in map(self.index.__getitem__, step.inputs):
                 self.consumers[place].append(number)
-                if isinstance(step.guard, Accepts | Ends):
+                if step.guard.opened_by is Opener.REPORT:
                     self.reports[place].append(number)
                 if isinstance(step.guard, Accepts):
                     self._unaccepted.setdefault(step.call, []).append(place)
@@ -117,7 +119,7 @@ class Moves:
                     return exits, True
                 continue
             opens = is_open(step.guard, moods)
-            if opens is None and isinstance(step.guard, Adopted | Accepts | Ends):
+            if opens is None and step.guard.opened_by in _OF_REQUESTS:
                 if not self._may_come(step, state):
                     continue
                 opens = True if isinstance(step.guard, Adopted) else None
@@ -170,7 +172,7 @@ class Moves:
         for place in self.marked(state):
             exits, waiting = self.exits(place, state, moods)
             sure = [step for step in map(self.part.steps.__getitem__, exits) if not step.counted]
-            if (not waiting and exits) or any(isinstance(step.guard, After | Due) or is_open(step.guard, moods) for step in sure):
+            if (not waiting and exits) or any(step.guard.opened_by is Opener.TIME or is_open(step.guard, moods) for step in sure):
                 return False
             waits = waits or waiting
         return waits

@@ -14,8 +14,10 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
-from pnm.core.machine.machine import CallOutcome, Guard, InvariantFalse, PetriNetMachine, TransitionAction, is_check
+from pnm.core.machine.guards import Guard, GuardKind, InvariantFalse, OfCall, Opener, Reading
+from pnm.core.machine.machine import CallOutcome, PetriNetMachine
 from pnm.core.machine.plan_graph import Cause, Then
+from pnm.core.machine.requests import TransitionAction
 from pnm.core.net.net import Weights
 from pnm.errors import PnmError
 
@@ -29,8 +31,12 @@ class Unsound(PnmError):
 
 
 @dataclass(frozen=True, slots=True)
-class Inside:
+class Inside(GuardKind):
     """In the place of a guard: what happens inside a region, which takes its time but comes to an end."""
+
+    opened_by = Opener.TOKENS
+    reads = Reading.NOTHING
+    is_check = False
 
 
 class Left(Enum):
@@ -123,13 +129,13 @@ class Part:
 def step_of(machine: PetriNetMachine, name: str) -> Step:
     """Return a transition with its guard, and with its action if it belongs to a call."""
     rule, inputs, outputs = machine.rules[name], machine.net.inputs[name], machine.net.outputs[name]
-    about = getattr(rule.guard, "call", rule.call)
+    about = rule.guard.call if isinstance(rule.guard, OfCall) else rule.call
     if about != rule.call:
         raise Unsound(f"{name} listens to another call")
     if rule.call is None or rule.call >= len(machine.plan.calls):
-        if rule.action is not None or isinstance(rule.guard, InvariantFalse) or hasattr(rule.guard, "call"):
+        if rule.action is not None or isinstance(rule.guard, InvariantFalse | OfCall):
             raise Unsound(f"{name} is about a request, and belongs to no call")
-        return Step(name, rule.guard, inputs, outputs, finds_cause=rule.cause is not None and is_check(rule.guard))
+        return Step(name, rule.guard, inputs, outputs, finds_cause=rule.cause is not None and rule.guard.is_check)
     settles, recoveries = False, machine.plan.calls[rule.call].recoveries
     if rule.cause is not None and recoveries:
         # What is withheld before the call is sent is treated as if the server were not there.

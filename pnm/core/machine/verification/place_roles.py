@@ -4,18 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from pnm.core.machine.machine import (
-    Accepts,
-    AlreadyTrue,
-    CallOutcome,
-    Due,
-    EffectsMissing,
-    EffectsSeen,
-    Ending,
-    Ends,
-    PetriNetMachine,
-    TransitionAction,
-)
+from pnm.core.machine.guards import AlreadyTrue, Due, EffectsMissing, EffectsSeen, Ending, Ends, Opener
+from pnm.core.machine.machine import CallOutcome, PetriNetMachine
+from pnm.core.machine.requests import TransitionAction
 from pnm.core.machine.verification.part import Part, Step, Unsound
 
 
@@ -59,7 +50,7 @@ def check_steps(part: Part) -> None:
     """
     for step in part.steps:
         inputs, guard = step.inputs, step.guard
-        if isinstance(guard, Accepts | Ends) and (len(inputs) != 1 or set(inputs.values()) != {1} or not part.records.isdisjoint(inputs)):
+        if guard.opened_by is Opener.REPORT and (len(inputs) != 1 or set(inputs.values()) != {1} or not part.records.isdisjoint(inputs)):
             raise Unsound(f"{step.name} is opened by a report, and does not take just the one token of its call")
         if isinstance(guard, EffectsSeen) and not part.settling.issuperset(inputs):
             raise Unsound(f"{step.name} looks for effects at a place that is not said to be one for that")

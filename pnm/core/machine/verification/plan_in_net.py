@@ -7,8 +7,10 @@ from collections.abc import Collection, Iterable, Mapping
 from typing import Final
 
 from pnm.core.machine.blocks import START, MachineBlocks, PlacedRegion, PlacedStep
-from pnm.core.machine.machine import Due, Ending, PetriNetMachine, Rule, TransitionAction
+from pnm.core.machine.guards import Due, Ending
+from pnm.core.machine.machine import PetriNetMachine, Rule
 from pnm.core.machine.plan_graph import ActionCall, Flow, Moment, Ordering, PlanEvent, PlanGraph, flows, in_order
+from pnm.core.machine.requests import TransitionAction
 from pnm.core.machine.step_block import PORTS, Port
 from pnm.core.machine.verification.decompose import Block
 from pnm.core.machine.verification.part import Unsound

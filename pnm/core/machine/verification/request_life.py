@@ -10,8 +10,9 @@ from collections.abc import Iterable
 from enum import Enum
 from typing import Final
 
-from pnm.core.machine.machine import Accepts, Adopted, CallOutcome, EffectsMissing, EffectsSeen, Ends, TransitionAction
-from pnm.core.machine.requests import BEFORE_ACCEPTANCE, OutcomeKind
+from pnm.core.machine.guards import Accepts, Adopted, Ends, Reading
+from pnm.core.machine.machine import CallOutcome
+from pnm.core.machine.requests import BEFORE_ACCEPTANCE, OutcomeKind, TransitionAction
 from pnm.core.machine.verification.part import Step
 
 _ANY: Final = frozenset(OutcomeKind)
@@ -56,7 +57,7 @@ def misuse(step: Step, life: Life, *, ending: bool) -> str:
         return f"{step.name} makes its call {step.outcome}, and its last request is not over"
     if step.gives_up and life is not Life.ALIVE:
         return f"{step.name} gives a request up, and none is alive"
-    if isinstance(step.guard, EffectsSeen | EffectsMissing) and life in (Life.NONE, Life.ADOPTABLE):
+    if step.guard.reads is Reading.EFFECTS and life in (Life.NONE, Life.ADOPTABLE):
         return f"{step.name} looks for the effects of a request that was not sent"
     return ""
 

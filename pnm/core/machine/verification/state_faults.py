@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from operator import gt
 
-from pnm.core.machine.machine import Always, Ends
+from pnm.core.machine.guards import Always, Ends
 from pnm.core.machine.verification.exits import asks_the_world, lacking_exit, missing_exit
 from pnm.core.machine.verification.moves import Moves, State
 from pnm.core.machine.verification.part import Inside, in_each_case

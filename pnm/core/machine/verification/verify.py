@@ -39,14 +39,8 @@ from math import isfinite
 from typing import Final, NamedTuple, TypeAlias, TypeVar
 
 from pnm.core.machine.blocks import MachineBlocks, PlacedRegion, PlacedStep, built_from
-from pnm.core.machine.machine import (
-    Adopted,
-    ConditionTrue,
-    Guard,
-    OnFailure,
-    PetriNetMachine,
-    Withheld,
-)
+from pnm.core.machine.guards import Adopted, ConditionTrue, Guard, Withheld
+from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.verification.block_shape import kinds_of, shape_of
 from pnm.core.machine.verification.call_content import RESOURCES, Asked, AskedOf, Watch, check_content, check_guard, net_of, net_of_block

@@ -20,7 +20,7 @@ from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
-from pnm.core.machine.machine import Always, CancelAsked, PauseAsked
+from pnm.core.machine.guards import Always, CancelAsked, PauseAsked
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, verify

@@ -19,7 +19,7 @@ from pnm.core.logic.effects import Effect, Set, When
 from pnm.core.logic.expressions import UNKNOWN, Constant, Unknown, Value
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
-from pnm.core.machine.machine import After
+from pnm.core.machine.guards import After
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Postponed
 from pnm.core.net.firing_rule import fire

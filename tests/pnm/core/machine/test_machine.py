@@ -11,21 +11,10 @@ from hypothesis import strategies as st
 from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
-from pnm.core.machine.machine import (
-    Accepts,
-    After,
-    Always,
-    ConditionFalse,
-    Due,
-    EffectsMissing,
-    Ends,
-    Guard,
-    OnFailure,
-    PauseAsked,
-    TransitionAction,
-    Withheld,
-)
+from pnm.core.machine.guards import Accepts, After, Always, ConditionFalse, Due, EffectsMissing, Ends, Guard, PauseAsked, Withheld
+from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph, PlanGraphError
+from pnm.core.machine.requests import TransitionAction
 from pnm.core.machine.verification.block_shape import shape_of
 from pnm.core.machine.verification.explore import explore_part
 from pnm.core.machine.verification.part import Part, Step, Unsound

@@ -11,16 +11,8 @@ from typing import Any, Final
 
 import z3
 
-from pnm.core.machine.machine import (
-    Always,
-    ConditionFalse,
-    ConditionTrue,
-    EffectsMissing,
-    EffectsSeen,
-    Ending,
-    Failing,
-    PetriNetMachine,
-)
+from pnm.core.machine.guards import Always, ConditionFalse, ConditionTrue, EffectsMissing, EffectsSeen, Ending, Failing
+from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.verification.exits import is_timed
 from pnm.core.net.net import Weights
 

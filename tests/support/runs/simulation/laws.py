@@ -10,7 +10,8 @@ from uuid import UUID
 from pnm.core.execution.call_results import CallResult
 from pnm.core.logic.conditions import Holds, conjuncts
 from pnm.core.logic.expressions import Fluent, Unknown, Value
-from pnm.core.machine.machine import CallOutcome, Ends
+from pnm.core.machine.guards import Ends
+from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, PlanGraph
 from pnm.core.machine.requests import Ended, OutcomeKind
 from pnm.core.net.net import PetriNet

@@ -12,7 +12,8 @@ from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import Constant
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
-from pnm.core.machine.machine import After, ConditionFalse, ConditionTrue, Guard, InvariantFalse, PetriNetMachine
+from pnm.core.machine.guards import After, ConditionFalse, ConditionTrue, Guard, InvariantFalse
+from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import EMPTY, ActionCall, Cause, GroundAction, PlanGraph, Recovery, Then
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import verify

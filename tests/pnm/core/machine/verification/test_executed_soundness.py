@@ -11,16 +11,8 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Holds
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
-from pnm.core.machine.machine import (
-    Always,
-    CallOutcome,
-    ConditionFalse,
-    ConditionTrue,
-    DataMissing,
-    PetriNetMachine,
-    Rule,
-    TransitionAction,
-)
+from pnm.core.machine.guards import Always, ConditionFalse, ConditionTrue, DataMissing
+from pnm.core.machine.machine import CallOutcome, PetriNetMachine, Rule
 from pnm.core.machine.plan_graph import (
     ActionCall,
     Cause,
@@ -33,6 +25,7 @@ from pnm.core.machine.plan_graph import (
     Recovery,
     Then,
 )
+from pnm.core.machine.requests import TransitionAction
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, verify
 from pnm.core.net.net import Marking, PetriNet

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from pnm.core.machine.generate import generate
-from pnm.core.machine.machine import Always
+from pnm.core.machine.guards import Always
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import verify
