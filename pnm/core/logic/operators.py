@@ -5,6 +5,7 @@ from __future__ import annotations
 import operator
 import re
 from collections.abc import Callable, Iterable, Mapping
+from functools import reduce
 from math import isnan
 from typing import Final
 
@@ -19,15 +20,9 @@ def operate(name: str, operands: list[object]) -> object:
     """Apply one of `OPERATORS`; raise `Uncomputable` if that is not possible with these operands."""
     if name in _GROWING and _size(operands) > MAX_SIZE:
         raise Uncomputable(f"{name} of operands as large as that")
-    if name in _COMPARING:
-        operands = _compared(operands)
     try:
         if name == "mod" and isinstance(operands[0], str):
             raise TypeError("the remainder of a text")  # in Python that is another operation, which makes texts of any size
-        if name in _ORDERING and any(isinstance(operand, float) and isnan(operand) for operand in operands):
-            raise ValueError("NaN is neither less nor more than a number")  # in Python every such comparison is false
-        if name in _ORDERING and len({isinstance(operand, bool) for operand in operands}) > 1:
-            raise ValueError("a truth value is neither less nor more than anything else")  # in Python true is 1
         result = OPERATORS[name](*operands)
         if isinstance(result, complex) or (isinstance(result, int) and result.bit_length() > MAX_BITS):
             raise ValueError("the result is no number that JSON can say")
@@ -37,29 +32,52 @@ def operate(name: str, operands: list[object]) -> object:
     return result
 
 
-def _compared(operands: list[object]) -> list[object]:
-    """Return the operands of a comparison: a text beside a truth value or a number is read as one, if it can be.
-
-    What people say are texts, and so are results of many servers; ``no`` is not another thing than false because of where it stood.
-    """
-    match operands:
-        case [str() as text, bool() as other]:
-            return [_TRUTHS.get(spoken(text), text), other]
-        case [str() as text, int() | float() as other] if _NUMBER.match(text.strip()):
-            return [int(text) if text.strip().lstrip("+-").isdigit() else float(text), other]
-        case [bool() | int() | float(), str()]:
-            return _compared(operands[::-1])[::-1]
-        case _:
-            return operands
-
-
 def alike(left: object, right: object) -> bool:
-    """Return whether two values are equal; a truth value equals no number, also inside of lists and mappings. In Python true is 1."""
+    """Return whether two values are equal, as `_compared`; also inside of lists and mappings."""
+    left, right = _compared(left, right)
     if isinstance(left, list | tuple) and type(left) is type(right):
         return len(left) == len(right) and all(map(alike, left, right))
     if isinstance(left, dict) and isinstance(right, dict):
         return left.keys() == right.keys() and all(alike(value, right[key]) for key, value in left.items())
     return isinstance(left, bool) is isinstance(right, bool) and left == right
+
+
+def is_less(left: object, right: object) -> bool:
+    """Return whether a value is less than another one, as `_compared`; of lists the first items that are not alike decide."""
+    left, right = _compared(left, right)
+    if isinstance(left, list) and isinstance(right, list):
+        unlike = next(((one, other) for one, other in zip(left, right, strict=False) if not alike(one, other)), None)
+        return is_less(*unlike) if unlike else len(left) < len(right)
+    if isinstance(left, bool) is not isinstance(right, bool):
+        raise ValueError("a truth value is neither less nor more than anything else")  # in Python true is 1
+    if any(isinstance(each, float) and isnan(each) for each in (left, right)):
+        raise ValueError("NaN is neither less nor more than a number")  # in Python every such comparison is false
+    return bool(operator.lt(left, right))  # type: ignore[arg-type]
+
+
+def _compared(left: object, right: object) -> tuple[object, object]:
+    """Return two values as all operators that compare do: a text beside a truth value or a number is read as one, if it can be.
+
+    What people say are texts, and so are results of many servers; ``no`` is not another thing than false because of where it stood.
+    A truth value equals no number: in Python true is 1.
+    """
+    match left, right:
+        case str() as text, bool():
+            return _TRUTHS.get(spoken(text), text), right
+        case str() as text, int() | float() if _NUMBER.match(text.strip()):
+            return int(text) if text.strip().lstrip("+-").isdigit() else float(text), right
+        case bool() | int() | float(), str():
+            return _compared(right, left)[::-1]
+        case _:
+            return left, right
+
+
+def _lesser(left: object, right: object) -> object:
+    return right if is_less(right, left) else left
+
+
+def _greater(left: object, right: object) -> object:
+    return right if is_less(left, right) else left
 
 
 def _places(container: object, value: object) -> list[int]:
@@ -134,7 +152,7 @@ MAX_DEPTH: Final = 100
 MAX_BITS: Final = 14_000
 """Of a whole number: Python writes none of more than 4300 digits."""
 _PLAIN: Final = (
-    *("lt", "le", "gt", "ge", "is_", "is_not"),
+    *("is_", "is_not"),
     *("abs", "add", "floordiv", "mod", "mul", "neg", "pos", "pow", "sub", "truediv", "concat", "getitem", "index"),
     *("and_", "inv", "invert", "lshift", "or_", "rshift", "xor"),
 )
@@ -142,6 +160,12 @@ OPERATORS: Final[Mapping[str, Callable[..., object]]] = {
     **{name: getattr(operator, name) for name in _PLAIN},
     "eq": alike,
     "ne": lambda left, right: not alike(left, right),
+    "lt": is_less,
+    "gt": lambda left, right: is_less(right, left),
+    "le": lambda left, right: is_less(left, right) or alike(left, right),
+    "ge": lambda left, right: is_less(right, left) or alike(left, right),
+    "min": lambda *operands: reduce(_lesser, operands),
+    "max": lambda *operands: reduce(_greater, operands),
     "contains": _contains,
     "countOf": lambda container, value: len(_places(container, value)),
     "indexOf": _index_of,
@@ -150,8 +174,6 @@ OPERATORS: Final[Mapping[str, Callable[..., object]]] = {
     "div": operator.truediv,
     "setitem": _setitem,
     "delitem": _delitem,
-    "min": lambda *operands: min(operands),
-    "max": lambda *operands: max(operands),
 }
 """Python's operators by the names of its module `operator`; ``setitem`` and ``delitem`` give a changed copy."""
 CHANGING: Final = frozenset({"setitem", "delitem"})
@@ -159,6 +181,4 @@ CHANGING: Final = frozenset({"setitem", "delitem"})
 _TRUTHS: Final = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}
 """Truth values as people and servers write them."""
 _NUMBER: Final = re.compile(r"[-+]?(?:[0-9]{1,300}(?:\.[0-9]{0,300})?|\.[0-9]{1,300})(?:[eE][-+]?[0-9]{1,3})?\Z")
-_COMPARING: Final = frozenset({"eq", "ne", "lt", "le", "gt", "ge"})
-_ORDERING: Final = frozenset({"lt", "le", "gt", "ge"})
 _GROWING: Final = frozenset({"concat", "add", "mul", "pow", "lshift"})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pnm.core.logic.computed_values import Literal, Parameter
@@ -188,38 +188,67 @@ def test_what_was_expected_and_what_is_so() -> None:
     assert observed(TRUE, state) == "no fluent involved"
 
 
-# --- one and true ---
+# --- values of any kind ---
 
-SIMPLE = st.sampled_from([0, 1, 2, 0.0, 1.0, True, False, None, "", "a"])
+SIMPLE = st.sampled_from([0, 1, 2, 0.0, 1.5, -1, True, False, None, "", "a", "1", " 1.0", "1.5", "no", "Yes", "true", float("nan")])
 DEEP = st.recursive(SIMPLE, lambda inner: st.lists(inner, max_size=2) | st.dictionaries(st.sampled_from("xy"), inner, max_size=2))
+WORDS = {"no": False, "Yes": True, "true": True}
 
 
-def as_json(value: object) -> object:
-    """The value with what tells numbers and truth values apart; 1 and 1.0 are one number."""
-    match value:
-        case list():
-            return [as_json(item) for item in value]
-        case dict():
-            return {name: as_json(item) for name, item in value.items()}
-        case bool():
-            return "truth value", value
+def are_equal(left: object, right: object) -> bool:
+    """What is equal: in JSON, where 1 and 1.0 are one number; a text beside a number or a truth value is what it says."""
+    if isinstance(right, str) and not isinstance(left, str):
+        left, right = right, left
+    match left, right:
+        case str(), bool():
+            return WORDS.get(left) is right
+        case str(), int() | float():
+            return left.strip()[-1:].isdecimal() and float(left) == right
+        case list(), list():
+            return len(left) == len(right) and all(map(are_equal, left, right))
+        case dict(), dict():
+            return left.keys() == right.keys() and all(are_equal(left[name], right[name]) for name in left)
         case _:
-            return value
+            return isinstance(left, bool) is isinstance(right, bool) and left == right
+
+
+def result(name: str, *operands: object) -> object:
+    """What an operator gives; None if it has no result."""
+    try:
+        return operate(name, [*operands])
+    except Uncomputable:
+        return None
+
+
+@example("1", 1)
+@given(DEEP, DEEP)
+def test_one_rule_says_what_is_equal_for_all_operators_and_at_any_depth(left: object, right: object) -> None:
+    equal = are_equal(left, right)
+    assert result("eq", left, right) is result("eq", right, left) is equal
+    assert result("ne", left, right) is not equal
+    assert result("eq", [left], [right]) is result("eq", {"k": left}, {"k": right}) is result("contains", [left], right) is equal
+    assert result("countOf", [left, None, left], right) == 2 * equal + (right is None)
+    assert result("indexOf", [left], right) == (0 if equal else None)
 
 
 @given(DEEP, DEEP)
-def test_equal_is_what_is_equal_in_json(left: object, right: object) -> None:
-    if isinstance(left, str) is not isinstance(right, str):
-        return  # a text is read as what it is compared with
-    equal = as_json(left) == as_json(right)
-    assert operate("eq", [left, right]) is operate("eq", [right, left]) is equal
-    assert operate("ne", [left, right]) is not equal
-    assert operate("contains", [[left], right]) is equal
-    assert operate("countOf", [[left, right, left], right]) == (3 if equal else 1)
-    assert operate("indexOf", [[left, right], right]) == (0 if equal else 1)
+def test_one_rule_says_what_is_less_for_all_operators_and_at_any_depth(left: object, right: object) -> None:
+    equal, less, more = are_equal(left, right), result("lt", left, right), result("lt", right, left)
+    assert (less is None) is (more is None)
+    assert [result(name, left, right) for name in ("gt", "le", "ge")] == (
+        [more, less or equal, more or equal] if less is not None else [None] * 3
+    )
+    assert [less, more, equal].count(True) <= 1
+    if less is not None:
+        kept = [operate(name, [left, right]) for name in ("min", "max")]
+        assert [id(each) for each in kept] == [id(right if more else left), id(right if less else left)]
+    else:
+        assert result("min", left, right) is result("max", left, right) is None
+    if not equal:
+        assert result("lt", [left], [right]) is less
 
 
-@pytest.mark.parametrize("name", ["lt", "le", "gt", "ge"])
+@pytest.mark.parametrize("name", ["lt", "le", "gt", "ge", "min", "max"])
 def test_a_truth_value_is_neither_less_nor_more_than_a_number(name: str) -> None:
     for operands in ([True, 2], [0, False], [1.0, True]):
         with pytest.raises(Uncomputable, match="a truth value is neither less nor more than anything else"):
