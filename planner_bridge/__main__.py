@@ -5,8 +5,17 @@ import sys
 
 from pnm.signals import leave_at_ctrl_c
 
-_PER_LINE = ("replay", "history")
-"""Commands whose ``--json`` prints as many objects as there are things to tell, which may be none."""
+UNTOLD = {
+    "run": '"goal_reached": false, "code": "cancelled"',
+    "goal": '"goal_reached": false, "code": 10',
+    "plan": '"status": "cancelled", "steps": null',
+    "check": '"ready": null, "rows": null',
+    "why": '"answers": null',
+    "status": '"paused": null, "tasks": null',
+    "facts": "",
+}
+"""The JSON of each command that was cancelled, beside the reason: its own keys, null for what it has not found out. `pnm replay` and
+`pnm history` are not here: theirs has as many objects as there are things to tell, which may be none. Texts: nothing is imported yet."""
 
 
 def say_cancelled() -> None:
@@ -15,8 +24,8 @@ def say_cancelled() -> None:
     Not by `print`: another thread may be in the middle of it.
     """
     os.write(2, b"cancelled\n")
-    if "--json" in sys.argv and sys.argv[1] not in _PER_LINE:
-        os.write(1, b'{"goal_reached": false, "code": "cancelled", "reason": "cancelled"}\n')
+    if "--json" in sys.argv and (untold := UNTOLD.get(sys.argv[1])) is not None:
+        os.write(1, f'{{{untold}{", " if untold else ""}"reason": "cancelled"}}\n'.encode())
 
 
 def main() -> None:

@@ -5,8 +5,13 @@ from __future__ import annotations
 import json
 import signal
 
+import click
 import pytest
 
+from planner_bridge.__main__ import UNTOLD
+from planner_bridge.cli.commands import app
+from planner_bridge.model.plan import PlanningStatus
+from pnm.tasks import Code
 from tests.support.files import ROOT
 from tests.support.processes import Program
 
@@ -69,6 +74,29 @@ def test_ctrl_c_before_a_command_has_begun_is_told_as_any_other_end(command: str
 def test_ctrl_c_in_commands_without_json_is_one_line() -> None:
     assert ended(AT_IMPORT, "30", "run", *FILES) == (1, [], ["cancelled"])
     assert ended(AT_IMPORT, "30", "history", "--json") == (1, [], ["cancelled"])
+
+
+@pytest.mark.parametrize(
+    ("command", "told"),
+    [
+        ("run", {"goal_reached": False, "code": "cancelled"}),
+        ("goal", {"goal_reached": False, "code": int(Code.CANCELLED)}),
+        ("plan", {"status": PlanningStatus.CANCELLED.value, "steps": None}),
+        ("check", {"ready": None, "rows": None}),
+        ("why", {"answers": None}),
+        ("status", {"paused": None, "tasks": None}),
+        ("facts", {}),
+    ],
+)
+def test_the_json_of_a_command_that_was_cancelled_has_the_keys_of_that_command(command: str, told: dict[str, object]) -> None:
+    assert ended(AT_IMPORT, "30", command, "--json") == (1, [json.dumps(told | {"reason": "cancelled"})], ["cancelled"])
+
+
+def test_every_command_with_json_says_in_it_that_it_was_cancelled() -> None:
+    with click.Context(app) as context:
+        commands = {name: app.get_command(context, name) for name in app.list_commands(context)}
+    with_json = {name for name, command in commands.items() if command and "as_json" in {option.name for option in command.params}}
+    assert with_json - {"replay", "history"} == set(UNTOLD), "these print an object a line"
 
 
 @pytest.mark.parametrize(
