@@ -76,7 +76,8 @@ class StoppableWork:
 
     The first signal cancels the work, which then comes to its end in order; the next one cancels it again, and the process leaves
     within `LEAVING` seconds, whatever still goes on. A signal during which the loop is too busy to hear even of the one before raises
-    `KeyboardInterrupt`. Signals that the caller ignores or handles are left alone.
+    `KeyboardInterrupt`. Signals that the caller ignores or handles are left alone;
+    SIGINT is ignored in no program that `leave_at_ctrl_c`, which handles it before.
 
     Args:
         loop: runs the work.

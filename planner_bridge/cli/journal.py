@@ -35,7 +35,7 @@ from planner_bridge.tasks.result import TASKS
 from planner_bridge.view.task_timeline import timelines
 from pnm.core.knowledge_base import statement_text
 from pnm.core.pictures.timeline_picture import timeline_svg
-from pnm.errors import InputError
+from pnm.errors import InputError, printable
 from pnm.files.database.place import Place, place_of
 from pnm.journal.codec import Undecodable
 from pnm.journal.kept import DAY, KEPT, LISTED, JournalChoice, JournalError
@@ -257,7 +257,7 @@ def resume_run(journal: Place, *, adopts: bool, is_trusted: bool) -> int:
         os.chdir(folder)
     except OSError as error:
         raise InputError(f"{journal}: its command was given in {folder}: {error.strerror}") from error
-    print(f"in {folder}: pnm run {shlex.join(given)}", file=sys.stderr)
+    print(f"in {printable(folder)}: {_words(given)}", file=sys.stderr)
     return int(run.main([*given, "--journal", place, *([ADOPT] if adopts else [])], "pnm run", standalone_mode=False) or 0)
 
 
@@ -265,12 +265,17 @@ def _ask(journal: Place, folder: str, given: Sequence[str]) -> None:
     """Show what a journal would do, and ask whether it may; raise an `InputError` if not, or if there is nobody to ask."""
     named = {option.partition("=")[0] for option in given}
     acts = "".join(f"; {option} {what}" for option, what in _ACTS.items() if option in named)
-    would = f"{journal} was not begun by you on this computer. In {folder} it would do: pnm run {shlex.join(given)}{acts}"
+    would = f"{journal} was not begun by you on this computer. In {printable(folder)} it would do: {_words(given)}{acts}"
     if not sys.stdin.isatty():
         raise InputError(f"{would}; --yes does it")
     print(would, file=sys.stderr)
     if not click.confirm("Is that what you want?", err=True):
         raise InputError("nothing was done")
+
+
+def _words(given: Sequence[str]) -> str:
+    """Return a command that a journal names on one line: a line of its own in an argument would look like one of ours."""
+    return f"pnm run {shlex.join(map(printable, given))}"
 
 
 def chosen_journal(journal: str | None) -> Place:

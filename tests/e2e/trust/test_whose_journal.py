@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+import pty
 import re
 import signal
 import sqlite3
 import stat
+import subprocess
 import sys
 from contextlib import closing
+from itertools import takewhile
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -20,8 +23,10 @@ from pnm.errors import InputError
 from pnm.files.database.place import ServerUrl, without_password
 from pnm.files.private import private_folder, secret_in
 from tests.support.files import ROOT
-from tests.support.processes import Program, pnm
+from tests.support.processes import LIMIT, Program, pnm
 
+PRECIOUS = "precious\nIs that what you want? y"
+"""The name of a file, which looks like an answer where its line break is printed."""
 FILES = (str(ROOT / "domains/delivery/domain.pddl"), str(ROOT / "problems/delivery/p01.pddl"))
 
 
@@ -32,7 +37,7 @@ def mode(path: Path) -> int:
 @pytest.fixture
 def died(tmp_path: Path) -> Path:
     """The journal of a run that was killed, with an option that replaces a file."""
-    journal, other = tmp_path / "run.journal", tmp_path / "precious"
+    journal, other = tmp_path / "run.journal", tmp_path / PRECIOUS
     other.write_text("precious")
     given = ["run", *FILES, "--actions", "simulated", "--timeline", str(other), "--force", "--view=0", "--journal", str(journal)]
     with closing(Program(["-m", "planner_bridge", *given], {})) as program:
@@ -49,7 +54,30 @@ def test_a_journal_that_somebody_else_has_begun_is_asked_about(died: Path, tmp_p
     assert done.returncode == 2
     for said in ("not begun by you", "--timeline writes a file", "--force replaces files", "--view serves a page", str(FILES[0]), "--yes"):
         assert said in done.stderr
-    assert (tmp_path / "precious").read_text() == "precious"
+    assert (tmp_path / PRECIOUS).read_text() == "precious"
+
+
+@pytest.mark.parametrize("answer", ["n", "", "y"])
+def test_at_a_terminal_it_is_done_if_somebody_says_so(answer: str, died: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "elsewhere"))
+    hands, terminal = pty.openpty()
+    os.write(hands, f"{answer}\n".encode())
+    command = [sys.executable, "-m", "planner_bridge", "resume", str(died)]
+    resumed = subprocess.Popen(command, cwd=ROOT, stdin=terminal, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    with resumed, os.fdopen(hands), os.fdopen(terminal):
+        if answer != "y":
+            _, err = resumed.communicate(timeout=LIMIT)
+        else:
+            assert resumed.stderr
+            err = "".join(takewhile(lambda line: "stays until" not in line, resumed.stderr))
+            resumed.send_signal(signal.SIGINT)
+            err += resumed.communicate(timeout=LIMIT)[1]
+    would, question, *_ = err.splitlines()
+    assert would.startswith(f"{died} was not begun by you on this computer")
+    assert " ".join(PRECIOUS.split()) in would
+    assert question.startswith("Is that what you want? [y/N]: ")
+    assert ((tmp_path / PRECIOUS).read_text() == "precious") is (answer != "y")
+    assert ("nothing was done" in err, resumed.returncode) == ((False, 0) if answer == "y" else (True, 2))
 
 
 @pytest.mark.parametrize("is_own", [True, False])
@@ -62,7 +90,7 @@ def test_ones_own_journal_goes_on_and_so_does_another_with_yes(
         program.until(lambda: any("stays until" in line for line in program.err))
         program.process.send_signal(signal.SIGINT)
         program.ended()
-    assert (tmp_path / "precious").read_text().startswith("<svg")
+    assert (tmp_path / PRECIOUS).read_text().startswith("<svg")
 
 
 def test_a_command_that_was_changed_in_a_journal_of_ones_own_is_asked_about(died: Path, tmp_path: Path) -> None:
