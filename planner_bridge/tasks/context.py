@@ -95,8 +95,11 @@ class Scheduler(Protocol):
     async def preempt(self, task: Task, conflicts: tuple[Conflict, ...]) -> None:
         """Have the tasks of lower priority pause until this task is over; return when nothing of theirs is under way."""
 
+    def release(self, task: Task) -> None:
+        """Note that the task has no plan in mind any more: those that waited for it may try again."""
+
     async def begin_turn(self, task: Task) -> None:
-        """Wait for the turn of the task to plan; one whose attempt failed waits for a change first."""
+        """Wait for the turn of the task to plan, with no plan in mind; one whose attempt failed waits for a change first."""
 
     def end_turn(self, task: Task, *, failed: bool, again: float = inf) -> None:
         """End the turn of the task to plan. After so many seconds it may try again though nothing is known to have changed."""

@@ -142,7 +142,8 @@ class GoalLoop:
         # What was replaced too often is not replaced once more because facts keep changing.
         news = self._facts_changed if ended.by_facts else asyncio.Event()
         self._question.add_done_callback(lambda _: news.set())
-        control.reserved, control.awaits_help = None, True
+        context.scheduler.release(task)
+        control.awaits_help = True
         control.enter(TaskState.QUEUED, reason)
         try:
             await control.until(news.wait())

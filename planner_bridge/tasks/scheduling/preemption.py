@@ -89,8 +89,18 @@ class Preemption(TaskListener):
         begun = (other for other in self._tasks.values() if other is not task and other.control.has_begun and other.ending is None)
         return [other for other in begun if other.control.state is not TaskState.PAUSED]
 
+    def release(self, task: Task) -> None:
+        """Note that the task has no plan in mind any more: those that waited for it may try again.
+
+        Nothing else tells them where its run has ended without a change of facts, and it may wait for its next turn behind them.
+        """
+        if task.control.reserved is not None:
+            task.control.reserved = None
+            asyncio.get_running_loop().call_soon(self._queue.changed)  # when it is in the queue itself, which goes by rank
+
     async def begin_turn(self, task: Task) -> None:
-        """Wait for the turn of the task to plan; one whose attempt failed waits for a change first."""
+        """Wait for the turn of the task to plan, with no plan in mind; one whose attempt failed waits for a change first."""
+        self.release(task)
         await self._queue.enter(task)
 
     def end_turn(self, task: Task, *, failed: bool, again: float = inf) -> None:

@@ -212,7 +212,6 @@ def simulate_tasks(
     make_backend: Callable[[Problem, Bindings, Faults], SimulatedBackend] = simulated_backend,
     journal: Path | None = None,
     loop: Callable[[], VirtualTimeLoop] = VirtualTimeLoop,
-    is_watched: bool = True,
 ) -> None:
     """Run a scenario, close the task manager, and check that nothing was against the rules; keep a journal in a file, if there is one."""
     errors = _Errors()
@@ -227,7 +226,7 @@ def simulate_tasks(
         )
         await simulation.backend.open(simulation.knowledge)
         (written or NO_JOURNAL).begin(simulation.knowledge, simulation.master._resources)
-        watching = asyncio.ensure_future(simulation.watch() if is_watched else asyncio.sleep(0))
+        watching = asyncio.ensure_future(simulation.watch())
         try:
             await scenario(simulation)
         finally:

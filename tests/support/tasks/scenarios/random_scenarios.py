@@ -76,7 +76,6 @@ def run_scenario(
         programs=scenario.programs,
         source=scenario.person,
         journal=journal,
-        is_watched=False,  # known: in scenario 64 tasks wait for their turns until the limit of one of them has passed
     )
     return codes
 
