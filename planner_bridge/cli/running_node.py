@@ -344,11 +344,11 @@ def _print_status(console: SafeConsole, message: Any) -> None:
         console.print("no tasks")
         return
     table = Table(box=None, pad_edge=False)
-    for column in ("task", "state", "goal", "calls ended", "under way, or why"):
+    for column in ("task", "state", "goal", "calls ended", "under way, and why"):
         table.add_column(column, overflow="fold")
     for task in map(_task_data, message.tasks):
         calls = (": ".join(filter(None, said)) for said in zip(task["running"], task["feedback"], strict=True))
-        why = ", ".join(calls) or task["reason"]
+        why = "; ".join(filter(None, (", ".join(calls), task["reason"])))
         table.add_row(task["id"][:8], task["code"] or task["state"], task["goal"], str(task["ended"]), why)
     console.print(table, soft_wrap=False)
 

@@ -92,12 +92,17 @@ class Task(TaskObserver):
     trace: deque[TraceEvent] = field(default_factory=lambda: deque(maxlen=TRACE))
     deadline: asyncio.TimerHandle | None = None
     watchdog: Watchdog | None = None
+    came_in: float = field(init=False)
+    """When it came in."""
+    replanned: str = ""
+    """When its plan was replaced last, and why."""
     is_abandoned: bool = False
     """Whether it was left alone because it could not be ended in order."""
 
     def __post_init__(self) -> None:
         self.observer = broadcast(TaskObserver, (self, *self.observers)) if self.observers else self
         self.control = TaskControl(self.observer)
+        self.came_in = self.clock()
 
     @property
     def replans(self) -> int:
@@ -151,7 +156,7 @@ class Task(TaskObserver):
             wanted.text or self.goal,
             wanted.priority,
             control.state,
-            control.reason,
+            control.reason or (self.replanned if control.state is TaskState.RUNNING else ""),
             tuple(call for call, _ in under_way),
             self.ended_calls,
             self.replans,
@@ -220,6 +225,8 @@ class Task(TaskObserver):
         """Note what has become of the task in another process: its plans, the calls that have ended, and its ending if it is over."""
         begun = sum(replayed.run.begun and replayed.made.caller is None for replayed in kept.runs)
         self.nets = begun - self.wanted.is_plan if kept.ending is None else kept.ending.replans + 1  # a plan is said again to be there
+        decided = [note.decision for note in kept.notes if isinstance(note, GoalNote) and note.decision]
+        self.replanned = f"replanned in another process: {decision_words(decided[-1])}" if decided else ""
         self.plans = max((note.plans for note in kept.notes if isinstance(note, GoalNote)), default=0)
         results = (replayed.result or replayed.run.interim_result() for replayed in kept.runs)
         self.ended_calls = sum(call.attempts - call.is_under_way for result in results for call in result.calls)
@@ -267,7 +274,9 @@ class Task(TaskObserver):
 
     def replanning(self, decision: ResumePlan | PlanAgain, result: RunResult) -> None:
         """Note that the plan is to be replaced."""
-        self.note(TraceKind.REPLANNED, "", decision_words(decision), logging.WARNING)
+        words = decision_words(decision)
+        self.replanned = f"replanned {self.clock() - self.came_in:.2f} s after it came in: {words}"
+        self.note(TraceKind.REPLANNED, "", words, logging.WARNING)
         self.listener.changed(self.id)
 
     def sent(self, call: ActionCall, request: Request, now: float) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from pathlib import Path
 from uuid import UUID
 
@@ -11,6 +12,7 @@ import pytest
 from planner_bridge.model.simulation import simulated_backend
 from planner_bridge.tasks.scheduling.task_limits import TaskLimits
 from planner_bridge.tasks.settings import Settings
+from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.bindings import Binding, Bindings
@@ -216,3 +218,35 @@ def test_what_is_sensed_later_is_sensed_in_the_next_process(tmp_path: Path) -> N
     run_async(main(), virtual=True)
     after = replayed(tmp_path / "journal", RECORDS).world
     assert (after.sensed_names(), after.variables()) == ({"at": 2.0, "open": 0.0}, {"x": 1})
+
+
+def test_the_status_says_when_and_why_the_plan_was_replaced_last(tmp_path: Path) -> None:
+    problem, task = fleet(robots=2), Wanted(UUID(int=1), "r1 far")
+    once = Settings(improve=0.0, bindings=Bindings({"move": Binding(resources=("{r}",), retries=0)}))
+
+    async def main() -> None:
+        robots = simulated_backend(problem, once.bindings, Faults((Fault("move", FaultKind.ABORT, times=1),)))
+        processes = Successors(problem, once, robots, tmp_path / "journal", GOALS)
+        first, heard = await first_process(processes)
+        first.manager.begin(task)
+        async with asyncio.timeout(1000.0):
+            while not first.manager.status()[0].replans:
+                await heard.sent.wait()
+                heard.sent.clear()
+        before = first.manager.status()[0]
+        assert before.state is TaskState.RUNNING
+        when, _, why = before.reason.partition(" after it came in: ")
+        assert re.fullmatch(r"replanned \d+\.\d\d s", when)
+        assert why.startswith("the rest of the plan still works: going on with ")
+        await first.die()
+
+        second, _, heard = await next_process(processes)
+        await heard.sent.wait()
+        after = second.manager.status()[0]
+        assert (after.state, after.reason) == (TaskState.RUNNING, f"replanned in another process: {why}")
+        async with asyncio.timeout(1000.0):
+            await heard.over.wait()
+        await second.manager.close()
+        second.journal.close()
+
+    run_async(main(), virtual=True)
