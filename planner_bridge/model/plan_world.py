@@ -14,7 +14,7 @@ from pnm.core.logic.declared_names import Vocabulary
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.effects import Effects, Set, When, every_effect
 from pnm.core.logic.expressions import DURATION, UNDEFINED, Constant, Fluent, Value, Variable, expression_fluents
-from pnm.core.machine.plan_graph import Choice, Loop
+from pnm.core.machine.plan_graph import Conditional
 from pnm.errors import InputError
 from pnm.language.plan import HandWrittenPlan
 
@@ -120,7 +120,7 @@ def _uses(plan: HandWrittenPlan) -> Iterator[Use]:
         yield from _in_effects((*action.start_effects, *action.end_effects))
         yield (action.name, *action.arguments), None
     for step in plan.graph.every_step:
-        if isinstance(step, Loop | Choice):
+        if isinstance(step, Conditional):
             yield from _in_condition(step.condition)
     yield from _in_condition(plan.goal)
     for rule in plan.rules.rules:

@@ -44,7 +44,7 @@ ACTION_KEYS: Final = (
     *("instances", "type", "params", "preconditions", "effects", "duration", "preferences", "recoveries", "simulated"),
     *BINDING_KEYS,
 )
-RESERVED: Final = frozenset({"while", "if", "then", "else", "concurrent_actions", "sequence"})
+RESERVED: Final = frozenset({"while", "if", "then", "else", "concurrent_actions", "sequence", "wait_until"})
 """Words that steps begin with."""
 
 

@@ -15,7 +15,7 @@ from typing import Final, TypeAlias
 
 from pnm.core.logic.computed_values import Data, KnowledgeOperation
 from pnm.core.logic.conditions import Condition
-from pnm.core.machine.plan_graph import Cause, Moment, Then
+from pnm.core.machine.plan_graph import Cause, Moment, Step, Then
 from pnm.errors import InputError, Position
 from pnm.files.yaml_nodes import Node
 from pnm.language.actions import LanguageAction
@@ -111,6 +111,15 @@ class ConcurrentStep:
 
 
 @dataclass(frozen=True, slots=True)
+class LeafStep:
+    """A step that holds no others: it is written as it stands in the plan."""
+
+    place: StepPlacement
+    step: Step
+    """Its number does not count."""
+
+
+@dataclass(frozen=True, slots=True)
 class LoopStep:
     """Steps that are repeated as long as a condition holds."""
 
@@ -130,7 +139,7 @@ class ChoiceStep:
     otherwise: SequenceStep
 
 
-WrittenStep: TypeAlias = CallStep | SequenceStep | ConcurrentStep | LoopStep | ChoiceStep
+WrittenStep: TypeAlias = CallStep | SequenceStep | ConcurrentStep | LeafStep | LoopStep | ChoiceStep
 
 
 COMMANDS: Final = {**{then.value: then for then in Then}, "restart_action": Then.RETRY}

@@ -12,7 +12,7 @@ from typing import Final
 from pnm.actions.bindings_file import check_pattern, read_texts
 from pnm.core.logic.computed_values import KnowledgeOperation
 from pnm.core.logic.domain import ProblemModel
-from pnm.core.machine.plan_graph import Moment
+from pnm.core.machine.plan_graph import Moment, WaitUntil
 from pnm.errors import InputError, Position, Tolerated
 from pnm.files.yaml_nodes import Mapped, Node
 from pnm.language.actions import OPERATION, RESERVED, ActionKind, LanguageAction
@@ -24,6 +24,7 @@ from pnm.language.plan_tree import (
     ChoiceStep,
     ConcurrentStep,
     GivenValue,
+    LeafStep,
     LoopStep,
     SequenceStep,
     StepPlacement,
@@ -101,6 +102,9 @@ class StepReader:
                     raise InputError(f"{key!r} belongs under 'while': two more spaces before it", entry.nodes[key][0])
                 entry.only("while", *_PLACE)
                 return self._loop(entry.needed("while").mapped(), place)
+            case "wait_until":
+                entry.only("wait_until", *_PLACE)
+                return LeafStep(place, self._wait_until(entry.needed("wait_until").mapped()))
             case "if":
                 entry.only("if", "then", "else", *_PLACE)
                 within = entry.needed("if").mapped().nodes if entry.needed("if").is_mapping else {}
@@ -121,7 +125,7 @@ class StepReader:
 
     def _head(self, entry: Mapped) -> str:
         """Return the key that names the action or the block of the step."""
-        for word in ("if", "while", "concurrent_actions", "sequence"):
+        for word in ("if", "while", "wait_until", "concurrent_actions", "sequence"):
             if word in entry.nodes:
                 return word
         heads = [key for key in entry.nodes if key not in OPTIONS] or [key for key in entry.nodes if key in self.actions]
@@ -142,6 +146,11 @@ class StepReader:
         if not body.steps:
             raise InputError("a loop repeats at least one step", entry.position("actions"))
         return LoopStep(place, read_condition(entry.needed("condition"), self.scope), body, limit)
+
+    def _wait_until(self, entry: Mapped) -> WaitUntil:
+        entry.only("condition", "limit")
+        entry.needed("limit")  # nobody waits for ever
+        return WaitUntil(0, read_condition(entry.needed("condition"), self.scope), entry.number("limit", 0.0))
 
     # --- calls ---
 

@@ -35,7 +35,7 @@ from pnm.core.machine.plan_graph import (
 from pnm.errors import InputError, Position
 from pnm.language.actions import LanguageAction
 from pnm.language.ground_calls import Facts, Substitution, ground_action, outer_values, usual_recoveries
-from pnm.language.plan_tree import CallStep, ChoiceStep, ConcurrentStep, LoopStep, SequenceStep, WrittenRecovery, WrittenStep
+from pnm.language.plan_tree import CallStep, ChoiceStep, ConcurrentStep, LeafStep, LoopStep, SequenceStep, WrittenRecovery, WrittenStep
 
 MAX_STEPS: Final = 10_000
 """Steps of a plan, those in the chains of recoveries included."""
@@ -125,6 +125,8 @@ class PlanGraphBuilder:
                 return self._ordered(steps, replace(region, depth=region.depth + 1), in_sequence=True)
             case ConcurrentStep(_, branches):
                 return self._ordered(branches, replace(region, depth=region.depth + 1), in_sequence=False)
+            case LeafStep(_, leaf):
+                return self._alone(leaf.renumbered(self._number(position), ()), region)
             case LoopStep(_, condition, body, limit):
                 return self._alone(Loop(self._number(position), condition, self._inside(body, region), limit), region)
             case ChoiceStep(_, condition, then, otherwise):
@@ -308,16 +310,4 @@ def _renumbered(flow: Flow, numbers: Mapping[int, int]) -> Flow:
 
 
 def _renumbered_step(step: Step, numbers: Mapping[int, int]) -> Step:
-    index = numbers[step.index]
-    match step:
-        case ActionCall(recoveries=recoveries):
-            chains = tuple(replace(recovery, chain=_renumbered(recovery.chain, numbers)) for recovery in recoveries)
-            return replace(step, index=index, recoveries=chains)
-        case Loop(body=body):
-            return replace(step, index=index, body=_renumbered(body, numbers))
-        case Choice(then=then, otherwise=otherwise):
-            return replace(step, index=index, then=_renumbered(then, numbers), otherwise=_renumbered(otherwise, numbers))
-        case Junction():
-            return Junction(index)
-        case _:
-            assert_never(step)
+    return step.renumbered(numbers[step.index], [_renumbered(held.flow, numbers) for held in step.held])

@@ -38,6 +38,7 @@ from pnm.core.machine.guards import (
     Ends,
     Failing,
     InvariantFalse,
+    Late,
     PauseAsked,
     Withheld,
 )
@@ -51,7 +52,7 @@ NEVER: Final = float("inf")
 class Guards:
     """Evaluates the guards of a run. Questions may be asked for a guard at a place; without a place only what is known counts.
 
-    The mutable state is, by transition, since when conditions have not been true, and since when resources have been withheld.
+    The mutable state is, by transition, since when conditions have not been true, and since when something has been waited for.
     """
 
     def __init__(self, state: RunState, calls: Calls, claims: RunClaims, questions: Questions) -> None:
@@ -60,7 +61,7 @@ class Guards:
         self._claims = claims
         self._questions = questions
         self._false_since: dict[int, float] = {}
-        self._withheld_since: dict[int, float] = {}
+        self._waiting_since: dict[int, float] = {}
 
     # each with the block of the transition, the transition and the place at which it is decided on
 
@@ -139,7 +140,12 @@ class Guards:
         guard = self._state.index.guard(site, firing)
         assert isinstance(guard, Withheld)
         is_withheld = bool(self.withheld(_call(site, firing), guard, place)) and not self._state.pause  # a pause stops this clock
-        return self._after(self._withheld_since, site, firing, place, is_withheld, guard.seconds)
+        return self._after(self._waiting_since, site, firing, place, is_withheld, guard.seconds)
+
+    def _late(self, site: Site, firing: Firing, place: int) -> float:
+        guard = self._state.index.guard(site, firing)
+        assert isinstance(guard, Late)
+        return self._after(self._waiting_since, site, firing, place, not self._state.pause, guard.seconds)  # a pause stops this clock
 
     def _effects_seen(self, site: Site, firing: Firing, place: int) -> float:
         call = _call(site, firing)
@@ -205,7 +211,7 @@ class Guards:
         for within in index.decision(place).numbers:
             number = index.sites[place].transition + within
             self._false_since.pop(number, None)
-            self._withheld_since.pop(number, None)
+            self._waiting_since.pop(number, None)
         return self._questions.left(place)
 
     def context(self, call: int | None, place: int | None) -> EvaluationContext:
@@ -266,6 +272,9 @@ class Guards:
             case Withheld(_, seconds):
                 keepers = self.withheld(rule.guard.call, rule.guard, place)
                 return Explanation(rule.cause, f"{', '.join(keepers)} within {seconds:g} s", who_keeps(keepers))
+            case Late(seconds, condition):
+                expected, seen = self.explain(condition, rule.call, place)
+                return Explanation(rule.cause, f"{expected} within {seconds:g} s", seen)
             case Due(seconds):
                 passed = f"{self._state.passed:g} s have passed"
                 what = "a start" if rule.cause is Cause.TOO_LATE else "an end"
@@ -299,6 +308,7 @@ def _now_if(is_open: bool) -> float:
 OPENS: Final[Mapping[type, Callable[[Guards, Site, Firing, int], float]]] = {
     Always: Guards._always,
     After: Guards.waits_until,
+    Late: Guards._late,
     Ending: Guards._ending,
     Failing: Guards._failing,
     CancelAsked: Guards._cancel_asked,

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, Final, assert_never
+from typing import Any, Final
 
 from pnm.core.machine.bindings import Bindings, is_open
 from pnm.core.machine.blocks import END, FAILED, GOAL, START, MachineBlocks, PlacedRegion, PlacedStep
 from pnm.core.machine.call_block import CallBlock
 from pnm.core.machine.guards import Always, ConditionFalse, ConditionTrue, Due, Ending, Failing
 from pnm.core.machine.machine import OnFailure, PetriNetMachine, Rule
-from pnm.core.machine.plan_graph import ActionCall, Cause, Choice, Junction, Loop, Moment, PlanEvent, PlanGraph, Step
-from pnm.core.machine.step_block import PORTS, Block, BlockTemplate, ChoiceBlock, Context, Draft, Inner, JunctionBlock, LoopBlock
+from pnm.core.machine.plan_graph import ActionCall, Cause, Moment, PlanEvent, PlanGraph, Step
+from pnm.core.machine.step_block import PORTS, Block, BlockTemplate, Context, Draft, Inner, block_without_call
 from pnm.core.net.no_collection import no_collection
 from pnm.core.net.when_asked import Remembered
 from pnm.core.resources import check_capacity
@@ -71,14 +71,8 @@ class Builder:
         match step:
             case ActionCall():
                 block = CallBlock(context, step, connected, named)
-            case Loop():
-                block = LoopBlock(context, step, connected, named)
-            case Choice():
-                block = ChoiceBlock(context, step, connected, named)
-            case Junction():
-                block = JunctionBlock(context, step, connected, named)
             case _:
-                assert_never(step)
+                block = block_without_call(context, step, connected, named)
         if (key := block.key) is None:
             return block.template()
         if key not in self._templates:

@@ -357,6 +357,25 @@ class After(GuardKind):
 
 
 @dataclass(frozen=True, slots=True)
+class Late(GuardKind):
+    """Open when the token has been in the place for `seconds`, pauses apart; it tells why `awaited`, asked before it, has not been true."""
+
+    seconds: float
+    awaited: Condition
+    opened_by = Opener.TIME
+    reads = Reading.NOTHING
+    is_check = True
+
+    @property
+    def proved(self) -> object:
+        return Late, self.is_sure
+
+    @property
+    def is_sure(self) -> bool:
+        return isfinite(self.seconds)
+
+
+@dataclass(frozen=True, slots=True)
 class Due(GuardKind):
     """Open `seconds` after the origin of the run, the moment it was planned from."""
 
@@ -395,5 +414,6 @@ Guard: TypeAlias = (
     | Accepts
     | Ends
     | After
+    | Late
     | Due
 )

@@ -7,8 +7,8 @@ time-triggered plans included. Planners make plans of calls alone; people write 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import Enum, StrEnum
 from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
@@ -123,6 +123,8 @@ class Cause(StrEnum):
     """The plan shall begin anew once more, and has done so as often as it may."""
     GOAL_FALSE = "goal_false"
     """Every step is done, and the goal of the plan does not hold."""
+    WAIT_LIMIT = "wait_limit"
+    """The condition that is waited for has not become true in time."""
 
 
 class Then(Enum):
@@ -190,8 +192,33 @@ class ActionCall:
         """Seconds after that moment before which its start waits; a call that is under way has started."""
         return 0.0 if self.under_way else self.release
 
+    @property
+    def held(self) -> tuple[Held, ...]:
+        """The chains of its recoveries."""
+        return tuple(
+            [
+                Held(one.chain, f"after {', '.join(sorted(one.causes))}; then {one.then.value}", is_repeated=one.times > 1)
+                for one in self.recoveries
+            ]
+        )
+
+    def renumbered(self, index: int, flows: Sequence[Flow]) -> ActionCall:
+        """Return the same with another number, and with these flows in place of those that it holds."""
+        recoveries = zip(self.recoveries, flows, strict=True)
+        return replace(self, index=index, recoveries=tuple([replace(one, chain=chain) for one, chain in recoveries]))
+
     def __str__(self) -> str:
         return f"{self.action}#{self.index}"
+
+
+class Held(NamedTuple):
+    """Steps that a step holds."""
+
+    flow: Flow
+    when: str
+    """When they are carried out, in words."""
+    is_repeated: bool = False
+    """They may be entered again although the step is not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,6 +230,21 @@ class Loop:
     body: Flow
     limit: int
     """Rounds at most, each time the loop is reached; it fails when the condition still holds then."""
+
+    @property
+    def held(self) -> tuple[Held, ...]:
+        """Its body."""
+        return (Held(self.body, f"is repeated while {self.condition}, {self.limit} times at most", is_repeated=True),)
+
+    @property
+    def ways(self) -> Mapping[bool, Flow]:
+        """What it is carried out by, for each truth of its condition with which it is: the steps that are entered then."""
+        return {False: EMPTY}
+
+    def renumbered(self, index: int, flows: Sequence[Flow]) -> Loop:
+        """Return the same with another number, and with these flows in place of those that it holds."""
+        (body,) = flows
+        return replace(self, index=index, body=body)
 
     def __str__(self) -> str:
         return f"while({self.condition})#{self.index}"
@@ -217,8 +259,50 @@ class Choice:
     then: Flow
     otherwise: Flow
 
+    @property
+    def held(self) -> tuple[Held, ...]:
+        """Both branches."""
+        return Held(self.then, f"if {self.condition}"), Held(self.otherwise, "otherwise")
+
+    @property
+    def ways(self) -> Mapping[bool, Flow]:
+        """What it is carried out by, for each truth of its condition with which it is: the steps that are entered then."""
+        return {True: self.then, False: self.otherwise}
+
+    def renumbered(self, index: int, flows: Sequence[Flow]) -> Choice:
+        """Return the same with another number, and with these flows in place of those that it holds."""
+        then, otherwise = flows
+        return replace(self, index=index, then=then, otherwise=otherwise)
+
     def __str__(self) -> str:
         return f"if({self.condition})#{self.index}"
+
+
+@dataclass(frozen=True, slots=True)
+class WaitUntil:
+    """Nothing is done until a condition holds."""
+
+    index: int
+    condition: Condition
+    limit: float
+    """Seconds after which the step fails if the condition does not hold."""
+
+    @property
+    def held(self) -> tuple[Held, ...]:
+        """Nothing."""
+        return ()
+
+    @property
+    def ways(self) -> Mapping[bool, Flow]:
+        """What it is carried out by, for each truth of its condition with which it is: the steps that are entered then."""
+        return {True: EMPTY}
+
+    def renumbered(self, index: int, flows: Sequence[Flow]) -> WaitUntil:
+        """Return the same with another number."""
+        return replace(self, index=index)
+
+    def __str__(self) -> str:
+        return f"wait_until({self.condition})#{self.index}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,11 +311,22 @@ class Junction:
 
     index: int
 
+    @property
+    def held(self) -> tuple[Held, ...]:
+        """Nothing."""
+        return ()
+
+    def renumbered(self, index: int, flows: Sequence[Flow]) -> Junction:
+        """Return the same with another number."""
+        return replace(self, index=index)
+
     def __str__(self) -> str:
         return f"meet#{self.index}"
 
 
-Step: TypeAlias = ActionCall | Loop | Choice | Junction
+Conditional: TypeAlias = Loop | Choice | WaitUntil
+"""Steps that are carried out in a way that their condition decides."""
+Step: TypeAlias = ActionCall | Conditional | Junction
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,15 +345,7 @@ EMPTY: Final = Flow()
 
 def flows(step: Step) -> tuple[Flow, ...]:
     """Return what the step holds."""
-    match step:
-        case ActionCall():
-            return tuple(recovery.chain for recovery in step.recoveries)
-        case Loop():
-            return (step.body,)
-        case Choice():
-            return step.then, step.otherwise
-        case Junction():
-            return ()
+    return tuple([held.flow for held in step.held])
 
 
 def every_step(steps: Iterable[Step]) -> Iterator[Step]:

@@ -2,7 +2,7 @@
 
 Names are those within the block, and what connects it to others are its ports: so all steps of one shape can share it.
 
-Loops, choices and junctions.
+Loops, choices, waits and junctions.
 
 A loop counts its rounds: each takes a token from *left* and gives one to *spent*. When all are spent and the condition
 still holds, the loop has failed.
@@ -16,7 +16,7 @@ from enum import StrEnum
 from functools import cached_property
 from itertools import compress, count
 from types import MappingProxyType
-from typing import Any, Final, Generic, NamedTuple, TypeVar
+from typing import Any, Final, Generic, NamedTuple, TypeVar, assert_never
 
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.guards import (
@@ -28,10 +28,11 @@ from pnm.core.machine.guards import (
     Ending,
     Guard,
     InvariantFalse,
+    Late,
     Opener,
 )
 from pnm.core.machine.machine import CallOutcome, Rule, check_rule
-from pnm.core.machine.plan_graph import Cause, Choice, Flow, Junction, Loop, PlanGraph, Step
+from pnm.core.machine.plan_graph import Cause, Choice, Conditional, Flow, Junction, Loop, PlanGraph, Step, WaitUntil
 from pnm.core.machine.requests import TransitionAction
 from pnm.core.net.block_net import Template
 from pnm.core.net.net import NetBuilder, Weights
@@ -332,3 +333,35 @@ class JunctionBlock(Block[Junction]):
         self.place("done")
         self.enter("done")
         self.leave()
+
+
+class WaitBlock(Block[WaitUntil]):
+    """``head → done`` once the condition is true; the step has failed when that takes too long."""
+
+    def build(self) -> None:
+        """Add the block to the machine."""
+        for name in ("head", "done", "failed"):
+            self.place(name)
+        self.draft.failures.append("failed")
+        self.enter("head")
+        self.fire(Rule("skip", Ending()), "head", "done")  # asked first: a run that is ending waits for nothing more
+        self.fire(Rule("holds", ConditionTrue(self.step.condition)), "head", "done")  # before the limit, at which it may just hold
+        self.fire(check_rule(Cause.WAIT_LIMIT, Late(self.step.limit, self.step.condition)), "head", "done", "failed")
+        self.leave()
+
+
+def block_without_call(
+    context: Context, step: Conditional | Junction, connected: frozenset[Port], delays: tuple[tuple[str, float], ...]
+) -> Block[Any]:
+    """Return the block of a step that is no call."""
+    match step:
+        case Loop():
+            return LoopBlock(context, step, connected, delays)
+        case Choice():
+            return ChoiceBlock(context, step, connected, delays)
+        case WaitUntil():
+            return WaitBlock(context, step, connected, delays)
+        case Junction():
+            return JunctionBlock(context, step, connected, delays)
+        case _:
+            assert_never(step)

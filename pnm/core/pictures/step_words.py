@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import NamedTuple, assert_never
+from typing import NamedTuple
 
 from pnm.core.logic.expressions import Fluent, fluent_text
-from pnm.core.machine.plan_graph import ActionCall, Choice, Flow, Junction, Loop, Step, every_step, flows
+from pnm.core.machine.plan_graph import ActionCall, Flow, Step, every_step, flows
 
 
 class StepWords(NamedTuple):
@@ -31,20 +31,9 @@ def words_of(step: Step) -> StepWords:
 
 def held(step: Step) -> Iterator[tuple[str, Flow]]:
     """Yield what a step holds, with words for it."""
-    match step:
-        case Loop(condition=condition, body=body):
-            yield f"#{step.index} is repeated while {condition}, {step.limit} times at most", body
-        case Choice(condition=condition, then=then, otherwise=otherwise):
-            yield f"#{step.index} if {condition}", then
-            yield f"#{step.index} otherwise", otherwise
-        case ActionCall():
-            for recovery in step.recoveries:
-                if recovery.chain.steps:
-                    yield f"#{step.index} after {', '.join(sorted(recovery.causes))}; then {recovery.then.value}", recovery.chain
-        case Junction():
-            pass
-        case _:
-            assert_never(step)
+    for one in step.held:
+        if one.flow.steps or not isinstance(step, ActionCall):
+            yield f"#{step.index} {one.when}", one.flow
 
 
 def facts_of(protects: tuple[Fluent, ...], letters: int) -> str:

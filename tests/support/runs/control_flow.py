@@ -4,7 +4,20 @@ from __future__ import annotations
 
 from pnm.core.logic.computed_values import Data, Layer, Literal, Operation, Query, Update
 from pnm.core.logic.conditions import Computed, Condition, Holds
-from pnm.core.machine.plan_graph import EMPTY, ActionCall, Cause, Choice, Flow, GroundAction, Junction, Loop, Recovery, Step, Then
+from pnm.core.machine.plan_graph import (
+    EMPTY,
+    ActionCall,
+    Cause,
+    Choice,
+    Flow,
+    GroundAction,
+    Junction,
+    Loop,
+    Recovery,
+    Step,
+    Then,
+    WaitUntil,
+)
 from tests.support.runs.plan_graphs import ordering, plan_of_steps
 
 OK: Condition = Holds(("ok",))
@@ -29,6 +42,10 @@ SHAPES = {
     "choice": plan_of_steps(Choice(2, OK, flow(call_with(0)), flow(call_with(1)))),
     "choice without else": plan_of_steps(Choice(1, OK, flow(call_with(0)), EMPTY)),
     "choice in a loop": plan_of_steps(Loop(1, OK, flow(Choice(2, OK, flow(call_with(0)), EMPTY)), 1)),
+    "wait": plan_of_steps(WaitUntil(0, OK, 5.0)),
+    "wait beside a call": plan_of_steps(WaitUntil(1, OK, 5.0), call_with(0)),
+    "wait in a loop": plan_of_steps(Loop(1, OK, flow(WaitUntil(0, OK, 5.0)), 2)),
+    "wait in a chain": plan_of_steps(call_with(0, on(Cause.ABORTED, Then.RETRY, WaitUntil(1, OK, 5.0)))),
     "junction": plan_of_steps(Junction(0), Junction(1), Junction(2), orders=("0e<2s", "1e<2s")),
     "retry": plan_of_steps(call_with(0, on(Cause.ABORTED, Then.RETRY, times=2))),
     "skip": plan_of_steps(call_with(0, on(Cause.ABORTED, Then.SKIP))),

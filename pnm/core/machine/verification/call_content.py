@@ -68,7 +68,7 @@ from pnm.core.machine.guards import (
     Withheld,
 )
 from pnm.core.machine.machine import PetriNetMachine, Rule
-from pnm.core.machine.plan_graph import ActionCall, Cause, Choice, Loop, Moment, PlanGraph, Recovery, Step, Then, flows
+from pnm.core.machine.plan_graph import ActionCall, Cause, Moment, PlanGraph, Recovery, Step, Then, flows
 from pnm.core.machine.recovery_block import is_direct
 from pnm.core.machine.requests import OutcomeKind, TransitionAction
 from pnm.core.machine.step_block import PORTS, Context, Port
@@ -190,15 +190,7 @@ def _reached_again(plan: PlanGraph) -> Iterator[int]:
         step, again = waiting.pop()
         if again:
             yield step.index
-        match step:
-            case ActionCall(recoveries=recoveries):
-                waiting += [(inner, again or recovery.times > 1) for recovery in recoveries for inner in recovery.chain.steps]
-            case Loop(body=body):
-                waiting += [(inner, True) for inner in body.steps]
-            case Choice(then=then, otherwise=otherwise):
-                waiting += [(inner, again) for flow in (then, otherwise) for inner in flow.steps]
-            case _:
-                pass
+        waiting += [(inner, again or held.is_repeated) for held in step.held for inner in held.flow.steps]
 
 
 # --- what is there ----------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from typing import Final, TypeAlias
 
 from pnm.core.machine.guards import ConditionFalse, ConditionTrue
 from pnm.core.machine.machine import CallOutcome, OnFailure, PetriNetMachine, Region
-from pnm.core.machine.plan_graph import Choice, Flow, Loop, Moment
+from pnm.core.machine.plan_graph import Conditional, Moment
 from pnm.core.machine.verification.part import Inside, Part, Step, Unsound, step_of, without_counts
 from pnm.core.machine.verification.place_roles import check_roles
 from pnm.core.net.net import Weights
@@ -70,8 +70,8 @@ class Anatomy:
         for name, rule in machine.rules.items():
             self.transitions.setdefault(rule.call, []).append(name)
         self.writers, self.readers = self._owners(machine.net.outputs, beside.writers), self._owners(machine.net.inputs, beside.readers)
-        self.holding = {step.index: step for step in machine.plan.every_step if isinstance(step, Loop | Choice)}
-        """The loops and choices of the plan."""
+        self.holding = {step.index: step for step in machine.plan.every_step if isinstance(step, Conditional)}
+        """The loops, choices and waits of the plan."""
         self.region_of: dict[Owner, Region] = {}
         self.regions: dict[Owner, list[Region]] = {}
         self.first: dict[str, Region] = {}
@@ -278,15 +278,12 @@ class Anatomy:
         entered = frozenset[int]().union(
             *(region.steps for region in self.regions.get(owner, ()) if not step.outputs.keys().isdisjoint(region.first))
         )
-        match None if owner is None else self.holding[owner]:
-            case Loop(condition=condition):
-                settles = step.guard == ConditionFalse(condition)
-            case Choice(condition=condition, then=then, otherwise=otherwise):
-                branches: dict[object, Flow] = {ConditionTrue(condition): then, ConditionFalse(condition): otherwise}
-                chosen = branches.get(step.guard)
-                settles = chosen is not None and entered == {inner.index for inner in chosen.steps}
-            case None:
-                settles = isinstance(step.guard, Inside) and not entered
+        if owner is None:
+            settles = isinstance(step.guard, Inside) and not entered
+        else:
+            condition, ways = self.holding[owner].condition, self.holding[owner].ways
+            guards = {truth: ConditionTrue(condition) if truth else ConditionFalse(condition) for truth in ways}
+            settles = any(step.guard == guards[truth] and entered == {inner.index for inner in flow.steps} for truth, flow in ways.items())
         return step._replace(settles=settles, outcome=CallOutcome.WAITING if entered and not settles else None)
 
     def note_waits(self, block: Block, waits: dict[Event, set[Event]]) -> None:

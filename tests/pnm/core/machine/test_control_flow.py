@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import pytest
 
-from pnm.core.execution.events import Begin, Send
+from pnm.core.execution.events import Ask, Begin, Pause, Resume, Send, Tick
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.logic.computed_values import Literal, Operation
+from pnm.core.logic.computed_values import Layer, Literal, Operation, Query
 from pnm.core.logic.conditions import Computed
 from pnm.core.logic.expressions import UNKNOWN
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure
-from pnm.core.machine.plan_graph import ActionCall, Cause, Choice, Loop, PlanGraph, Recovery, Then
+from pnm.core.machine.plan_graph import ActionCall, Cause, Choice, Loop, PlanGraph, Recovery, Then, WaitUntil
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, verify
@@ -25,6 +25,7 @@ from tests.support.runs.mutants import check_proof_of_mutants
 from tests.support.runs.mutation.changes import without_output
 from tests.support.runs.plan_graphs import plan_of_steps
 
+READY = Computed(Operation("eq", (local("n"), Literal.of(1))))
 ONCE = Bindings({f"a{index}": Binding(retries=0) for index in range(10)})
 
 
@@ -41,7 +42,9 @@ def test_larger_machines_are_proved_block_by_block(name: str) -> None:
     verify(generate(LARGE[name], ONCE))
 
 
-@pytest.mark.parametrize("name", ["loop", "choice in a loop", "loop in a loop", "retry", "restart", "resource", "own check before"])
+@pytest.mark.parametrize(
+    "name", ["loop", "wait", "wait in a loop", "choice in a loop", "loop in a loop", "retry", "restart", "resource", "own check before"]
+)
 def test_the_block_proof_accepts_no_machine_that_the_state_space_refutes(name: str) -> None:
     check_proof_of_mutants(generate(SHAPES[name], ONCE))
 
@@ -100,6 +103,43 @@ def test_a_condition_that_nothing_reports_any_more_is_waited_for_and_fails_by_na
     trace = drive(SHAPES["choice"], world=world)
     assert (trace.result.goal, trace.actions) == (False, [])
     assert [(failure.cause, failure.observed) for failure in trace.result.failures] == [("condition_unknown", "(ok) is unknown")]
+
+
+def test_a_wait_ends_when_its_condition_becomes_true() -> None:
+    graph = plan_of_steps(WaitUntil(2, READY, 5.0), store(0, "n", Literal.of(1)), call_with(1), orders=("2e<1s",))
+    trace = drive(graph, variables={"n": 0})
+    assert (trace.result.goal, trace.actions) == (True, ["a1"])
+
+
+@pytest.mark.parametrize(("variables", "observed"), [({"n": 0}, "local[n] is 0"), ({}, "local[n] is missing")])
+def test_a_wait_for_what_does_not_come_fails_by_name(variables: dict[str, object], observed: str) -> None:
+    trace = drive(plan_of_steps(WaitUntil(1, READY, 5.0), call_with(0), orders=("1e<0s",)), variables=variables)
+    assert (trace.result.goal, trace.actions) == (False, [])
+    (failure,) = trace.result.failures
+    assert (failure.cause, failure.expected, failure.observed) == ("wait_limit", "eq(local[n], 1) within 5 s", observed)
+
+
+def test_the_limit_of_a_wait_does_not_pass_during_a_pause() -> None:
+    run = Run(generate(plan_of_steps(WaitUntil(0, READY, 5.0))), Layered(KnowledgeBase()), id=RUN)
+    run.handle(Begin(), 0.0)
+    run.handle(Pause(), 1.0)
+    run.handle(Tick(), 100.0)
+    assert not run.over
+    run.handle(Resume(), 101.0)
+    run.handle(Tick(), 105.0)
+    assert not run.over
+    run.handle(Tick(), 106.0)
+    assert [failure.cause for failure in run.result().failures] == ["wait_limit"]
+
+
+def test_no_question_stops_the_limit_of_a_wait() -> None:
+    asked = Computed(Operation("eq", (Query(Literal.of("n"), Layer.GLOBAL), Literal.of(1))))
+    run = Run(generate(plan_of_steps(WaitUntil(0, asked, 5.0))), Layered(KnowledgeBase()), id=RUN, asks=True)
+    assert any(isinstance(command, Ask) for command in run.handle(Begin(), 0.0))
+    run.handle(Tick(), 4.0)
+    assert not run.over
+    run.handle(Tick(), 5.0)
+    assert [failure.cause for failure in run.result().failures] == ["wait_limit"]
 
 
 def test_a_loop_counts_its_rounds_anew_each_time_it_is_reached() -> None:

@@ -19,6 +19,7 @@ from planner_bridge.yaml.convert import exported
 from pnm.core import message_fields
 from pnm.core.logic.operators import OPERATORS
 from pnm.core.machine.machine import OnFailure
+from pnm.core.machine.plan_graph import Cause
 from pnm.errors import InputError
 from pnm.knowledge import field_reader
 from pnm.language import actions, domain, files, plan_tree, steps
@@ -90,6 +91,12 @@ def test_the_words_are_those_of_the_readers() -> None:
     assert set(KNOWN["properties"]["on_failure"]["enum"]) == {one.value for one in OnFailure} | {None}
     kinds = KNOWN["definitions"]["action"]["properties"]["type"]["then"]["enum"]
     assert set(kinds) == {kind.value for kind in actions.CLASSES.values()}
+
+
+def test_the_pages_name_every_step_and_every_cause_of_failure() -> None:
+    pages = {name: (ROOT / f"docs/reference/{name}.md").read_text(encoding="utf-8") for name in ("language", "failures")}
+    assert not [word for word in actions.RESERVED if f"`{word}`" not in pages["language"]]
+    assert not [cause for cause in Cause if f"`{cause}`" not in pages["failures"] and cause not in (Cause.BEFORE, Cause.AFTER)]
 
 
 def test_words_may_be_spelled_as_the_readers_allow() -> None:
