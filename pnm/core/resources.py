@@ -15,16 +15,17 @@ from __future__ import annotations
 
 from bisect import bisect_left, insort
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, KeysView, Mapping
+from collections.abc import Callable, Collection, Hashable, Iterable, KeysView, Mapping
 from dataclasses import dataclass
 from itertools import takewhile
 from math import inf
 from operator import itemgetter
-from typing import Final, TypeAlias
+from typing import Final, Generic, TypeAlias, TypeVar
 from uuid import UUID
 
 from pnm.errors import PnmError, RunError, counted
 
+Place = TypeVar("Place", bound=Hashable)
 _Rank: TypeAlias = tuple[int, float, UUID]
 """How a claim stands in line, the least in front: higher priorities, then earlier claims; with its request."""
 
@@ -308,8 +309,8 @@ def who_keeps(withheld: Mapping[str, str]) -> str:
     return "; ".join(f"{name} is kept by {by}, which has not confirmed that it is over" for name, by in withheld.items())
 
 
-class RunClaims:
-    """The claims of one run to resources that it shares with others.
+class RunClaims(Generic[Place]):
+    """The claims of one run to resources that it shares with others; its places are known by number or by name.
 
     Args:
         resources: shared with other runs.
@@ -324,9 +325,9 @@ class RunClaims:
         self._task = task
         self._priority = priority
         # state
-        self.waiting: dict[int, UUID] = {}
+        self.waiting: dict[Place, UUID] = {}
         """By place, the requests that stand in line."""
-        self._places: dict[UUID, int] = {}
+        self._places: dict[UUID, Place] = {}
         """By request, where it is waited for."""
         self._had: dict[int, UUID] = {}
         """For every call that has resources, the request that has them."""
@@ -335,7 +336,7 @@ class RunClaims:
         """Return what the request claims."""
         return Claim(self._task, request, self._priority, names)
 
-    def are_free(self, place: int, claim: Claim) -> bool:
+    def are_free(self, place: Place, claim: Claim) -> bool:
         """Return whether the claim would be granted; if not, it stands in line, and the place waits for it."""
         if self.resources.is_free(claim):
             return True
@@ -368,7 +369,7 @@ class RunClaims:
         self.resources.withhold(request, f"{name} of task {self._task.hex[:8]}")
         return next((claim.names for claim in self.resources.held if claim.request == request), ())
 
-    def leave(self, place: int) -> bool:
+    def leave(self, place: Place) -> bool:
         """No longer wait at the place; return whether it did."""
         if place not in self.waiting:
             return False
@@ -377,7 +378,7 @@ class RunClaims:
         self.resources.withdraw(request)
         return True
 
-    def served(self) -> list[int]:
+    def served(self) -> list[Place]:
         """Return the places that wait and where the claim may be granted now, or has come to wait for what is withheld."""
         return [self._places[request] for request in self.resources.concerned(self._places.keys())] if self.waiting else []
 

@@ -7,7 +7,7 @@ from typing import Final, NotRequired, TypeAlias, TypedDict, Unpack
 from uuid import UUID
 
 from pnm.clock import TimeUsed
-from pnm.core.execution.call_requests import GoalFields
+from pnm.core.execution.call_data import GoalFields
 from pnm.core.execution.events import Command, Event, Observer
 from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.run import Run

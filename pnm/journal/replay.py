@@ -12,7 +12,7 @@ from typing import NoReturn, assert_never
 from uuid import UUID
 
 from pnm.clock import TimeUsed
-from pnm.core.execution.call_requests import GoalFields
+from pnm.core.execution.call_data import GoalFields
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.events import Command, Send
 from pnm.core.execution.run import Run

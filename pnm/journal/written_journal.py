@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final, Unpack
 from uuid import UUID
 
 from pnm.clock import TimeUsed
-from pnm.core.execution.call_requests import GoalFields
+from pnm.core.execution.call_data import GoalFields
 from pnm.core.execution.events import Cancel, Command, Event, Observer, Send, Wake
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered

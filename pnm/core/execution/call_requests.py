@@ -6,45 +6,32 @@ Decides nothing: `pnm.core.execution.run` decides when, and gets the commands th
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import replace
-from typing import Final, TypeAlias, assert_never
+from typing import Final, TypeAlias
 from uuid import UUID
 
+from pnm.core.execution.call_data import GoalFields, carry_out, goal, ready, variables_of
 from pnm.core.execution.call_results import CallResult
 from pnm.core.execution.effect_checks import denied_at_end, finished, intention, is_assumed, lag_of_effects, unseen
 from pnm.core.execution.events import Cancel, Command, Performed, Reattach, Send, Store
 from pnm.core.execution.handover import CallAttempt, UnderWay
 from pnm.core.execution.machine_index import index_of
-from pnm.core.execution.questions import EvaluationContext, unknown_values
+from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import Layered
-from pnm.core.logic.computed_values import (
-    MISSING,
-    KnowledgeOperation,
-    Layer,
-    Operation,
-    Query,
-    Question,
-    Update,
-    compute,
-    question_of,
-)
-from pnm.core.logic.conditions import Condition, ground
-from pnm.core.logic.effects import Changes, ground_effects, is_fixed, names_written, undo, values_before
+from pnm.core.logic.computed_values import Question
+from pnm.core.logic.conditions import Condition
+from pnm.core.logic.effects import Changes, is_fixed, names_written, undo, values_before
 from pnm.core.logic.evaluation import observed, unmet
 from pnm.core.logic.expressions import bind, same_value
-from pnm.core.logic.operators import CHANGING, Uncomputable
-from pnm.core.machine.bindings import Binding, Bindings, goal_data, open_parameters, placeholders
+from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
-from pnm.core.machine.requests import Ended, Feedback, Outcome, OutcomeKind, Request, TransitionAction, identities
-from pnm.core.message_fields import Unreadable, parse_field, value_in
+from pnm.core.machine.requests import Feedback, Outcome, Request, TransitionAction, identities
 
 _NOTHING: Final = Performed()
 _CHANGED: Final = Performed(changes_knowledge=True)
 _BEGIN, _FINISH = TransitionAction.BEGIN, TransitionAction.FINISH
 
-GoalFields = Callable[[GroundAction], tuple[str, ...] | None]
 Answers: TypeAlias = Mapping[Question, object] | None
 """What is known for a decision; None where no questions are asked."""
 
@@ -140,20 +127,7 @@ class Calls:
 
     def ready(self, call: int, context: EvaluationContext) -> GroundAction:
         """Return the action with what knowledge now has for the parameters that the plan leaves open."""
-        action = self._plan.calls[call].action
-        env = context.environment()
-        if not env:
-            return action
-        return replace(
-            action,
-            arguments=bind(action.arguments, env),
-            precondition=ground(action.precondition, env),
-            invariant=ground(action.invariant, env),
-            end_condition=ground(action.end_condition, env),
-            expected=ground(action.expected, env),
-            start_effects=ground_effects(action.start_effects, env),
-            end_effects=ground_effects(action.end_effects, env),
-        )
+        return ready(self._plan.calls[call].action, context)
 
     def own_goal(self, call: int) -> Mapping[str, object] | None:
         """Return the fields of the goal where the call by itself has values for all of them."""
@@ -168,15 +142,7 @@ class Calls:
         """Return the fields of the goal, and the names of those for which there is no value."""
         if (own := self.own_goal(call)) is not None:
             return own, ()
-        action, binding = self.ready(call, context), context.binding
-        if action.operation is not None:
-            return {}, unknown_values(action.operation, context)
-        fields, missing = goal_data(action, binding, self._goal_fields(action), context)
-        if not (unbound := open_parameters(action)):
-            return fields, missing
-        patterns = (binding.server or "", *binding.resources, *action.resources)
-        in_names = {name for pattern in patterns for name in placeholders(pattern)}
-        return fields, tuple(dict.fromkeys((*missing, *(name for name in unbound if name in in_names))))
+        return goal(self._plan.calls[call].action, self._goal_fields, context)
 
     def claiming(self, call: int, action: TransitionAction | None, context: EvaluationContext) -> tuple[UUID, GroundAction]:
         """Return for which request, and with which parameters, the call claims resources: for the next one if it is being sent."""
@@ -247,9 +213,11 @@ class Calls:
         self.open[identity] = call
         if action.operation is not None:
             self._attempts[call] = CallAttempt(number, identity, action, intended)
-            return self._operate(identity, action.operation, self.context_of(call, answers))
-        goal = self.own_goal(call)
-        request = Request(identity, action, self.goal(call, self.context_of(call, answers))[0] if goal is None else goal, count)
+            performed = carry_out(identity, action.operation, self.context_of(call, answers))
+            self._stores.update({command.id: command for command in performed.commands if isinstance(command, Store)})
+            return performed
+        own = self.own_goal(call)
+        request = Request(identity, action, self.goal(call, self.context_of(call, answers))[0] if own is None else own, count)
         self._attempts[call] = CallAttempt(number, identity, action, intended, unanswered=request)
         return Performed((Send(request),))
 
@@ -340,13 +308,7 @@ class Calls:
 
         Return whether anything was stored.
         """
-        values: dict[str, object] = {}
-        if outcome.result:  # simulated servers may have none
-            store = {**self.binding(call).store, **dict(self._plan.calls[call].store)}
-            values = {name: value for name, value in outcome.result.items() if name not in store}
-            for name, variable in store.items():
-                with suppress(Unreadable):
-                    values[variable] = value_in(outcome.result, parse_field(name))
+        values = variables_of(outcome, self._plan.calls[call], self.binding(call))
         if values:
             self._knowledge.local.store(values)
         closed, attempt = self._closed[call], self._attempts[call]
@@ -377,44 +339,3 @@ class Calls:
         """Write the assumed effects; sensors report all others."""
         # What sensors report is not overwritten with what the model expects: the check of the effects would see its own expectation.
         return _CHANGED if self.world.record(self.world.assumed(changes)) else _NOTHING
-
-    # --- operations on knowledge --------------------------------------------------------------
-
-    def _operate(self, identity: UUID, operation: KnowledgeOperation, context: EvaluationContext) -> Performed:
-        """Carry out an operation on knowledge; what is stored outside is a command, everything else is over at once."""
-        try:
-            match operation:
-                case Query():
-                    compute(operation, context)
-                    return _ended(identity)
-                case Operation(name, operands):
-                    value = compute(operation, context)
-                    if name in CHANGING and isinstance(operands[0], Query):
-                        return self._store(identity, question_of(operands[0], context), value)
-                    return _ended(identity)
-                case Update(name, data, layer, meta):
-                    value = compute(data, context)
-                    question = question_of(Query(name, layer, meta), context)
-                    return self._store(identity, question, None if value is MISSING else value)
-                case _:
-                    assert_never(operation)
-        except Uncomputable as error:
-            return Performed(reports=(Ended(identity, Outcome(OutcomeKind.ABORTED, message=str(error))),))
-
-    def _store(self, identity: UUID, question: Question, value: object) -> Performed:
-        if question.layer in (Layer.LOCAL, Layer.ALL):  # before anything outside is stored, so that the run itself can rely on it at once
-            self._knowledge.local.store({question.name: value})
-        if question.layer is Layer.LOCAL:
-            return _ended(identity, changes_knowledge=True)
-        if self.asks:
-            outside = replace(question, layer=Layer.GLOBAL if question.layer is Layer.ALL else question.layer)
-            self._stores[identity] = Store(identity, outside, value)
-            return Performed((self._stores[identity],), changes_knowledge=True)
-        if question.layer is Layer.PERSON:
-            raise Uncomputable(f"there is nobody to be told {value!r}")
-        self._knowledge.world.store({question.name: value})
-        return _ended(identity, changes_knowledge=True)
-
-
-def _ended(identity: UUID, *, changes_knowledge: bool = False) -> Performed:
-    return Performed((), (Ended(identity, Outcome(OutcomeKind.SUCCEEDED)),), changes_knowledge)

@@ -55,7 +55,7 @@ class Guards:
     The mutable state is, by transition, since when conditions have not been true, and since when something has been waited for.
     """
 
-    def __init__(self, state: RunState, calls: Calls, claims: RunClaims, questions: Questions) -> None:
+    def __init__(self, state: RunState, calls: Calls, claims: RunClaims[int], questions: Questions[int]) -> None:
         self._state = state
         self._calls = calls
         self._claims = claims

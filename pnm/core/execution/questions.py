@@ -7,10 +7,10 @@ token leaves the place at which it is being decided.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Final, NamedTuple
+from typing import Final, Generic, NamedTuple, TypeVar
 from uuid import UUID
 
 from pnm.core.execution.events import Ask, Command, Withdraw
@@ -32,6 +32,7 @@ from pnm.core.logic.operators import Uncomputable
 from pnm.core.machine.bindings import DEFAULT, Binding, open_parameters
 from pnm.core.machine.plan_graph import GroundAction, PlanGraph
 
+Place = TypeVar("Place", bound=Hashable)
 _NO_ACTION = GroundAction("")
 _NO_ANSWERS: Final[Mapping[Question, object]] = {}
 
@@ -160,23 +161,23 @@ class Need(NamedTuple):
     until: float | None = None
 
 
-class Questions:
+class Questions(Generic[Place]):
     """The questions that a run has asked outside, and their answers.
 
     Answers of people to a run are known to the one that succeeds it, once for every call of the same action that asks the
     same; knowledge bases are asked again, for what they know may have changed, and no person is troubled by that.
 
-    The mutable state is what the constructor sets.
+    Places are known by number or by name. The mutable state is what the constructor sets.
     """
 
     def __init__(self) -> None:
-        self._subjects: dict[int, str] = {}
+        self._subjects: dict[Place, str] = {}
         """By place, what questions are asked for there."""
-        self.noted: set[int] = set()
+        self.noted: set[Place] = set()
         """The places about which something is remembered; what guards remember of them is noted here as well."""
-        self._answers: dict[int, dict[Question, object]] = {}
-        self._silence: dict[int, list[str]] = {}
-        self.asked: dict[UUID, tuple[int, Question, float]] = {}
+        self._answers: dict[Place, dict[Question, object]] = {}
+        self._silence: dict[Place, list[str]] = {}
+        self.asked: dict[UUID, tuple[Place, Question, float]] = {}
         """Questions that are open: the place and the question, and until when an answer is waited for."""
         self._closed = ""
         """Why no question is asked any more."""
@@ -187,7 +188,7 @@ class Questions:
         self._open: dict[UUID, tuple[str, Question]] = {}
         """Questions that the run before has asked, and this one has not come to yet."""
 
-    def answers_at(self, place: int | None) -> Mapping[Question, object] | None:
+    def answers_at(self, place: Place | None) -> Mapping[Question, object] | None:
         """Return what is known for the decision at a place; None without a place."""
         return None if place is None else self._answers.get(place, _NO_ANSWERS)
 
@@ -196,7 +197,7 @@ class Questions:
         """Whether a person has been asked and has not answered yet."""
         return any(question.layer is Layer.PERSON for _, question, _ in self.asked.values())
 
-    def need(self, place: int, subject: str, question: Question, now: float, identity: Callable[[str], UUID]) -> Need:
+    def need(self, place: Place, subject: str, question: Question, now: float, identity: Callable[[str], UUID]) -> Need:
         """Return what is to be done about a question that the decision at a place depends on, for the sake of the subject.
 
         It is asked once. When its limit has passed it counts as answered with nothing, whatever its source does; and at once if the run
@@ -235,11 +236,11 @@ class Questions:
             self.answered(identity, MISSING, why)
         return tuple(map(Withdraw, asked))
 
-    def silence_at(self, place: int | None) -> Sequence[str]:
+    def silence_at(self, place: Place | None) -> Sequence[str]:
         """Return why questions for the decision at a place have no answers."""
         return () if place is None else self._silence.get(place, ())
 
-    def answered(self, identity: UUID, value: object, message: str) -> int | None:
+    def answered(self, identity: UUID, value: object, message: str) -> Place | None:
         """Record an answer, or why there is none; return the place that waits for it, if any still does."""
         if identity in self._open:  # the run before has asked; this run may come to the same question later, so the answer is kept for it
             self._keep(*self._open.pop(identity), value)
@@ -250,7 +251,7 @@ class Questions:
                 self._silence.setdefault(place, []).append(message)
         return place
 
-    def left(self, place: int) -> Iterator[UUID]:
+    def left(self, place: Place) -> Iterator[UUID]:
         """Forget all that concerns the place; yield the questions whose answers are no longer needed."""
         self._answers.pop(place, None)
         self._silence.pop(place, None)
@@ -263,7 +264,7 @@ class Questions:
 
     # --- from one run to the next ---------------------------------------------------------------
 
-    def inherit(self, old: Questions, subjects: frozenset[str]) -> frozenset[UUID]:
+    def inherit(self, old: Questions[Place], subjects: frozenset[str]) -> frozenset[UUID]:
         """Take over the answers of people for the sake of these subjects; return the questions that they are still being asked."""
         given = [(old._subjects[place], *answer) for place, answers in old._answers.items() for answer in answers.items()]
         for subject, question, value in (*given, *old._inherited):
@@ -275,7 +276,7 @@ class Questions:
                 self._open[identity] = subject, question
         return frozenset(self._open)
 
-    def _take_up(self, place: int, subject: str, question: Question, now: float) -> bool:
+    def _take_up(self, place: Place, subject: str, question: Question, now: float) -> bool:
         """Return whether the run before has asked the question; if so, its answer, or the open question, is taken over for the place."""
         # Each inherited answer is used once: the second call of an action asks again, as it would have without the change of runs.
         for number, (its, known, value) in enumerate(self._inherited):

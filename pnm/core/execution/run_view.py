@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from typing import Final
 from uuid import UUID
 
-from pnm.core.execution.call_requests import Calls, GoalFields
+from pnm.core.execution.call_data import GoalFields
+from pnm.core.execution.call_requests import Calls
 from pnm.core.execution.call_results import CallResult, CallResults, RunResult
 from pnm.core.execution.events import SILENT, Command, Observer, Pause
 from pnm.core.execution.guards import Guards
@@ -83,11 +84,11 @@ class RunView:
         self._early: list[Accepted | Ended] = []
         """Reports about requests taken over that came before the beginning."""
         self._has_changed_knowledge = False
-        self._questions, self._waits = Questions(), False
+        self._questions, self._waits = Questions[int](), False
         self._calls = Calls(id, machine, knowledge, bindings or Bindings(), goal_fields, asks=asks)
         self._results = CallResults(machine.plan)
         self._state = RunState(self._engine, self._index, self._results, origin, adopted=dict(adopted))
-        self._claims = RunClaims(self.resources, self.task, priority)
+        self._claims = RunClaims[int](self.resources, self.task, priority)
         self._guards = Guards(self._state, self._calls, self._claims, self._questions)
         # parts of these, for what every firing looks at
         self._tokens, self._counted, self._marked_at = self._engine.tokens, machine.compiled.counted, self._state.marked_at
