@@ -1,18 +1,26 @@
-"""Data of a call: its parameters, the fields of its goal, what its result stores, and operations on knowledge.
+"""Data of a call: what it sends and stores, which effects it has, and when they are seen. Functions of an action and of knowledge.
 
-Functions of an action and of knowledge; only `carry_out` changes anything, and that is knowledge.
+Only `carry_out` changes anything: it carries out an operation on knowledge.
+
+Effects. Before: do they hold already? While the call runs: may what is false of its over-all condition be a late report? After: are
+its effects seen? An effect is *seen* when its fluent is sensed and has the value; effects on assumed fluents cannot be checked.
+
+A call is *closed* when the plan gives all its parameters. What of it is the same whatever knowledge has is computed once per machine and
+shared by its runs. What it changes is constant when its effects assign constants.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import replace
-from typing import TypeAlias, assert_never
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple, TypeAlias, assert_never
 from uuid import UUID
 
 from pnm.core.execution.events import Performed, Store
 from pnm.core.execution.questions import EvaluationContext, unknown_values
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.compiled_condition import CompiledCondition, compiled
 from pnm.core.logic.computed_values import (
     MISSING,
     KnowledgeOperation,
@@ -22,13 +30,15 @@ from pnm.core.logic.computed_values import (
     Question,
     Update,
     compute,
+    may_ask,
     question_of,
 )
-from pnm.core.logic.conditions import ground
-from pnm.core.logic.effects import ground_effects
-from pnm.core.logic.expressions import bind
+from pnm.core.logic.conditions import TRUE, Compare, Condition, Holds, Not, conjunction, conjuncts, data_in, fluents, ground, names
+from pnm.core.logic.effects import Changes, Effects, changes, constants, decided, facts, ground_effects, is_fixed, names_written, written
+from pnm.core.logic.evaluation import evaluate, observed, unmet
+from pnm.core.logic.expressions import UNKNOWN, Constant, Fluent, Unknown, Value, ValueOf, bind, is_number, same_value
 from pnm.core.logic.operators import CHANGING, Uncomputable
-from pnm.core.machine.bindings import Binding, goal_data, open_parameters, placeholders
+from pnm.core.machine.bindings import Binding, goal_data, open_parameters, own_values, placeholders
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind
 from pnm.core.message_fields import Unreadable, parse_field, value_in
@@ -118,3 +128,182 @@ def _store(identity: UUID, question: Question, value: object, context: Evaluatio
 
 def _ended(identity: UUID, *, changes_knowledge: bool = False) -> Performed:
     return Performed((), (Ended(identity, Outcome(OutcomeKind.SUCCEEDED)),), changes_knowledge)
+
+
+# --- effects ---
+
+
+def already_true(action: GroundAction, knowledge: EvaluationContext) -> bool:
+    """Return whether what is expected of the action holds, and it changes nothing but plain facts and objects which are so already.
+
+    An action of which nothing is expected and that changes nothing is never done already.
+    """
+    at_start, at_end = facts(action.start_effects, knowledge), facts(decided(action.end_effects, knowledge), knowledge)
+    # Numbers and conditional effects cannot be seen to be done already, so such a call is always made.
+    if at_start is None or at_end is None or not (at_start or at_end or action.expected != TRUE):
+        return False
+    if evaluate(action.expected, knowledge) is not True:
+        return False
+    return all(same_value(knowledge.value(fluent), value) for fluent, value in (at_start | at_end).items())
+
+
+@dataclass(frozen=True, slots=True)
+class Intention:
+    """Intended effects of a call, computed when it is sent: later the sensors already show some of them."""
+
+    start: Changes = field(default_factory=dict)
+    end: Changes = field(default_factory=dict)
+    end_effects: Effects = ()
+    """Those of the action, once their early conditions are decided."""
+    expected: Mapping[Fluent, Value] = field(default_factory=dict)
+    """The facts and objects that sensors should report once the call has succeeded."""
+
+
+def intention(call: ActionCall, knowledge: EvaluationContext) -> Intention:
+    """Compute what the call, which is being sent, is going to change, and what of it should be seen.
+
+    Numbers are not expected: a real battery never shows the modelled figure. Nor is, of a durative
+    action, what is only decided at its end: effects under a condition, and values that are read then.
+    """
+    action = call.action
+    ending = decided(action.end_effects, knowledge)
+    start, end = changes(action.start_effects, knowledge), changes(ending, knowledge)
+    lasting = {fluent: value for fluent, value in start.items() if fluent in call.lasting}
+    late = names_written(tuple(effect for effect in ending if not is_fixed(effect))) if action.duration is not None else frozenset()
+    wanted = {fluent: value for fluent, value in (lasting | end).items() if fluent[0] not in late}
+    seen = {fluent: value for fluent, value in wanted.items() if isinstance(value, bool | str) and knowledge.world.is_sensed(fluent)}
+    return Intention(start, end, ending, seen)
+
+
+def finished(action: GroundAction, intended: Intention, knowledge: EvaluationContext) -> Changes:
+    """Return what the end of the action changes.
+
+    A durative action's end effects read the state at its end. An instantaneous action's conditions and
+    objects were decided when it was sent; its numbers change from what they are now, for others may
+    have changed them meanwhile.
+    """
+    now = changes(intended.end_effects, knowledge)
+    if action.duration is not None:
+        return now
+    return {fluent: value if isinstance(value, bool | str) else now.get(fluent, value) for fluent, value in intended.end.items()}
+
+
+def unseen(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: EvaluationContext) -> tuple[Condition, ...]:
+    """Return which expected facts are not reported and which end conditions and expectations do not hold.
+
+    Raises:
+        Unanswered: a question has to be asked first.
+    """
+    absent = ((fluent, value) for fluent, value in wanted.items() if not same_value(knowledge.world.value(fluent), value))
+    missing: list[Condition] = []
+    for fluent, value in absent:
+        fact = Holds(fluent) if isinstance(value, bool) else Compare("=", ValueOf(fluent), Constant(value))
+        missing.append(Not(fact) if value is False else fact)
+    base, changed = knowledge.world.rules.base, names_written(action.end_effects)  # what the end itself changes cannot be checked any more
+    checked = (part for part in conjuncts(action.end_condition) if not base(names(part)) & changed)
+    denied = (part for part in checked if evaluate(part, knowledge) is not True)
+    return (*missing, *denied, *unmet(action.expected, knowledge))
+
+
+def denied_at_end(
+    action: GroundAction, knowledge: EvaluationContext, breaks_now: Callable[[Condition], bool] = lambda part: False
+) -> dict[Condition, str]:
+    """Return which parts of the conditions over all and at the end do not hold at the end, and what is so instead.
+
+    No report about them can come late. Over all means until just before the end: a part of it that breaks at this moment does no harm.
+    """
+    denied: dict[Condition, str] = {}
+    for condition, is_for_the_end in ((action.invariant, False), (action.end_condition, True)):
+        for part in unmet(condition, knowledge):
+            is_reported = any(knowledge.world.is_sensed((name,)) for name in knowledge.world.rules.base(names(part)))
+            is_excused = is_reported and (is_for_the_end or may_be_late(part, action, knowledge, has_held=False))
+            is_excused = is_excused or (not is_for_the_end and breaks_now(part))
+            if not is_excused and not any(map(may_ask, data_in(part))):
+                denied[part] = observed(part, knowledge)
+    return denied
+
+
+def may_be_late(part: Condition, action: GroundAction, knowledge: EvaluationContext, *, has_held: bool) -> bool:
+    """Return whether a part of the over-all condition may look false, while the action is under way, for want of a report alone.
+
+    Either nothing is reported now; or its own start makes the part true, and that has not been seen yet; or its own end changes
+    it, which sensors may see before the robot reports the end. Any other report that it is false is news.
+    """
+    if evaluate(part, knowledge) is UNKNOWN:
+        return True
+    changed = written((*action.end_effects, *(() if has_held else action.start_effects)), knowledge)
+    asked, rules = fluents(part, knowledge), knowledge.world.rules
+    below = rules.base({fluent[0] for fluent in asked} & rules.derived)
+    return any(fluent in asked or fluent[0] in below for fluent in changed)
+
+
+def lag_of_effects(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: EvaluationContext) -> float:
+    """Return how many seconds late the reports about the effects and the end condition may come."""
+    return knowledge.world.lag({*(fluent[0] for fluent in wanted), *names(action.end_condition), *names(action.expected)})
+
+
+def is_assumed(changed: frozenset[str], world: KnowledgeBase) -> bool:
+    """Return whether nothing reports some of what an action changes, by the names of that."""
+    return not world.senses(changed)
+
+
+# --- closed calls ---
+
+
+class ConstantEffects(NamedTuple):
+    """Effects of a call that are the same in every state."""
+
+    intention: Intention
+    """What the call is going to change where nothing of it is sensed."""
+    visible: Mapping[Fluent, Value]
+    """What should be seen of it where it is sensed."""
+    done: tuple[tuple[Fluent, Value | Unknown], ...]
+    """What is so already where there is nothing to do; empty if that can never be said."""
+
+    def intended(self, world: KnowledgeBase) -> Intention:
+        """Return the intention of the call, as `intention` would."""
+        seen = world.reported(self.visible)
+        return replace(self.intention, expected=seen) if seen else self.intention
+
+    def are_done(self, world: KnowledgeBase) -> bool:
+        """Return whether there is nothing to do, as `already_true` would."""
+        for fluent, value in self.done:
+            if not same_value(world.value(fluent), value):
+                return False
+        return bool(self.done)
+
+
+class ClosedCall(NamedTuple):
+    """What of a closed call does not depend on knowledge."""
+
+    own: Mapping[str, object]
+    """The values that it has for goal fields by itself."""
+    names: frozenset[str]
+    """The names of all that its effects may change."""
+    expects: bool
+    """Whether it has a condition for its end, or something is expected of it."""
+    needed: CompiledCondition | None
+    """What must hold until its end, and there; None for nothing."""
+    effects: ConstantEffects | None
+    """None if what it changes depends on the state."""
+
+
+def closed_call(call: ActionCall) -> ClosedCall | None:
+    """Return what of the call does not depend on knowledge; None for one that leaves parameters open, or is about knowledge itself."""
+    action = call.action
+    if action.operation is not None or action.given or open_parameters(action):
+        return None
+    names = names_written((*action.start_effects, *action.end_effects))
+    expects, needed = not (action.end_condition == action.expected == TRUE), conjunction((action.invariant, action.end_condition))
+    return ClosedCall(own_values(action), names, expects, None if needed == TRUE else compiled(needed), _constant_effects(call))
+
+
+def _constant_effects(call: ActionCall) -> ConstantEffects | None:
+    action = call.action
+    start, end = constants(action.start_effects), constants(action.end_effects)
+    if start is None or end is None or action.expected != TRUE:
+        return None
+    changed, lasting = start | end, {fluent: value for fluent, value in start.items() if fluent in call.lasting}
+    visible = {fluent: value for fluent, value in (lasting | end).items() if isinstance(value, bool | str)}
+    done = () if any(map(is_number, changed.values())) else tuple(changed.items())
+    return ConstantEffects(Intention(start, end, action.end_effects), visible, done)

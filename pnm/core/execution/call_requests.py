@@ -10,9 +10,20 @@ from dataclasses import replace
 from typing import Final, TypeAlias
 from uuid import UUID
 
-from pnm.core.execution.call_data import GoalFields, carry_out, goal, ready, variables_of
+from pnm.core.execution.call_data import (
+    GoalFields,
+    carry_out,
+    denied_at_end,
+    finished,
+    goal,
+    intention,
+    is_assumed,
+    lag_of_effects,
+    ready,
+    unseen,
+    variables_of,
+)
 from pnm.core.execution.call_results import CallResult
-from pnm.core.execution.effect_checks import denied_at_end, finished, intention, is_assumed, lag_of_effects, unseen
 from pnm.core.execution.events import Cancel, Command, Performed, Reattach, Send, Store
 from pnm.core.execution.handover import CallAttempt, UnderWay
 from pnm.core.execution.machine_index import index_of

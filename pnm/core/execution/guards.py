@@ -11,9 +11,9 @@ from math import nextafter
 from typing import Final, assert_never
 from uuid import UUID
 
+from pnm.core.execution.call_data import already_true, may_be_late
 from pnm.core.execution.call_requests import Calls
 from pnm.core.execution.call_results import Explanation
-from pnm.core.execution.effect_checks import already_true, may_be_late
 from pnm.core.execution.machine_index import Firing, Site
 from pnm.core.execution.questions import EvaluationContext, Questions
 from pnm.core.execution.run_state import RunState

@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from uuid import UUID
 
+from pnm.core.execution.call_data import Intention
 from pnm.core.execution.call_results import CallResult
-from pnm.core.execution.effect_checks import Intention
 from pnm.core.logic.conditions import Condition
 from pnm.core.logic.effects import Changes
 from pnm.core.machine.machine import PetriNetMachine

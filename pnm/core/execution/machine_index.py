@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import Final, assert_never
 from weakref import WeakKeyDictionary
 
-from pnm.core.execution.closed_call import ClosedCall, closed_call
+from pnm.core.execution.call_data import ClosedCall, closed_call
 from pnm.core.logic.compiled_condition import CompiledCondition, compiled
 from pnm.core.logic.conditions import All
 from pnm.core.logic.effects import Set, every_effect

@@ -36,7 +36,7 @@ Four ideas go beyond the paper:
 - *Resources* are tokens, so that within a net no two calls have the same arm. Machines that share resources stand in one line for them.
 - A *question* to a person or a database may have to be answered before a guard can be evaluated. The place waits for the answer.
 
-Used here and defined elsewhere: conditions (`pnm.core.logic`), effects (`pnm.core.execution.effect_checks`), goals and results of calls
+Used here and defined elsewhere: conditions (`pnm.core.logic`), effects (`pnm.core.execution.call_data`), goals and results of calls
 (`pnm.core.execution.call_data`), the firing rule (`pnm.core.net.firing_rule`), the line for resources (`pnm.core.resources`) and answers
 (`pnm.core.execution.questions`). Left out: explanations for people, observers, going on in another process (`Restarted`), and answers
 that a run has from the run before it. `pnm.core.execution.run` is the same machine, made fast: by number, and asking only what may have
@@ -53,8 +53,20 @@ from typing import Final, NamedTuple, TypeAlias, assert_never
 from uuid import UUID
 
 from pnm.core.execution import events
-from pnm.core.execution.call_data import GoalFields, carry_out, goal, ready, variables_of
-from pnm.core.execution.effect_checks import already_true, denied_at_end, finished, intention, lag_of_effects, may_be_late, unseen
+from pnm.core.execution.call_data import (
+    GoalFields,
+    already_true,
+    carry_out,
+    denied_at_end,
+    finished,
+    goal,
+    intention,
+    lag_of_effects,
+    may_be_late,
+    ready,
+    unseen,
+    variables_of,
+)
 from pnm.core.execution.handover import CallAttempt, UnderWay
 from pnm.core.execution.questions import EvaluationContext, Questions, subject_of
 from pnm.core.knowledge_base import Layered

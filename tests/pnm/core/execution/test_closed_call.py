@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pnm.core.execution.closed_call import closed_call
-from pnm.core.execution.effect_checks import already_true, denied_at_end, finished, intention, is_assumed, unseen
+from pnm.core.execution.call_data import already_true, closed_call, denied_at_end, finished, intention, is_assumed, unseen
 from pnm.core.execution.machine_index import index_of, prepare
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.execution.run import Run
