@@ -297,6 +297,11 @@ class Layered:
         """Return why a derived fact holds or does not."""
         return self.world.because(fluent)
 
+    @property
+    def version(self) -> tuple[int, int]:
+        """The changes of both layers so far: as long as they are as many, everything has the value that it had."""
+        return self.world.changes, self.local.changes
+
     def variable(self, name: str) -> object:
         """Return the variable from the first layer that has it, or `MISSING`."""
         value = self.local.variable(name)

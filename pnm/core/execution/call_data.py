@@ -52,7 +52,10 @@ def ready(action: GroundAction, context: EvaluationContext) -> GroundAction:
     env = context.environment()
     if not env:
         return action
-    return replace(
+    # nine times for two calls of a loop, so it is made anew only if knowledge has changed: until then the environment is the same one
+    if context.ready and context.ready[0][0] is action and context.ready[0][1] is env:
+        return context.ready[0][2]
+    made = replace(
         action,
         arguments=bind(action.arguments, env),
         precondition=ground(action.precondition, env),
@@ -62,6 +65,8 @@ def ready(action: GroundAction, context: EvaluationContext) -> GroundAction:
         start_effects=ground_effects(action.start_effects, env),
         end_effects=ground_effects(action.end_effects, env),
     )
+    context.ready[:] = [(action, env, made)]
+    return made
 
 
 def goal(planned: GroundAction, goal_fields: GoalFields, context: EvaluationContext) -> tuple[Mapping[str, object], tuple[str, ...]]:

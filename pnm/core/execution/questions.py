@@ -17,6 +17,7 @@ from pnm.core.execution.events import Ask, Command, Withdraw
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import (
     MISSING,
+    Data,
     KnowledgeOperation,
     Layer,
     Query,
@@ -57,9 +58,23 @@ class EvaluationContext:
         """Knowledge that all runs share."""
         return self.knowledge.world
 
+    _known: list[tuple[tuple[int, int], Environment]] = field(default_factory=list, init=False, repr=False, compare=False)
+    """The environment of before, and the version of the knowledge that it is of."""
+
+    ready: list[tuple[GroundAction, Environment, GroundAction]] = field(default_factory=list, init=False, repr=False, compare=False)
+    """An action, the environment, and the action as it was made ready last."""
+
     @cached_property
     def _open(self) -> tuple[str, ...]:
         return open_parameters(self.action)
+
+    @cached_property
+    def _given(self) -> Mapping[str, Data]:
+        return dict(self.action.given)
+
+    @cached_property
+    def _arguments(self) -> Mapping[str, str]:
+        return dict(zip(self.action.parameters, self.action.arguments, strict=True))
 
     def value(self, fluent: Fluent, /) -> Value | Unknown | None:
         """Return the value of the fluent in the world."""
@@ -101,7 +116,7 @@ class EvaluationContext:
             known = self.answer(Question(name, Layer.GLOBAL, "null"))
         if known is MISSING and name in self.binding.ask:
             words = self.binding.ask[name]
-            for parameter, value in zip(self.action.parameters, self.action.arguments, strict=True):
+            for parameter, value in self._arguments.items():
                 words = words.replace(f"{{{parameter}}}", value)
             known = self.answer(Question(name, Layer.PERSON, json.dumps(words)))
         return known
@@ -109,31 +124,32 @@ class EvaluationContext:
     def parameter(self, name: str, /) -> object:
         """Return what the call gives a parameter of its action, named with ``?``; or `MISSING`."""
         bare = name.removeprefix("?")
-        given = dict(self.action.given)
-        if bare in given:
-            return compute(given[bare], self)
-        argument = dict(zip(self.action.parameters, self.action.arguments, strict=True)).get(bare, name)
+        if bare in self._given:
+            return compute(self._given[bare], self)
+        argument = self._arguments.get(bare, name)
         return self.find(bare) if argument.startswith("?") else argument
 
     def given(self) -> dict[str, object]:
         """Return the values that the plan gives to goal fields, or leaves open for knowledge to fill, as far as there are any."""
-        values = {name: self._parameter(name) for name in self._open}
-        values |= {name: self._parameter(name) for name, _ in self.action.given}
-        return {name: value for name, value in values.items() if value is not MISSING}
+        values: dict[str, object] = {name.removeprefix("?"): value for name, value in self.environment().items()}
+        values |= {name: value for name in self._given if (value := self._parameter(name)) is not MISSING}
+        return values
 
     def environment(self) -> Environment:
-        """Return what knowledge has for the parameters that the plan leaves open."""
+        """Return what knowledge has for the parameters that the plan leaves open: the same one until knowledge changes."""
         if not self._open:
             return NOTHING
-        values = {f"?{name}": self._parameter(name) for name in self._open}
-        return {name: value for name, value in values.items() if value is not MISSING}
+        version = self.knowledge.version
+        if not self._known or self._known[0][0] != version:
+            values = {f"?{name}": self._parameter(name) for name in self._open}
+            self._known[:] = [(version, {name: value for name, value in values.items() if value is not MISSING})]
+        return self._known[0][1]
 
     def uncomputable(self, names: Iterable[str], /) -> Iterator[str]:
         """Yield why the value that the plan gives one of these parameters, named without ``?``, cannot be computed."""
-        given = dict(self.action.given)
-        for name in given.keys() & {*names}:
+        for name in self._given.keys() & {*names}:
             try:
-                compute(given[name], self)
+                compute(self._given[name], self)
             except Uncomputable as error:
                 yield str(error)
 

@@ -12,6 +12,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
+from functools import lru_cache
 from typing import Final, Protocol, TypeAlias, assert_never, runtime_checkable
 
 from pnm.core.logic.expressions import NOTHING, UNDEFINED, Environment, Fluent, Unknown, Value, ValueOf, bind, variables_in
@@ -57,7 +58,7 @@ class Literal:
     @property
     def value(self) -> object:
         """The value; a new one each time, so that changing it does not change the literal."""
-        return json.loads(self.json)
+        return _atom(self.json) if self.json[:1] not in "[{" else json.loads(self.json)
 
     def __str__(self) -> str:
         return self.json
@@ -201,11 +202,17 @@ def compute(data: Data, answers: Answers) -> object:
             assert_never(data)
 
 
+@lru_cache(maxsize=10_000)
+def _atom(text: str) -> object:
+    """Return the value of a literal that is no list and no mapping: it cannot be changed, so it is the same every time."""
+    return json.loads(text)
+
+
 def question_of(query: Query, answers: Answers) -> Question:
     """Return the question of a query, with its name and meta data computed; raises as `compute` does."""
     name, meta = variable_name(query.name, answers), _null(compute(query.meta, answers))
     try:
-        return Question(name, query.layer, json.dumps(meta, sort_keys=True))
+        return Question(name, query.layer, "null" if meta is None else json.dumps(meta, sort_keys=True))
     except (TypeError, ValueError, RecursionError) as error:
         raise Uncomputable(f"the value for {name} cannot be written as JSON: {error}") from error
 
