@@ -55,6 +55,8 @@ from pnm.core.net.when_asked import Remembered
 from pnm.errors import check_kinds, counted
 
 V = TypeVar("V")
+_MALFORMED: Final = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError)
+"""What a machine leads to that was tampered with: it may name what it does not have, and have anything in the place of anything."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -102,8 +104,8 @@ def verify(machine: PetriNetMachine) -> Proof:
     check_kinds("verify", {"machine": (machine, PetriNetMachine)})
     try:
         return _verified(machine)
-    except LookupError as error:  # what was tampered with may name places, transitions or steps that are not there
-        raise Unsound(f"it refers to what it does not have: {error!r}") from error
+    except _MALFORMED as error:
+        raise Unsound(f"it is not of the form that a machine has: {error!r}") from error
 
 
 def _verified(machine: PetriNetMachine) -> Proof:
@@ -174,7 +176,7 @@ class _Contents:
             self._looked_at[kind] = _KEEPS_ITS_RULES.keep(kind, watched) if template.is_shared else watched
         for position, watch in watched:
             check_guard(watch, guards[position][0], asked)
-        if asked.resources and {self._resources[place] for place in block.ports[RESOURCES]} != {*asked.resources}:
+        if sorted(self._resources[place] for place in block.ports[RESOURCES]) != sorted(asked.resources):
             raise Unsound(f"{call} does not keep the rule of its resources: its port is not that of {', '.join(asked.resources)}")
         return kind
 
