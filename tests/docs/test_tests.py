@@ -7,8 +7,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-import pytest
-
 from tests.support.files import ROOT
 
 TESTS: Final = ROOT / "tests"
@@ -25,18 +23,15 @@ def imported(file: Path) -> Iterator[str]:
             yield from (name.name for name in node.names)
 
 
-@pytest.mark.parametrize("file", MODULES, ids=lambda file: str(file.relative_to(TESTS)))
-def test_modules_import_the_product_and_helpers_and_no_other_test(file: Path) -> None:
-    assert not [name for name in imported(file) if name.split(".")[0] == "tests" and name.split(".")[1] != "support"]
+def test_modules_import_the_product_and_helpers_and_no_other_test() -> None:
+    names = [(str(file), name.split(".")) for file in MODULES for name in imported(file)]
+    assert not [(file, parts) for file, parts in names if parts[0] == "tests" and parts[1] != "support"]
 
 
-@pytest.mark.parametrize("file", MODULES, ids=lambda file: str(file.relative_to(TESTS)))
-def test_modules_are_short(file: Path) -> None:
-    assert len(file.read_text(encoding="utf-8").splitlines()) <= 300
+def test_modules_are_short() -> None:
+    assert not [file for file in MODULES if len(file.read_text(encoding="utf-8").splitlines()) > 300]
 
 
-@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: str(folder.relative_to(ROOT)))
-def test_folders_are_small_packages(folder: Path) -> None:
-    entries = [entry.name for entry in folder.iterdir() if entry.name != "__pycache__"]
-    assert len(entries) <= 12
-    assert "__init__.py" in entries
+def test_folders_are_small_packages() -> None:
+    entries = {folder: {entry.name for entry in folder.iterdir()} - {"__pycache__"} for folder in FOLDERS}
+    assert not [folder for folder, names in entries.items() if len(names) > 12 or "__init__.py" not in names]
