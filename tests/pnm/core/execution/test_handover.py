@@ -26,7 +26,7 @@ from pnm.core.resources import Resources
 from pnm.errors import RunError
 from tests.support.runs.commands import cancelled, in_its_moment, sent
 from tests.support.runs.handover import ABORTED, CANCELED, SUCCEEDED, going, successor
-from tests.support.runs.mutants import check_proof_of_mutants
+from tests.support.runs.mutation.mutants import check_proof_of_mutants
 from tests.support.runs.plan_graphs import plan_of_steps
 from tests.support.runs.simulated import move
 

@@ -20,8 +20,8 @@ from pnm.core.machine.verification.explore import explore_part
 from pnm.core.machine.verification.part import Part, Step, Unsound
 from pnm.core.machine.verification.verify import explore, verify
 from pnm.core.net.net import PetriNet
-from tests.support.runs.mutants import check_proof_of_mutants
 from tests.support.runs.mutation.changes import with_input, with_rule, without_transition
+from tests.support.runs.mutation.mutants import check_proof_of_mutants
 from tests.support.runs.plan_graphs import ordering, plan, plans
 
 SHAPES = {
