@@ -1,4 +1,4 @@
-"""Closed calls: what is computed once per machine is what would be computed anew each time; for all calls at once, if it is prepared."""
+"""Calls whose values come from knowledge, or are given before they begin: what is worked out is kept while knowledge is the same."""
 
 from __future__ import annotations
 
@@ -10,17 +10,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.core.execution.call_data import already_true, closed_call, denied_at_end, finished, intention, is_assumed, unseen
+from pnm.core.execution.call_requests import Calls
 from pnm.core.execution.machine_index import index_of, prepare
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.logic.computed_values import Literal
+from pnm.core.logic.computed_values import Layer, Literal, Query
 from pnm.core.logic.conditions import All, Compare, Condition, Holds, Not
 from pnm.core.logic.effects import Effects, Set, names_written
 from pnm.core.logic.expressions import UNKNOWN, Constant, ValueOf
-from pnm.core.machine.bindings import DEFAULT, goal_data
+from pnm.core.machine.bindings import DEFAULT, Bindings, goal_data
 from pnm.core.machine.generate import generate
-from pnm.core.machine.plan_graph import ActionCall, GroundAction
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from tests.support.benchmarks.workloads import checked, inline
 from tests.support.runs.mutation.machines import random_plan, written_out
 
@@ -105,3 +106,30 @@ def test_a_machine_without_templates_is_prepared_as_well() -> None:
 @pytest.mark.parametrize("number", range(40))
 def test_any_machine_can_be_prepared(number: int) -> None:
     prepare(generate(random_plan(Random(number))))
+
+
+GIVEN = (("speed", Query(Literal.of("pace"), Layer.LOCAL)),)
+GO = GroundAction(
+    "go", ("?to",), ("to",), precondition=Holds(("open", "?to")), end_effects=(Set(("at", "?to"), Constant(True)),), given=GIVEN
+)
+STORED = st.sampled_from([None, 1, True, 1.0, "1", "hall", [1], [True]])
+CHANGES = st.lists(st.tuples(st.sampled_from(["to", "pace", "other"]), st.booleans(), STORED), max_size=8)
+
+
+def shown(values: object) -> str:
+    return repr(values)  # unlike ==, it tells 1, 1.0 and true apart
+
+
+@given(CHANGES)
+def test_an_action_is_ready_with_what_is_known_now(changes: list[tuple[str, bool, object]]) -> None:
+    known = Layered(KnowledgeBase(), KnowledgeBase())
+    calls = Calls(UUID(int=1), generate(PlanGraph((ActionCall(0, GO),))), known, Bindings(), lambda action: None, asks=False)
+    for name, is_local, value in changes:
+        (known.local if is_local else known.world).store({name: value})
+        kept, fresh = calls.context_of(0, None), EvaluationContext(known, GO)
+        assert shown(kept.environment()) == shown(fresh.environment())
+        assert shown(kept.given()) == shown(fresh.given())
+        others = Calls(UUID(int=1), generate(PlanGraph((ActionCall(0, GO),))), known, Bindings(), lambda action: None, asks=False)
+        ready = calls.ready(0, kept)
+        assert shown(ready) == shown(others.ready(0, fresh))
+        assert calls.ready(0, kept) is ready, "it is made anew although nothing has changed"
