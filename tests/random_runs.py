@@ -1,10 +1,11 @@
-"""Long random runs: scenarios of many tasks, runs that are held, processes that die, broken machines, visitors of the mall.
+"""Long random runs: scenarios of many tasks, runs that are held, processes that die, broken machines, the reference, visitors.
 
 usage: python -m tests.random_runs [--seeds 500] [--first 0] [--jobs 2] [--keep FOLDER] [KIND ...]
 
-Kinds are scenarios, holds, deaths, mutants, forgotten and visitors. The same number is the same run. Without a kind, all are run: as
-many scenarios, holds, deaths and machines as there are seeds, six mutants of every machine, all of them without each trait of calls that
-templates could forget, and a visitor for every tenth. The exit status is 1 if anything is wrong; every failure is printed with its number.
+Kinds are scenarios, holds, deaths, mutants, forgotten, reference and visitors. The same number is the same run. Without a kind, all are
+run: as many scenarios, holds, deaths and machines as there are seeds, six mutants of every machine, all of them without each trait of
+calls that templates could forget, as many machines held against the reference, and a visitor for every tenth. The exit status is 1 if
+anything is wrong; every failure is printed with its number.
 """
 
 from __future__ import annotations
@@ -24,13 +25,14 @@ from pathlib import Path
 
 from tests.support.e2e.mall.deployment import Mall
 from tests.support.processes import ros_domain
+from tests.support.runs.held_run import hold_against_reference
 from tests.support.runs.mutation.forgotten import TRAITS, run_forgotten
 from tests.support.runs.mutation.gate import run_gate
 from tests.support.tasks.scenarios.random_deaths import run_deaths
 from tests.support.tasks.scenarios.random_holds import run_holds
 from tests.support.tasks.scenarios.random_scenarios import run_scenario
 
-KINDS = ("scenarios", "holds", "deaths", "mutants", "forgotten", "visitors")
+KINDS = ("scenarios", "holds", "deaths", "mutants", "forgotten", "reference", "visitors")
 
 
 def failure_of(kind: str, number: int) -> str:
@@ -41,6 +43,8 @@ def failure_of(kind: str, number: int) -> str:
                 run_scenario(number)
             case "holds":
                 run_holds(number)
+            case "reference":
+                hold_against_reference(number)
             case _:
                 with tempfile.TemporaryDirectory() as folder:
                     run_deaths(number, Path(folder))
@@ -98,7 +102,7 @@ def visitors(numbers: range, keep: Path | None) -> Iterator[str]:
 
 def failures_of(kind: str, numbers: range, jobs: int, keep: Path | None) -> Iterator[str]:
     match kind:
-        case "scenarios" | "holds" | "deaths":
+        case "scenarios" | "holds" | "deaths" | "reference":
             return scenarios(kind, numbers, jobs)
         case "mutants":
             return mutants(numbers, jobs)
@@ -116,7 +120,7 @@ def main() -> int:
         nargs="*",
         choices=[*KINDS, []],
         metavar="KIND",
-        help="scenarios, holds, deaths, mutants, forgotten or visitors; all without one",
+        help="scenarios, holds, deaths, mutants, forgotten, reference or visitors; all without one",
     )
     parser.add_argument("--seeds", type=int, default=500, help="how many of each; visitors are a tenth if not alone")
     parser.add_argument("--first", type=int, default=0, help="the number of the first one")

@@ -33,12 +33,27 @@ from pnm.core.logic.computed_values import (
     may_ask,
     question_of,
 )
-from pnm.core.logic.conditions import TRUE, Compare, Condition, Holds, Not, conjunction, conjuncts, data_in, fluents, ground, names
-from pnm.core.logic.effects import Changes, Effects, changes, constants, decided, facts, ground_effects, is_fixed, names_written, written
+from pnm.core.logic.conditions import TRUE, All, Compare, Condition, Holds, Not, conjunction, conjuncts, data_in, fluents, ground, names
+from pnm.core.logic.effects import (
+    Changes,
+    Effects,
+    Set,
+    changes,
+    constants,
+    decided,
+    every_effect,
+    facts,
+    ground_effects,
+    is_fixed,
+    names_written,
+    written,
+)
 from pnm.core.logic.evaluation import evaluate, observed, unmet
 from pnm.core.logic.expressions import UNKNOWN, Constant, Fluent, Unknown, Value, ValueOf, bind, is_number, same_value
 from pnm.core.logic.operators import CHANGING, Uncomputable
+from pnm.core.logic.rules import NO_RULES, Reads, Rules, read_by, reads_of
 from pnm.core.machine.bindings import Binding, goal_data, open_parameters, own_values, placeholders
+from pnm.core.machine.guards import Guard, Reading
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind
 from pnm.core.message_fields import Unreadable, parse_field, value_in
@@ -293,10 +308,36 @@ class ClosedCall(NamedTuple):
     """None if what it changes depends on the state."""
 
 
+def is_closed(action: GroundAction) -> bool:
+    """Return whether the plan gives all parameters of an action, which is not about knowledge itself."""
+    return not (action.operation is not None or action.given or open_parameters(action))
+
+
+def reads_of_guard(guard: Guard, action: GroundAction | None, rules: Rules) -> Reads:
+    """Return what a guard reads, of a call of this action if it is about one; None for anything."""
+    if action is not None and not is_closed(action):  # its parameters may depend on anything
+        return None
+    match guard.reads:
+        case Reading.NOTHING:
+            return frozenset()
+        case Reading.ANYTHING:  # servers say which goal fields they have without anything being heard of it
+            return None
+        case Reading.CONDITION:
+            return None if guard.asks is None else read_by(guard.asks, rules)
+        case Reading.EFFECTS if action is None:
+            return None
+        case Reading.EFFECTS:
+            checked = read_by(All((action.end_condition, action.expected)), rules)
+            fluents = [one.fluent for one in every_effect((*action.start_effects, *action.end_effects)) if isinstance(one, Set)]
+            return None if checked is None else checked.union(*(reads_of(fluent, NO_RULES) for fluent in fluents))
+        case _ as unread:
+            assert_never(unread)
+
+
 def closed_call(call: ActionCall) -> ClosedCall | None:
     """Return what of the call does not depend on knowledge; None for one that leaves parameters open, or is about knowledge itself."""
     action = call.action
-    if action.operation is not None or action.given or open_parameters(action):
+    if not is_closed(action):
         return None
     names = names_written((*action.start_effects, *action.end_effects))
     expects, needed = not (action.end_condition == action.expected == TRUE), conjunction((action.invariant, action.end_condition))

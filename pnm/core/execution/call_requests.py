@@ -13,14 +13,12 @@ from uuid import UUID
 from pnm.core.execution.call_data import (
     GoalFields,
     carry_out,
-    denied_at_end,
     finished,
     goal,
     intention,
     is_assumed,
     lag_of_effects,
     ready,
-    unseen,
     variables_of,
 )
 from pnm.core.execution.call_results import CallResult
@@ -31,8 +29,8 @@ from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import Question
 from pnm.core.logic.conditions import Condition
-from pnm.core.logic.effects import Changes, is_fixed, names_written, undo, values_before
-from pnm.core.logic.evaluation import observed, unmet
+from pnm.core.logic.effects import Changes, is_fixed, names_written
+from pnm.core.logic.evaluation import observed
 from pnm.core.logic.expressions import bind, same_value
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.machine import PetriNetMachine
@@ -173,8 +171,7 @@ class Calls:
 
     def unseen(self, call: int, context: EvaluationContext) -> tuple[Condition, ...]:
         """Return what of the call's effects is not seen."""
-        attempt = self._attempts[call]
-        return tuple(dict.fromkeys((*(attempt.denied or ()), *unseen(attempt.intended.expected, attempt.action, context))))
+        return self._attempts[call].unseen(context)
 
     def is_assumed(self, call: int) -> bool:
         """Return whether nothing reports some of what the call changes."""
@@ -238,29 +235,17 @@ class Calls:
         if attempt is None:
             return _NOTHING
         if action is _BEGIN:
-            attempt.accepted, attempt.unanswered, start = now, None, attempt.intended.start
-            attempt.begun_after = self.world.changes
-            if not start:
-                attempt.begun = {}
-                return _NOTHING
-            attempt.begun = values_before(start, self.world)  # before they are written, for a rollback if the call ends without success
-            return self._write(start)
+            return self._write(attempt.begin(self.world, now))
         if action is _FINISH:
             closed = self._closed[call]
             is_constant = closed is not None and closed.effects is not None
             end = attempt.intended.end if is_constant else finished(attempt.action, attempt.intended, self.context_of(call, answers))
-            attempt.ended, before = end, values_before(end, self.world)
-            attempt.begun = before | attempt.begun if attempt.begun else before
-            return self._write(end)
+            return self._write(attempt.finish(end, self.world))
         if action is TransitionAction.CANCEL:
             attempt.accepted = attempt.unanswered = None  # it is not handed over: a successor would take it for one that goes on
             return Performed((Cancel(attempt.request),))
         assert action is TransitionAction.UNDO, f"{action} is about no request that was sent"
-        if attempt.begun is None:  # it was never accepted, so nothing was written at its start
-            return _NOTHING
-        before, after = attempt.begun, attempt.intended.start | (attempt.ended or {})
-        attempt.begun = attempt.ended = None
-        return self._write(undo(before, after, self.world))
+        return self._write(attempt.undo(self.world))
 
     def again(self) -> tuple[Command, ...]:
         """Return what another process does about requests that are out.
@@ -326,19 +311,8 @@ class Calls:
         has_all = closed is not None and (closed.needed is None or closed.needed.holds_by_facts(self.world))
         # now, before anything is written of its effects: they may change what it relies on
         if not has_all:
-            is_watched = attempt.accepted is not None and attempt.accepted < now  # then the guard has seen all that broke before
-
-            def breaks_now(part: Condition) -> bool:
-                return is_watched and attempt.broken.get((part, False), now) >= now
-
-            if denied := denied_at_end(attempt.action, self.context_of(call, None), breaks_now):
-                attempt.denied = {**(attempt.denied or {}), **denied}
+            attempt.end(self.context_of(call, None), now)
         return bool(values)
-
-    def interrupt(self, call: int) -> None:
-        """Note what of the condition over all is not so: the call has not succeeded, whatever its server reports."""
-        context = self.context_of(call, None)
-        self._attempts[call].denied = {part: observed(part, context) for part in unmet(self.action(call).invariant, context)}
 
     def _next(self, call: int) -> tuple[int, UUID]:
         """Return the number and the identity of the next request."""
@@ -349,4 +323,4 @@ class Calls:
     def _write(self, changes: Changes) -> Performed:
         """Write the assumed effects; sensors report all others."""
         # What sensors report is not overwritten with what the model expects: the check of the effects would see its own expectation.
-        return _CHANGED if self.world.record(self.world.assumed(changes)) else _NOTHING
+        return _CHANGED if changes and self.world.record(self.world.assumed(changes)) else _NOTHING

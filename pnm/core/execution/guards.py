@@ -7,17 +7,16 @@ were asked before.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from math import nextafter
 from typing import Final, assert_never
 from uuid import UUID
 
-from pnm.core.execution.call_data import already_true, may_be_late
+from pnm.core.execution.call_data import already_true
 from pnm.core.execution.call_requests import Calls
 from pnm.core.execution.call_results import Explanation
 from pnm.core.execution.machine_index import Firing, Site
 from pnm.core.execution.questions import EvaluationContext, Questions
 from pnm.core.execution.run_state import RunState
-from pnm.core.logic.conditions import Condition, conjuncts, ground, names
+from pnm.core.logic.conditions import Condition, ground, names
 from pnm.core.logic.evaluation import evaluate, explanation, observed
 from pnm.core.logic.expressions import UNKNOWN, Truth
 from pnm.core.machine.guards import (
@@ -99,27 +98,13 @@ class Guards:
         return opens if truth is UNKNOWN else NEVER
 
     def _invariant_false(self, site: Site, firing: Firing, place: int) -> float:
-        """Return when the over-all condition of the call counts as broken: a part of it whose report may be late, after the lag.
-
-        Any other part counts as soon as the moment at which it broke is over: the call may have ended at that very moment as well, and
-        the order in which the two are heard says nothing.
-        """
-        call, now, opens = _call(site, firing), self._state.now, NEVER
+        call, now = _call(site, firing), self._state.now
         known, attempt = self._state.index.conditions[site.transition + firing.number], self._calls.attempt(call)
         if known is not None and known.holds_by_facts(self._calls.world):
             attempt.held = None
             attempt.broken.clear()
             return NEVER
-        context = self.context(call, place)
-        for part in conjuncts(_grounded(self._asked(site, firing), context)):
-            if evaluate(part, context) is True:
-                attempt.holds(part)
-            else:
-                is_late = may_be_late(part, attempt.action, context, has_held=attempt.held is None or part in attempt.held)
-                since = attempt.broken.setdefault((part, is_late), now)
-                lag = context.world.lag(names(part)) if is_late else 0.0
-                opens = min(opens, max(since + lag, nextafter(since, NEVER)))
-        return opens
+        return attempt.breaks(self._asked(site, firing), self.context(call, place), now)
 
     def _already_true(self, site: Site, firing: Firing, place: int) -> float:
         call = _call(site, firing)

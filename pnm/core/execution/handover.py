@@ -9,12 +9,16 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from math import inf, nextafter
 from uuid import UUID
 
-from pnm.core.execution.call_data import Intention
+from pnm.core.execution.call_data import Intention, denied_at_end, may_be_late, unseen
 from pnm.core.execution.call_results import CallResult
-from pnm.core.logic.conditions import Condition
-from pnm.core.logic.effects import Changes
+from pnm.core.execution.questions import EvaluationContext
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import Condition, conjuncts, ground, names
+from pnm.core.logic.effects import Changes, undo, values_before
+from pnm.core.logic.evaluation import evaluate, observed, unmet
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.machine.requests import Request
@@ -50,12 +54,61 @@ class CallAttempt:
     feedback: str = ""
     """What its server has said last."""
 
-    def holds(self, part: Condition) -> None:
-        """Note that a part of its over-all condition holds."""
-        if self.held is not None:
-            self.held.add(part)
-        for is_late in (False, True):
-            self.broken.pop((part, is_late), None)
+    def begin(self, world: KnowledgeBase, now: float) -> Changes:
+        """Note that the request was accepted; return the effects of its start."""
+        self.accepted, self.unanswered, self.begun_after = now, None, world.changes
+        self.begun = values_before(self.intended.start, world)  # before they are written, for a rollback if the call ends without success
+        return self.intended.start
+
+    def finish(self, end: Changes, world: KnowledgeBase) -> Changes:
+        """Note that the call has succeeded; return the effects of its end."""
+        self.ended, self.begun = end, values_before(end, world) | (self.begun or {})
+        return end
+
+    def undo(self, world: KnowledgeBase) -> Changes:
+        """Take back what was written; return the changes that do so."""
+        if self.begun is None:  # it was never accepted, so nothing was written
+            return {}
+        before, after = self.begun, self.intended.start | (self.ended or {})
+        self.begun = self.ended = None
+        return undo(before, after, world)
+
+    def breaks(self, condition: Condition, context: EvaluationContext, now: float) -> float:
+        """Return when its over-all condition counts as broken: after the lag of its report, or else as soon as the moment is over.
+
+        Not at that very moment: the call may have ended then as well, and the order in which the two are heard says nothing.
+        """
+        opens = inf
+        for part in conjuncts(ground(condition, context.environment())):
+            if evaluate(part, context) is True:
+                if self.held is not None:
+                    self.held.add(part)
+                self.broken.pop((part, False), None)
+                self.broken.pop((part, True), None)
+                continue
+            is_late = may_be_late(part, self.action, context, has_held=self.held is None or part in self.held)
+            since = self.broken.setdefault((part, is_late), now)
+            lag = context.world.lag(names(part)) if is_late else 0.0
+            opens = min(opens, max(since + lag, nextafter(since, inf)))
+        return opens
+
+    def end(self, context: EvaluationContext, now: float) -> None:
+        """Note which conditions over all and at the end were not so, now that the request has succeeded."""
+        is_watched = self.accepted is not None and self.accepted < now  # then the guard has seen all that broke before
+
+        def breaks_now(part: Condition) -> bool:
+            return is_watched and self.broken.get((part, False), now) >= now
+
+        if denied := denied_at_end(self.action, context, breaks_now):
+            self.denied = {**(self.denied or {}), **denied}
+
+    def interrupt(self, context: EvaluationContext) -> None:
+        """Note what of its over-all condition is not so: the call has not succeeded, whatever its server reports."""
+        self.denied = {part: observed(part, context) for part in unmet(self.action.invariant, context)}
+
+    def unseen(self, context: EvaluationContext) -> tuple[Condition, ...]:
+        """Return which of its effects are not seen, and which conditions until its end were not so."""
+        return tuple(dict.fromkeys((*(self.denied or ()), *unseen(self.intended.expected, self.action, context))))
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,15 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, assert_never
+from typing import Final
 from weakref import WeakKeyDictionary
 
-from pnm.core.execution.call_data import ClosedCall, closed_call
+from pnm.core.execution.call_data import ClosedCall, closed_call, reads_of_guard
 from pnm.core.logic.compiled_condition import CompiledCondition, compiled
-from pnm.core.logic.conditions import All
-from pnm.core.logic.effects import Set, every_effect
 from pnm.core.logic.expressions import Fluent
-from pnm.core.logic.rules import NO_RULES, Reads, read_by, reads_of
+from pnm.core.logic.rules import Reads
 from pnm.core.machine.blocks import MachineBlocks, PlacedStep, rules_by_number
 from pnm.core.machine.guards import (
     Accepts,
@@ -27,7 +25,6 @@ from pnm.core.machine.guards import (
     Ends,
     Guard,
     Opener,
-    Reading,
 )
 from pnm.core.machine.machine import CallOutcome, OnFailure, PetriNetMachine, Rule
 from pnm.core.machine.requests import OutcomeKind, TransitionAction
@@ -306,26 +303,8 @@ class MachineIndex:
         """Return what the guard of a transition reads."""
         call = firing.call if site.call is None else site.call
         action = None if call is None else self._calls[call].action
-        # Other runs may give back resources, and servers say which goal fields they have, without anything being heard of it; and
-        # what the parameters are of a call that is not closed depends on anything.
-        if firing.takes or (call is not None and self.closed[call] is None):
-            return None
-        guard = self.guard(site, firing)
-        match guard.reads:
-            case Reading.NOTHING:
-                return frozenset()
-            case Reading.ANYTHING:
-                return None
-            case Reading.CONDITION:
-                return None if guard.asks is None else read_by(guard.asks, self.rules_of_facts)
-            case Reading.EFFECTS if action is None:
-                return None
-            case Reading.EFFECTS:
-                checked = read_by(All((action.end_condition, action.expected)), self.rules_of_facts)
-                fluents = [one.fluent for one in every_effect((*action.start_effects, *action.end_effects)) if isinstance(one, Set)]
-                return None if checked is None else checked.union(*(reads_of(fluent, NO_RULES) for fluent in fluents))
-            case _ as unread:
-                assert_never(unread)
+        # Other runs may give back resources without anything being heard of it.
+        return None if firing.takes else reads_of_guard(self.guard(site, firing), action, self.rules_of_facts)
 
     def _closed(self, call: int) -> ClosedCall | None:
         return closed_call(self._calls[call])

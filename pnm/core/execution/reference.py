@@ -22,7 +22,7 @@ After each symbol the machine *settles*: one transition fires after the other un
 first. Here it is determined, so that the same symbols always give the same firings:
 
 - Between places there is a queue. A place is asked when a token arrives. If no transition may fire there yet, the place is *undecided*:
-  it is asked again when knowledge changes, when its moment comes, and when the run is stopped, paused, resumed or begins to end.
+  it is asked again when what it reads has changed, when its moment comes, and when the run is stopped, paused, resumed or begins to end.
 - At one place the transitions are asked in the order of the net. The first that may fire fires.
 
 The *action* of a transition is what its firing does besides moving tokens: it sends the request of a call or has it cancelled, or writes
@@ -40,69 +40,45 @@ Used here and defined elsewhere: conditions (`pnm.core.logic`), effects (`pnm.co
 (`pnm.core.execution.call_data`), the firing rule (`pnm.core.net.firing_rule`), the line for resources (`pnm.core.resources`) and answers
 (`pnm.core.execution.questions`). Left out: explanations for people, observers, going on in another process (`Restarted`), and answers
 that a run has from the run before it. `pnm.core.execution.run` is the same machine, made fast: by number, and asking only what may have
-changed. A test holds it against this one, on random machines and symbols.
+changed. `python -m tests.random_runs reference` holds it against this one, on
+random machines and symbols.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from math import inf, nextafter
-from typing import Final, NamedTuple, TypeAlias, assert_never
+from math import inf
+from typing import NamedTuple, TypeAlias, assert_never
 from uuid import UUID
 
-from pnm.core.execution import events
-from pnm.core.execution.call_data import (
-    GoalFields,
-    already_true,
-    carry_out,
-    denied_at_end,
-    finished,
-    goal,
-    intention,
-    lag_of_effects,
-    may_be_late,
-    ready,
-    unseen,
-    variables_of,
-)
+from pnm.core.execution import call_data, events
 from pnm.core.execution.handover import CallAttempt, UnderWay
 from pnm.core.execution.questions import EvaluationContext, Questions, subject_of
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import Question, Unanswered
-from pnm.core.logic.conditions import Condition, conjuncts, ground, names
-from pnm.core.logic.effects import Changes, undo, values_before
-from pnm.core.logic.evaluation import evaluate, unmet
-from pnm.core.logic.expressions import UNKNOWN, Truth
-from pnm.core.machine import guards
+from pnm.core.logic.conditions import Condition, ground, names
+from pnm.core.logic.effects import Changes
+from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.expressions import UNKNOWN, Fluent, Truth
+from pnm.core.machine import guards, requests
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.guards import Opener
 from pnm.core.machine.machine import CallOutcome, OnFailure, PetriNetMachine, Rule
-from pnm.core.machine.plan_graph import GroundAction
-from pnm.core.machine.requests import (
-    BEFORE_ACCEPTANCE,
-    Accepted,
-    Ended,
-    Feedback,
-    Outcome,
-    OutcomeKind,
-    Postponed,
-    Request,
-    TransitionAction,
-    identities,
-)
+from pnm.core.machine.requests import OutcomeKind, TransitionAction
 from pnm.core.net.firing_rule import fire, is_enabled
 from pnm.core.net.net import Marking, PetriNet
 from pnm.core.resources import Claim, Resources, RunClaims
 
-_Control: TypeAlias = events.Begin | events.Stop | events.Pause | events.Resume | events.SingleStep | events.Settled
+_Report: TypeAlias = requests.Accepted | requests.Ended
 _Change: TypeAlias = events.KnowledgeChanged | events.ResourcesChanged | events.Tick | events.Answered
-Symbol: TypeAlias = Accepted | Ended | Postponed | Feedback | _Change | _Control
-"""Σ."""
+_Control: TypeAlias = events.Begin | events.Stop | events.Pause | events.Resume | events.SingleStep | events.Settled
+Symbol: TypeAlias = _Report | requests.Postponed | _Change | _Control
+"""Σ. All other events move no token."""
 
-ALWAYS: Final = -inf
-NEVER: Final = inf
+ALWAYS, NEVER = -inf, inf
+_NO_CHANGES: Changes = {}
 
 
 class Answer(NamedTuple):
@@ -120,44 +96,31 @@ class ReferenceRun:
     knowledge: Layered
     id: UUID
     bindings: Bindings = field(default_factory=Bindings)
-    goal_fields: GoalFields = lambda action: None
+    goal_fields: call_data.GoalFields = lambda action: None
     asks: bool = False
     origin: float | None = None
     resources: Resources | None = None
-    adopted: dict[int, UnderWay] = field(default_factory=dict)
-    """By call, the requests of another run that this one goes on with, until it has taken them over."""
+    adopted: dict[int, UnderWay] = field(default_factory=dict)  # by call: requests of another run, until they are taken over
     marking: Marking = field(init=False)
-    marked_at: dict[str, float] = field(default_factory=dict)
-    """When places were marked last."""
+    marked_at: dict[str, float] = field(default_factory=dict)  # by place, when it was marked last
     now: float = ALWAYS
     has_begun: bool = False
     stop: events.Stop | None = None
     pause: events.Pause | None = None
-    is_stepping: bool = False
-    """One request may be sent although the run is paused."""
-    queue: deque[str] = field(default_factory=deque)
-    """Places to be asked."""
-    undecided: dict[str, None] = field(default_factory=dict)
-    """Places to be asked again, in the order in which they became undecided."""
-    moments: set[tuple[float, int]] = field(default_factory=set)
-    """When to ask them again, with their positions in the net."""
-    wake: float = NEVER
-    """The moment that was asked for last."""
-    since: dict[str, float] = field(default_factory=dict)
-    """By transition, since when its guard would be open, if there were no delay."""
-    alive: dict[UUID, int] = field(default_factory=dict)
-    """Requests that are not over, as far as is known, with their calls."""
-    attempts: dict[int, CallAttempt] = field(default_factory=dict)
-    """The last request of each call."""
-    counts: dict[int, int] = field(default_factory=dict)
-    """How many requests of each call there were since it was reached."""
-    early: list[Accepted | Ended] = field(default_factory=list)
-    """Reports about adopted requests that came before the beginning."""
-    operated: deque[Ended] = field(default_factory=deque)
-    """Ends of operations on knowledge, which need no server."""
-    has_result: bool = False
-    """A result was stored, and no place was asked about it yet."""
+    is_stepping: bool = False  # one request may be sent although the run is paused
+    queue: deque[str] = field(default_factory=deque)  # places to be asked
+    undecided: dict[str, None] = field(default_factory=dict)  # places to be asked again, in the order in which they became undecided
+    moments: set[tuple[float, int]] = field(default_factory=set)  # when to ask them again, with their positions in the net
+    wake: float = NEVER  # the moment asked for last
+    since: dict[str, float] = field(default_factory=dict)  # by transition, since when its guard would be open but for a delay
+    alive: dict[UUID, int] = field(default_factory=dict)  # requests that are not over, as far as is known, and their calls
+    attempts: dict[int, CallAttempt] = field(default_factory=dict)  # by call, its last request
+    counts: dict[int, int] = field(default_factory=dict)  # by call, how many requests there were since it was reached
+    early: list[_Report] = field(default_factory=list)  # reports about adopted requests from before the beginning
+    operated: deque[requests.Ended] = field(default_factory=deque)  # ends of operations on knowledge, which need no server
+    has_result: bool = False  # a result was stored, and no place was asked about it yet
     questions: Questions[str] = field(default_factory=Questions)
+    seen: tuple[int, int] = (0, 0)  # how many changes of knowledge there were when places were asked about it last
     firings: list[str] = field(default_factory=list)
     commands: list[events.Command] = field(default_factory=list)
 
@@ -166,8 +129,13 @@ class ReferenceRun:
         arcs = [{name: dict(weights[name]) for name in net.transitions} for weights in (net.inputs, net.outputs)]
         self.net = PetriNet(tuple(net.places), *arcs)
         self.rules: dict[str, Rule] = {name: self.machine.rules[name] for name in net.transitions}
+        self.asked_at = {place: [name for name in net.transitions if place in self.net.inputs[name]] for place in net.places}
+        resources = self.machine.resource_places.keys()
+        brings_its_own = {name for name, rule in self.rules.items() if rule.action is TransitionAction.ADOPT}
+        self.claiming = {name for name, inputs in self.net.inputs.items() if resources & inputs.keys()} - brings_its_own
         self.claims = RunClaims[str](self.resources or Resources(self.machine.capacities), self.id, 0)
-        self.identity: Callable[[str], UUID] = identities(self.id)
+        self.seen = self.knowledge.world.changes, self.knowledge.local.changes
+        self.identity: Callable[[str], UUID] = requests.identities(self.id)
         for call, taken in self.adopted.items():
             self.alive[taken.request], action = call, taken.call.action
             self.attempts[call] = CallAttempt(0, taken.request, action, taken.intended, taken.accepted, begun=taken.begun)
@@ -205,7 +173,7 @@ class ReferenceRun:
         """Take a symbol in: note what it says, fire what it opens, and settle."""
         self.firings, self.commands, self.now = [], [], max(self.now, now)
         match symbol:
-            case Accepted() | Ended():
+            case requests.Accepted() | requests.Ended():
                 (self._report if self.has_begun else self.early.append)(symbol)
             case events.Begin():
                 self.has_begun, self.origin = True, self.now if self.origin is None else self.origin
@@ -239,11 +207,9 @@ class ReferenceRun:
                 self.queue += self.undecided
             case events.Settled(request):  # a person says how it ends: it is cancelled, and its end is reported so
                 self.commands += [events.Cancel(request)] if request in self.alive else []
-            case Postponed(request):  # its server has not come to it yet: the limit for its acceptance begins anew
+            case requests.Postponed(request):  # its server has not come to it yet: the limit for its acceptance begins anew
                 for transition in self._opened_by(self.alive.get(request), None):
                     self.marked_at |= dict.fromkeys(self.net.inputs[transition], self.now)
-            case Feedback():
-                pass
             case _:
                 assert_never(symbol)
         self._settle()
@@ -252,22 +218,25 @@ class ReferenceRun:
             self._settle()
         return Answer(tuple(self.firings), tuple(self.commands))
 
-    def _report(self, report: Accepted | Ended) -> None:
+    def _report(self, report: _Report) -> None:
         """Fire the transition that a report opens, if its request is alive."""
         call = self.alive.get(report.request)
         if call is None:
-            if isinstance(report, Ended):  # of a request that was given up: now its resources are free
+            if isinstance(report, requests.Ended):  # of a request that was given up: now its resources are free
                 self.claims.resources.confirm(report.request)
                 self.queue += self.claims.served()
-        elif isinstance(report, Accepted):
+        elif isinstance(report, requests.Accepted):
             self._fire_reported(call, None)
         else:
             kind = report.outcome.kind
-            if self.attempts[call].accepted is None and kind not in BEFORE_ACCEPTANCE:
+            if self.attempts[call].accepted is None and kind not in requests.BEFORE_ACCEPTANCE:
                 self._fire_reported(call, None)  # a client may leave out what goes without saying
             del self.alive[report.request]
             if kind is OutcomeKind.SUCCEEDED:
-                self._note_success(call, report.outcome)
+                if values := call_data.variables_of(report.outcome, self.machine.plan.calls[call], self._context(call, None).binding):
+                    self.knowledge.local.store(values)
+                    self.has_result = True
+                self.attempts[call].end(self._context(call, None), self.now)
             self._fire_reported(call, kind)
 
     def _fire_reported(self, call: int, kind: OutcomeKind | None) -> None:
@@ -278,13 +247,9 @@ class ReferenceRun:
         """Return the transitions that may fire when the request of the call ends in this way; None stands for its acceptance."""
 
         def is_open(guard: guards.Guard) -> bool:
-            match guard:
-                case guards.Accepts(its):
-                    return its == call and kind is None
-                case guards.Ends(its, kinds):
-                    return its == call and kind in kinds
-                case _:
-                    return False
+            if kind is None:
+                return guard == guards.Accepts(-1 if call is None else call)
+            return isinstance(guard, guards.Ends) and guard.call == call and kind in guard.kinds
 
         return [name for name, rule in self.rules.items() if is_open(rule.guard) and is_enabled(self.net, self.marking, name)]
 
@@ -302,20 +267,19 @@ class ReferenceRun:
     def _decide(self, place: str) -> None:
         """Fire the first transition that may fire at the place; if there is none, the place is undecided."""
         is_undecided, has_asked, moment = False, False, NEVER
-        for transition in self._asked_at(place):
-            rule, takes = self.rules[transition], self._takes_resources(transition)
+        for transition in self.asked_at[place]:
+            rule, takes = self.rules[transition], transition in self.claiming
             opener = rule.guard.opened_by
             if opener is Opener.REPORT or (opener is Opener.ENDING and not (self.is_ending or self.pause)):
                 is_undecided = True  # a report, or the end of the run, is waited for
                 continue
             # A transition that lacks nothing but resources is asked as well: its call has to stand in line for them.
-            wanted = {
-                one: weight for one, weight in self.net.inputs[transition].items() if not (takes and one in self.machine.resource_places)
-            }
+            free = self.machine.resource_places if takes else ()
+            wanted = {one: weight for one, weight in self.net.inputs[transition].items() if one not in free}
             if not self.marking.covers(wanted) or (has_asked and opener is not Opener.TIME):
                 continue  # while an answer is awaited that may open an earlier transition, no later one fires but those of time
             try:
-                if self._must_wait(rule, place, takes=takes):
+                if self._must_wait(transition, place):
                     is_undecided = True
                     break
                 opens = self.opens(transition, place)
@@ -336,19 +300,20 @@ class ReferenceRun:
             self.undecided.setdefault(place)
         self._ask_again(place, moment)
 
-    def _must_wait(self, rule: Rule, place: str, *, takes: bool) -> bool:
+    def _must_wait(self, transition: str, place: str) -> bool:
         """Return whether a transition has to wait for the end of a pause, or for the resources of its call."""
+        rule, takes = self.rules[transition], transition in self.claiming
         if self.pause and not self.is_stepping and (takes or rule.action is TransitionAction.SEND):
             self._leave_line(place)
             return True
-        return takes and not self.claims.are_free(place, self._claim(rule, place))
+        return takes and rule.call is not None and not self.claims.are_free(place, self._claim(rule.call, rule.action, place))
 
     def _fire(self, transition: str, place: str | None) -> None:
         """Carry out the action of a transition and move the tokens. Its place is the one that it was asked at; a report has none."""
         rule, was_ending, marked_at = self.rules[transition], self.is_ending, self.now
         step, taken, given = rule.call, self.net.inputs[transition], self.net.outputs[transition]
-        if step is not None and self._takes_resources(transition):
-            self.claims.take(step, self._claim(rule, place))
+        if step is not None and transition in self.claiming:
+            self.claims.take(step, self._claim(step, rule.action, place))
         if step is not None and step < len(self.machine.plan.calls):
             if isinstance(rule.guard, guards.Adopted):
                 marked_at = self.adopted[step].accepted  # its limits count from there
@@ -377,7 +342,7 @@ class ReferenceRun:
         """Forget what was waited for at a place: the next token there is decided anew."""
         self.undecided.pop(place, None)
         self._leave_line(place)
-        for transition in self._asked_at(place):
+        for transition in self.asked_at[place]:
             self.since.pop(transition, None)
         self.commands += map(events.Withdraw, self.questions.left(place))
 
@@ -401,32 +366,29 @@ class ReferenceRun:
             case guards.ConditionTrue(condition):
                 return _now_if(self._truth(condition, rule.call, place) is True)
             case guards.ConditionFalse(condition):
-                # A condition that is not true may be about to be reported true.
-                return self._after(
-                    transition, self._truth(condition, rule.call, place) is not True, self.knowledge.world.lag(names(condition))
-                )
+                truth = self._truth(condition, rule.call, place)  # what is not true yet may be about to be reported
+                return self._after(transition, truth is not True, self.knowledge.world.lag(names(condition)))
             case guards.ConditionUnknown(condition):
                 truth = self._truth(condition, rule.call, place)
                 opens = self._after(transition, truth is not True, self.knowledge.world.lag(names(condition)))
                 return opens if truth is UNKNOWN else NEVER
             case guards.InvariantFalse(condition):
-                return self._breaks(condition, rule.call or 0, place)
+                return self.attempts[rule.call or 0].breaks(condition, self._context(rule.call, place), self.now)
             case guards.AlreadyTrue(call):
                 context = self._context(call, place)
-                return _now_if(already_true(ready(context.action, context), context))
+                return _now_if(call_data.already_true(call_data.ready(context.action, context), context))
             case guards.DataMissing(call):
                 context = self._context(call, place)
-                return _now_if(bool(goal(context.action, self.goal_fields, context)[1]))
+                return _now_if(bool(call_data.goal(context.action, self.goal_fields, context)[1]))
             case guards.Withheld(call, seconds, action):
-                _, needed = self._claiming(call, action, self._context(call, place))
-                is_withheld = bool(self.claims.withheld_from(self.bindings.resources(needed)))
+                is_withheld = bool(self.claims.withheld_from(self._claim(call, action, place).names))
                 return self._after(transition, is_withheld and not self.pause, seconds)
             case guards.EffectsSeen(call):
-                return _now_if(not self._unseen(call, place))
+                return _now_if(not self.attempts[call].unseen(self._context(call, place)))
             case guards.EffectsMissing(call):
-                attempt = self.attempts[call]
-                lag = lag_of_effects(attempt.intended.expected, attempt.action, self._context(call, place))
-                return self._after(transition, bool(self._unseen(call, place)), lag)
+                attempt, context = self.attempts[call], self._context(call, place)
+                lag = call_data.lag_of_effects(attempt.intended.expected, attempt.action, context)
+                return self._after(transition, bool(attempt.unseen(context)), lag)
             case guards.Adopted(call):
                 return _now_if(call in self.adopted)
             case guards.Accepts() | guards.Ends():
@@ -451,35 +413,16 @@ class ReferenceRun:
         context = self._context(step, place)
         return evaluate(ground(condition, context.environment()), context)
 
-    def _breaks(self, condition: Condition, call: int, place: str) -> float:
-        """Return when an over-all condition counts as broken: after the lag of its report, or else just after it has become false."""
-        attempt, context, opens = self.attempts[call], self._context(call, place), NEVER
-        for part in conjuncts(ground(condition, context.environment())):
-            if evaluate(part, context) is True:
-                attempt.holds(part)
-                continue
-            is_late = may_be_late(part, attempt.action, context, has_held=attempt.held is None or part in attempt.held)
-            since = attempt.broken.setdefault((part, is_late), self.now)
-            lag = self.knowledge.world.lag(names(part)) if is_late else 0.0
-            # Not at that very moment: the call may end then as well, and the order in which the two are heard says nothing.
-            opens = min(opens, max(since + lag, nextafter(since, NEVER)))
-        return opens
-
-    def _unseen(self, call: int, place: str) -> tuple[Condition, ...]:
-        """Return which effects of the call are not seen, and which conditions until its end were not so."""
-        attempt = self.attempts[call]
-        return (*(attempt.denied or ()), *unseen(attempt.intended.expected, attempt.action, self._context(call, place)))
-
     # --- actions --------------------------------------------------------------------------------
 
     def _act(self, rule: Rule, call: int, place: str | None) -> None:
         """Do what the firing of a transition means for its call: send, cancel, or write assumed effects."""
-        attempt, world, has_changed = self.attempts.get(call), self.knowledge.world, False
+        attempt, world, is_news, changes = self.attempts.get(call), self.knowledge.world, False, _NO_CHANGES
         self.counts[call] = 0 if rule.outcome is CallOutcome.WAITING else self.counts.get(call, 0) + (rule.outcome is CallOutcome.RUNNING)
         if attempt and rule.gives_up:
             self.alive.pop(attempt.request, None)
-        if attempt and isinstance(rule.guard, guards.InvariantFalse):  # whatever its server reports, the call has not succeeded
-            attempt.denied = dict.fromkeys(unmet(attempt.action.invariant, self._context(call, None)), "")
+        if attempt and isinstance(rule.guard, guards.InvariantFalse):
+            attempt.interrupt(self._context(call, None))
         match rule.action:
             case None:
                 return
@@ -487,61 +430,45 @@ class ReferenceRun:
                 self.counts[call] = self.adopted.pop(call).result.attempts
                 return
             case TransitionAction.SEND:
-                has_changed = self._send(call, self._context(call, place))
+                is_news = self._send(call, place)
             case _ if attempt is None:
                 pass  # no request was sent
             case TransitionAction.CANCEL:
                 attempt.accepted = None
                 self.commands.append(events.Cancel(attempt.request))
             case TransitionAction.BEGIN:
-                attempt.accepted, attempt.begun = self.now, values_before(attempt.intended.start, world)
-                has_changed = self._write(attempt.intended.start)
+                changes = attempt.begin(world, self.now)
             case TransitionAction.FINISH:
-                attempt.ended = finished(attempt.action, attempt.intended, self._context(call, place))
-                attempt.begun = values_before(attempt.ended, world) | (attempt.begun or {})
-                has_changed = self._write(attempt.ended)
+                changes = attempt.finish(call_data.finished(attempt.action, attempt.intended, self._context(call, place)), world)
             case TransitionAction.UNDO:
-                if attempt.begun is not None:
-                    has_changed = self._write(undo(attempt.begun, attempt.intended.start | (attempt.ended or {}), world))
-                    attempt.begun = attempt.ended = None
+                changes = attempt.undo(world)
             case _:
                 assert_never(rule.action)
-        if has_changed or self.has_result:
+        # What sensors report is not written: the check of the effects would see its own expectation.
+        if world.record(world.assumed(changes)) or is_news or self.has_result:
             self.has_result = False
             self._ask_about_knowledge()
 
-    def _send(self, call: int, context: EvaluationContext) -> bool:
-        """Send a request of the call, or carry out its operation on knowledge; return whether that has changed knowledge."""
-        request, action = self._claiming(call, TransitionAction.SEND, context)
+    def _send(self, call: int, place: str | None) -> bool:
+        """Send a request of the call, or carry out its operation; return whether that has changed knowledge."""
+        context, request, before = (
+            self._context(call, place),
+            self._claim(call, TransitionAction.SEND, place).request,
+            self.attempts.get(call),
+        )
+        action = call_data.ready(context.action, context)
         # What it intends is computed now: as soon as the robot moves, sensors report some of it.
-        intended = intention(replace(self.machine.plan.calls[call], action=action), context)
-        self.attempts[call] = CallAttempt(self._number(call), request, action, intended)
+        intended = call_data.intention(replace(self.machine.plan.calls[call], action=action), context)
+        self.attempts[call] = CallAttempt(before.number + 1 if before else 1, request, action, intended)
         self.alive[request], self.is_stepping = call, False
         if action.operation is not None:
-            performed = carry_out(request, action.operation, context)
+            performed = call_data.carry_out(request, action.operation, context)
             self.commands += performed.commands
             self.operated += performed.reports
             return performed.changes_knowledge
-        fields, _ = goal(context.action, self.goal_fields, context)
-        self.commands.append(events.Send(Request(request, action, fields, self.counts[call])))
+        fields, _ = call_data.goal(context.action, self.goal_fields, context)
+        self.commands.append(events.Send(requests.Request(request, action, fields, self.counts[call])))
         return False
-
-    def _write(self, changes: Changes) -> bool:
-        """Write what no sensor reports; return whether that has changed anything."""
-        return bool(self.knowledge.world.record(self.knowledge.world.assumed(changes)))
-
-    def _note_success(self, call: int, outcome: Outcome) -> None:
-        """Store the result of the call, and note which conditions until its end were not so."""
-        attempt, now = self.attempts[call], self.now
-        if values := variables_of(outcome, self.machine.plan.calls[call], self.bindings.of(attempt.action.name)):
-            self.knowledge.local.store(values)
-            self.has_result = True
-        was_watched = attempt.accepted is not None and attempt.accepted < now  # then the guard has seen all that broke before
-
-        def breaks_now(part: Condition) -> bool:
-            return was_watched and attempt.broken.get((part, False), now) >= now
-
-        attempt.denied = {**(attempt.denied or {}), **denied_at_end(attempt.action, self._context(call, None), breaks_now)}
 
     # --- what is asked outside, and again -------------------------------------------------------
 
@@ -556,9 +483,9 @@ class ReferenceRun:
         """Compute what an action is going to change, only to find out on which questions that depends; raise `Unanswered` for one."""
         context = self._context(rule.call, place)
         if rule.call is not None and rule.action is TransitionAction.SEND:
-            intention(replace(self.machine.plan.calls[rule.call], action=ready(context.action, context)), context)
+            call_data.intention(replace(self.machine.plan.calls[rule.call], action=call_data.ready(context.action, context)), context)
         elif rule.call is not None and rule.action is TransitionAction.FINISH:
-            finished(self.attempts[rule.call].action, self.attempts[rule.call].intended, context)
+            call_data.finished(self.attempts[rule.call].action, self.attempts[rule.call].intended, context)
 
     def _ask(self, place: str, step: int | None, question: Question) -> None:
         need = self.questions.need(place, subject_of(self.machine.plan, step), question, self.now, self.identity)
@@ -573,33 +500,34 @@ class ReferenceRun:
             self.moments.add((moment, self.net.places.index(place)))
 
     def _ask_about_knowledge(self) -> None:
-        """Have all undecided places asked again at which a guard reads knowledge."""
-        self.queue += [one for one in self.undecided if any(self.rules[t].guard.opened_by is Opener.KNOWLEDGE for t in self._asked_at(one))]
+        """Have the undecided places asked again at which a guard reads what has changed since this was done last."""
+        world, local = self.knowledge.world, self.knowledge.local
+        knowing = {t for t, rule in self.rules.items() if rule.guard.opened_by is Opener.KNOWLEDGE}
+        listening = [place for place in self.undecided if knowing & {*self.asked_at[place]}]
+        if not listening:
+            return
+        changed, others, self.seen = world.changed_since(self.seen[0]), local.changed_since(self.seen[1]), (world.changes, local.changes)
+        if changed is None or others is None or any(moment <= self.now for moment, _ in self.moments):  # anything, or time as well
+            self.queue += listening
+        else:
+            self.queue += [place for place in listening if any(self._may_read(t, changed) for t in self.asked_at[place])]
 
-    def _asked_at(self, place: str) -> list[str]:
-        """Return the transitions that take from a place, in the order of the net."""
-        return [transition for transition, inputs in self.net.inputs.items() if place in inputs]
+    def _may_read(self, transition: str, fluents: Sequence[Fluent]) -> bool:
+        call, guard, calls = self.rules[transition].call, self.rules[transition].guard, self.machine.plan.calls
+        if guard.opened_by is Opener.REPORT:
+            return False
+        reads = call_data.reads_of_guard(guard, None if call is None or call >= len(calls) else calls[call].action, self.machine.plan.rules)
+        return transition in self.claiming or reads is None or any(fluent in reads or fluent[0] in reads for fluent in fluents)
 
     # --- resources ------------------------------------------------------------------------------
 
-    def _takes_resources(self, transition: str) -> bool:
-        """Return whether the transition takes resources; what is adopted has them already."""
-        is_adopted = self.rules[transition].action is TransitionAction.ADOPT
-        return not is_adopted and not self.net.inputs[transition].keys().isdisjoint(self.machine.resource_places)
-
-    def _claim(self, rule: Rule, place: str | None) -> Claim:
-        request, action = self._claiming(rule.call or 0, rule.action, self._context(rule.call, place))
-        return self.claims.claim(request, self.bindings.resources(action))
-
-    def _claiming(self, call: int, action: TransitionAction | None, context: EvaluationContext) -> tuple[UUID, GroundAction]:
-        """Return for which request, and with which parameters, a call claims resources: for the next request if one is being sent."""
-        if action is TransitionAction.SEND:
-            return self.identity(f"{call}/{self._number(call)}"), ready(context.action, context)
-        return self.attempts[call].request, self.attempts[call].action
-
-    def _number(self, call: int) -> int:
-        """Return the number of the next request of the call."""
-        return self.attempts[call].number + 1 if call in self.attempts else 1
+    def _claim(self, call: int, action: TransitionAction | None, place: str | None) -> Claim:
+        """Return what a call claims for its request; for the next one if that is being sent."""
+        attempt, context = self.attempts.get(call), self._context(call, place)
+        if attempt and action is not TransitionAction.SEND:
+            return self.claims.claim(attempt.request, self.bindings.resources(attempt.action))
+        request = self.identity(f"{call}/{attempt.number + 1 if attempt else 1}")
+        return self.claims.claim(request, self.bindings.resources(call_data.ready(context.action, context)))
 
     def _leave_line(self, place: str) -> None:
         """Wait for no resources at the place; others may have them now."""

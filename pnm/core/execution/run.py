@@ -298,7 +298,7 @@ class Run(RunView):
             if firing.tells:
                 self._tell(rule, call, place, None if firing.fails else check)
             if check and check.cause is Cause.INVARIANT_FALSE:
-                self._calls.interrupt(call)
+                self._calls.attempt(call).interrupt(self._guards.context(call, None))
             if firing.action is not None:
                 self._perform(firing.action, call, place, state.now)
         if check is not None:

@@ -3,24 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from random import Random
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from pnm.core.execution.call_requests import Calls
 from pnm.core.execution.events import Performed
 from pnm.core.execution.run import Run
 from pnm.core.execution.run_state import Agenda, RunState
-from tests.support.runs.held_run import hold_against_reference
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.machine.generate import generate
+from tests.support.runs.held_run import HeldRun, Unrest, hold_against_reference
+from tests.support.yaml.programs import only_plan, programs
 
 
-@pytest.mark.parametrize("first", range(0, 200, 50))
+@pytest.mark.parametrize("first", range(0, 100, 25))
 def test_the_run_is_as_the_reference(first: int) -> None:
-    _hold(range(first, first + 50))
+    _hold(range(first, first + 25))
 
 
 def _hold(numbers: range) -> None:
     for number in numbers:
         hold_against_reference(number)
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+@given(programs(), st.integers(0, 2**32))
+def test_any_program_runs_as_in_the_reference(text: str, seed: int) -> None:
+    found, random = only_plan(text), Random(seed)
+    machine = generate(found.graph, found.bindings, on_failure=found.on_failure)
+    world = KnowledgeBase(found.facts, objects=found.objects, rules=found.rules)
+    knowledge = Layered(world, KnowledgeBase(variables=found.variables))
+    run = HeldRun(machine, knowledge, bindings=found.bindings, asks=random.random() < 0.7)
+    for _ in Unrest(run, knowledge, random).drive():
+        pass
 
 
 def _nothing(*_: object, **__: object) -> None:

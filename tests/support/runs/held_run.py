@@ -4,29 +4,56 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 from random import Random
+from uuid import UUID
 
-from pnm.core.execution.events import Command, Event, KnowledgeChanged, Pause, Restarted, Resume, SingleStep
+from pnm.core.execution.call_data import intention
+from pnm.core.execution.call_results import CallResult
+from pnm.core.execution.events import Command, Event, KnowledgeChanged, Pause, Restarted, Resume, Send, SingleStep
+from pnm.core.execution.handover import UnderWay
+from pnm.core.execution.questions import EvaluationContext
 from pnm.core.execution.reference import ReferenceRun
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.logic.expressions import Fluent, Unknown, Value
-from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.logic.conditions import Holds
+from pnm.core.logic.effects import Set, When, values_before
+from pnm.core.logic.expressions import Constant, Fluent, Unknown, Value
+from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import CallOutcome, OnFailure, PetriNetMachine
+from pnm.core.machine.plan_graph import ActionCall, Choice, Flow, Loop, Step
+from pnm.core.machine.requests import Request
 from pnm.core.net.net import Marking
 from tests.support.runs.direct import RUN
-from tests.support.runs.mutation.machines import random_machine
+from tests.support.runs.mutation.machines import CONDITIONS, random_bindings, random_plan, with_calls_under_way
 from tests.support.yaml.chaos import Chaos
+
+EFFECTS = (
+    *(Set((name,), Constant(value)) for name in ("free", "powered") for value in (True, False)),
+    When(Holds(("powered",)), (Set(("free",), Constant(False)),)),
+    Set(("count",), Constant(1.0), "increase"),
+)
+"""What calls change."""
 
 
 class HeldRun(Run):
     """A run, and the reference beside it with a copy of what it knows. The mutable state is both."""
 
-    def __init__(self, machine: PetriNetMachine, knowledge: Layered, *, asks: bool) -> None:
-        super().__init__(machine, knowledge, id=RUN, asks=asks)
+    def __init__(
+        self,
+        machine: PetriNetMachine,
+        knowledge: Layered,
+        *,
+        asks: bool = False,
+        bindings: Bindings | None = None,
+        adopted: Mapping[int, UnderWay] | None = None,
+    ) -> None:
+        super().__init__(machine, knowledge, id=RUN, asks=asks, bindings=bindings, adopted=adopted or {})
         world, local = knowledge.world, knowledge.local
         own = KnowledgeBase(world.facts(), sensed=world.sensed_names(), objects=world.objects_by_type(), rules=world.rules)
         self.own = Layered(own, KnowledgeBase(variables=local.variables()))
-        self.reference = ReferenceRun(machine, self.own, RUN, asks=asks)
+        self.reference = ReferenceRun(machine, self.own, RUN, bindings or Bindings(), asks=asks, adopted=dict(adopted or {}))
         self._is_at_work = False
         world.listen(self._hear)
 
@@ -66,6 +93,10 @@ class Unrest(Chaos):
 
     pauses = 6
 
+    def adopt(self, taken: UnderWay) -> None:
+        """Answer for a request that another run has sent."""
+        self._do(Send(Request(taken.request, taken.call.action, {})))
+
     def _next(self) -> Event:
         random, chance = self.random, self.random.random()
         if self.run.pausing and (chance < 0.3 or not (self.queues or self.wake)):
@@ -80,13 +111,55 @@ class Unrest(Chaos):
 
 
 def hold_against_reference(number: int, times: int = 3) -> None:
-    """Execute a random machine a few times, in the run and in the reference."""
-    machine = random_machine(number)
+    """Execute the machine of a random plan a few times, in the run and in the reference."""
     for time in range(times):
         random = Random(f"{number} {time}")
+        planned = random_plan(random)
+        taken_over = with_calls_under_way(planned, random)
+        plan = taken_over if sum(call.under_way and bool(call.action.resources) for call in taken_over.calls) < 2 else planned
+        plan = replace(plan, steps=tuple(_with_effects(step, random) for step in plan.steps))
+        bindings = random_bindings(random)
+        machine = generate(plan, bindings, on_failure=random.choice([*OnFailure]))
         sensed = {name: random.choice([0.0, 1.5]) for name in ("powered", "free") if random.random() < 0.5}
-        world = KnowledgeBase({("powered",): random.random() < 0.8, ("free",): random.random() < 0.5}, sensed=sensed)
-        knowledge = Layered(world)
-        run = HeldRun(machine, knowledge, asks=random.random() < 0.5)
-        for _ in Unrest(run, knowledge, random).drive(3_000):
+        knowledge = Layered(
+            KnowledgeBase({("powered",): random.random() < 0.8, ("free",): random.random() < 0.5, ("count",): 0.0}, sensed=sensed)
+        )
+        adopted = {call.index: _under_way(call, knowledge) for call in plan.calls if call.under_way}
+        run = HeldRun(machine, knowledge, asks=random.random() < 0.5, bindings=bindings, adopted=adopted)
+        unrest = Unrest(run, knowledge, random)
+        for taken in adopted.values():
+            unrest.adopt(taken)
+        for _ in unrest.drive(3_000):
             pass
+
+
+def _with_effects(step: Step, random: Random) -> Step:
+    """The step, whose calls change something, and have short limits."""
+
+    def within(flow: Flow) -> Flow:
+        return replace(flow, steps=tuple(_with_effects(one, random) for one in flow.steps))
+
+    match step:
+        case ActionCall():
+            start, end = (tuple(effect for effect in EFFECTS if random.random() < 0.2) for _ in range(2))
+            action = replace(step.action, start_effects=start, end_effects=end, end_condition=random.choice(CONDITIONS))
+            deadline, latest = random.choice([step.deadline, 4.0]), random.choice([step.latest_start, 3.0])
+            recoveries = tuple(replace(recovery, chain=within(recovery.chain)) for recovery in step.recoveries)
+            return replace(
+                step, action=action, deadline=deadline, latest_start=latest, recoveries=recoveries, timeout=random.choice([None, 2.0])
+            )
+        case Loop():
+            return replace(step, body=within(step.body))
+        case Choice():
+            return replace(step, then=within(step.then), otherwise=within(step.otherwise))
+        case _:
+            return step
+
+
+def _under_way(call: ActionCall, knowledge: Layered) -> UnderWay:
+    """The request of a call that another run has sent."""
+    action = call.action
+    intended = intention(call, EvaluationContext(knowledge, action))
+    result = CallResult(call, CallOutcome.RUNNING, 1, 0.0)
+    begun = values_before(intended.start, knowledge.world)
+    return UnderWay(call, UUID(int=100 + call.index), 0.0, result, intended, begun, action.resources)
