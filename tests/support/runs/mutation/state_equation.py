@@ -11,9 +11,8 @@ from typing import Any, Final
 
 import z3
 
-from pnm.core.machine.guards import Always, ConditionFalse, ConditionTrue, EffectsMissing, EffectsSeen, Ending, Failing
+from pnm.core.machine.guards import Always, ConditionFalse, ConditionTrue, EffectsMissing, EffectsSeen, Ending, Failing, Opener
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.verification.exits import is_timed
 from pnm.core.net.net import Weights
 
 QUESTIONS: Final = ("a hang", "a bad end", "an early end")
@@ -79,7 +78,7 @@ class StateEquation:
                     asked.setdefault((rule.call, condition), []).append((type(rule.guard), enabled[name]))
                 case EffectsSeen() | EffectsMissing():
                     asked.setdefault(rule.call, []).append((type(rule.guard), enabled[name]))
-                case guard if is_timed(guard):
+                case guard if guard.opened_by is Opener.TIME and guard.is_sure:
                     sure.append(enabled[name])
                 case _:
                     pass
