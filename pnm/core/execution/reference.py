@@ -40,8 +40,7 @@ Used here and defined elsewhere: conditions (`pnm.core.logic`), effects (`pnm.co
 (`pnm.core.execution.call_data`), the firing rule (`pnm.core.net.firing_rule`), the line for resources (`pnm.core.resources`) and answers
 (`pnm.core.execution.questions`). Left out: explanations for people, observers, going on in another process (`Restarted`), and answers
 that a run has from the run before it. `pnm.core.execution.run` is the same machine, made fast: by number, and asking only what may have
-changed. `python -m tests.random_runs reference` holds it against this one, on
-random machines and symbols.
+changed. `python -m tests.random_runs reference` holds it against this one, on random machines and symbols.
 """
 
 from __future__ import annotations

@@ -338,18 +338,17 @@ class Ends(OfCall):
 # --- time -------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class After(GuardKind):
-    """Open when the token has been in the place for `seconds`."""
+class _OfTime(GuardKind):
+    """A guard that opens by itself, unless one of its limits is infinite."""
 
+    __slots__ = ()
     seconds: float
     opened_by = Opener.TIME
     reads = Reading.NOTHING
-    is_check = False
 
     @property
     def proved(self) -> object:
-        return After, self.is_sure
+        return type(self), self.is_sure
 
     @property
     def is_sure(self) -> bool:
@@ -357,38 +356,30 @@ class After(GuardKind):
 
 
 @dataclass(frozen=True, slots=True)
-class Late(GuardKind):
+class After(_OfTime):
+    """Open when the token has been in the place for `seconds`."""
+
+    seconds: float
+    is_check = False
+
+
+@dataclass(frozen=True, slots=True)
+class Late(_OfTime):
     """Open when the token has been in the place for `seconds`, pauses apart; it tells why `awaited`, asked before it, has not been true."""
 
     seconds: float
     awaited: Condition
-    opened_by = Opener.TIME
-    reads = Reading.NOTHING
     is_check = True
-
-    @property
-    def proved(self) -> object:
-        return Late, self.is_sure
-
-    @property
-    def is_sure(self) -> bool:
-        return isfinite(self.seconds)
 
 
 @dataclass(frozen=True, slots=True)
-class Due(GuardKind):
+class Due(_OfTime):
     """Open `seconds` after the origin of the run, the moment it was planned from."""
 
     seconds: float
     since: tuple[tuple[str, float], ...] = ()
     """And for each of these places, its seconds after the place was marked."""
-    opened_by = Opener.TIME
-    reads = Reading.NOTHING
     is_check = True
-
-    @property
-    def proved(self) -> object:
-        return Due, self.is_sure
 
     @property
     def is_sure(self) -> bool:
