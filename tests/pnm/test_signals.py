@@ -112,10 +112,10 @@ signals.LAST_WORDS.belong_to_program(lambda: print("last words", flush=True))
 
 
 async def work():
-    print("begun", flush=True)
 """
 HANGING = {
     "awaits": """
+    print("begun", flush=True)
     while True:
         try:
             await asyncio.Event().wait()
@@ -123,6 +123,7 @@ HANGING = {
             print("cancelled", flush=True)
 """,
     "awaits at its end": """
+    print("begun", flush=True)
     try:
         await asyncio.Event().wait()
     finally:
@@ -139,6 +140,7 @@ HANGING = {
         receive(number, frame)
 
     signals.signal.signal(15, received)
+    print("begun", flush=True)
     while True:
         try:
             while True:
@@ -148,6 +150,7 @@ HANGING = {
 """,
     "has a thread that does not end": """
     threading.Thread(target=threading.Event().wait).start()
+    print("begun", flush=True)
     try:
         await asyncio.Event().wait()
     finally:
@@ -157,6 +160,7 @@ HANGING = {
     "has nobody who reads its last words": """
     signals.LAST_WORDS.belong_to_program(threading.Event().wait)
     print("last words", flush=True)
+    print("begun", flush=True)
     while True:
         try:
             await asyncio.Event().wait()
