@@ -135,6 +135,7 @@ class PlanSearch:
         Raises `TaskEnded` if the task was stopped, or is not to wait for other tasks.
         """
         context, control, task = self._context, self._control, self._context.task
+        control.enter(TaskState.QUEUED)
         while True:
             await control.unpaused()  # before the turn is asked for: a paused task would keep the others from planning
             await control.until(context.scheduler.begin_turn(task))

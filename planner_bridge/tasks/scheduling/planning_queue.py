@@ -1,4 +1,9 @@
-"""The queue of tasks that want to plan: one plans after the other, and again after a change if it failed."""
+"""The queue of tasks that want to plan: one plans after the other, and again after a change if it failed.
+
+A task in the queue keeps nothing from others, and has nothing under way. So tasks in the queue never wait for each other: each waits
+for one outside, and whatever ends that one's hold on things, its return to the queue included, is a change. After a change every task
+of the queue has its turn, however many before it have failed: the one behind them may be the one for which they all wait.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +11,6 @@ import asyncio
 from collections.abc import Callable
 from typing import Final, Generic, TypeVar
 
-MAX_FAILURES: Final = 5
-"""Failed attempts in a row after a change; the tasks behind those try after the next change."""
 SLOW: Final = 1.0
 """Seconds after which the next task may plan beside one that is still planning."""
 
@@ -17,8 +20,8 @@ T = TypeVar("T")
 class PlanningQueue(Generic[T]):
     """The tasks that want to plan, and those whose attempt failed, which wait for a change.
 
-    The mutable state is both; the tasks that are planning, and which of them are slow or have been outdated by a change; which of them
-    were planning beside each attempt that failed; and the number of failed attempts since the last change.
+    The mutable state is both; the tasks that are planning, and which of them are slow or have been outdated by a change; and which of
+    them were planning beside each attempt that failed.
 
     Args:
         rank: the task of the lowest rank plans first.
@@ -32,7 +35,6 @@ class PlanningQueue(Generic[T]):
         self._slow: set[T] = set()
         self._outdated: set[T] = set()
         self._beside: dict[T, set[T]] = {}
-        self._failures = 0
 
     async def enter(self, task: T) -> None:
         """Wait for the turn of the task; one whose attempt failed waits for a change first."""
@@ -53,7 +55,6 @@ class PlanningQueue(Generic[T]):
         if task in self._planning:
             self._planning.pop(task).cancel()
             self._slow.discard(task)
-            self._failures = self._failures + 1 if failed else 0
             if failed and task not in self._outdated:
                 self._waiting_for_change.add(task)
                 self._beside[task] = {*self._planning}
@@ -62,7 +63,6 @@ class PlanningQueue(Generic[T]):
             for other in [other for other, beside in self._beside.items() if task in beside]:
                 self._waiting_for_change.discard(other)
                 del self._beside[other]
-                self._failures = 0
             self._admit()
 
     def changed(self) -> None:
@@ -70,7 +70,6 @@ class PlanningQueue(Generic[T]):
         self._waiting_for_change.clear()
         self._beside.clear()
         self._outdated = {*self._planning}  # they plan from a world that is no longer so; if they fail, that says nothing about the new one
-        self._failures = 0
         self._admit()
 
     def _admit(self) -> None:
@@ -79,8 +78,7 @@ class PlanningQueue(Generic[T]):
             return
         ready = (task for task, turn in self._waiting.items() if task not in self._waiting_for_change and not turn.done())
         first = min(ready, key=self._rank, default=None)
-        # After several failures in a row the rest would most likely fail as well, and planning is expensive.
-        if first is not None and self._failures < MAX_FAILURES:
+        if first is not None:
             self._planning[first] = asyncio.get_running_loop().call_later(SLOW, self._admit_beside, first)
             self._waiting[first].set_result(None)
 

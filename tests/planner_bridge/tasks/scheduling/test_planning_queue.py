@@ -60,3 +60,20 @@ def test_those_who_are_slow_keep_nobody_waiting_but_for_a_moment():
     assert [who for who, _ in through] == ["b", "c", "d", "e"]
     times = [time - through[0][1] for _, time in through]
     assert times == [0.0, 0.5, 0.5 + SLOW, 1.0 + SLOW]
+
+
+def test_after_a_change_everybody_has_a_turn_however_many_have_failed_before():
+    async def scene() -> list[str]:
+        queue: PlanningQueue[str] = PlanningQueue(lambda who: (0, ord(who)))
+        tried: list[str] = []
+
+        async def fail(who: str) -> None:
+            await queue.enter(who)
+            tried.append(who)
+            queue.leave(who, failed=True)
+
+        async with asyncio.timeout(100.0):
+            await asyncio.gather(*map(fail, "abcdefghij"))
+        return tried
+
+    assert run_async(scene(), virtual=True) == [*"abcdefghij"]
