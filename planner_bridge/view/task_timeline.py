@@ -24,11 +24,10 @@ def timelines(journal: Place | str) -> tuple[Timeline, ...]:
 
 
 def _timeline(history: JournalHistory, task: TaskHistory) -> Timeline:
-    runs = [run for run in task.runs if run.replayed.run.begun]
-    began = min((task.replayed.time, *(run.time for run in runs)))
+    began = min((task.replayed.time, *(run.time for run in task.runs)))
     words = f"{task.replayed.ending.code.word}: {task.replayed.ending.message}" if task.replayed.ending else ""
     end = history.time if task.ended is None else task.ended
-    return Timeline(task.name, tuple(_plan(history, run, began) for run in runs), end - began, words)
+    return Timeline(task.name, tuple(_plan(history, run, began) for run in task.runs), end - began, words)
 
 
 def _plan(history: JournalHistory, run: RunHistory, began: float) -> TimedPlan:
