@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Final
 from uuid import UUID
 
-from planner_bridge.model.plan_simulation import snapshot
+from planner_bridge.model.progression import snapshot
 from planner_bridge.tasks.replanning import Decision, decision_words
 from planner_bridge.tasks.result import TASKS, GoalNote, TaskCounts
 from pnm.core.execution.call_results import CallResult, Explanation, Failure

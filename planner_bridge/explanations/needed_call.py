@@ -15,15 +15,13 @@ from typing import Final
 from planner_bridge.explanations.answer import Answer, Fails, Known, Solves, listed
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan
-from planner_bridge.model.plan_simulation import snapshot
 from planner_bridge.model.problem import Problem
-from planner_bridge.ordering.plan_to_graph import calls_of
+from planner_bridge.model.progression import Happening, Progression, Stage, calls_of, happenings, snapshot
 from planner_bridge.planning.validate import why_invalid
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition
-from pnm.core.logic.effects import Effects, TimedChange, changes, decided
 from pnm.core.logic.evaluation import unmet
-from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, PlanEvent
+from pnm.core.machine.plan_graph import ActionCall, GroundAction
 
 _SHOWN: Final = 6
 """Calls that are named on the way to the goal."""
@@ -44,13 +42,13 @@ class Course:
 
     Args:
         calls: by number.
-        happenings: events, and what changes by itself, in the order of time.
+        happenings: in the order of time.
         state: before the first; it is not changed.
         goal: what holds at the end.
     """
 
     calls: Sequence[ActionCall]
-    happenings: Sequence[PlanEvent | TimedChange]
+    happenings: Sequence[Happening]
     state: KnowledgeBase
     goal: Condition
     under_way: frozenset[int] = frozenset()
@@ -61,17 +59,7 @@ class Course:
     @staticmethod
     def of(problem: Problem, plan: Plan) -> Course:
         """Return the course of a plan."""
-        calls = calls_of(problem, plan)
-        timed, end, start = range(3)  # of one moment
-        moments: list[tuple[float, int, int, PlanEvent | TimedChange]] = []
-        moments += [(round(change.time, 5), timed, index, change) for index, change in enumerate(problem.timed)]
-        for index, step in enumerate(plan.steps):
-            at, until = (step.start, step.start + step.duration) if plan.temporal else (float(index), float(index))
-            begins, ends = round(at, 5), round(until, 5)
-            moments.append((begins, start, index, PlanEvent(index, Moment.START)))
-            moments.append((ends, end if ends > begins else start, index, PlanEvent(index, Moment.END)))
-        moments.sort(key=lambda moment: moment[:3])
-        return Course(calls, [what for *_, what in moments], initial_knowledge(problem), problem.goal)
+        return Course(calls_of(problem, plan), happenings(problem, plan), initial_knowledge(problem), problem.goal)
 
     @cached_property
     def as_it_is(self) -> frozenset[tuple[int | None, Condition]]:
@@ -90,18 +78,19 @@ class Course:
 
     def _unmet(self, without: int | None) -> Iterator[tuple[int | None, Condition]]:
         """Yield every condition that is not fulfilled when it is needed, and by which call; effects come all the same."""
-        state = snapshot(self.state)
+        noted: list[tuple[int, Condition]] = []
+
+        def note(call: int, stage: Stage, condition: Condition, state: KnowledgeBase) -> bool:
+            noted.extend((call, part) for part in unmet(condition, state))
+            return True
+
         running = {call: self.calls[call].action for call in self.under_way if call != without}
-        for what in self.happenings:
-            if isinstance(what, TimedChange):
-                state.update(what.changes)
-            elif what.call != without:
-                effects, failed = _advance(self.calls[what.call].action, what, running, state)
-                yield from ((what.call, condition) for condition in failed)
-                state.update(changes(effects, state))
-            for call, action in running.items():
-                yield from ((call, condition) for condition in unmet(action.invariant, state))
-        yield from ((None, condition) for condition in unmet(self.goal, state))
+        progression = Progression(snapshot(self.state), running, note)
+        for happening in self.happenings:
+            events = [(event, self.calls[event.call].action) for event in happening.events if event.call != without]
+            progression.advance(events, happening.changes)
+        yield from noted
+        yield from ((None, condition) for condition in unmet(self.goal, progression.state))
 
     def way_to_goal(self, call: int) -> tuple[int, ...] | None:
         """Return the calls from one to the goal, each of which needs the one before; the shortest way, None if there is none."""
@@ -129,16 +118,6 @@ class Course:
     def name(self, call: int) -> str:
         """Return a call with its number, as everywhere."""
         return f"#{call} {self.calls[call].action}"
-
-
-def _advance(
-    action: GroundAction, event: PlanEvent, running: dict[int, GroundAction], state: KnowledgeBase
-) -> tuple[Effects, tuple[Condition, ...]]:
-    """Note that an action starts or ends; return the effects of that, and which conditions are not fulfilled."""
-    if event.moment is Moment.START:
-        running[event.call] = replace(action, end_effects=decided(action.end_effects, state))
-        return action.start_effects, unmet(action.precondition, state)
-    return running.pop(event.call).end_effects, unmet(action.end_condition, state)
 
 
 def why_call_of_plan(problem: Problem, plan: Plan, call: int) -> Answer:

@@ -10,6 +10,7 @@ from planner_bridge.explanations.call_timing import why_now
 from planner_bridge.explanations.history import JournalHistory, RunHistory, TaskHistory
 from planner_bridge.explanations.needed_call import Course, why_call
 from planner_bridge.explanations.new_plan import not_told, why_failed, why_replanned
+from planner_bridge.model.progression import Happening
 from pnm.core.execution.call_results import CallResult
 from pnm.core.logic.computed_values import Unanswered
 from pnm.core.machine.machine import CallOutcome
@@ -74,8 +75,9 @@ def _course(run: RunHistory) -> Course:
     """Return the course of the plan of a run from the state it began in."""
     plan = run.source.plan
     begun = frozenset(call.index for call in plan.calls if call.under_way)
-    events = tuple(event for event in plan.order if event.call not in begun or event.moment is Moment.END)
-    return Course(plan.calls, events, run.state, plan.goal, begun)
+    events = [event for event in plan.order if event.call not in begun or event.moment is Moment.END]
+    course = [Happening(float(number), (), (event,)) for number, event in enumerate(events)]
+    return Course(plan.calls, course, run.state, plan.goal, begun)
 
 
 def explained(place: Place, task: UUID, call: tuple[UUID, int] | None = None, last: int | None = None) -> tuple[Answer, ...]:

@@ -10,7 +10,7 @@ from dataclasses import replace
 from itertools import count
 from typing import TYPE_CHECKING
 
-from planner_bridge.model.plan_simulation import NotApplicable, PlanSimulation, snapshot
+from planner_bridge.model.progression import NotApplicable, Progression, snapshot
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.effects import Changes, changes, written
 from pnm.core.logic.expressions import UNKNOWN, Fluent, same_value
@@ -49,7 +49,7 @@ def projected_state(state: KnowledgeBase, runs: Iterable[RunView], beside: Itera
         NotProjectable: one of them cannot end.
     """
     runs = tuple(runs)
-    simulation, numbers, unknown = PlanSimulation(snapshot(present_state(state, (*runs, *beside)))), count(), set[Fluent]()
+    simulation, numbers, unknown = Progression(snapshot(present_state(state, (*runs, *beside)))), count(), set[Fluent]()
     for run in runs:
         for call in run.settling:
             simulation.state.update(_still_to_come(run, call, simulation.state, state))

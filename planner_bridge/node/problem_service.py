@@ -9,9 +9,9 @@ from typing import Final
 
 from planner_bridge.explanations.goal_now import packed
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.model.plan_simulation import snapshot
 from planner_bridge.model.plan_world import with_names_of, world_of_plans
 from planner_bridge.model.problem import Domain, Problem
+from planner_bridge.model.progression import snapshot
 from planner_bridge.node.plan_request import make_plan
 from planner_bridge.node.problem_folder import ProblemFolder
 from planner_bridge.node.world_queries import SharedWorld

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from enum import IntEnum
 from itertools import chain
 from math import inf
 from typing import NamedTuple
@@ -30,19 +29,6 @@ from pnm.core.logic.effects import TimedChange, read, read_early, written
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNKNOWN, Fluent, State, Unknown, Value
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent
-
-
-class HappeningKind(IntEnum):
-    """The kinds of happenings; at one time, in this order."""
-
-    TIMED = 0
-    """Facts change by themselves."""
-    END = 1
-    START = 2
-    INSTANT_END = 3
-    """The rank of the end of an action that takes no time."""
-    OPEN = 4
-    """An over-all condition begins to be read."""
 
 
 class _FluentReader(NamedTuple):
@@ -147,23 +133,24 @@ class CausalLinks:
                 if evaluate(action.precondition, after) is False:
                     self.latest_starts.setdefault(reader.call, time)
 
-    def add_happening(self, kind: HappeningKind, called: ActionCall, end: float, now: float) -> None:
-        """Add the reads and writes of one happening of a call, which ends at `end`."""
-        call = called.index
-        start_event, end_event = self.starts[call], self.ends[call]
-        if called.action.duration is None:
-            if kind is HappeningKind.START:
-                self._add_point(start_event, end_event, self.reads[start_event] | self.reads[end_event], now)
-        elif kind is HappeningKind.OPEN:
-            groups = [group for _, group in self.throughout[call] if group]
-            for fluent in sorted(frozenset().union(*groups)):
-                self._after_writer(fluent, start_event, now)
-                self.readers.setdefault(fluent, []).append(_FluentReader(call, end_event, end))
-            # A write may leave such a part true thanks to another of its fluents, which a reader of single fluents would not show.
-            self.open_conditions += [(call, group, end) for group in groups if len(group) > 1]
-        else:
-            event = start_event if kind is HappeningKind.START else end_event
+    def add_event(self, event: PlanEvent, now: float) -> None:
+        """Add what an event reads and writes; an action without duration does both when it starts."""
+        if self.actions[event.call].duration is not None:
             self._add_point(event, event, self.reads[event], now)
+        elif event.moment is Moment.START:
+            end = self.ends[event.call]
+            self._add_point(event, end, self.reads[event] | self.reads[end], now)
+
+    def begin_reading(self, call: int, now: float, until: float) -> None:
+        """Add that the over-all condition of a call is read from now on."""
+        if self.actions[call].duration is None:
+            return
+        groups = [group for _, group in self.throughout[call] if group]
+        for fluent in sorted(frozenset().union(*groups)):
+            self._after_writer(fluent, self.starts[call], now)
+            self.readers.setdefault(fluent, []).append(_FluentReader(call, self.ends[call], until))
+        # A write may leave such a part true thanks to another of its fluents, which a reader of single fluents would not show.
+        self.open_conditions += [(call, group, until) for group in groups if len(group) > 1]
 
     def _add_point(self, waits: PlanEvent, releases: PlanEvent, reads: frozenset[Fluent], now: float) -> None:
         """Add the reads, and what `releases` writes, at one point in time: it waits as `waits`, and later events wait for `releases`."""

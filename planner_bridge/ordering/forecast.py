@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from planner_bridge.model.plan_simulation import NotApplicable, PlanSimulation, snapshot
 from planner_bridge.model.problem import Problem
+from planner_bridge.model.progression import NotApplicable, Progression, snapshot
 from planner_bridge.ordering.interference import SOON, ReadWriteSets, avoid_interference, read_write_sets
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import TRUE
@@ -48,7 +48,7 @@ def forecast(plan: PlanGraph, events: Sequence[PlanEvent], left: Mapping[int, fl
     before: dict[PlanEvent, list[Ordering]] = {}
     for ordering in plan.orderings:
         before.setdefault(ordering.after, []).append(ordering)
-    simulation = PlanSimulation(snapshot(state), {number: plan.calls[number].action for number in left})
+    simulation = Progression(snapshot(state), {number: plan.calls[number].action for number in left})
     times: dict[PlanEvent, float] = {}
     for event in events:
         action = plan.calls[event.call].action

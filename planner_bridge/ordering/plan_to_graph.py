@@ -10,11 +10,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Final
 
-from planner_bridge.model.grounding import dynamic_names, ground_step, initial_knowledge
+from planner_bridge.model.grounding import dynamic_names, initial_knowledge
 from planner_bridge.model.once_per_domain import once_per_domain
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Domain, Problem
-from planner_bridge.ordering.causal_links import CausalLinks, HappeningKind, OrderKept
+from planner_bridge.model.progression import Happening, calls_of, happenings
+from planner_bridge.ordering.causal_links import CausalLinks, OrderKept
 from planner_bridge.ordering.enclosing_actions import delay_enclosing_starts
 from planner_bridge.ordering.partial_order import PartialOrder
 from planner_bridge.ordering.threats import threats
@@ -27,9 +28,6 @@ from pnm.core.logic.trajectory import instances, names_in
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph, PlanGraphError
 from pnm.core.net.no_collection import no_collection
 from pnm.errors import check_kinds
-
-_DIGITS: Final = 5
-"""Times are compared at this many decimals: planners separate events by 0.001 and compute in floats."""
 
 _BEGUN: Final = -2.0
 _OVER: Final = -1.0
@@ -51,33 +49,31 @@ def plan_graph(problem: Problem, plan: Plan, under_way: Sequence[ActionCall] = (
     calls = [*running, *steps]
     links = causal_links(problem, [call.action for call in calls])
     # Running calls come first, as if they ended just before the plan begins: its calls then wait for what they write.
-    for kind in (HappeningKind.START, HappeningKind.OPEN, HappeningKind.END):
-        for call in running:
-            links.add_happening(kind, call, _OVER, _OVER if kind is HappeningKind.END else _BEGUN)
-    # Sorted by time and rank: what happens at one time is judged in the order that PDDL demands.
-    for time, _, index, kind in sorted(_happenings(problem, plan)):
-        if kind == HappeningKind.TIMED:
-            links.add_timed_change(time, problem.timed[index].changes)
-        else:
-            links.add_happening(kind, steps[index], round(plan.steps[index].start + plan.steps[index].duration, _DIGITS), time)
+    begun = [Happening(_BEGUN, (), tuple(links.starts[: len(running)])), Happening(_OVER, (), tuple(links.ends[: len(running)]))]
+    _add(links, [*begun, *happenings(problem, plan, len(running))])
     return _checked(problem, calls, links, projected=True)
 
 
 @no_collection()
 def deordered(problem: Problem, calls: tuple[ActionCall, ...], order: Iterable[PlanEvent]) -> PlanGraph:
     """Return the calls with the orderings that their causal links demand, given one executable order of their events."""
-    positions = {event: float(position) for position, event in enumerate(order)}
     links = causal_links(problem, [call.action for call in calls])
-    for event, now in positions.items():
-        call = calls[event.call]
-        end = positions[PlanEvent(event.call, Moment.END)]
-        if event.moment is Moment.START:
-            # The positions in the order stand for times: only before and after matter to causal links.
-            links.add_happening(HappeningKind.START, call, end, now)
-            links.add_happening(HappeningKind.OPEN, call, end, now)
-        else:
-            links.add_happening(HappeningKind.END, call, end, now)
+    # The positions in the order stand for times: only before and after matter to causal links.
+    _add(links, [Happening(float(position), (), (event,)) for position, event in enumerate(order)])
     return _checked(problem, calls, links, projected=False)
+
+
+def _add(links: CausalLinks, course: Sequence[Happening]) -> None:
+    """Add happenings in their order: an over-all condition is read from just after the happening of the start until that of the end."""
+    ends = {event.call: happening.time for happening in course for event in happening.events if event.moment is Moment.END}
+    for happening in course:
+        for change in happening.timed:
+            links.add_timed_change(change.time, change.changes)
+        for event in happening.events:
+            links.add_event(event, happening.time)
+        for event in happening.events:
+            if event.moment is Moment.START:
+                links.begin_reading(event.call, happening.time, ends[event.call])
 
 
 def _checked(problem: Problem, calls: Sequence[ActionCall], links: CausalLinks, *, projected: bool) -> PlanGraph:
@@ -118,36 +114,11 @@ def _with_lasting_effects(calls: Sequence[ActionCall], order: PartialOrder, link
     return tuple([replace(call, lasting=lasting[call.index]) if lasting.get(call.index) else call for call in calls])
 
 
-def calls_of(problem: Problem, plan: Plan, first: int = 0) -> list[ActionCall]:
-    """Return the calls of the plan, with numbers from `first`."""
-    calls: list[ActionCall] = []
-    for index, step in enumerate(plan.steps, first):
-        action = ground_step(problem.domain, step.action, step.arguments, step.duration if plan.temporal else None)
-        calls.append(ActionCall(index, action, step.start))
-    return calls
-
-
 def total_order(problem: Problem, plan: Plan) -> PlanGraph:
     """Return the calls of a sequential plan in their total order."""
     calls = calls_of(problem, plan)
     ends = (Ordering(PlanEvent(index, Moment.END), PlanEvent(index + 1, Moment.START)) for index in range(len(calls) - 1))
     return PlanGraph(tuple(calls), tuple(ends), problem.goal, Rules(problem.domain.rules))
-
-
-def _happenings(problem: Problem, plan: Plan) -> list[tuple[float, HappeningKind, int, HappeningKind]]:
-    """Return (time, rank, index, kind) of every happening."""
-    timed = HappeningKind.TIMED
-    happenings = [(round(change.time, _DIGITS), timed, index, timed) for index, change in enumerate(problem.timed)]
-    for index, step in enumerate(plan.steps):
-        start = round(step.start if plan.temporal else float(index), _DIGITS)  # a sequential plan has no times; its positions serve as such
-        happenings.append((start, HappeningKind.START, index, HappeningKind.START))
-        # An instantaneous action is a single happening, with its conditions and effects together.
-        if problem.domain.actions[step.action].duration is None:
-            continue
-        end = round(step.start + step.duration, _DIGITS)
-        happenings.append((end, HappeningKind.END if end > start else HappeningKind.INSTANT_END, index, HappeningKind.END))
-        happenings.append((start, HappeningKind.OPEN if end > start else HappeningKind.START, index, HappeningKind.OPEN))
-    return happenings
 
 
 def causal_links(problem: Problem, actions: Sequence[GroundAction]) -> CausalLinks:

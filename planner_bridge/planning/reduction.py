@@ -9,33 +9,29 @@ be looked at: robots wait for this. When the time is over, the plan stays as it 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from math import inf
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, Final
 
-from planner_bridge.model.grounding import ground_step, initial_knowledge
+from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult
-from planner_bridge.model.plan_simulation import NotApplicable, PlanSimulation, snapshot
 from planner_bridge.model.problem import TOTAL_TIME, Problem
+from planner_bridge.model.progression import Happening, NotApplicable, Progression, Stage, calls_of, happenings, refuse, snapshot
 from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.validate import InvalidPlan, last_state
-from pnm.core.logic.conditions import Holds, Not, conjuncts, fluents, names
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import Condition, Holds, Not, conjuncts, fluents, names
 from pnm.core.logic.effects import possible_assignments
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import Constant, Fluent, State, Unknown, Value, ValueOf, value_of
-from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
+from pnm.core.machine.plan_graph import GroundAction, Moment
 
 if TYPE_CHECKING:
     import kairos
 
 MAX_STEPS: Final = 250
 """Steps of a plan that is reduced: the work may grow with the square of their number."""
-_END, _TIMED, _START = range(3)
-"""What happens at one moment, in this order."""
-
-_Moment: TypeAlias = tuple[float, int, int]
-"""A time, what happens then, and the number of the step or of the timed change."""
 
 
 def reduced(problem: Problem, result: PlanningResult, parsed: kairos.Problem | None = None, *, until: float = inf) -> PlanningResult:
@@ -101,52 +97,36 @@ class _Elimination:
     def __init__(self, problem: Problem, plan: Plan) -> None:
         self._problem = problem
         self._first = plan
-        durative = {name for name, schema in problem.domain.actions.items() if schema.duration is not None}
-        self._actions = [
-            ground_step(problem.domain, step.action, step.arguments, step.duration if step.action in durative else None)
-            for step in plan.steps
-        ]
+        self._actions = [call.action for call in calls_of(problem, plan)]
+        self._happenings = happenings(problem, plan)
         self._needed = indispensable(problem, self._actions)
-        self._moments: list[_Moment] = [(change.time, _TIMED, index) for index, change in enumerate(problem.timed)]
-        for index, step in enumerate(plan.steps):
-            start = step.start if plan.temporal else float(index)
-            self._moments.append((start, _START, index))
-            if self._lasts(index):
-                self._moments.append((start + step.duration, _END, index))
-        self._moments.sort()
         self._plan = plan
         self._lost = frozenset[int]()
-
-    def _lasts(self, index: int) -> bool:
-        return bool(self._first.temporal and self._first.steps[index].duration)
 
     def without_needless(self, until: float) -> Plan:
         """Return the plan without its needless steps, as far as they are found by then.
 
-        What happens at one moment happens in the simulation one after the other, so its results have still to be validated.
+        Who gets in whose way is not looked at here, so the results have still to be validated.
         """
-        simulation = PlanSimulation(initial_knowledge(self._problem))
-        for position, moment in enumerate(self._moments):
-            _, kind, index = moment
-            if kind == _START and index not in self._lost and index not in self._needed:
+        simulation = Progression(initial_knowledge(self._problem))
+        for position, happening in enumerate(self._happenings):
+            for index in (event.call for event in happening.events if event.moment is Moment.START):
+                if index in self._lost or index in self._needed:
+                    continue
                 if time.monotonic() >= until:
-                    break
+                    return self._plan
                 self._try_without(index, position, simulation)
             try:
-                self._advance(simulation, moment, self._lost)
-            except NotApplicable:  # in this order
+                self._advance(simulation, happening, self._lost)
+            except NotApplicable:
                 break
         return self._plan
 
-    def _advance(self, simulation: PlanSimulation, moment: _Moment, lost: frozenset[int] | set[int]) -> None:
-        _, kind, index = moment
-        if kind == _TIMED:
-            simulation.state.update(self._problem.timed[index].changes)
-        elif index not in lost:
-            happening = [Moment.END] if kind == _END else [Moment.START] if self._lasts(index) else [Moment.START, Moment.END]
-            simulation.advance([(PlanEvent(index, each), self._actions[index]) for each in happening])
+    def _advance(self, simulation: Progression, happening: Happening, lost: Collection[int]) -> None:
+        events = [(event, self._actions[event.call]) for event in happening.events if event.call not in lost]
+        simulation.advance(events, happening.changes)
 
-    def _try_without(self, index: int, position: int, before: PlanSimulation) -> None:
+    def _try_without(self, index: int, position: int, before: Progression) -> None:
         """Leave a step out, and those after it that cannot be carried out without it, unless that is no better plan."""
         lost = self._lost_without(index, position, before)
         if lost is None:
@@ -168,16 +148,22 @@ class _Elimination:
                     self._plan, self._lost = replace(shorter, cost=cost), frozenset(range(len(self._first.steps))).difference(left)
                 return
 
-    def _lost_without(self, index: int, position: int, before: PlanSimulation) -> set[int] | None:
+    def _lost_without(self, index: int, position: int, before: Progression) -> set[int] | None:
         """Return the steps that cannot be carried out when one more is left out; None if the others do not reach the goal."""
-        simulation, lost = PlanSimulation(snapshot(before.state), before.running), {*self._lost, index}
-        for moment in self._moments[position + 1 :]:
-            try:
-                self._advance(simulation, moment, lost)
-            except NotApplicable as error:
-                if moment[1] == _END or error.stage == "go on" or moment[2] in self._needed:
-                    return None
-                lost.add(moment[2])
+        lost = {*self._lost, index}
+
+        def drop(call: int, stage: Stage, condition: Condition, state: KnowledgeBase) -> bool:
+            if stage != "start" or call in self._needed:
+                return refuse(call, stage, condition, state)
+            lost.add(call)
+            return False
+
+        simulation = Progression(snapshot(before.state), before.running, drop)
+        try:
+            for happening in self._happenings[position:]:
+                self._advance(simulation, happening, lost)
+        except NotApplicable:
+            return None
         return lost if evaluate(self._problem.goal, simulation.state) is True else None
 
 

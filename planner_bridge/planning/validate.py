@@ -2,8 +2,7 @@
 
 The rules are those of PDDL 2.1 (section 8) and 2.2, read as Kairos' validator reads them:
 
-- Events less than a millionth of a second apart are one happening. An instantaneous action starts
-  and ends in one. The steps of a plan without times happen at 0, 1, 2 and so on.
+- What is one happening is said in `planner_bridge.model.progression`.
 - At one happening no step may change what another looks at, nor may two change the same fluent,
   unless both add it, both delete it, or both only increase or decrease it. Looked at is what a
   number is calculated from, and what decided a condition: of ``(or (p) (q))`` with `p` true that
@@ -35,9 +34,9 @@ import kairos
 
 from planner_bridge.model.grounding import ground_step, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
-from planner_bridge.model.plan_simulation import ConstraintProgression, NotApplicable, PlanSimulation, snapshot
 from planner_bridge.model.plan_text import plan_text
 from planner_bridge.model.problem import Problem
+from planner_bridge.model.progression import ConstraintProgression, Happening, NotApplicable, Progression, happenings, snapshot
 from planner_bridge.planning.kairos import DEFAULT_PLANNER, validate
 from planner_bridge.planning.normal_form import calculates_with_whole_numbers, in_whole_numbers
 from planner_bridge.planning.reachability import MAY_BE_UNSET
@@ -48,14 +47,13 @@ from pnm.core.logic.effects import assignments, possible_assignments
 from pnm.core.logic.evaluation import TOLERANCE, evaluate, explanation
 from pnm.core.logic.expressions import UNKNOWN, Constant, Expression, Fluent, State, Unknown, Value, fluent_text, value_of
 from pnm.core.logic.trajectory import moments, observed_of
-from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
+from pnm.core.machine.plan_graph import GroundAction, Moment
 from pnm.errors import PnmError
 
 DURATION_TOLERANCE: Final = 1e-3
 """Seconds by which a duration may miss its bounds."""
 _BY_ITSELF: Final = -1
 """Stands for a step where facts change by themselves."""
-_START, _END, _TIMED = range(3)
 
 
 class InvalidPlan(PnmError):
@@ -102,9 +100,9 @@ def _states(problem: Problem, plan: Plan, samples: Iterable[float] = ()) -> Iter
     """
     waiting = deque(samples)
     steps = _steps(problem, plan)
-    simulation = PlanSimulation(initial_knowledge(problem))
+    simulation = Progression(initial_knowledge(problem))
     yield 0.0, simulation.state
-    for happening in _happenings(problem, steps):
+    for happening in happenings(problem, plan):
         when = f" at {happening.time:g} s" if plan.temporal else ""
         while waiting and waiting[0] < happening.time - TOLERANCE:
             yield waiting.popleft(), simulation.state
@@ -113,7 +111,7 @@ def _states(problem: Problem, plan: Plan, samples: Iterable[float] = ()) -> Iter
                 steps[event.call].check_duration(simulation.state)
         _check_interference(happening, steps, simulation, when)
         try:
-            changes = simulation.advance([(event, steps[event.call].action) for event in happening.events], happening.timed)
+            changes = simulation.advance([(event, steps[event.call].action) for event in happening.events], happening.changes)
         except NotApplicable as error:
             raise InvalidPlan(f"{steps[error.call]} cannot {error.stage}{when}: {error}", error.call) from error
         for fluent, value in changes.items():
@@ -130,7 +128,6 @@ class _Step:
     number: int
     schema: ActionSchema
     action: GroundAction
-    start: float
     duration: float
     """In seconds; 0 when the action is instantaneous."""
 
@@ -158,8 +155,7 @@ def _steps(problem: Problem, plan: Plan) -> list[_Step]:
             raise InvalidPlan(f"step {index + 1}, {step}, {wrong}")
         schema = problem.domain.actions[step.action]
         duration = None if schema.duration is None else step.duration
-        start = step.start if plan.temporal else float(index)
-        steps.append(_Step(index + 1, schema, ground_step(problem.domain, step.action, step.arguments, duration), start, duration or 0.0))
+        steps.append(_Step(index + 1, schema, ground_step(problem.domain, step.action, step.arguments, duration), duration or 0.0))
     return steps
 
 
@@ -180,32 +176,6 @@ def _wrong(step: PlanStep, problem: Problem, objects: Mapping[str, frozenset[str
 
 
 @dataclass(frozen=True, slots=True)
-class _Happening:
-    """The events of one time."""
-
-    time: float
-    events: list[PlanEvent] = field(default_factory=list)
-    """Of every step its start before its end."""
-    timed: dict[Fluent, Value] = field(default_factory=dict)
-    """Facts that change by themselves."""
-
-
-def _happenings(problem: Problem, steps: Sequence[_Step]) -> list[_Happening]:
-    times = [(step.start, _START, index) for index, step in enumerate(steps)]
-    times += [(step.start + step.duration, _END, index) for index, step in enumerate(steps)]
-    times += [(change.time, _TIMED, index) for index, change in enumerate(problem.timed)]
-    happenings: list[_Happening] = []
-    for time, kind, index in sorted(times):
-        if not happenings or time - happenings[-1].time > TOLERANCE:
-            happenings.append(_Happening(time))
-        if kind == _TIMED:
-            happenings[-1].timed.update(problem.timed[index].changes)
-        else:
-            happenings[-1].events.append(PlanEvent(index, Moment.START if kind == _START else Moment.END))
-    return happenings
-
-
-@dataclass(frozen=True, slots=True)
 class _ReadRecorder:
     """A state that records which fluents are read."""
 
@@ -220,7 +190,7 @@ class _ReadRecorder:
         return self.state.objects(types)
 
 
-def _check_interference(happening: _Happening, steps: Sequence[_Step], simulation: PlanSimulation, when: str) -> None:
+def _check_interference(happening: Happening, steps: Sequence[_Step], simulation: Progression, when: str) -> None:
     """Refuse two steps at one happening if one changes what the other reads, or both change the same fluent in different ways."""
     if len({event.call for event in happening.events}) + bool(happening.timed) < 2:
         return
@@ -238,7 +208,7 @@ def _check_interference(happening: _Happening, steps: Sequence[_Step], simulatio
             value_of(effect.value, recorder, env)
         for fluent in recorder.read:
             readers.setdefault(fluent, []).append(event.call)
-    for fluent, value in happening.timed.items():
+    for fluent, value in happening.changes.items():
         writers.setdefault(fluent, []).append((_BY_ITSELF, _kind_of_change("assign", Constant(value))))
     for fluent, written in writers.items():
         read = readers.get(fluent, [])

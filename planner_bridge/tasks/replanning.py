@@ -11,8 +11,8 @@ from functools import cached_property
 from typing import Final
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall
-from planner_bridge.model.plan_simulation import ConstraintProgression, NotApplicable, PlanSimulation, snapshot
 from planner_bridge.model.problem import Problem
+from planner_bridge.model.progression import ConstraintProgression, NotApplicable, Progression, snapshot
 from planner_bridge.ordering.plan_to_graph import deordered
 from pnm.core.execution.call_results import CallResult, Failure
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
@@ -318,7 +318,7 @@ def why_not(
     plan = progress.plan
     if action := barred(progress, forbidden):
         return f"{action} must not be used"
-    simulation = PlanSimulation(snapshot(knowledge), {number: plan.calls[number].action for number in progress.under_way})
+    simulation = Progression(snapshot(knowledge), {number: plan.calls[number].action for number in progress.under_way})
     progression = ConstraintProgression(constraints, simulation.state)
     for event in progress.events:
         try:

@@ -9,9 +9,10 @@ import pytest
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Problem
+from planner_bridge.model.progression import calls_of
 from planner_bridge.ordering.forecast import Forecast, awaited, forecast, with_forecasts
 from planner_bridge.ordering.interference import read_write_sets
-from planner_bridge.ordering.plan_to_graph import calls_of, plan_graph
+from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.planning.solve import solve
 from planner_bridge.planning.validate import why_invalid
 from pnm.core.knowledge_base import parse_fluent

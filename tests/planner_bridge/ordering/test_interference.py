@@ -8,8 +8,8 @@ from itertools import permutations, zip_longest
 import pytest
 
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.model.plan_simulation import NotApplicable, PlanSimulation, snapshot
 from planner_bridge.model.problem import Problem
+from planner_bridge.model.progression import NotApplicable, Progression, snapshot
 from planner_bridge.ordering.interference import ReadWriteSets, avoid_interference, interference, read_write_sets
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.planning.solve import solve
@@ -109,7 +109,7 @@ def test_plans_without_conflict_work_in_every_order_of_their_events(goals: tuple
 
 def _works(problem: Problem, graphs: list[PlanGraph], pattern: int) -> bool:
     """Carry the plans out: one after the other, or taking turns."""
-    course = PlanSimulation(snapshot(initial_knowledge(problem)))
+    course = Progression(snapshot(initial_knowledge(problem)))
     queues = [[(number, graph, event) for event in graph.order] for number, graph in enumerate(graphs)]
     if pattern % 2:
         queues.reverse()

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from planner_bridge.model.grounding import ground_action, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
-from planner_bridge.model.plan_simulation import NotApplicable, PlanSimulation
 from planner_bridge.model.problem import Problem
+from planner_bridge.model.progression import NotApplicable, Progression
 from planner_bridge.planning import reduction, solve
 from planner_bridge.planning.reduction import indispensable, reduced
 from pnm.core.logic.evaluation import evaluate
@@ -37,7 +37,7 @@ def every_action(problem: Problem) -> list[GroundAction]:
 
 def carried_out(problem: Problem, actions: list[GroundAction]) -> tuple[list[GroundAction], bool]:
     """The actions that can be carried out, one after the other, and whether the goal holds then."""
-    simulation, done = PlanSimulation(initial_knowledge(problem)), list[GroundAction]()
+    simulation, done = Progression(initial_knowledge(problem)), list[GroundAction]()
     for action in actions:
         try:
             simulation.advance([(PlanEvent(0, moment), action) for moment in Moment])
@@ -59,7 +59,7 @@ def eliminated(problem: Problem, actions: list[GroundAction]) -> list[GroundActi
 def walk(choices: list[int]) -> list[GroundAction]:
     """Actions that can be carried out one after the other: of those that can be next, which one each choice says."""
     problem, walked = world(), list[GroundAction]()
-    simulation = PlanSimulation(initial_knowledge(problem))
+    simulation = Progression(initial_knowledge(problem))
     for choice in choices:
         possible = [action for action in every_action(problem) if evaluate(action.precondition, simulation.state) is True]
         walked.append(possible[choice % len(possible)])

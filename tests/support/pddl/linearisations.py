@@ -11,8 +11,8 @@ from graphlib import TopologicalSorter
 from random import Random
 
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.model.plan_simulation import NotApplicable, PlanSimulation
 from planner_bridge.model.problem import Problem
+from planner_bridge.model.progression import NotApplicable, Progression
 from planner_bridge.ordering.partial_order import NEAR, direct_orderings
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
@@ -45,7 +45,7 @@ def works(problem: Problem, graph: PlanGraph, order: Iterable[Key]) -> bool:
 
     The moment of an instantaneous action lies somewhere between its start and its end: what it needs must be there all the time.
     """
-    simulation = PlanSimulation(initial_knowledge(problem))
+    simulation = Progression(initial_knowledge(problem))
     try:
         for key in order:
             if isinstance(key, int):

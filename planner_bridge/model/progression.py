@@ -1,0 +1,174 @@
+"""Progression: the one walk through a plan, and the states that it leads to.
+
+The rules are those of PDDL 2.1 (Fox and Long 2003, *PDDL2.1: An Extension to PDDL for Expressing Temporal Planning Domains*, section 8):
+
+- All events of one time are one *happening*. They are simultaneous: every condition is evaluated in the state before, all effects
+  come together, and over-all conditions hold in the state after, from the happening of the start until that of the end. Times that
+  differ by at most `EPSILON` are the same, counted from the first event of a happening, as Kairos' validator counts them.
+- Who must take the events of a happening one after the other has them in one order: facts that change by themselves, ends, starts,
+  ends of what has just started; of the same kind in the order of the plan. In a valid plan no event of a happening changes what
+  another one reads ("no moving targets"), so any order that has each start before its own end leads to the same state.
+
+Besides, the progression of trajectory constraints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from operator import itemgetter
+from typing import Final, Literal, TypeAlias
+
+from planner_bridge.model.grounding import ground_step
+from planner_bridge.model.plan import Plan
+from planner_bridge.model.problem import Problem
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import Condition
+from pnm.core.logic.effects import Changes, Effects, TimedChange, changes, decided
+from pnm.core.logic.evaluation import TOLERANCE, evaluate, explanation
+from pnm.core.logic.expressions import Fluent, Value
+from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, progressed
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, PlanEvent
+from pnm.errors import PnmError
+
+EPSILON: Final = TOLERANCE
+"""Seconds by which times of one happening may differ: planners separate events by 0.001 and compute in floats."""
+
+Stage = Literal["start", "end", "go on"]
+_NOTHING: Final[Mapping[Fluent, Value]] = {}
+
+
+@dataclass(frozen=True, slots=True)
+class Happening:
+    """All that happens at one time."""
+
+    time: float
+    timed: tuple[TimedChange, ...] = ()
+    """Facts that change by themselves; they come first."""
+    events: tuple[PlanEvent, ...] = ()
+    """In the order in which they are taken one after the other."""
+
+    @property
+    def changes(self) -> Mapping[Fluent, Value]:
+        """The facts that change by themselves, with their values."""
+        return {fluent: value for change in self.timed for fluent, value in change.changes.items()} if self.timed else _NOTHING
+
+
+def calls_of(problem: Problem, plan: Plan, first: int = 0) -> list[ActionCall]:
+    """Return the calls of the plan, with numbers from `first`."""
+    calls: list[ActionCall] = []
+    for index, step in enumerate(plan.steps, first):
+        action = ground_step(problem.domain, step.action, step.arguments, step.duration if plan.temporal else None)
+        calls.append(ActionCall(index, action, step.start))
+    return calls
+
+
+def happenings(problem: Problem, plan: Plan, first: int = 0) -> list[Happening]:
+    """Return the happenings of a plan in the order of time, its calls numbered from `first`.
+
+    The steps of a plan without times happen at 0, 1, 2 and so on.
+    """
+    moments: list[tuple[float, PlanEvent | TimedChange]] = [(change.time, change) for change in problem.timed]
+    for number, step in enumerate(plan.steps, first):
+        start = step.start if plan.temporal else float(number - first)
+        lasts = plan.temporal and problem.domain.actions[step.action].duration is not None
+        moments.append((start, PlanEvent(number, Moment.START)))
+        moments.append((start + step.duration if lasts else start, PlanEvent(number, Moment.END)))
+    moments.sort(key=itemgetter(0))
+    groups: list[tuple[float, list[PlanEvent | TimedChange]]] = []
+    for time, what in moments:
+        if not groups or time - groups[-1][0] > EPSILON:
+            groups.append((time, []))
+        groups[-1][1].append(what)
+    return [_happening(time, together) for time, together in groups]
+
+
+def _happening(time: float, together: list[PlanEvent | TimedChange]) -> Happening:
+    events = [one for one in together if isinstance(one, PlanEvent)]
+    if len(events) > 1:
+        starting = {event.call for event in events if event.moment is Moment.START}
+        events.sort(key=lambda event: ((event.call in starting) * (1 + (event.moment is Moment.END)), event.call))
+    return Happening(time, tuple([one for one in together if isinstance(one, TimedChange)]), tuple(events))
+
+
+def snapshot(knowledge: KnowledgeBase) -> KnowledgeBase:
+    """Return a copy of the knowledge about the world, which changes on its own."""
+    return KnowledgeBase(knowledge.facts(), objects=knowledge.objects_by_type(), rules=knowledge.rules)
+
+
+class NotApplicable(PnmError):
+    """An action cannot start, end or go on in a state, because a condition does not hold."""
+
+    def __init__(self, call: int, stage: Stage, condition: Condition, state: KnowledgeBase) -> None:
+        expected, self.observed = explanation(condition, state)
+        super().__init__(f"expected {expected}; observed {self.observed}")
+        self.call = call
+        self.stage = stage
+
+
+Unmet: TypeAlias = Callable[[int, Stage, Condition, KnowledgeBase], bool]
+"""Decides on a condition of a call that does not hold in the state: True if the call goes on all the same, False if it is dropped.
+
+What a call that is dropped has done before stays done."""
+
+
+def refuse(call: int, stage: Stage, condition: Condition, state: KnowledgeBase) -> bool:
+    """Refuse a condition that does not hold."""
+    raise NotApplicable(call, stage, condition, state)
+
+
+@dataclass
+class Progression:
+    """The state that a plan has led to so far, and the actions running in it. The state and what is running change.
+
+    Args:
+        state: in which the plan begins.
+        running: the actions that have begun before, by the number of the call.
+        unmet: asked about every condition that does not hold.
+    """
+
+    state: KnowledgeBase
+    running: dict[int, GroundAction] = field(default_factory=dict)
+    unmet: Unmet = refuse
+
+    def advance(self, events: Iterable[tuple[PlanEvent, GroundAction]], timed: Mapping[Fluent, Value] = _NOTHING) -> Changes:
+        """Let actions start and end, each start before its own end, and facts change by themselves; return the changed fluents.
+
+        The end of an action that does not run, because it was dropped, is passed over.
+        If a condition is refused, nothing has changed unless it is an over-all condition.
+        """
+        effects: list[Effects] = []
+        running = dict(self.running)
+        for event, action in events:
+            if event.moment is Moment.START:
+                if self._holds(event.call, "start", action.precondition):
+                    running[event.call] = replace(action, end_effects=decided(action.end_effects, self.state))
+                    effects.append(action.start_effects)
+            elif (begun := running.pop(event.call, None)) and self._holds(event.call, "end", action.end_condition):
+                effects.append(begun.end_effects)
+        changed = {**changes(tuple(effect for many in effects for effect in many), self.state), **timed}
+        self.state.update(changed)
+        self.running = running
+        for call in [call for call, action in running.items() if not self._holds(call, "go on", action.invariant)]:
+            del running[call]
+        return changed
+
+    def _holds(self, call: int, stage: Stage, condition: Condition) -> bool:
+        return evaluate(condition, self.state) is True or self.unmet(call, stage, condition, self.state)
+
+
+class ConstraintProgression:
+    """Trajectory constraints, progressed through the states of a simulation. The mutable state is what is left of each."""
+
+    def __init__(self, constraints: Iterable[Constraint], state: KnowledgeBase, time: float = 0.0) -> None:
+        every = (ground for constraint in constraints for ground in instances(constraint, state))
+        self._remaining = {ground: progressed((ground,), state, time) for ground in every}
+
+    def advance(self, state: KnowledgeBase, time: float = 0.0) -> Constraint | None:
+        """Progress the constraints to the next state; return one that is violated, if any is."""
+        self._remaining = {constraint: progressed(rest, state, time) for constraint, rest in self._remaining.items()}
+        return next((constraint for constraint, rest in self._remaining.items() if IMPOSSIBLE in rest), None)
+
+    def unfulfilled(self, state: KnowledgeBase, time: float = 0.0) -> list[Constraint]:
+        """Return the constraints that are not fulfilled if this is the last state."""
+        return [constraint for constraint, rest in self._remaining.items() if not is_fulfilled(rest, state, time)]
