@@ -193,9 +193,9 @@ class PlanExecution(Observer):
         # During a pause the plan is compared with the world once, when it is resumed.
         if not self.is_eager or self._context.control.is_paused:
             return
-        progress = self.progress
-        relevant = {fluent: value for fluent, value in changes.items() if is_relevant(progress, {fluent: value})}
-        if news := unforeseen(progress, relevant, self._context.knowledge):
+        used = {fluent: value for fluent, value in changes.items() if fluent[0] in self.run.machine.plan.used_by}
+        progress = self.progress if used else None  # which takes a look at every call
+        if progress and (news := unforeseen(progress, relevant(progress, used), self._context.knowledge)):
             said = [
                 statement_text(fluent, value) for fluent, value in sorted(news.items(), key=lambda one: is_number(one[1]))
             ]  # facts first
@@ -302,11 +302,10 @@ async def proved_machine(context: TaskContext, graph: PlanGraph) -> ProvedMachin
     return await context.control.in_thread(prove)
 
 
-def is_relevant(progress: Progress, changed: Mapping[Fluent, object]) -> bool:
-    """Return whether what has changed is read or written by the rest of the plan, or by its goal."""
-    *by_call, by_goal = progress.plan.names_used
-    used = (by_goal, *(by_call[call.index] for call in progress.rest))
-    return any(fluent[0] in names for fluent in changed for names in used)
+def relevant(progress: Progress, changed: Mapping[Fluent, Value | Unknown]) -> dict[Fluent, Value | Unknown]:
+    """Return those of the changes that are of what the rest of the plan reads or writes, or its goal."""
+    left, used_by = {*(call.index for call in progress.rest), len(progress.plan.calls)}, progress.plan.used_by
+    return {fluent: value for fluent, value in changed.items() if not left.isdisjoint(used_by.get(fluent[0], ()))}
 
 
 def unforeseen(progress: Progress, changed: Mapping[Fluent, Value | Unknown], state: State) -> dict[Fluent, Value | Unknown]:

@@ -7,17 +7,19 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from tests.support.benchmarks.waiting import constrained, heard, over_all, taking_turns
+from planner_bridge.tasks.settings import OnChange
+from tests.support.benchmarks.waiting import CHARGE, constrained, fact, heard, taking_turns
 
 
 def changes() -> None:
     """A fact changes: one that nothing mentions, and one that one of many conditions over all, or constraints, does."""
-    for count in (100, 10_000):
-        for what, make in (("conditions over all", over_all), ("constraints", constrained)):
-            world, look = make(count)
-            of_none, of_one = (heard(world, look, fluent) for fluent in (("other",), ("fit", "r5")))
-            said = f"{of_none:.1f} us if none mentions it (at most 5), {of_one:.1f} us if one does (at most 50)"
-            print(f"a change among {count} {what}: {said}")
+    for count in (100, 1_000):
+        for on_change in OnChange:
+            of_none, of_one = (fact(count, on_change, fluent) for fluent in (("other",), CHARGE))
+            print(f"a change among {count} calls, {on_change.value}: {of_none:.1f} us if none reads it, {of_one:.1f} us if one does")
+        world, look = constrained(10 * count)
+        of_none, of_one = (heard(world, look, fluent) for fluent in (("other",), ("fit", "r5")))
+        print(f"a change among {10 * count} constraints: {of_none:.1f} us if none reads it (at most 5), {of_one:.1f} us if one does (50)")
 
 
 def one_resource() -> None:

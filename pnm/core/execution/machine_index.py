@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Final
 from weakref import WeakKeyDictionary
 
 from pnm.core.execution.call_data import ClosedCall, closed_call, reads_of_guard
 from pnm.core.logic.compiled_condition import CompiledCondition, compiled
 from pnm.core.logic.expressions import Fluent
-from pnm.core.logic.rules import Reads
+from pnm.core.logic.rules import Reads, Rules
 from pnm.core.machine.blocks import MachineBlocks, PlacedStep, rules_by_number
 from pnm.core.machine.guards import (
     Accepts,
@@ -220,8 +220,6 @@ class MachineIndex:
         self.alive = tuple(net.numbers(machine.alive_places))
         self.goal, self.failed = (self._places.index(place) for place in (machine.goal_place, machine.failed_place))
         self.on_failure: OnFailure = machine.on_failure
-        self.rules_of_facts = machine.plan.rules
-        """What derives the facts that its conditions mention."""
         by_number = self.by_number
         if isinstance(by_number, MachineBlocks) and by_number is self.arcs:
             sites = self._sited(by_number.placed)
@@ -248,8 +246,8 @@ class MachineIndex:
         """The seconds after which transitions open."""
         self.since: Final = WhenAsked(self._since)
         """The places from whose marking guards of transitions count, and the seconds."""
-        self.reads: Final = WhenAsked(self._reads_at)
-        """What knowledge is read to decide at places."""
+        self.reads: Final[dict[Rules, WhenAsked[int, Reads]]] = WhenAsked(lambda rules: WhenAsked(partial(self._reads_at, rules)))
+        """What knowledge is read to decide at places of a run, by the rules of its world."""
         self.closed: Final = WhenAsked(self._closed)
         """What of calls does not depend on knowledge."""
 
@@ -290,21 +288,21 @@ class MachineIndex:
 
     # --- what each block has for itself -------------------------------------------------------
 
-    def _reads_at(self, place: int) -> Reads:
+    def _reads_at(self, rules: Rules, place: int) -> Reads:
         read: set[Fluent | str] = set()
         for firing in self.decision(place).firings:
-            reads = self._reads_for(self.sites[place], firing)
+            reads = self._reads_for(self.sites[place], firing, rules)
             if reads is None:
                 return None
             read |= reads
         return frozenset(read)
 
-    def _reads_for(self, site: Site, firing: Firing) -> Reads:
+    def _reads_for(self, site: Site, firing: Firing, rules: Rules) -> Reads:
         """Return what the guard of a transition reads."""
         call = firing.call if site.call is None else site.call
         action = None if call is None else self._calls[call].action
         # Other runs may give back resources without anything being heard of it.
-        return None if firing.takes else reads_of_guard(self.guard(site, firing), action, self.rules_of_facts)
+        return None if firing.takes else reads_of_guard(self.guard(site, firing), action, rules)
 
     def _closed(self, call: int) -> ClosedCall | None:
         return closed_call(self._calls[call])

@@ -515,7 +515,8 @@ class ReferenceRun:
         call, guard, calls = self.rules[transition].call, self.rules[transition].guard, self.machine.plan.calls
         if guard.opened_by is Opener.REPORT:
             return False
-        reads = call_data.reads_of_guard(guard, None if call is None or call >= len(calls) else calls[call].action, self.machine.plan.rules)
+        action = None if call is None or call >= len(calls) else calls[call].action
+        reads = call_data.reads_of_guard(guard, action, self.knowledge.world.rules)
         return transition in self.claiming or reads is None or any(fluent in reads or fluent[0] in reads for fluent in fluents)
 
     # --- resources ------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ from pnm.core.execution.events import Pause, Resume, Settled, SingleStep, Stop
 from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.machine_index import MachineIndex
 from pnm.core.knowledge_base import Layered
+from pnm.core.logic.rules import Rules
 from pnm.core.machine.machine import OnFailure
 from pnm.core.net.firing_engine import Engine
 from pnm.core.readers import Readers
@@ -41,6 +42,7 @@ class Agenda:
         self._count = 0
         self._readers = Readers[int]()
         """Those of them that are asked again when facts change."""
+        self._read_by(knowledge.world.rules)
         self._asked = (knowledge.world.changes, knowledge.local.changes)
         """How many changes there were when they were asked last."""
         self._timers: list[tuple[float, int]] = []
@@ -56,7 +58,7 @@ class Agenda:
             self.undecided[place] = self._count
             self._count += 1
             if listens:
-                self._readers.add(place, self._index.reads[place])
+                self._readers.add(place, self._reads[place])
 
     def wait_until(self, place: int, time: float) -> None:
         """Have a place asked again at a time, if at no other: `wait` and `set_timer` in one, for every request waits so twice."""
@@ -91,13 +93,22 @@ class Agenda:
         """Ask those places again, in their order, whose decision may be another one since they were asked last."""
         if not self._readers:
             return
+        if self._world.rules is not self._rules:  # the world has begun anew
+            self._read_by(self._world.rules)
         world, local = self._world.changed_since(self._asked[0]), self._local.changed_since(self._asked[1])
         self._asked = self._world.changes, self._local.changes
         is_due = self._timers and self._timers[0][0] <= now  # then time may have decided as well, whatever has changed
-        if world is None or local is None or is_due or self._world.rules is not self._index.rules_of_facts:
+        if world is None or local is None or is_due:
             self.places.extend([place for place in self.undecided if self._index.decision(place).listens])
         elif concerned := self._readers.concerned(world):
             self.places.extend(sorted(concerned, key=self.undecided.__getitem__))
+
+    def _read_by(self, rules: Rules) -> None:
+        """Note what is read at places where the world derives facts by these rules: the plan may know only some, or equal ones."""
+        self._rules, self._reads = rules, self._index.reads[rules]
+        listening, self._readers = self._readers.reads, Readers[int]()
+        for place in listening:
+            self._readers.add(place, self._reads[place])
 
     def ask_due(self, now: float) -> None:
         """Ask the places again whose time has come."""

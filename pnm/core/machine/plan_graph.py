@@ -465,16 +465,20 @@ class PlanGraph:
         return tuple(step for step in self.every_step if isinstance(step, ActionCall))
 
     @cached_property
-    def names_used(self) -> tuple[frozenset[str], ...]:
-        """The predicates and functions that each call reads or writes, by number, and last those that the goal reads.
+    def used_by(self) -> dict[str, set[int]]:
+        """For predicates and functions, the numbers of the calls that read or write them; the goal counts as one more call.
 
         In place of derived ones stand those they follow from.
         """
-        actions = [call.action for call in self.calls]
-        reads = [names(action.precondition) | names(action.invariant) | names(action.end_condition) for action in actions]
-        writes = [names_written((*action.start_effects, *action.end_effects)) for action in actions]
-        used = [self.rules.base(read) | written for read, written in zip(reads, writes, strict=True)]
-        return (*used, self.rules.base(names(self.goal)))
+        used: dict[str, set[int]] = {}
+        for call in self.calls:
+            action = call.action
+            read = names(action.precondition) | names(action.invariant) | names(action.end_condition)
+            for name in self.rules.base(read) | names_written((*action.start_effects, *action.end_effects)):
+                used.setdefault(name, set()).add(call.index)
+        for name in self.rules.base(names(self.goal)):
+            used.setdefault(name, set()).add(len(self.calls))
+        return used
 
     @cached_property
     def order(self) -> tuple[PlanEvent, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
@@ -80,7 +81,8 @@ class Scene:
     """A run, and the world that it is in."""
 
     def __init__(self, plan: PlanGraph, known: dict, sensed: dict[str, float]) -> None:
-        self.world = KnowledgeBase(known, objects={"room": ROOMS}, sensed=sensed, rules=RULES, variables={"r": "hall", "go": True})
+        rules = replace(RULES)  # those of a world and of a plan are equal, and seldom one object
+        self.world = KnowledgeBase(known, objects={"room": ROOMS}, sensed=sensed, rules=rules, variables={"r": "hall", "go": True})
         bindings = Bindings({f"a{index}": Binding(retries=1, resources=("arm",) if index == 0 else ()) for index in range(4)})
         self.run = Run(generate(plan, bindings), Layered(self.world), id=RUN, bindings=bindings)
 
@@ -162,6 +164,21 @@ def test_a_condition_over_all_is_looked_at_when_something_changes_that_it_reads(
     assert len(asked) == isinstance(condition, Computed), "nothing reads what has changed; of a computed value nobody knows"
     del scene.run._decide
     scene.change(what, value)
+    assert any(isinstance(command, Cancel) for command in in_its_moment(scene.run, KnowledgeChanged(), 0.0))
+
+
+def test_places_are_asked_by_the_rules_of_the_world_also_when_it_has_begun_anew() -> None:
+    """A world that several plans share has the rules of all of them: what a plan reads follows from those."""
+    (fit,) = RULES.rules
+    calls = (ActionCall(0, GroundAction("a0", invariant=Holds(("fit", "hall")))),)
+    known = {fluent: fluent in OPEN for fluent in FLUENTS}
+    scene = Scene(PlanGraph(calls, rules=RULES), known, {})
+    scene.run.handle(Begin(), 0.0)
+    scene.run.handle(Accepted(*scene.run.open_requests), 0.0)
+    broken = Rules((replace(fit, condition=All((fit.condition, Not(Holds(("broken", "?r")))))),))
+    scene.world.begin_anew(scene.world.facts(), scene.world.objects_by_type(), broken)
+    assert in_its_moment(scene.run, KnowledgeChanged(), 0.0) == []
+    scene.change(("broken", "hall"), True)
     assert any(isinstance(command, Cancel) for command in in_its_moment(scene.run, KnowledgeChanged(), 0.0))
 
 

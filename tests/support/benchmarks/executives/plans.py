@@ -13,16 +13,18 @@ from statistics import median
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.tasks.settings import OnChange
 from pnm.core.execution.machine_index import prepare
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import Holds
+from pnm.core.logic.conditions import Compare
 from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.expressions import Constant, ValueOf
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.verification.verify import verify
 from tests.support.benchmarks.failures import at_first, measured, tour
 from tests.support.benchmarks.peers.worker import Measure, NotHere, each
-from tests.support.benchmarks.waiting import heard, over_all, taking_turns
+from tests.support.benchmarks.waiting import CHARGE, fact, taking_turns
 from tests.support.files import ROOT
 
 _CLEAN = """
@@ -51,14 +53,14 @@ def machine(size: int) -> float:
 
 
 def change(size: int) -> float:
-    """A fact changes that one of so many conditions over all reads: recorded, and judged."""
-    return heard(*over_all(size), ("fit", "r5"))
+    """A report comes that one of so many conditions over all reads, in a task: recorded, heard of by all, and judged."""
+    return fact(size, OnChange.LAZY, CHARGE)
 
 
 def change_unindexed(size: int) -> float:
     """The same where all conditions are judged, as executives do that look at everything whenever they look."""
-    world = KnowledgeBase({("fit", f"r{index}"): True for index in range(size)})
-    conditions = [Holds(("fit", f"r{index}")) for index in range(size)]
+    world = KnowledgeBase({("charge", f"r{index}"): 9.0 for index in range(size)})
+    conditions = [Compare(">=", ValueOf(("charge", f"r{index}")), Constant(1.0)) for index in range(size)]
     return each(lambda: [evaluate(condition, world) for condition in conditions], 1)
 
 

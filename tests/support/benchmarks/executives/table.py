@@ -153,10 +153,11 @@ ROWS: Final = (
     ),
     Row(
         "A change of a fact",
-        "While so many calls with conditions over all are under way, one of which reads it. No peer here checks such conditions.",
+        "A report comes while so many calls of a task are under way, from its goal on as in `pnm run`, each with a condition over all; one "
+        "of these reads it. By the clock on the wall, the rounds of the event loop included. No peer here checks such conditions.",
         "µs",
         "conditions",
-        (100, 10_000),
+        (100, 1_000),
         (Subject("ours", "change"), floor("all conditions judged", "change-unindexed")),
     ),
     Row(
