@@ -158,17 +158,21 @@ class Executor:
         self._handle(Begin())
         self._inbox.put_nowait(Tick())  # so that `paused` is looked at again once the inbox is empty
 
+    @property
+    def is_settled(self) -> bool:
+        """Whether all that is under way can be handed over now."""
+        # A request that is out but not accepted, or that is being cancelled, cannot be handed over yet.
+        return len(self.run.open_requests) == len(self.run.under_way()) and not self.run.settling
+
     async def at_rest(self) -> bool:
         """Wait during a pause until all that is under way can be handed over. Return whether it can.
 
         It cannot once the run has ended, nor while a call that has ended waits for others, which the pause keeps from beginning.
         """
         while not self.ended:
-            run = self.run
-            # A request that is out but not accepted, or that is being cancelled, cannot be handed over yet.
-            if len(run.open_requests) == len(run.under_way()) and not run.settling:
+            if self.is_settled:
                 return True
-            if self.paused and not run.looks_for_effects:
+            if self.paused and not self.run.looks_for_effects:
                 return False
             await self.happens()
         return False

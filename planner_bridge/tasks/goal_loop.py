@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Awaitable
 from contextlib import ExitStack, suppress
 from dataclasses import replace
+from enum import Enum
 from functools import partial
 from uuid import uuid5
 
@@ -53,6 +54,15 @@ from pnm.journal.replay import ReplayedRun
 from pnm.knowledge.sources.help import Advice, HelpEnded, ask_for_help
 from pnm.knowledge.sources.source import Asker, Source
 from pnm.tasks import Code, TaskState
+
+
+class Due(Enum):
+    """What is due after a look at a run that goes on."""
+
+    NOTHING = "nothing"
+    """It was replaced, it need not be, or it is to come to its end first."""
+    REPLACEMENT = "replacement"
+    """It is still to be replaced, which what is under way does not allow now, or not yet."""
 
 
 class GoalLoop:
@@ -187,8 +197,10 @@ class GoalLoop:
             while True:
                 with context.task.stopwatch.of("execute"):
                     await execution.attention()
-                if (follower := await self._replan(execution)) is not None:
-                    return follower
+                follows = await self._replan(execution)
+                if isinstance(follows, PlanGraph):
+                    return follows
+                execution.note(is_due=follows is Due.REPLACEMENT)
                 execution.release()
 
     @property
@@ -198,20 +210,20 @@ class GoalLoop:
 
     # --- replanning -----------------------------------------------------------------------------
 
-    async def _replan(self, execution: PlanExecution) -> PlanGraph | None:
-        """Replace the run by that of another plan, or return that plan if the run is over; None if the run goes on."""
+    async def _replan(self, execution: PlanExecution) -> PlanGraph | Due:
+        """Replace the run by that of another plan, or return that plan if the run is over; if the run goes on, what is still due."""
         if execution.is_over:  # reports about the last calls may still be on their way; the decision below should know them
             await self._catch_up(execution)
         while True:
             if execution.is_over:
                 self._check_end(execution)
             elif not await self._is_to_be_replaced(execution) or execution.is_over:
-                return None
+                return Due.NOTHING
             if (delay := self._backoff(execution)) > 0.0:
                 if not execution.is_over:
                     # The run goes on during the back-off: what is under way may still succeed.
                     execution.call_attention_at(asyncio.get_running_loop().time() + delay)
-                    return None
+                    return Due.REPLACEMENT
                 # Decided anew afterwards: the task may have been stopped, or the goal reached, in the meantime.
                 await self._control.wait(delay)
                 continue
@@ -220,8 +232,8 @@ class GoalLoop:
                 with self._control.waiting():
                     await self._context.backend.refresh()
                 if not await execution.at_rest():  # only what is settled can be handed over
-                    if not execution.is_over:
-                        return None
+                    if not execution.is_over:  # it goes on, for a call that has ended waits for others, which have to begin
+                        return Due.REPLACEMENT
                     await self._catch_up(execution)  # it has come to its end while that was waited for
                     continue
             was_over, under_way, history = execution.is_over, execution.under_way, self._next_history(execution)
@@ -231,10 +243,10 @@ class GoalLoop:
             if execution.is_over is not was_over:
                 continue
             if decision is None:
-                return None
+                return Due.REPLACEMENT
             if isinstance(decision, GiveUp):
                 if not execution.is_over:
-                    return None
+                    return Due.NOTHING
                 self._log.end(execution.run.machine, execution.result, decision)
                 unfulfilled = self._log.unfulfilled(self._monitor.missing)
                 reason = join_reasons(decision.reason, self._log.last_failure, unfulfilled)
@@ -244,8 +256,10 @@ class GoalLoop:
                 self._follow(execution.run.machine, execution.result, decision, history)
                 return await self._follower(execution, decision)
             graph = await self._successor(execution, decision, history, under_way)
-            if graph is None or not execution.is_over:
-                return None
+            if isinstance(graph, Due):
+                return graph
+            if not execution.is_over:
+                return Due.NOTHING
             await self._catch_up(execution)  # it came to its end while its successor was planned
             self._check_end(execution)
             if not self._monitor.why_not(Progress.beginning(graph), self._context.forbidden(history)):
@@ -363,8 +377,8 @@ class GoalLoop:
 
     async def _successor(
         self, execution: PlanExecution, decision: ResumePlan | PlanAgain, history: History, under_way: tuple[UnderWay, ...]
-    ) -> PlanGraph | None:
-        """Replace a run that goes on by that of another plan. Return the plan; None if the run has to come to its end first.
+    ) -> PlanGraph | Due:
+        """Replace a run that goes on by that of another plan. Return the plan; what is still due if the run has to go on.
 
         If it does so while a plan is searched for, the plan is returned all the same. What is under way was so when the decision was made.
         """
@@ -375,28 +389,30 @@ class GoalLoop:
                 self._control.enter(TaskState.REPLANNING, decision_words(decision))
                 plan = await self._search.following(execution, decision.forbidden)
                 if plan is None:
-                    return None
+                    return Due.REPLACEMENT
                 if not await execution.at_rest() and not execution.is_over:
-                    return None
+                    return Due.REPLACEMENT
                 under_way = execution.under_way
                 graph = await self._accepted(plan, under_way)
                 if self._monitor.why_not(Progress.beginning(graph), self._context.forbidden(history)):
-                    return None
+                    return Due.REPLACEMENT
             successor = None if execution.is_over else await proved_machine(self._context, graph)
             reserved = self._control.reserved if successor and isinstance(decision, PlanAgain) else None
             goes_on = await execution.at_rest()
             # Nothing waits from here on: what others have begun, and what has ended, while the machine was made is all that there is.
             if execution.under_way != under_way or (reserved and self._context.scheduler.conflicts(self._context.task, reserved)):
                 execution.call_attention_at(asyncio.get_running_loop().time())
-                return None
+                return Due.REPLACEMENT
             if goes_on and successor:
                 self._control.check()
                 machine, result = execution.run.machine, execution.result
                 execution.succeed(successor)
                 self._follow(machine, result, decision, history)
                 self._retry_at = None
-        except (NoPlan, TaskEnded, NotProjectable, PlanGraphError, Unsound):  # what is under way may not fit into any plan
-            return None
+        except (NoPlan, TaskEnded):
+            return Due.NOTHING
+        except (NotProjectable, PlanGraphError, Unsound):  # what is under way may not fit into any plan
+            return Due.REPLACEMENT
         finally:
             self._control.enter(TaskState.RUNNING)
         return graph
@@ -415,7 +431,7 @@ class GoalLoop:
     # --- the end --------------------------------------------------------------------------------
 
     def _result(self, ended: TaskEnded) -> TaskResult:
-        self._control.reserved = None
+        self._context.scheduler.release(self._context.task)
         monitor, now = self._monitor.constraints, self._monitor.elapsed
         return TaskResult(
             ended.code,

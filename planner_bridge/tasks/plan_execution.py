@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Mapping
 from functools import partial
 from types import TracebackType
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 from planner_bridge.ordering.forecast import Forecast, forecast
 from planner_bridge.ordering.interference import ReadWriteSets, read_write_sets
@@ -41,8 +41,8 @@ class PlanExecution(Observer):
     """The execution of one plan, and of those that follow it while calls are under way.
 
     The mutable state is the executor, which has the current run; its future result; whether attention is called for, and at which
-    time it will be; whether the run is held, so that it starts nothing while a plan is searched for, or is finishing; and whether the plan
-    is blocked.
+    time it will be; whether the run is still to be replaced; whether it is held, so that it starts nothing while a plan is searched
+    for, or is finishing; and whether the plan is blocked.
 
     Args:
         context: of the task.
@@ -61,6 +61,10 @@ class PlanExecution(Observer):
         self._origin = origin
         self._attention = asyncio.Event()
         self._timer: asyncio.TimerHandle | None = None
+        self._is_due = False
+        """Whether the run is still to be replaced, and could not be."""
+        self._tried: tuple[UnderWay, ...] | None = None
+        """What it would have handed over then; None if it could not be handed over."""
         self._is_held = False
         self._news = ""
         self.set_off_by = ""
@@ -169,14 +173,30 @@ class PlanExecution(Observer):
     # --- attention ------------------------------------------------------------------------------
 
     async def attention(self) -> None:
-        """Wait until the run is over, or may have to be replaced: something failed, or facts changed that the plan depends on."""
-        attention = asyncio.ensure_future(self._attention.wait())
+        """Wait until the run is over, or may have to be replaced: something failed, facts have changed, or that is due anyway."""
+        called: list[asyncio.Future[Any]] = [asyncio.ensure_future(self._attention.wait())]
+        if self._is_due:
+            called.append(asyncio.ensure_future(self._other_rest()))
         try:
-            await asyncio.wait((self._future, attention), return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait((self._future, *called), return_when=asyncio.FIRST_COMPLETED)
         finally:
-            attention.cancel()
+            for one in called:
+                one.cancel()
         self.set_off_by, self._news = self._news or self.set_off_by, ""
         self._attention.clear()  # after the wait: whatever calls for attention from now on is seen in the next round
+
+    def note(self, *, is_due: bool) -> None:
+        """Note whether the run, which was looked at, is still to be replaced: then it is looked at again once it has come further."""
+        self._is_due, self._tried = is_due, self._to_hand_over
+
+    @property
+    def _to_hand_over(self) -> tuple[UnderWay, ...] | None:
+        return self.under_way if self.executor.is_settled else None
+
+    async def _other_rest(self) -> None:
+        """Wait until the run can be handed over with something else under way than when that was tried last."""
+        while self._to_hand_over in (None, self._tried):
+            await self.executor.happens()
 
     def call_attention_at(self, time: float) -> None:
         """Call for attention at a time, on the clock of the event loop."""

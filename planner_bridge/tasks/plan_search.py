@@ -242,7 +242,7 @@ class PlanSearch:
         now = forbid(
             self._monitor.now(projected_state(context.world, (run,), context.scheduler.runs()) if run and going_on else None), forbidden
         )
-        self._control.reserved = None  # while it plans anew, the last plan must not keep others away
+        context.scheduler.release(context.task)  # while it plans anew, the last plan must not keep others away
         context.observer.planning(context.settings.planner)
         running = context.scheduler.running_calls(context.task)  # now, and not when the planner has answered
         weighs = context.on_conflict is OnConflict.PLAN_AROUND

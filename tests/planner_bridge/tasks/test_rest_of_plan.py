@@ -1,7 +1,8 @@
-"""When the rest of a plan is used again, and when late reports are waited for."""
+"""When the rest of a plan is used again, when late reports are waited for, and what is due until it can be done."""
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import replace
 from itertools import pairwise
 
@@ -14,7 +15,7 @@ from planner_bridge.ordering.plan_to_graph import plan_graph, total_order
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.achieve import achieve, achieve_at
 from planner_bridge.tasks.replanning import MAX_SHORTENED, Decision, History, Limits, PlanAgain, Progress, ResumePlan, decide, shortened
-from planner_bridge.tasks.settings import Settings, TaskObserver
+from planner_bridge.tasks.settings import OnChange, Settings, TaskObserver
 from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange
 from pnm.clock import run_async
 from pnm.core.execution.call_results import CallResult
@@ -24,10 +25,11 @@ from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import Variable
 from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import Binding, Bindings
-from pnm.core.machine.machine import CallOutcome
+from pnm.core.machine.machine import CallOutcome, OnFailure
 from tests.support.pddl.problems import ROOMS, matches, rooms
 from tests.support.runs.simulated import LateBackend
 from tests.support.tasks.replanning import aborts, decisions, pursued
+from tests.support.tasks.simulation import TaskSimulation, simulate_tasks
 
 
 def test_the_rest_of_the_plan_is_used_before_a_planner_is_asked() -> None:
@@ -174,3 +176,44 @@ def test_calls_that_are_needless_are_left_out_of_what_is_not_too_long(calls: int
     plan = Plan((PlanStep("light"), *(PlanStep("go", way, float(number + 1)) for number, way in enumerate(ways))))
     progress = Progress.beginning(total_order(problem, plan))
     assert len(shortened(progress, initial_knowledge(problem)).rest) == calls - left_out
+
+
+# --- a run that is to be replaced, and cannot be handed over yet ---------------------------------
+
+WORKSHOP = """
+(define (domain workshop) (:requirements :durative-actions) (:predicates (light) (quiet) (mended) (dry) (can) (painted) (sanded))
+  (:durative-action start :parameters () :duration (= ?duration 8) :effect (and (at start (light)) (at end (quiet))))
+  (:durative-action mend :parameters () :duration (= ?duration 5) :condition (at start (light))
+    :effect (and (at start (not (quiet))) (at end (mended))))
+  (:durative-action sand :parameters () :duration (= ?duration 20) :effect (at end (sanded)))
+  (:durative-action paint :parameters () :duration (= ?duration 5)
+    :condition (and (at start (mended)) (at start (quiet)) (at start (dry))) :effect (at end (painted)))
+  (:durative-action fetch :parameters () :duration (= ?duration 5) :condition (at start (mended)) :effect (at end (can)))
+  (:durative-action spray :parameters () :duration (= ?duration 5) :condition (at start (can)) :effect (at end (painted))))
+"""
+BENCH = Bindings({name: Binding(resources=("bench",)) for name in ("mend", "sand")}, assumed=frozenset({"quiet"}))
+
+
+@pytest.mark.parametrize("is_dry_again", [False, True])
+def test_a_new_plan_that_is_due_is_made_once_the_call_that_was_waited_for_has_begun_or_is_not_needed_any_more(is_dry_again: bool) -> None:
+    """The end of `start` waits for `mend`, and that for the bench: until then nothing of the run can be handed over."""
+    problem = parse_problem("(define (problem p) (:domain workshop) (:init (dry)) (:goal (painted)))", parse_domain(WORKSHOP))
+    chosen = Settings(bindings=BENCH, on_change=OnChange.EAGER, on_failure=OnFailure.CONTINUE_OTHERS)
+
+    async def scenario(simulation: TaskSimulation) -> None:
+        other = simulation.want("(sanded)")
+        await simulation.sees(other, "sent", "sand()")
+        task = simulation.want("(painted)")
+        await simulation.sees(task, "ended", "start()")
+        simulation.knowledge.update({("dry",): False})  # without which nothing is painted
+        await asyncio.sleep(1.0)
+        assert not simulation.seen(task, "replanned")
+        if is_dry_again:
+            simulation.knowledge.update({("dry",): True})
+        await simulation.sees(task, "sent", "mend()")
+        await asyncio.sleep(0.5)
+        assert bool(simulation.seen(task, "replanned")) is not is_dry_again
+        assert not simulation.seen(task, "ended", "mend()"), "it was handed over"
+        await simulation.reaches(task)
+
+    simulate_tasks(scenario, problem, chosen=chosen)
