@@ -14,8 +14,8 @@ from enum import IntEnum
 from typing import Final, Protocol, TypeAlias
 from uuid import UUID
 
+from pnm.core.machine.causes import Cause
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import Cause
 from pnm.core.net.net import Marking
 
 EVENTS: Final = logging.getLogger("pnm.events")

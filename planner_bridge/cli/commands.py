@@ -190,9 +190,9 @@ def net(
     from planner_bridge.ordering.plan_to_graph import plan_graph
     from planner_bridge.pipeline.loading import bindings_for
     from planner_bridge.planning.solve import solve
-    from pnm.core.machine.export import to_dot, to_json
     from pnm.core.machine.generate import generate
     from pnm.core.machine.verification.verify import verify
+    from pnm.core.pictures.export import to_dot, to_json
     from pnm.core.pictures.net_picture import net_svg
     from pnm.core.pictures.plan_dot import plan_dot
     from pnm.core.pictures.plan_picture import plan_svg

@@ -21,20 +21,14 @@ from pnm.core.logic.evaluation import evaluate, explanation
 from pnm.core.logic.expressions import is_number, same_value
 from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings, WhenLost
+from pnm.core.machine.causes import Blame, Cause
 from pnm.core.machine.machine import CallOutcome
-from pnm.core.machine.plan_graph import ActionCall, Cause, GroundAction, Moment, PlanEvent, PlanGraph
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, PlanEvent, PlanGraph
 from pnm.errors import check_counts, check_seconds, counted
 from pnm.tasks import Code
 
 MAX_SHORTENED: Final = 100
 """Calls of the longest rest of a plan that needless calls are removed from."""
-_WORLD: Final = frozenset({Cause.PRECONDITION_FALSE, Cause.WITHHELD})
-"""Causes that speak against the state of the world or of resources, not against the action.
-
-A condition over all that breaks is none of them: the action was under way, as when its robot notices that itself and aborts.
-"""
-_SERVER: Final = frozenset({Cause.UNAVAILABLE, Cause.LOST})
-"""Causes that speak against the action server: for whatever it is called, it would not be there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,10 +83,10 @@ class History:
         failed, absent = dict(self.failed), dict(self.absent)
         of_calls = [(failure, failure.call) for failure in failures if isinstance(failure.call, ActionCall)]
         for failure, failed_call in of_calls:
-            if failure.cause not in _WORLD:
+            if failure.cause.blame is not Blame.WORLD:
                 call = ForbiddenCall.of(failed_call.action)
                 failed[call] = failed.get(call, 0) + 1
-            if failure.cause in _SERVER:
+            if failure.cause.blame is Blame.SERVER:
                 server = bindings.server(failed_call.action)
                 absent[server] = absent.get(server, 0) + 1
         for result in calls:

@@ -18,8 +18,9 @@ from pnm.clock import TimeUsed
 from pnm.core.execution.call_results import CallResult, Failure, RunResult
 from pnm.core.logic import trajectory
 from pnm.core.logic.trajectory import Constraint, ConstraintProgress
+from pnm.core.machine.causes import Trouble
 from pnm.core.machine.machine import CallOutcome, PetriNetMachine
-from pnm.core.machine.plan_graph import ActionCall, Cause
+from pnm.core.machine.plan_graph import ActionCall
 from pnm.errors import counted
 from pnm.journal.codec import value_classes
 from pnm.journal.format import RECORDS
@@ -34,18 +35,11 @@ _PLANNING: Final = {
     PlanningStatus.CANCELLED: Code.CANCELLED,
 }
 
-_CAUSES: Final = {
-    Cause.PRECONDITION_FALSE: Code.CONDITION_LOST,
-    Cause.INVARIANT_FALSE: Code.CONDITION_LOST,
-    Cause.DATA_MISSING: Code.CONDITION_LOST,
-    Cause.TIMED_OUT: Code.TIMED_OUT,
-    Cause.TOO_LATE: Code.TIMED_OUT,
-    Cause.DEADLINE_MISSED: Code.TIMED_OUT,
-    Cause.WAIT_LIMIT: Code.TIMED_OUT,
-    Cause.UNAVAILABLE: Code.SERVER_UNAVAILABLE,
-    Cause.WITHHELD: Code.SERVER_UNAVAILABLE,
-    Cause.REJECTED: Code.SERVER_UNAVAILABLE,
-    Cause.LOST: Code.SERVER_UNAVAILABLE,
+_TROUBLES: Final = {
+    Trouble.ACTION: Code.ACTION_FAILED,
+    Trouble.CONDITION: Code.CONDITION_LOST,
+    Trouble.TIME: Code.TIMED_OUT,
+    Trouble.SERVER: Code.SERVER_UNAVAILABLE,
 }
 
 
@@ -64,7 +58,7 @@ def code_of_run(result: RunResult, stopped: Code) -> Code:
 
 def code_of_failures(failures: Sequence[Failure]) -> Code:
     """Return the code of a task that ends with these failures, the last of which counts."""
-    return _CAUSES.get(failures[-1].cause, Code.ACTION_FAILED) if failures else Code.CONDITION_LOST
+    return _TROUBLES[failures[-1].cause.trouble] if failures else Code.CONDITION_LOST
 
 
 class Stopwatch:
@@ -407,24 +401,12 @@ def goal_of(task: ReplayedTask | None) -> KeptGoal | None:
     return KeptGoal(log, current, task.replay.now, trajectories[-1] if trajectories else None, task.used)
 
 
-_HAPPENED: Final = {
-    Cause.ABORTED: "was aborted",
-    Cause.CANCELED: "was cancelled",
-    Cause.REJECTED: "was rejected",
-    Cause.TIMED_OUT: "timed out",
-    Cause.UNAVAILABLE: "found no server",
-    Cause.LOST: "lost its server",
-    Cause.WITHHELD: "has waited in vain for what others keep",
-}
-"""Predicates of sentences about calls, by the cause of the failure."""
-
-
 def retry_reason(seconds: float, result: RunResult) -> str:
     """Return when a plan is tried again, and why its run has failed."""
     event = result.reason
     if result.failures:
         call, cause = result.failures[-1].call, result.failures[-1].cause
-        event = f"{call.action if isinstance(call, ActionCall) else call} {_HAPPENED.get(cause, f'failed: {cause}')}"
+        event = f"{call.action if isinstance(call, ActionCall) else call} {cause.happened}"
     return f"tries again in {seconds:g} s after {event}"
 
 

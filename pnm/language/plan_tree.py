@@ -15,7 +15,8 @@ from typing import Final, TypeAlias
 
 from pnm.core.logic.computed_values import Data, KnowledgeOperation
 from pnm.core.logic.conditions import Condition
-from pnm.core.machine.plan_graph import Cause, Moment, Step, Then
+from pnm.core.machine.causes import Cause, Phase, causes_in
+from pnm.core.machine.plan_graph import Moment, Step, Then
 from pnm.errors import InputError, Position
 from pnm.files.yaml_nodes import Node
 from pnm.language.actions import LanguageAction
@@ -144,17 +145,7 @@ WrittenStep: TypeAlias = CallStep | SequenceStep | ConcurrentStep | LeafStep | L
 
 COMMANDS: Final = {**{then.value: then for then in Then}, "restart_action": Then.RETRY}
 """How a chain ends."""
-_DURING: Final = {
-    "aborted": Cause.ABORTED,
-    "preempted": Cause.CANCELED,
-    "rejected": Cause.REJECTED,
-    "unavailable": Cause.UNAVAILABLE,
-    "timed_out": Cause.TIMED_OUT,
-    "lost": Cause.LOST,
-}
-_BEFORE: Final = frozenset({Cause.PRECONDITION_FALSE, Cause.DATA_MISSING})
-_AFTER: Final = frozenset({Cause.EFFECTS_MISSING})
-_SENT: Final = frozenset(_DURING.values())
+_DURING: Final = {"preempted" if cause is Cause.CANCELED else cause.value: cause for cause in Cause if cause.phase is Phase.DURING}
 MAX_TIMES: Final = 10_000
 
 ReadSteps: TypeAlias = Callable[[tuple[Node, ...], Position], SequenceStep]
@@ -167,12 +158,12 @@ def read_recoveries(node: Node, scope: FormulaScope, read_steps: ReadSteps) -> t
         return ()
     entry = node.mapped()
     entry.only("before", "during", "after")
-    recoveries = [_recovery(long, _BEFORE, Cause.BEFORE, scope, read_steps) for long in _each(entry.filled("before"))]
+    recoveries = [_recovery(long, causes_in(Phase.BEFORE), Cause.BEFORE, scope, read_steps) for long in _each(entry.filled("before"))]
     outcomes = entry.section("during")
     outcomes.only(*_DURING)
     for outcome, _, chains in outcomes.entries():
         recoveries += [_recovery(long, frozenset({_DURING[outcome]}), None, scope, read_steps) for long in _each(chains)]
-    recoveries += [_recovery(long, _AFTER, Cause.AFTER, scope, read_steps) for long in _each(entry.filled("after"))]
+    recoveries += [_recovery(long, causes_in(Phase.AFTER), Cause.AFTER, scope, read_steps) for long in _each(entry.filled("after"))]
     always = dict[Cause, Then]()
     for recovery in recoveries:
         if recovery.causes <= always.keys():
@@ -219,6 +210,6 @@ def _recovery(node: Node, usual: frozenset[Cause], own: Cause | None, scope: For
         if step.text in COMMANDS:
             raise step.wrong(f"{step.text} ends the chain; nothing may come after it")
     chain, then = read_steps(tuple(steps), whole.position), COMMANDS[command.text]
-    if then is Then.CONTINUE and not causes <= _SENT:
+    if then is Then.CONTINUE and not causes <= causes_in(Phase.DURING):
         raise node.wrong("only a call whose request has ended can continue; expected another command, such as skip_action")
     return WrittenRecovery(node.position, causes, chain, then, times, when)

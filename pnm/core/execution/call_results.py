@@ -6,8 +6,9 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
+from pnm.core.machine.causes import Cause
 from pnm.core.machine.machine import CallOutcome, Rule
-from pnm.core.machine.plan_graph import ActionCall, Cause, PlanGraph, Step
+from pnm.core.machine.plan_graph import ActionCall, PlanGraph, Step
 from pnm.core.machine.requests import Outcome
 
 # by these names, because a look into the class takes longer than all else that becomes of a call

@@ -19,6 +19,7 @@ from pnm.core.execution.run_state import RunState
 from pnm.core.logic.conditions import Condition, ground, names
 from pnm.core.logic.evaluation import evaluate, explanation, observed
 from pnm.core.logic.expressions import UNKNOWN, Truth
+from pnm.core.machine.causes import Cause
 from pnm.core.machine.guards import (
     Accepts,
     Adopted,
@@ -42,7 +43,6 @@ from pnm.core.machine.guards import (
     Withheld,
 )
 from pnm.core.machine.machine import Rule
-from pnm.core.machine.plan_graph import Cause
 from pnm.core.resources import Claim, RunClaims, who_keeps
 
 NEVER: Final = float("inf")

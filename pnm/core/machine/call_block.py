@@ -34,6 +34,7 @@ from pnm.core.logic.conditions import TRUE, Condition, conjunction, conjuncts, d
 from pnm.core.logic.effects import When, every_effect, names_written
 from pnm.core.logic.rules import Rules
 from pnm.core.machine.bindings import Binding, WhenLost
+from pnm.core.machine.causes import Cause
 from pnm.core.machine.guards import (
     Accepts,
     Adopted,
@@ -54,7 +55,7 @@ from pnm.core.machine.guards import (
     Withheld,
 )
 from pnm.core.machine.machine import CallOutcome, Rule, check_rule
-from pnm.core.machine.plan_graph import ActionCall, Cause, GroundAction
+from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.machine.recovery_block import Recoveries, abandon, build_recoveries, succeeded_place
 from pnm.core.machine.requests import OutcomeKind, TransitionAction
 from pnm.core.machine.step_block import OWN, Block, OwnRule, Port, Terms

@@ -13,9 +13,10 @@ from typing import Any, Final
 from pnm.core.machine.bindings import Bindings, is_open
 from pnm.core.machine.blocks import END, FAILED, GOAL, START, MachineBlocks, PlacedRegion, PlacedStep
 from pnm.core.machine.call_block import CallBlock
+from pnm.core.machine.causes import Cause
 from pnm.core.machine.guards import Always, ConditionFalse, ConditionTrue, Due, Ending, Failing
 from pnm.core.machine.machine import OnFailure, PetriNetMachine, Rule
-from pnm.core.machine.plan_graph import ActionCall, Cause, Moment, PlanEvent, PlanGraph, Step
+from pnm.core.machine.plan_graph import ActionCall, Moment, PlanEvent, PlanGraph, Step
 from pnm.core.machine.step_block import PORTS, Block, BlockTemplate, Context, Draft, Inner, block_without_call
 from pnm.core.net.no_collection import no_collection
 from pnm.core.net.when_asked import Remembered

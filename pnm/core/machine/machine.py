@@ -19,8 +19,9 @@ from typing import Final, NamedTuple
 
 from pnm.core import notebook
 from pnm.core.machine.bindings import Bindings, is_open
+from pnm.core.machine.causes import Cause
 from pnm.core.machine.guards import Always, Guard
-from pnm.core.machine.plan_graph import Cause, Moment, Ordering, PlanGraph
+from pnm.core.machine.plan_graph import Moment, Ordering, PlanGraph
 from pnm.core.machine.requests import TransitionAction
 from pnm.core.net.firing_engine import CompiledNet
 from pnm.core.net.net import Marking, PetriNet

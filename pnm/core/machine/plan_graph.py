@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from enum import Enum, StrEnum
+from enum import Enum
 from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
 from math import inf
@@ -22,6 +22,7 @@ from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import Effects, ground_effects, names_written
 from pnm.core.logic.expressions import DURATION, Environment, Fluent, fluent_text
 from pnm.core.logic.rules import NO_RULES, Rules
+from pnm.core.machine.causes import Cause
 from pnm.core.net.topological_order import topological_order
 from pnm.core.resources import check_capacity
 from pnm.errors import PnmError
@@ -91,40 +92,6 @@ def ground_schema(schema: ActionSchema, arguments: tuple[str, ...], env: Environ
         duration=duration,
         expected=ground(schema.expected, env),
     )
-
-
-class Cause(StrEnum):
-    """Why a step recovers or fails: which check did not hold, or how its request ended."""
-
-    BEFORE = "before"
-    """The recovery's own condition holds before the start."""
-    PRECONDITION_FALSE = "precondition_false"
-    DATA_MISSING = "data_missing"
-    REJECTED = "rejected"
-    UNAVAILABLE = "unavailable"
-    ABORTED = "aborted"
-    CANCELED = "canceled"
-    TIMED_OUT = "timed_out"
-    LOST = "lost"
-    AFTER = "after"
-    """The recovery's own condition holds after success."""
-    EFFECTS_MISSING = "effects_missing"
-    INVARIANT_FALSE = "invariant_false"
-    TOO_LATE = "too_late"
-    """Its deadline, or the time of its latest start, has passed before it was sent."""
-    DEADLINE_MISSED = "deadline_missed"
-    WITHHELD = "withheld"
-    """Its resources belong to requests that were given up."""
-    LOOP_LIMIT = "loop_limit"
-    """All rounds of a loop are spent."""
-    CONDITION_UNKNOWN = "condition_unknown"
-    """The condition of a loop or a choice is neither true nor false."""
-    RESTART_LIMIT = "restart_limit"
-    """The plan shall begin anew once more, and has done so as often as it may."""
-    GOAL_FALSE = "goal_false"
-    """Every step is done, and the goal of the plan does not hold."""
-    WAIT_LIMIT = "wait_limit"
-    """The condition that is waited for has not become true in time."""
 
 
 class Then(Enum):

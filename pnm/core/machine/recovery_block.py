@@ -13,15 +13,12 @@ from dataclasses import dataclass, field
 from typing import Final, assert_never
 
 from pnm.core.logic.conditions import TRUE, Condition
+from pnm.core.machine.causes import ASKED, Cause, Phase
 from pnm.core.machine.guards import Always, ConditionTrue, Ending, Failing
 from pnm.core.machine.machine import Rule
-from pnm.core.machine.plan_graph import EMPTY, ActionCall, Cause, PlanGraphError, Recovery, Then
+from pnm.core.machine.plan_graph import EMPTY, ActionCall, PlanGraphError, Recovery, Then
 from pnm.core.machine.requests import TransitionAction
 from pnm.core.machine.step_block import Block
-
-_OWN: Final[frozenset[Cause]] = frozenset((Cause.BEFORE, Cause.AFTER))
-"""Causes that each recovery has a condition of its own for."""
-_UNSENT: Final = frozenset({Cause.BEFORE, Cause.DATA_MISSING, Cause.PRECONDITION_FALSE})
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,23 +45,23 @@ def build_recoveries(block: Block[ActionCall]) -> Recoveries:
             _chained(block, recovery, number)
         for cause in recovery.causes:
             # CONTINUE leads to `finished`, where the effects of a request are looked for: it needs a request, and comes before that check.
-            if recovery.then is Then.CONTINUE and cause in _UNSENT | {Cause.AFTER, Cause.EFFECTS_MISSING}:
+            if recovery.then is Then.CONTINUE and cause.phase in (Phase.BEFORE, Phase.AFTER):
                 raise PlanGraphError(
                     f"{block.step} cannot continue after {cause.value}: nothing has succeeded that effects could be seen of"
                 )
             before = block.step.recoveries[lists[cause][-1]] if cause in lists else recovery
             # The first for any other cause is used without asking for its condition.
-            is_unasked = before.when == TRUE or (cause not in _OWN and len(lists.get(cause, ())) == 1)
+            is_unasked = before.when == TRUE or (cause not in ASKED and len(lists.get(cause, ())) == 1)
             if before is not recovery and is_unasked and before.then.is_last(chain=before.chain != EMPTY):
                 raise PlanGraphError(f"recovery {number} of {block.step} for {cause.value} can never happen: the one before it always can")
             lists.setdefault(cause, []).append(number)
     built: dict[tuple[int, ...], list[str]] = {}
-    places: dict[Cause, list[str]] = {cause: _in_turn(block, (*numbers,), built) for cause, numbers in lists.items() if cause not in _OWN}
+    places: dict[Cause, list[str]] = {cause: _in_turn(block, (*numbers,), built) for cause, numbers in lists.items() if cause not in ASKED}
     kept = frozenset(cause for cause in places if any(block.step.recoveries[one].then is Then.CONTINUE for one in lists[cause]))
     checks = [
         (cause, f"{cause.value} {number}", block.step.recoveries[number].when, _in_turn(block, (*numbers[position:],), built))
         for cause, numbers in lists.items()
-        if cause in _OWN
+        if cause in ASKED
         for position, number in enumerate(numbers)
     ]
     return Recoveries(places, kept, tuple(checks))

@@ -19,6 +19,7 @@ from types import MappingProxyType
 from typing import Any, Final, Generic, NamedTuple, TypeVar, assert_never
 
 from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.causes import Cause
 from pnm.core.machine.guards import (
     After,
     ConditionFalse,
@@ -32,7 +33,7 @@ from pnm.core.machine.guards import (
     Opener,
 )
 from pnm.core.machine.machine import CallOutcome, Rule, check_rule
-from pnm.core.machine.plan_graph import Cause, Choice, Conditional, Flow, Junction, Loop, PlanGraph, Step, WaitUntil
+from pnm.core.machine.plan_graph import Choice, Conditional, Flow, Junction, Loop, PlanGraph, Step, WaitUntil
 from pnm.core.machine.requests import TransitionAction
 from pnm.core.net.block_net import Template
 from pnm.core.net.net import NetBuilder, Weights

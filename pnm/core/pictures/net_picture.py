@@ -11,9 +11,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from pnm.core.machine.export import COLOURS, guard_data
 from pnm.core.machine.machine import PetriNetMachine, Rule
 from pnm.core.machine.plan_graph import Flow
+from pnm.core.pictures.export import COLOURS, guard_data
 from pnm.core.pictures.net_layout import GAP, ROW, STACK, TITLE, BlockKey, BlockLayout, Column, Crossing, Frame, Standing, block_layouts
 from pnm.core.pictures.plan_layout import laid_out
 from pnm.core.pictures.step_words import cut, facts_of, held, numbers

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from pnm.core.machine.export import quoted
 from pnm.core.machine.plan_graph import Flow, PlanGraph
+from pnm.core.pictures.export import quoted
 from pnm.core.pictures.plan_layout import laid_out
 from pnm.core.pictures.step_words import cut, facts_of, held, words_of
 

@@ -8,10 +8,10 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Final
 from uuid import UUID
 
-from pnm.core.machine.export import as_data
+from pnm.core.machine.causes import Cause
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import Cause
 from pnm.core.net.net import Marking
+from pnm.core.pictures.export import as_data
 from pnm.errors import InputError, printable
 from pnm.files.yaml_nodes import parse_value
 from pnm.knowledge.sources.memory import read_value, write_value

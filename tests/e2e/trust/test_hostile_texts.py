@@ -21,7 +21,7 @@ from planner_bridge.cli.consoles.safe_console import SafeConsole
 from planner_bridge.cli.running_node import Event, EventPrinter, TaskBoard
 from planner_bridge.view.control.shown_json import shown_json
 from planner_bridge.view.follow import Reader
-from pnm.core.machine.export import quoted
+from pnm.core.pictures.export import quoted
 from pnm.core.pictures.svg import picture, xml
 from pnm.errors import printable, printable_lines
 from pnm.tasks import TraceKind

@@ -8,9 +8,10 @@ import pytest
 
 from pnm.core.logic.computed_values import Layer, Literal, Operation, Update
 from pnm.core.logic.conditions import TRUE, Computed, Holds
+from pnm.core.machine.causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure
-from pnm.core.machine.plan_graph import EMPTY, ActionCall, Cause, Loop, Recovery, Then
+from pnm.core.machine.plan_graph import EMPTY, ActionCall, Loop, Recovery, Then
 from pnm.errors import InputError
 from pnm.language import read_plans
 from pnm.language.to_plan_graph import MAX_NESTING, MAX_STEPS

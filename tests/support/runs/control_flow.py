@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pnm.core.logic.computed_values import Data, Layer, Literal, Operation, Query, Update
 from pnm.core.logic.conditions import Computed, Condition, Holds
+from pnm.core.machine.causes import Cause
 from pnm.core.machine.plan_graph import (
     EMPTY,
     ActionCall,
-    Cause,
     Choice,
     Flow,
     GroundAction,

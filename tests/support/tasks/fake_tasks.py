@@ -18,9 +18,9 @@ from planner_bridge.node.serve import NodeApi, NodeContext, make_task_manager
 from pnm.core.knowledge_base import KnowledgeBase, parse_fluent
 from pnm.core.logic.computed_values import Layer, Question
 from pnm.core.logic.expressions import Fluent, Unknown, Value, fluent_text
+from pnm.core.machine.causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import Cause
 from pnm.core.net.net import Marking
 from pnm.errors import InputError, Position
 from pnm.knowledge.sources.person_text import read_answer

@@ -50,6 +50,7 @@ from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.bindings import WhenLost
 from pnm.core.machine.blocks import MachineBlocks, PlacedRegion, PlacedStep
 from pnm.core.machine.call_block import CallTerms
+from pnm.core.machine.causes import ASKED, Cause
 from pnm.core.machine.guards import (
     Accepts,
     Adopted,
@@ -68,7 +69,7 @@ from pnm.core.machine.guards import (
     Withheld,
 )
 from pnm.core.machine.machine import PetriNetMachine, Rule
-from pnm.core.machine.plan_graph import ActionCall, Cause, Moment, PlanGraph, Recovery, Step, Then, flows
+from pnm.core.machine.plan_graph import ActionCall, Moment, PlanGraph, Recovery, Step, Then, flows
 from pnm.core.machine.recovery_block import is_direct
 from pnm.core.machine.requests import OutcomeKind, TransitionAction
 from pnm.core.machine.step_block import PORTS, Context, Port
@@ -79,15 +80,6 @@ RESOURCES: Final = PORTS.index(Port.RESOURCES)
 _NOWHERE: Final = frozenset[str]()
 _ASIDE: Final = (Ending, Failing, Withheld)
 """Guards of ways out that are there whatever a recovery says."""
-_OWN: Final = (Cause.BEFORE, Cause.AFTER)
-"""Causes that each recovery has a condition of its own for."""
-_RECOVERED: Final = frozenset(
-    (
-        *(*_OWN, Cause.PRECONDITION_FALSE, Cause.DATA_MISSING, Cause.REJECTED, Cause.UNAVAILABLE, Cause.ABORTED, Cause.CANCELED),
-        *(Cause.TIMED_OUT, Cause.LOST, Cause.EFFECTS_MISSING),
-    )
-)
-"""Causes after which recoveries are used; those for any other have no effect."""
 
 
 # --- what is asked ---------------------------------------------------------------------------
@@ -142,11 +134,11 @@ class Asked:
         """For each cause that the plan has recoveries for, how the call goes on, as `CallNet.course` says it."""
         lists: dict[Cause, list[Recovery]] = {}
         for recovery in self.step.recoveries:
-            for cause in recovery.causes & _RECOVERED:
+            for cause in (cause for cause in recovery.causes if cause.phase):
                 lists.setdefault(cause, []).append(recovery)
         return {
             cause: [(ConditionTrue(one.when), _asked_course(found[number:])) for number, one in enumerate(found)]
-            if cause in _OWN
+            if cause in ASKED
             else _asked_course(found)
             for cause, found in lists.items()
         }
@@ -555,7 +547,7 @@ def _recoveries(net: CallNet, call: Asked) -> _Compared:
         if cause is None or not is_plain or not net.targets[number].isdisjoint(net.alive):
             continue
         course = net.course(net.outputs[number])
-        if cause in _OWN:
+        if cause in ASKED:
             found[cause] = [*found.get(cause, []), (rule.guard, course)]  # type: ignore[misc]
         elif cause in call.recoveries or course is not _usual(net, number, call):
             found[cause] = course if found.setdefault(cause, course) == course else "several"

@@ -14,9 +14,10 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
+from pnm.core.machine.causes import Cause
 from pnm.core.machine.guards import Guard, GuardKind, InvariantFalse, OfCall, Opener, Reading
 from pnm.core.machine.machine import CallOutcome, PetriNetMachine
-from pnm.core.machine.plan_graph import Cause, Then
+from pnm.core.machine.plan_graph import Then
 from pnm.core.machine.requests import TransitionAction
 from pnm.core.net.net import Weights
 from pnm.errors import PnmError

@@ -13,9 +13,10 @@ from pnm.core.logic.computed_values import Layer, Literal, Operation, Query
 from pnm.core.logic.conditions import Computed
 from pnm.core.logic.expressions import UNKNOWN
 from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure
-from pnm.core.machine.plan_graph import ActionCall, Cause, Choice, Loop, PlanGraph, Recovery, Then, WaitUntil
+from pnm.core.machine.plan_graph import ActionCall, Choice, Loop, PlanGraph, Recovery, Then, WaitUntil
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, verify

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from pnm.core.machine.export import to_dot, to_json
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, PlanEvent, PlanGraph
+from pnm.core.pictures.export import to_dot, to_json
 from tests.support.runs.simulated import move
 
 GOLDEN = Path(__file__).parent / "golden"

@@ -7,8 +7,9 @@ import pytest
 from pnm.core.logic.conditions import Holds, Not
 from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import Constant
+from pnm.core.machine.causes import Cause
 from pnm.core.machine.generate import generate
-from pnm.core.machine.plan_graph import ActionCall, Cause, Flow, GroundAction, PlanGraph, PlanGraphError, Recovery, Then
+from pnm.core.machine.plan_graph import ActionCall, Flow, GroundAction, PlanGraph, PlanGraphError, Recovery, Then
 from pnm.core.machine.verification.verify import explore, verify
 from pnm.errors import InputError
 from tests.support.runs.direct import answering_with, drive

@@ -18,8 +18,8 @@ from planner_bridge.yaml import read_constraints
 from planner_bridge.yaml.convert import exported
 from pnm.core import message_fields
 from pnm.core.logic.operators import OPERATORS
+from pnm.core.machine.causes import Cause
 from pnm.core.machine.machine import OnFailure
-from pnm.core.machine.plan_graph import Cause
 from pnm.errors import InputError
 from pnm.knowledge import field_reader
 from pnm.language import actions, domain, files, plan_tree, steps

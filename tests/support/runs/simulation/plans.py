@@ -14,11 +14,11 @@ from pnm.core.logic.conditions import TRUE, Condition, Holds, Not, conjunction
 from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import Constant, Fluent
 from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.causes import Cause
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import (
     EMPTY,
     ActionCall,
-    Cause,
     Choice,
     Flow,
     GroundAction,

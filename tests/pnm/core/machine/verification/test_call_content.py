@@ -11,10 +11,11 @@ from pnm.core.logic.conditions import TRUE, Holds
 from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import Constant
 from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.guards import After, ConditionFalse, ConditionTrue, Guard, InvariantFalse
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import EMPTY, ActionCall, Cause, GroundAction, PlanGraph, Recovery, Then
+from pnm.core.machine.plan_graph import EMPTY, ActionCall, GroundAction, PlanGraph, Recovery, Then
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import verify
 from pnm.core.net.net import Marking, PetriNet, Weights

@@ -8,9 +8,10 @@ from itertools import pairwise
 
 import pytest
 
+from pnm.core.machine.causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import ActionCall, Cause, Flow, GroundAction, PlanGraph, Recovery, Then
+from pnm.core.machine.plan_graph import ActionCall, Flow, GroundAction, PlanGraph, Recovery, Then
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, forget_proofs, verify
 from pnm.core.net.net import PetriNet

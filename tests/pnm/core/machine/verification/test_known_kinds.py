@@ -9,9 +9,10 @@ import pytest
 
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.blocks import PlacedStep
+from pnm.core.machine.causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
-from pnm.core.machine.plan_graph import EMPTY, ActionCall, Cause, GroundAction, Moment, Ordering, PlanEvent, PlanGraph, Recovery, Then
+from pnm.core.machine.plan_graph import EMPTY, ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph, Recovery, Then
 from pnm.core.machine.verification import verify as verify_module
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import forget_proofs, verify
