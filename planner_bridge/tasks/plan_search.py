@@ -19,7 +19,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import calls_of
 from planner_bridge.model.projected_state import projected_state
 from planner_bridge.ordering.forecast import Forecast, awaited, with_forecasts
-from planner_bridge.ordering.interference import avoid_interference, optimistic_state, read_write_sets
+from planner_bridge.ordering.interference import ReadWriteSets, avoid_interference, optimistic_state, read_write_sets
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
 from planner_bridge.tasks.context import Conflict, RunningCalls, TaskContext
@@ -43,6 +43,7 @@ _NO_PLAN: Final = frozenset({PlanningStatus.UNSOLVABLE, PlanningStatus.NO_PLAN})
 
 P = TypeVar("P", Plan, PlanGraph)
 T = TypeVar("T")
+Footprint: TypeAlias = Callable[[], ReadWriteSets]
 Attempt: TypeAlias = Callable[[], Awaitable[tuple[P | None, tuple[Conflict, ...]]]]
 """Returns a plan that can be carried out beside those of other tasks, or the tasks with which all plans are in conflict."""
 
@@ -247,14 +248,15 @@ class PlanSearch:
         running = context.scheduler.running_calls(context.task)  # now, and not when the planner has answered
         weighs = context.on_conflict is OnConflict.PLAN_AROUND
         forecasts = context.scheduler.forecasts(context.task) if weighs and now.is_timed and run is None else {}
-        result, conflicts = await self._solve(now), tuple[Conflict, ...]()
+        result, conflicts, needed = await self._solve(now), tuple[Conflict, ...](), cast("Footprint", ReadWriteSets)
         if result.plan is None:
             context.observer.unplanned(result)
         else:
             self._has_found = True
-            conflicts = self._reserve(now, result.plan, going_on)
+            needed = _needed(now, result.plan, going_on)
+            conflicts = context.scheduler.conflicts(context.task, needed)
             if weighs and any(not conflict.yields for conflict in conflicts):
-                result, conflicts = await self._around(now, going_on, result, conflicts)
+                result, needed, conflicts = await self._around(now, going_on, result, needed, conflicts)
         if forecasts and not (conflicts and all(conflict.yields for conflict in conflicts)):
             can_begin = result.plan is not None and not conflicts
             conflicts = await self._sooner(now, forecasts, result.plan.makespan if result.plan and can_begin else inf) or conflicts
@@ -267,34 +269,30 @@ class PlanSearch:
             if result.status is PlanningStatus.UNSOLVABLE and (busy or context.resources.given_up):  # not in the world that will be
                 result = replace(result, status=PlanningStatus.NO_PLAN)
             raise NoPlan(result, forbidden, busy)
-        return self._unless_in_conflict(result.plan, conflicts)
+        return self._reserved(result.plan, needed, conflicts or context.scheduler.conflicts(context.task, needed))
 
     async def given(self, plan: Plan) -> tuple[Plan | None, tuple[Conflict, ...]]:
         """Attempt to carry out a plan that is given."""
         self._control.check()
         self._begin()
-        return self._unless_in_conflict(plan, self._reserve(self._monitor.now(), plan, []))
+        needed = _needed(self._monitor.now(), plan, [])
+        return self._reserved(plan, needed, self._context.scheduler.conflicts(self._context.task, needed))
 
     async def rest(self, rest: PlanGraph) -> tuple[PlanGraph | None, tuple[Conflict, ...]]:
         """Attempt to carry out the rest of a plan."""
         context = self._context
-        # Reserved before conflicts are looked for, with no await in between: of two tasks one always sees the other.
-        self._control.reserved = needed = cache(partial(read_write_sets, rest.calls, rest.goal, context.world))
-        return self._unless_in_conflict(rest, context.scheduler.new_conflicts(context.task, needed))
+        needed = cache(partial(read_write_sets, rest.calls, rest.goal, context.world))
+        return self._reserved(rest, needed, context.scheduler.new_conflicts(context.task, needed))
 
     def _begin(self) -> None:
         self.origin = asyncio.get_running_loop().time()
         self._control.enter(TaskState.PLANNING)
 
-    def _reserve(self, now: Problem, plan: Plan, under_way: list[ActionCall]) -> tuple[Conflict, ...]:
-        needed = cache(lambda: read_write_sets((*under_way, *calls_of(now, plan)), now.goal, initial_knowledge(now)))
-        self._control.reserved = needed
-        return self._context.scheduler.conflicts(self._context.task, needed)
-
-    def _unless_in_conflict(self, plan: P | None, conflicts: tuple[Conflict, ...]) -> tuple[P | None, tuple[Conflict, ...]]:
+    def _reserved(self, plan: P | None, needed: Footprint, conflicts: tuple[Conflict, ...]) -> tuple[P | None, tuple[Conflict, ...]]:
+        """Reserve what a plan needs, unless it is in conflict. No await since these were looked for: of two tasks one sees the other."""
         if conflicts:
-            self._control.reserved = None
             return None, conflicts
+        self._control.reserved = needed
         return plan, ()
 
     async def _too_early(self, now: Problem, running: tuple[RunningCalls, ...], result: PlanningResult) -> tuple[Conflict, ...]:
@@ -331,19 +329,20 @@ class PlanSearch:
         return tuple(conflicts)
 
     async def _around(
-        self, now: Problem, under_way: list[ActionCall], result: PlanningResult, conflicts: tuple[Conflict, ...]
-    ) -> tuple[PlanningResult, tuple[Conflict, ...]]:
+        self, now: Problem, under_way: list[ActionCall], result: PlanningResult, needed: Footprint, conflicts: tuple[Conflict, ...]
+    ) -> tuple[PlanningResult, Footprint, tuple[Conflict, ...]]:
         """Search for a plan that avoids the conflicts with tasks that do not yield, and those that it would bring itself."""
         avoided: dict[UUID, Conflict] = {}
         while new := {conflict.task: conflict for conflict in conflicts if conflict.task not in avoided and not conflict.yields}:
             avoided |= new
             other = await self._solve(avoid_interference(now, [conflict.footprint for conflict in avoided.values()]))
             if other.plan is None:
-                return result, tuple(avoided.values())
-            conflicts = self._reserve(now, other.plan, under_way)
+                return result, needed, tuple(avoided.values())
+            its = _needed(now, other.plan, under_way)
+            conflicts = self._context.scheduler.conflicts(self._context.task, its)
             if all(conflict.yields for conflict in conflicts):
-                return other, conflicts
-        return result, conflicts
+                return other, its, conflicts
+        return result, needed, conflicts
 
     async def _solve(self, problem: Problem) -> PlanningResult:
         """Ask the planner, in a thread."""
@@ -371,3 +370,8 @@ class PlanSearch:
         timeout = max(0.01, min(settings.planner_timeout, self._monitor.limit.left))
         planner, improve, executor = settings.planner, settings.improve, settings.executor
         return partial(solve, problem, planner=planner, timeout=timeout, improve=improve, cancel=stop, executor=executor)
+
+
+def _needed(now: Problem, plan: Plan, under_way: list[ActionCall]) -> Footprint:
+    """Return what a plan needs and changes, beside calls that are under way."""
+    return cache(lambda: read_write_sets((*under_way, *calls_of(now, plan)), now.goal, initial_knowledge(now)))
