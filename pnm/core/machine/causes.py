@@ -7,7 +7,7 @@ from typing import Final, Self
 
 
 class Phase(Enum):
-    """When something is wrong with a call. A plan's own recoveries are sorted by it; other causes have none of those."""
+    """When something is wrong with a call. A plan's own recoveries are sorted by it."""
 
     BEFORE = "before"
     """Nothing has been sent."""
@@ -15,6 +15,14 @@ class Phase(Enum):
     """Its request has ended, and not with success."""
     AFTER = "after"
     """Its request has succeeded."""
+
+
+class NoRecovery(Enum):
+    """Why no recovery of a call follows a cause, as a sentence."""
+
+    CALL = "then a call has failed for good"
+    STEP = "a loop, a choice or a wait fails so, and no call"
+    PLAN = "a plan as a whole fails so, and none of its calls"
 
 
 class Trouble(Enum):
@@ -42,19 +50,19 @@ class Cause(StrEnum):
     The order gives the numbers in messages: a new one comes last.
 
     Attributes:
-        phase: of a call, when it comes.
+        phase: of a call, when it comes; or why it has no recoveries.
         trouble: which kind it is.
         blame: whom it speaks against. A condition over all that breaks speaks against the action: it was under way, as when its robot
             notices that itself and aborts.
         happened: what has become of a call, as the predicate of a sentence.
     """
 
-    phase: Phase | None
+    phase: Phase | NoRecovery
     trouble: Trouble
     blame: Blame
     happened: str
 
-    def __new__(cls, value: str, phase: Phase | None, trouble: Trouble, blame: Blame = Blame.ACTION, happened: str = "") -> Self:
+    def __new__(cls, value: str, phase: Phase | NoRecovery, trouble: Trouble, blame: Blame = Blame.ACTION, happened: str = "") -> Self:
         """Make a member of its traits."""
         cause = str.__new__(cls, value)
         cause._value_ = value
@@ -74,21 +82,21 @@ class Cause(StrEnum):
     AFTER = "after", Phase.AFTER, Trouble.ACTION
     """The recovery's own condition holds after success."""
     EFFECTS_MISSING = "effects_missing", Phase.AFTER, Trouble.ACTION
-    INVARIANT_FALSE = "invariant_false", None, Trouble.CONDITION
-    TOO_LATE = "too_late", None, Trouble.TIME
+    INVARIANT_FALSE = "invariant_false", NoRecovery.CALL, Trouble.CONDITION
+    TOO_LATE = "too_late", NoRecovery.CALL, Trouble.TIME
     """Its deadline, or the time of its latest start, has passed before it was sent."""
-    DEADLINE_MISSED = "deadline_missed", None, Trouble.TIME
-    WITHHELD = "withheld", None, Trouble.SERVER, Blame.WORLD, "has waited in vain for what others keep"
+    DEADLINE_MISSED = "deadline_missed", NoRecovery.CALL, Trouble.TIME
+    WITHHELD = "withheld", NoRecovery.CALL, Trouble.SERVER, Blame.WORLD, "has waited in vain for what others keep"
     """Its resources belong to requests that were given up."""
-    LOOP_LIMIT = "loop_limit", None, Trouble.ACTION
+    LOOP_LIMIT = "loop_limit", NoRecovery.STEP, Trouble.ACTION
     """All rounds of a loop are spent."""
-    CONDITION_UNKNOWN = "condition_unknown", None, Trouble.ACTION
+    CONDITION_UNKNOWN = "condition_unknown", NoRecovery.STEP, Trouble.ACTION
     """The condition of a loop or a choice is neither true nor false."""
-    RESTART_LIMIT = "restart_limit", None, Trouble.ACTION
+    RESTART_LIMIT = "restart_limit", NoRecovery.PLAN, Trouble.ACTION
     """The plan shall begin anew once more, and has done so as often as it may."""
-    GOAL_FALSE = "goal_false", None, Trouble.ACTION
+    GOAL_FALSE = "goal_false", NoRecovery.PLAN, Trouble.ACTION
     """Every step is done, and the goal of the plan does not hold."""
-    WAIT_LIMIT = "wait_limit", None, Trouble.TIME
+    WAIT_LIMIT = "wait_limit", NoRecovery.STEP, Trouble.TIME
     """The condition that is waited for has not become true in time."""
 
 

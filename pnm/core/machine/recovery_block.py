@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Final, assert_never
 
 from pnm.core.logic.conditions import TRUE, Condition
-from pnm.core.machine.causes import ASKED, Cause, Phase
+from pnm.core.machine.causes import ASKED, Cause, NoRecovery, Phase
 from pnm.core.machine.guards import Always, ConditionTrue, Ending, Failing
 from pnm.core.machine.machine import Rule
 from pnm.core.machine.plan_graph import EMPTY, ActionCall, PlanGraphError, Recovery, Then
@@ -44,6 +44,8 @@ def build_recoveries(block: Block[ActionCall]) -> Recoveries:
         if not is_direct(recovery):
             _chained(block, recovery, number)
         for cause in recovery.causes:
+            if isinstance(cause.phase, NoRecovery):
+                raise PlanGraphError(f"recovery {number} of {block.step} for {cause.value} can never happen: {cause.phase.value}")
             # CONTINUE leads to `finished`, where the effects of a request are looked for: it needs a request, and comes before that check.
             if recovery.then is Then.CONTINUE and cause.phase in (Phase.BEFORE, Phase.AFTER):
                 raise PlanGraphError(

@@ -134,7 +134,7 @@ class Asked:
         """For each cause that the plan has recoveries for, how the call goes on, as `CallNet.course` says it."""
         lists: dict[Cause, list[Recovery]] = {}
         for recovery in self.step.recoveries:
-            for cause in (cause for cause in recovery.causes if cause.phase):
+            for cause in recovery.causes:
                 lists.setdefault(cause, []).append(recovery)
         return {
             cause: [(ConditionTrue(one.when), _asked_course(found[number:])) for number, one in enumerate(found)]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from pnm.core.logic.conditions import Holds, Not
@@ -101,3 +103,28 @@ def test_a_recovery_that_can_never_happen_is_refused_where_it_stands() -> None:
         only_plan(f"{text}          - {{do: [fix:, retry]}}\n")
     assert error.value.position is not None
     assert (error.value.position.line, error.value.position.column) == (8, 13)
+
+
+PLAIN = ActionCall(0, GroundAction("act"))
+KINDS = (
+    PLAIN,
+    replace(PLAIN, latest_start=5.0, deadline=9.0),
+    replace(PLAIN, action=replace(PLAIN.action, resources=("arm",), invariant=Holds(("lit",)))),
+)
+
+
+@pytest.mark.parametrize("cause", Cause)
+def test_a_recovery_can_happen_or_is_refused_with_the_reason(cause: Cause) -> None:
+    """Also where something restarts: that the plan may do so no more is no failure of a call."""
+    for call in KINDS:
+        restarts = ActionCall(2, GroundAction("other"), recoveries=(Recovery(ABORTED, Then.RESTART_PLAN, Flow()),))
+        for then in (Then.RETRY, Then.SKIP, Then.FAIL):
+            plan = PlanGraph((replace(call, recoveries=(Recovery(frozenset({cause}), then, FIX),)), restarts))
+            try:
+                machine = generate(plan)
+            except PlanGraphError as refused:
+                never, _, why = str(refused).partition(": ")
+                assert never == f"recovery 0 of act()#0 for {cause} can never happen"
+                assert why == cause.phase.value
+            else:
+                verify(machine)  # which refuses steps that can never begin
