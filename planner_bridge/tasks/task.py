@@ -129,6 +129,10 @@ class Task(TaskObserver):
         """Whether the task has begun, and is neither paused nor over."""
         return self.control.has_begun and self.ending is None and not self.control.is_paused
 
+    def yields_to(self, other: Task) -> bool:
+        """Return whether it can be preempted for another one, and ranks lower."""
+        return self.is_active and self.wanted.priority < other.wanted.priority
+
     @property
     def wants_to_go_on(self) -> bool:
         """Whether the task has something to do: it has begun, no operator has paused it, and it does not only wait for answers."""

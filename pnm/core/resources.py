@@ -15,9 +15,8 @@ from __future__ import annotations
 
 from bisect import bisect_left, insort
 from collections import defaultdict
-from collections.abc import Callable, Collection, Hashable, Iterable, KeysView, Mapping
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, KeysView, Mapping
 from dataclasses import dataclass
-from itertools import takewhile
 from math import inf
 from operator import itemgetter
 from typing import Final, Generic, TypeAlias, TypeVar
@@ -148,7 +147,7 @@ class Resources:
             self._hold(claim)
         else:
             self._join(claim)
-            if self.outranked(claim.names):  # nothing has become free, but those who hold what this one needs may be preempted
+            if any(self.outranking(claim.names)):  # nothing has become free, but those who hold what this one needs may be preempted
                 self._call(None)
         if earlier is not None and earlier.names != claim.names:
             self._tell_served(earlier.names)
@@ -212,17 +211,18 @@ class Resources:
         if (left := self._leave(request)) is not None:
             self._tell_served(left.names)
 
-    def outranked(self, names: Iterable[str] | None = None) -> frozenset[UUID]:
-        """Return the tasks that have what a claim of higher priority waits for: any resource, or one of these."""
-        tasks: set[UUID] = set()
+    def outranking(self, names: Iterable[str] | None = None) -> Iterator[tuple[Claim, Claim]]:
+        """Yield claims in line, each with one of a lower priority that has what it needs: any resource, or one of these."""
         for name in self._lines if names is None else names:
             if self._used(name) < self.capacity(name):
                 continue
             for held in self._holders[name].values():
-                higher = takewhile(lambda rank, held=held: -rank[0] > held.priority, self._lines.get(name, ()))  # type: ignore[misc]
-                if self.gives(held) and any(self._line[request][1].task != held.task for _, _, request in higher):
-                    tasks.add(held.task)
-        return frozenset(tasks)
+                for _, _, request in self._lines.get(name, ()) if self.gives(held) else ():
+                    claim = self._line[request][1]
+                    if claim.priority <= held.priority:
+                        break
+                    if claim.task != held.task:
+                        yield claim, held
 
     def gives(self, claim: Claim) -> bool:
         """Return False if the request of the claim was given up: what it holds may never be released."""

@@ -56,8 +56,7 @@ class Preemption(TaskListener):
         for other in others:
             its = other.control.footprint
             if its is not None and (why := interference(needed, its)):
-                yields = other.is_active and other.wanted.priority < task.wanted.priority
-                conflicts.append(Conflict(other.id, other.name, its, why, yields))
+                conflicts.append(Conflict(other.id, other.name, its, why, other.yields_to(task)))
         return tuple(conflicts)
 
     def new_conflicts(self, task: Task, footprint: Callable[[], ReadWriteSets]) -> tuple[Conflict, ...]:
@@ -68,7 +67,7 @@ class Preemption(TaskListener):
 
     def forecasts(self, task: Task) -> Mapping[Task, Forecast]:
         """Return what is expected of the plans of other active tasks that do not yield to this one."""
-        ahead = [other for other in self._others(task) if not (other.is_active and other.wanted.priority < task.wanted.priority)]
+        ahead = [other for other in self._others(task) if not other.yields_to(task)]
         return {other: expected for other in ahead if (expected := other.control.forecast) is not None}
 
     def runs(self) -> tuple[Run, ...]:
@@ -81,8 +80,7 @@ class Preemption(TaskListener):
         for other in self._tasks.values():
             run = other.control.run if other is not task else None
             if run is not None and (calls := run.unsettled):
-                yields = other.is_active and other.wanted.priority < task.wanted.priority
-                running.append(RunningCalls(other.id, other.name, calls, yields))
+                running.append(RunningCalls(other.id, other.name, calls, other.yields_to(task)))
         return tuple(running)
 
     def _others(self, task: Task) -> list[Task]:
@@ -126,14 +124,10 @@ class Preemption(TaskListener):
 
     def preempt_holders(self) -> None:
         """Preempt the tasks that have what a claim of higher priority waits for."""
-        if not (outranked := self._resources.outranked()):
-            return
         # Only holders of something that this very claim needs: others of lower priority stay undisturbed.
-        for claim in self._resources.line:
-            for held in self._resources.held:
-                is_outranked = held.task in outranked and held.priority < claim.priority and self._resources.gives(held)
-                if is_outranked and not set(held.names).isdisjoint(claim.names) and {held.task, claim.task} <= self._tasks.keys():
-                    self._set_preempted(self._tasks[held.task], self._tasks[claim.task])
+        for higher, lower in dict.fromkeys((claim.task, held.task) for claim, held in self._resources.outranking()):
+            if {higher, lower} <= self._tasks.keys():
+                self._set_preempted(self._tasks[lower], self._tasks[higher])
 
     def _set_preempted(self, task: Task, other: Task) -> None:
         if other.id not in task.preempted_by and task.id in self._tasks:

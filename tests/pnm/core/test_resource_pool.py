@@ -99,11 +99,12 @@ def test_tasks_are_outranked_by_claims_of_higher_priority_alone() -> None:
     pool = Resources({"leg": 2})
     for one in (claim(1, "arm", task=7), claim(2, "leg", task=8), claim(3, "eye", task=9, priority=2)):
         assert pool.take(one)
-    pool.take(claim(4, "arm", "leg", "eye", priority=1))
-    assert pool.outranked() == {UUID(int=7)}
+    higher = claim(4, "arm", "leg", "eye", priority=1)
+    pool.take(higher)
+    assert [*pool.outranking()] == [(higher, claim(1, "arm", task=7))]
     pool.withdraw(UUID(int=4))
     pool.take(claim(5, "arm"))
-    assert pool.outranked() == frozenset()
+    assert not [*pool.outranking()]
 
 
 def test_a_resource_is_in_use_as_often_as_it_may_be() -> None:
@@ -214,7 +215,7 @@ def test_nobody_has_too_much_everybody_is_served_and_equals_in_order(
         told.clear()
         served = sorted((one for one in fair.came if one.number in turn), key=lambda one: -one.priority)
         assert pool.concerned(dict.fromkeys(one.request for one in pool.line).keys()) == [one.claim.request for one in served]
-        assert pool.outranked() == outranked(pool, capacities)
+        assert {lower.task for _, lower in pool.outranking()} == outranked(pool, capacities)
         used = Counter(name for one in pool.held for name in one.names)
         assert all(count <= capacities.get(name, 1) for name, count in used.items())
         assert [one.request for one in pool.line] == [one.claim.request for one in sorted(fair.came, key=lambda one: -one.priority)]
