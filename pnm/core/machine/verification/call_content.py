@@ -5,37 +5,7 @@ the net of every call is compared with its `CallTerms`. Nothing is taken from th
 are kept by: the places of a call are told apart by what happens at them (`CallNet`). A request is sent at a *ready* place; it is then
 *unanswered*, *under way* from its acceptance on, and *being cancelled* wherever it may be alive else.
 
-Who designs the block of a call keeps these rules. Each is a row of `WATCHES` or of `TRAITS`, and is named when it is broken.
-
-Before the request is sent, at every ready place:
-
-- times: its start waits for times if the plan has some, which are then looked at with its orderings.
-- data: it is asked whether a goal field lacks its value.
-- latest start: a call with a latest start or a deadline is not sent after it.
-- already true: it is asked whether there is nothing to do, unless the call must happen all the same.
-- precondition: what sends asks for the precondition, and for the over-all condition as far as the start does not change that itself.
-
-While it may be alive:
-
-- answer: an unanswered request is cancelled after the binding's `accept`.
-- over-all condition, deadline: where it is under way, a broken one cancels it, and the call has failed.
-- time limit: where it is under way, it is cancelled after its timeout.
-- cancelling: where it is being cancelled, it is given up after the binding's `cancel`. It comes there by a cancellation only.
-- resources: exactly those of the call are taken, all at once, by what leads to where the request may be alive, and given back by what leads
-  out of there. Effects are looked for with them, unless that must wait for others or may have to ask somebody. `alive_places` are these
-  places. Resources that are withheld are waited for as long as `accept` says.
-
-After it:
-
-- effects: those at the start are written when it is accepted, those at the end with the success, before the end waits for others.
-- lost: a request that is lost ends the call for good if the binding says `abort`.
-- retries: a retry takes one of the tokens of a counter, and there are as many as the plan, or else the binding, says.
-- recoveries: each cause leads to the recoveries that the plan has for it: in their order, under their conditions, with their chains, and as
-  often; without one a false check and an end for good lead to failure, and every other end to another attempt.
-- counters: what was spent is given back before the call is left, if it may be reached again and its end waits for no others.
-- restart: while the plan begins anew, a call that recovers is dropped and has not failed; without recoveries that ask for it, none is.
-- attempts: attempts after the start was announced have ready places of their own, and there are such only if others wait for the start.
-- adopted: a request of another run is taken over if the call is under way already.
+Who designs the block of a call keeps the rules `CallRule`. Each is a row of `WATCHES` or of `TRAITS`, and is named when it is broken.
 """
 
 from __future__ import annotations
@@ -48,7 +18,6 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.bindings import WhenLost
-from pnm.core.machine.blocks import MachineBlocks, PlacedRegion, PlacedStep
 from pnm.core.machine.call_block import CallTerms
 from pnm.core.machine.causes import ASKED, Cause
 from pnm.core.machine.guards import (
@@ -73,7 +42,7 @@ from pnm.core.machine.plan_graph import ActionCall, Moment, PlanGraph, Recovery,
 from pnm.core.machine.recovery_block import is_direct
 from pnm.core.machine.requests import OutcomeKind, TransitionAction
 from pnm.core.machine.step_block import PORTS, Context, Port
-from pnm.core.machine.verification.part import Unsound
+from pnm.core.machine.verification.part import CallRule, Unsound
 from pnm.core.net.net import Weights
 
 RESOURCES: Final = PORTS.index(Port.RESOURCES)
@@ -380,7 +349,7 @@ def _ends_lost(rule: Rule) -> bool:
 class Watch(NamedTuple):
     """A guard that is asked at all places of a kind, and may differ from call to call."""
 
-    rule: str
+    rule: CallRule
     exits: Callable[[CallNet], Iterable[list[int]]]
     """For each of the places, the exits among which it is."""
     is_one: Callable[[Rule], bool]
@@ -422,15 +391,15 @@ def _over_all(call: Asked) -> Guard | None:
 
 _UNDER_WAY: Final = _at(lambda net: net.under_way)
 WATCHES: Final = (
-    Watch("data", _before_sending, _is(DataMissing), lambda call: DataMissing(call.step.index)),
-    Watch("latest start", _before_sending, _is(Due), lambda call: _due(call.terms.latest)),
-    Watch("precondition", _at(lambda net: net.ready), _sends, lambda call: ConditionTrue(call.terms.may_start)),
-    Watch("answer", _at(lambda net: net.unanswered), _is(After), lambda call: After(call.terms.binding.accept), _cancels),
-    Watch("over-all condition", _UNDER_WAY, _is(InvariantFalse), _over_all, _cancels_and_fails),
-    Watch("deadline", _UNDER_WAY, _is(Due), lambda call: _due(call.step.deadline), _cancels_and_fails),
-    Watch("time limit", _UNDER_WAY, _is(After), lambda call: After(call.terms.timeout), _cancels),
+    Watch(CallRule.DATA, _before_sending, _is(DataMissing), lambda call: DataMissing(call.step.index)),
+    Watch(CallRule.LATEST_START, _before_sending, _is(Due), lambda call: _due(call.terms.latest)),
+    Watch(CallRule.PRECONDITION, _at(lambda net: net.ready), _sends, lambda call: ConditionTrue(call.terms.may_start)),
+    Watch(CallRule.ANSWER, _at(lambda net: net.unanswered), _is(After), lambda call: After(call.terms.binding.accept), _cancels),
+    Watch(CallRule.OVER_ALL, _UNDER_WAY, _is(InvariantFalse), _over_all, _cancels_and_fails),
+    Watch(CallRule.DEADLINE, _UNDER_WAY, _is(Due), lambda call: _due(call.step.deadline), _cancels_and_fails),
+    Watch(CallRule.TIME_LIMIT, _UNDER_WAY, _is(After), lambda call: After(call.terms.timeout), _cancels),
     Watch(
-        "cancelling",
+        CallRule.CANCELLING,
         _at(lambda net: net.cancelled),
         _is(After),
         lambda call: After(call.terms.binding.cancel),
@@ -554,21 +523,21 @@ def _recoveries(net: CallNet, call: Asked) -> _Compared:
     return call.recoveries, found
 
 
-TRAITS: Final[tuple[tuple[str, Callable[[CallNet, Asked], _Compared]], ...]] = (
-    ("times", _times),
-    ("attempts", _attempts),
-    ("adopted", _adopted),
-    ("already true", _already_true),
-    ("cancelling", _cancelling),
-    ("resources", _alive_places),
-    ("resources", _resources),
-    ("resources", _withheld),
-    ("effects", _effects),
-    ("lost", _lost),
-    ("retries", _retries),
-    ("counters", _counters),
-    ("restart", _restart),
-    ("recoveries", _recoveries),
+TRAITS: Final[tuple[tuple[CallRule, Callable[[CallNet, Asked], _Compared]], ...]] = (
+    (CallRule.TIMES, _times),
+    (CallRule.ATTEMPTS, _attempts),
+    (CallRule.ADOPTED, _adopted),
+    (CallRule.ALREADY_TRUE, _already_true),
+    (CallRule.CANCELLING, _cancelling),
+    (CallRule.RESOURCES, _alive_places),
+    (CallRule.RESOURCES, _resources),
+    (CallRule.RESOURCES, _withheld),
+    (CallRule.EFFECTS, _effects),
+    (CallRule.LOST, _lost),
+    (CallRule.RETRIES, _retries),
+    (CallRule.COUNTERS, _counters),
+    (CallRule.RESTART, _restart),
+    (CallRule.RECOVERIES, _recoveries),
 )
 
 
@@ -606,60 +575,5 @@ def check_guard(watch: Watch, guard: Guard, call: Asked) -> None:
         raise _broken(call, watch.rule, asked, guard)
 
 
-def _broken(call: Asked, rule: str, asked: object, found: object) -> Unsound:
-    return Unsound(f"{call.step} does not keep the rule of its {rule}: {asked} is asked for, and there is {found}")
-
-
-# --- nets of calls ----------------------------------------------------------------------------
-
-
-def net_of(machine: PetriNetMachine, call: int, transitions: Sequence[str]) -> CallNet:
-    """Return the net of a call, given its transitions by name."""
-    places = frozenset(place for name in transitions for arcs in (machine.net.inputs, machine.net.outputs) for place in arcs[name])
-    regions = (region for region in machine.regions if region.owner == call)
-    return CallNet(
-        names=transitions,
-        rules=[machine.rules[name] for name in transitions],
-        inputs=[machine.net.inputs[name] for name in transitions],
-        outputs=[machine.net.outputs[name] for name in transitions],
-        failures=places & machine.failure_places.keys(),
-        restarts=places & machine.restart_places.keys(),
-        counters={place: machine.initial[place] for place in places & machine.budget_places},
-        resources={place: name for place, name in machine.resource_places.items() if place in places},
-        between=places & (machine.orderings.keys() | machine.border_places),
-        alive_places=places & machine.alive_places,
-        chains=[Chain(frozenset(region.first), frozenset(region.last), region.steps) for region in regions],
-    )
-
-
-def net_of_block(blocks: MachineBlocks, block: PlacedStep, resources: Mapping[int, str]) -> CallNet:
-    """Return the net of a call by its template, in whose names: a port is one place, but for resources, and none if it leads nowhere."""
-    template = block.template
-    named = {code: [name] if code >= 0 or block.ports[~code] else [] for name, code in template.codes.items()}
-    named[~RESOURCES] = [resources[place] for place in block.ports[RESOURCES]]
-    chains: list[Chain] = []
-    for number in range(len(PORTS), len(block.ports), 2):
-        region = blocks.segment_of(block.ports[number][0])
-        assert isinstance(region, PlacedRegion), "what inner ports stand for was looked at before"
-        first, last = (frozenset(named[~port]) for port in (number, number + 1))
-        chains.append(Chain(first, last, frozenset(step.index for step in region.inner.flow.steps)))
-
-    def arcs(of: Sequence[Iterable[tuple[int, int]]]) -> list[Weights]:
-        return [{name: weight for code, weight in one for name in named[code]} for one in of]
-
-    def names(codes: Iterable[int]) -> frozenset[str]:
-        return frozenset(name for code in codes for name in named[code])
-
-    return CallNet(
-        names=template.transitions,
-        rules=[blocks.rule(block.transition + number) for number in range(len(template.transitions))],
-        inputs=arcs(template.inputs),
-        outputs=arcs(template.outputs),
-        failures=names(template.failures),
-        restarts=names(template.restarts),
-        counters={name: template.initial.get(code, 0) for code in template.budgets for name in named[code]},
-        resources={name: name for name in named[~RESOURCES]},
-        between=names(code for code in named if code < 0 and code != ~RESOURCES),
-        alive_places=names(template.alive),
-        chains=chains,
-    )
+def _broken(call: Asked, rule: CallRule, asked: object, found: object) -> Unsound:
+    return Unsound(f"{call.step} does not keep the rule of its {rule.value}: {asked} is asked for, and there is {found}", rule=rule)

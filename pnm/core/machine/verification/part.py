@@ -23,12 +23,66 @@ from pnm.core.net.net import Weights
 from pnm.errors import PnmError
 
 
-class Unsound(PnmError):
-    """The machine can reach a state it must not reach; `trace` leads there."""
+class CallRule(Enum):
+    """Rules that the block of a call keeps, in the words in which a refusal names them."""
 
-    def __init__(self, what: str, trace: Sequence[str] = ()) -> None:
+    # before the request is sent, at every ready place
+    TIMES = "times"
+    """Its start waits for times if the plan has some, which are then looked at with its orderings."""
+    DATA = "data"
+    """It is asked whether a goal field lacks its value."""
+    LATEST_START = "latest start"
+    """A call with a latest start or a deadline is not sent after it."""
+    ALREADY_TRUE = "already true"
+    """It is asked whether there is nothing to do, unless the call must happen all the same."""
+    PRECONDITION = "precondition"
+    """What sends asks for it, and for the over-all condition as far as the start does not change that itself."""
+    # while it may be alive
+    ANSWER = "answer"
+    """An unanswered request is cancelled after the binding's `accept`."""
+    OVER_ALL = "over-all condition"
+    """Where it is under way, a broken one cancels it, and the call has failed."""
+    DEADLINE = "deadline"
+    """Where it is under way, a missed one cancels it, and the call has failed."""
+    TIME_LIMIT = "time limit"
+    """Where it is under way, it is cancelled after its timeout."""
+    CANCELLING = "cancelling"
+    """Where it is being cancelled, it is given up after the binding's `cancel`. It comes there by a cancellation only."""
+    RESOURCES = "resources"
+    """Exactly those of the call are taken, all at once, by what leads to where the request may be alive, and given back by what leads out.
+
+    Effects are looked for with them, unless that must wait for others or may have to ask somebody. `alive_places` are these places.
+    Resources that are withheld are waited for as long as `accept` says.
+    """
+    # after it
+    EFFECTS = "effects"
+    """Those at the start are written when it is accepted, those at the end with the success, before the end waits for others."""
+    LOST = "lost"
+    """A request that is lost ends the call for good if the binding says `abort`."""
+    RETRIES = "retries"
+    """A retry takes one of the tokens of a counter, and there are as many as the plan, or else the binding, says."""
+    RECOVERIES = "recoveries"
+    """Each cause leads to the recoveries that the plan has for it: in their order, under their conditions, with their chains, as often.
+
+    Without one a false check and an end for good lead to failure, and every other end to another attempt.
+    """
+    COUNTERS = "counters"
+    """What was spent is given back before the call is left, if it may be reached again and its end waits for no others."""
+    RESTART = "restart"
+    """While the plan begins anew, a call that recovers is dropped and has not failed; without recoveries that ask for it, none is."""
+    ATTEMPTS = "attempts"
+    """Attempts after the start was announced have ready places of their own, and there are such only if others wait for the start."""
+    ADOPTED = "adopted"
+    """A request of another run is taken over if the call is under way already."""
+
+
+class Unsound(PnmError):
+    """The machine can reach a state it must not reach, to which `trace` leads; or the block of a call breaks a `rule`."""
+
+    def __init__(self, what: str, trace: Sequence[str] = (), *, rule: CallRule | None = None) -> None:
         super().__init__(f"{what}{f'; after {chr(32).join(trace)}' if trace else ''}")
         self.trace = tuple(trace)
+        self.rule = rule
 
 
 @dataclass(frozen=True, slots=True)

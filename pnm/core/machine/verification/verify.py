@@ -22,7 +22,7 @@ once whenever it is entered. Counters are explored as all, some or none left, an
 
 The net is that of the plan: its regions are the flows, every ordering is a place that its two events keep in order, delays and
 releases are waited for, and a step fails only after some rule has found the cause. Every call asks, watches, holds and counts what its
-action, its binding and the plan ask of it: the rules are in `pnm.core.machine.verification.call_content`.
+action, its binding and the plan ask of it: the rules are `CallRule`.
 
 A block takes all of its resources at once, while it has none, gives them back whatever happens, and
 waits neither for other blocks nor for what it holds as long as it has them. So a call that has resources
@@ -42,8 +42,9 @@ from pnm.core.machine.blocks import MachineBlocks, PlacedRegion, PlacedStep, bui
 from pnm.core.machine.guards import Adopted, ConditionTrue, Guard, Withheld
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
+from pnm.core.machine.step_block import PORTS
 from pnm.core.machine.verification.block_shape import kinds_of, shape_of
-from pnm.core.machine.verification.call_content import RESOURCES, Asked, AskedOf, Watch, check_content, check_guard, net_of, net_of_block
+from pnm.core.machine.verification.call_content import RESOURCES, Asked, AskedOf, CallNet, Chain, Watch, check_content, check_guard
 from pnm.core.machine.verification.decompose import Anatomy, Block, Connected, Event, Owner
 from pnm.core.machine.verification.explore import Exploration, NeverFires, explore_part, never_fire
 from pnm.core.machine.verification.part import Inside, Part, Unsound, step_of
@@ -366,3 +367,58 @@ def explore(machine: PetriNetMachine) -> int:
         )
     )
     return explored.states
+
+
+# --- nets of calls ----------------------------------------------------------------------------
+
+
+def net_of(machine: PetriNetMachine, call: int, transitions: Sequence[str]) -> CallNet:
+    """Return the net of a call, given its transitions by name."""
+    places = frozenset(place for name in transitions for arcs in (machine.net.inputs, machine.net.outputs) for place in arcs[name])
+    regions = (region for region in machine.regions if region.owner == call)
+    return CallNet(
+        names=transitions,
+        rules=[machine.rules[name] for name in transitions],
+        inputs=[machine.net.inputs[name] for name in transitions],
+        outputs=[machine.net.outputs[name] for name in transitions],
+        failures=places & machine.failure_places.keys(),
+        restarts=places & machine.restart_places.keys(),
+        counters={place: machine.initial[place] for place in places & machine.budget_places},
+        resources={place: name for place, name in machine.resource_places.items() if place in places},
+        between=places & (machine.orderings.keys() | machine.border_places),
+        alive_places=places & machine.alive_places,
+        chains=[Chain(frozenset(region.first), frozenset(region.last), region.steps) for region in regions],
+    )
+
+
+def net_of_block(blocks: MachineBlocks, block: PlacedStep, resources: Mapping[int, str]) -> CallNet:
+    """Return the net of a call by its template, in whose names: a port is one place, but for resources, and none if it leads nowhere."""
+    template = block.template
+    named = {code: [name] if code >= 0 or block.ports[~code] else [] for name, code in template.codes.items()}
+    named[~RESOURCES] = [resources[place] for place in block.ports[RESOURCES]]
+    chains: list[Chain] = []
+    for number in range(len(PORTS), len(block.ports), 2):
+        region = blocks.segment_of(block.ports[number][0])
+        assert isinstance(region, PlacedRegion), "what inner ports stand for was looked at before"
+        first, last = (frozenset(named[~port]) for port in (number, number + 1))
+        chains.append(Chain(first, last, frozenset(step.index for step in region.inner.flow.steps)))
+
+    def arcs(of: Sequence[Iterable[tuple[int, int]]]) -> list[Weights]:
+        return [{name: weight for code, weight in one for name in named[code]} for one in of]
+
+    def names(codes: Iterable[int]) -> frozenset[str]:
+        return frozenset(name for code in codes for name in named[code])
+
+    return CallNet(
+        names=template.transitions,
+        rules=[blocks.rule(block.transition + number) for number in range(len(template.transitions))],
+        inputs=arcs(template.inputs),
+        outputs=arcs(template.outputs),
+        failures=names(template.failures),
+        restarts=names(template.restarts),
+        counters={name: template.initial.get(code, 0) for code in template.budgets for name in named[code]},
+        resources={name: name for name in named[~RESOURCES]},
+        between=names(code for code in named if code < 0 and code != ~RESOURCES),
+        alive_places=names(template.alive),
+        chains=chains,
+    )

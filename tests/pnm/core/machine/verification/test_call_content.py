@@ -16,7 +16,9 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.guards import After, ConditionFalse, ConditionTrue, Guard, InvariantFalse
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import EMPTY, ActionCall, GroundAction, PlanGraph, Recovery, Then
-from pnm.core.machine.verification.part import Unsound
+from pnm.core.machine.verification.call_content import TRAITS as COMPARED
+from pnm.core.machine.verification.call_content import WATCHES
+from pnm.core.machine.verification.part import CallRule, Unsound
 from pnm.core.machine.verification.verify import verify
 from pnm.core.net.net import Marking, PetriNet, Weights
 from tests.support.runs.mutation.changes import with_rule, without_transition
@@ -69,27 +71,32 @@ def tried_seven_times() -> PetriNetMachine:
 @pytest.mark.parametrize(
     ("broken", "rule"),
     [
-        (lambda: guarded(start=ConditionTrue(TRUE), precondition_false=ConditionFalse(TRUE)), "precondition"),
-        (lambda: guarded(start=ConditionTrue(WET), precondition_false=ConditionFalse(WET)), "precondition"),
-        (lambda: guarded(invariant_false=InvariantFalse(WET)), "over-all condition"),
-        (lambda: without("invariant_false"), "over-all condition"),
-        (lambda: without("deadline_missed"), "deadline"),
-        (lambda: without("too_late"), "latest start"),
-        (lambda: without("data_missing"), "data"),
-        (lambda: without("already_true"), "already true"),
-        (lambda: guarded(timed_out=After(1e9)), "time limit"),
-        (lambda: guarded(unanswered=After(1e9)), "answer"),
-        (lambda: guarded(unconfirmed=After(1e9)), "cancelling"),
-        (without_the_arm, "resources"),
-        (tried_seven_times, "retries"),
-        (lambda: replace(MACHINE, bindings=Bindings({"a0": Binding(retries=1, accept=3.0)})), "answer"),
-        (lambda: replace(MACHINE, plan=replace(MACHINE.plan, steps=(call(0, deadline=21.0), call(1)))), "latest start"),
+        (lambda: guarded(start=ConditionTrue(TRUE), precondition_false=ConditionFalse(TRUE)), CallRule.PRECONDITION),
+        (lambda: guarded(start=ConditionTrue(WET), precondition_false=ConditionFalse(WET)), CallRule.PRECONDITION),
+        (lambda: guarded(invariant_false=InvariantFalse(WET)), CallRule.OVER_ALL),
+        (lambda: without("invariant_false"), CallRule.OVER_ALL),
+        (lambda: without("deadline_missed"), CallRule.DEADLINE),
+        (lambda: without("too_late"), CallRule.LATEST_START),
+        (lambda: without("data_missing"), CallRule.DATA),
+        (lambda: without("already_true"), CallRule.ALREADY_TRUE),
+        (lambda: guarded(timed_out=After(1e9)), CallRule.TIME_LIMIT),
+        (lambda: guarded(unanswered=After(1e9)), CallRule.ANSWER),
+        (lambda: guarded(unconfirmed=After(1e9)), CallRule.CANCELLING),
+        (without_the_arm, CallRule.RESOURCES),
+        (tried_seven_times, CallRule.RETRIES),
+        (lambda: replace(MACHINE, bindings=Bindings({"a0": Binding(retries=1, accept=3.0)})), CallRule.ANSWER),
+        (lambda: replace(MACHINE, plan=replace(MACHINE.plan, steps=(call(0, deadline=21.0), call(1)))), CallRule.LATEST_START),
     ],
 )
-def test_a_call_that_is_not_what_is_asked_is_refused_by_name(broken: Callable[[], PetriNetMachine], rule: str) -> None:
+def test_a_call_that_is_not_what_is_asked_is_refused_by_name(broken: Callable[[], PetriNetMachine], rule: CallRule) -> None:
     verify(MACHINE)
-    with pytest.raises(Unsound, match=rf"^a0\(\)#0 does not keep the rule of its {rule}: "):
+    with pytest.raises(Unsound, match=rf"^a0\(\)#0 does not keep the rule of its {rule.value}: ") as refused:
         verify(broken())
+    assert refused.value.rule is rule
+
+
+def test_every_rule_is_looked_at() -> None:
+    assert {*CallRule} == {*(watch.rule for watch in WATCHES), *(rule for rule, _ in COMPARED)}
 
 
 @pytest.mark.parametrize("trait", TRAITS)
