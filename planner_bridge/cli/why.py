@@ -104,24 +104,25 @@ def _of_journal(journal: str | None, task: str | None, last: int | None, called:
     """Return the answers about a run."""
     with errors_of_journals():
         history = JournalHistory.read(chosen_journal(journal), last)
-    meant = task_meant(history, task)
-    if replan:
-        return why_replanned(history, meant)
-    return why_so(history, meant) if called is None else why_call_of_run(history, meant, *call_meant(meant, called))
+        meant = task_meant(history, task)
+        if replan:
+            return why_replanned(history, meant)
+        return why_so(history, meant) if called is None else why_call_of_run(history, meant, *call_meant(meant, called))
 
 
 def _in_the_middle(problem: Problem, journal: str, task: str | None, last: int | None) -> Problem:
     """Return the problem with what is so in a journal as its initial state, and the goal of a task."""
     with errors_of_journals():
         history = JournalHistory.read(chosen_journal(journal), last)
-    meant = task_meant(history, task)
-    if not meant.runs:
-        raise InputError(f"{meant.name} has no plan yet, so its goal is not known")
+        meant = task_meant(history, task)
+        if not meant.runs:
+            raise InputError(f"{meant.name} has no plan yet, so its goal is not known")
+        going_on = [run.executed().run for run in history.runs.values() if not run.is_over]
     try:
-        world = projected_state(history.replay.world, (run.replayed.run for run in history.runs.values() if not run.is_over))
+        world = projected_state(history.world, going_on)
     except NotProjectable as error:
         raise InputError(f"what will be so when the calls under way have ended is not known: {error}") from error
-    now = problem_now(problem, world, history.time - history.replay.began)
+    now = problem_now(problem, world, history.time - history.world_began)
     return replace(now, goal=meant.runs[-1].source.plan.goal)
 
 

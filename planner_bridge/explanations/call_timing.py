@@ -20,13 +20,13 @@ from pnm.tasks import TaskState
 
 def why_now(history: JournalHistory, task: TaskHistory, run: RunHistory, call: int) -> Answer:
     """Return why a call began when it did, or why it has not begun."""
-    result, name, began = run.last_results[call], _name(run, call), history.replay.began
+    result, name, began = run.last_results[call], _name(run, call), history.world_began
     if result.kind is CallOutcome.ALREADY_TRUE:
         return Answer(f"{name} was not made: its effects held already", Known.JOURNAL)
     if run.source.plan.calls[call].under_way:
         return Answer(f"{name} goes on from the run before", Known.JOURNAL)
     if result.started is None:
-        if run.is_over or task.replayed.ending:
+        if run.is_over or task.ending:
             return Answer(f"{name} never began: its run was over before", Known.JOURNAL)
         reasons = tuple(_obstacles(history, task, run, call))
         if not reasons:
@@ -51,7 +51,7 @@ def _orderings(run: RunHistory, call: int) -> Iterator[Ordering]:
 
 def _waited(history: JournalHistory, run: RunHistory, call: int, started: float) -> Iterator[tuple[float, str]]:
     """Yield what a call has waited for before it began, with the time at which that was over."""
-    began = history.replay.began
+    began = history.world_began
     for ordering in _orderings(run, call):
         if (time := run.time_of(ordering.before)) is not None:
             verb = "began" if ordering.before.moment is Moment.START else "ended"
@@ -59,11 +59,11 @@ def _waited(history: JournalHistory, run: RunHistory, call: int, started: float)
             text = f"{_name(run, ordering.before.call)} {verb} at {time - began:.2f} s{later}{_because(run, ordering)}"
             yield time + ordering.delay, text
     planned = run.source.plan.calls[call]
-    if planned.release and (origin := run.replayed.run.origin) is not None:
+    if planned.release and (origin := run.origin) is not None:
         text = f"its earliest time, {planned.release:g} s after the beginning of its plan, at {origin + planned.release - began:.2f} s"
         yield origin + planned.release, text
     names = frozenset(run.source.bindings.resources(planned.action))
-    for held in history.held.values():
+    for held in history.held.values() if names else ():
         if held.until is not None and run.time <= held.until <= started and (shared := names & frozenset(held.names)):
             yield held.until, f"{held.action} gave back {listed(sorted(shared))} at {held.until - began:.2f} s"
     for trouble in (*run.hindrances, *run.failures):
@@ -75,10 +75,10 @@ def _waited(history: JournalHistory, run: RunHistory, call: int, started: float)
 
 def _obstacles(history: JournalHistory, task: TaskHistory, run: RunHistory, call: int) -> Iterator[Answer]:
     """Yield what holds a call back now."""
-    replay, planned = history.replay, run.source.plan.calls[call]
+    replay, planned = history.execute(), run.source.plan.calls[call]
     if task.state in (TaskState.PAUSING, TaskState.PAUSED):
         yield Answer(f"its task is {task.state.word}: {task.reason}", Known.JOURNAL)
-    elif run.replayed.run.pausing:
+    elif run.executed().run.pausing:
         yield Answer("nothing of its plan begins while that is looked at again", Known.JOURNAL)
     for ordering in _orderings(run, call):
         if run.time_of(ordering.before) is None:
@@ -86,14 +86,14 @@ def _obstacles(history: JournalHistory, task: TaskHistory, run: RunHistory, call
             text = f"{_name(run, ordering.before.call)} has to {verb} before{_because(run, ordering)}"
             doing = run.last_results[ordering.before.call].kind.value
             yield Answer(f"{text}; it is: {doing}", Known.JOURNAL)
-    if planned.release and (origin := run.replayed.run.origin) is not None and origin + planned.release > history.time:
-        yield Answer(f"it is not to begin before {origin + planned.release - replay.began:.2f} s", Known.JOURNAL)
+    if planned.release and (origin := run.origin) is not None and origin + planned.release > history.time:
+        yield Answer(f"it is not to begin before {origin + planned.release - history.world_began:.2f} s", Known.JOURNAL)
     names = frozenset(run.source.bindings.resources(planned.action))
     for claim in replay.resources.held:
         shared = names & frozenset(claim.names)
         if shared and claim.request in replay.requests:
             yield Answer(f"{replay.requests[claim.request].action} has {listed(sorted(shared))}", Known.JOURNAL)
-    context = EvaluationContext(run.replayed.run.knowledge, planned.action, run.source.bindings.of(planned.action.name))
+    context = EvaluationContext(run.executed().run.knowledge, planned.action, run.source.bindings.of(planned.action.name))
     for part in conjuncts(planned.action.precondition):
         try:
             if evaluate(part, context) is not True:

@@ -1,35 +1,42 @@
 """The history of a journal: what its records tell of tasks, of their runs and of what was sent. It is the only place that adds them up.
 
-A replay executes runs again, and its state is how things are after a record; here is kept what the state does not say: when things
-happened, in which words, and what followed. The page, `pnm why` and timelines show parts of it, so that all tell one story.
+What happened, when, in which words, and what followed: the records say that, and whoever asks for no more waits for nothing else.
+How things are now, in the middle of a run, they do not say. For that a replay executes the runs again, once somebody asks; it
+compares what they do with what the records say of it. The page, `pnm why` and timelines show parts of this history, so that all tell
+one story.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Final
+from functools import cached_property, partial
+from typing import Final, NamedTuple, assert_never
 from uuid import UUID
 
 from planner_bridge.model.progression import snapshot
 from planner_bridge.tasks.replanning import Decision, decision_words
 from planner_bridge.tasks.result import TASKS, GoalNote, TaskCounts
-from pnm.core.execution.call_results import CallResult, Explanation, Failure
-from pnm.core.execution.events import Observer
+from pnm.clock import TimeUsed
+from pnm.core.execution.call_results import CallResult, Explanation, Hindered, Sent, action_with, sent_with
+from pnm.core.execution.events import Begin
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, PlanEvent, Step
-from pnm.core.machine.requests import Accepted, Ended, Feedback, Outcome, Request
+from pnm.core.machine.requests import Accepted, Ended, Feedback, Outcome
 from pnm.core.net.no_collection import no_collection
 from pnm.core.pictures.timeline import Replan, replan
+from pnm.errors import PnmError
 from pnm.files.database.place import Place
 from pnm.journal import replay as replaying
 from pnm.journal.records import (
     WORLD,
+    Became,
     EndConfirmed,
     Happened,
     KnowledgeBegan,
+    KnowledgeDelta,
     MachineSource,
     Record,
     RunMade,
@@ -41,9 +48,12 @@ from pnm.journal.records import (
     TaskHeld,
     TaskNoted,
     TaskOver,
+    TimeCounted,
+    base_of,
+    change,
 )
-from pnm.journal.replay import Replay, ReplayedRun, ReplayedTask
-from pnm.journal.resume import steps_after
+from pnm.journal.replay import Replay, ReplayedRun
+from pnm.journal.resume import damage, steps_after
 from pnm.journal.store import KeptJournal
 from pnm.knowledge.sources.help import HelpAsked, HelpEnded
 from pnm.tasks import TaskEnding, TaskState
@@ -52,8 +62,7 @@ _FREES: Final = (Happened, EndConfirmed, RunRetired, RunSucceeded)
 """Records with which resources are given, or given back."""
 
 
-@dataclass(frozen=True, slots=True)
-class Attempt:
+class Attempt(NamedTuple):
     """A request: one attempt at a call.
 
     Args:
@@ -135,18 +144,26 @@ class RunHistory:
     Args:
         record: with which it was made.
         time: when that was.
-        replayed: the run, as its replay has it.
+        made: what it was made from.
         source: what its machine was made from.
         state: the facts when it was made.
-        replan: why it followed the run before it, and how its plan differs; None for the first one, and for a plan that a call is.
+        executed: executes what has not been executed yet, and returns the run.
     """
 
     record: int
     time: float
-    replayed: ReplayedRun
+    made: RunMade
     source: MachineSource
     state: KnowledgeBase
+    executed: Callable[[], ReplayedRun]
     replan: Replan | None = None
+    """Why it followed the run before it, and how its plan differs; None for the first one, and for a plan that a call is."""
+    begun: bool = False
+    """Whether it has begun."""
+    origin: float | None = None
+    """The time from which releases count; its beginning unless it was given another one."""
+    results: Mapping[int, CallResult] | None = None
+    """The results of the calls that it has reached, by number, once it is not carried on any more."""
     sent: dict[int, list[UUID]] = field(default_factory=dict)
     """The requests that it has sent, by call."""
     requests: int = 0
@@ -161,14 +178,20 @@ class RunHistory:
     @property
     def id(self) -> UUID:
         """Its identity."""
-        return self.replayed.made.run
+        return self.made.run
 
     @property
     def last_results(self) -> Mapping[int, CallResult]:
         """What has become of its calls, by number; of those reached several times, the last time."""
-        if self.replayed.result is None:
-            return {call.index: self.replayed.run.result_of(call.index) for call in self.source.plan.calls}
-        return {**self.unreached, **{result.call.index: result for result in self.replayed.result.calls}}
+        if self.results is None:
+            run = self.executed().run
+            return {call.index: run.result_of(call.index) for call in self.source.plan.calls}
+        return {**self.unreached, **self.results}
+
+    @cached_property
+    def steps(self) -> Mapping[int, Step]:
+        """The steps of its plan, by number."""
+        return {step.index: step for step in self.source.plan.every_step}
 
     @cached_property
     def unreached(self) -> Mapping[int, CallResult]:
@@ -178,12 +201,12 @@ class RunHistory:
     @property
     def is_over(self) -> bool:
         """Whether nothing more comes of it."""
-        return self.replayed.is_over or self.replayed.run.over
+        return self.results is not None or self.executed().run.over
 
     @property
     def is_own(self) -> bool:
         """Whether it is one of its task itself, and not of a plan that a call of it is."""
-        return self.replayed.made.caller is None
+        return self.made.caller is None
 
     @property
     def failures(self) -> tuple[Trouble, ...]:
@@ -238,11 +261,13 @@ class TaskHistory:
     """The history of a task. The history of its journal alone changes it.
 
     Args:
-        replayed: the task, as its replay has it.
+        accepted: what it is about.
+        time: when it was accepted.
         runs: its runs, in the order in which they were made.
     """
 
-    replayed: ReplayedTask
+    accepted: TaskAccepted
+    time: float
     runs: list[RunHistory]
     is_told: bool = True
     """Whether the records are there that tell how it went; else only how it has ended."""
@@ -255,13 +280,16 @@ class TaskHistory:
     """How many a planner has found."""
     helps: dict[UUID | None, Help] = field(default_factory=dict)
     """The questions to a person that are open, by the lost request that they are about; None for one how it goes on."""
+    used: TimeUsed | None = None
+    """How much of its limit is used."""
+    ending: TaskEnding | None = None
     ended: float | None = None
     """When it was over."""
 
     @property
     def name(self) -> str:
         """What it is about."""
-        return self.replayed.accepted.wanted.text or "the goal of the problem"
+        return self.accepted.wanted.text or "the goal of the problem"
 
     @property
     def own_runs(self) -> tuple[RunHistory, ...]:
@@ -270,8 +298,7 @@ class TaskHistory:
 
     def seconds(self, now: float) -> float:
         """Return the seconds of its limit that are used, which stop with its end."""
-        used = self.replayed.used
-        return used.until(now if self.ended is None else self.ended) if used else 0.0
+        return self.used.until(now if self.ended is None else self.ended) if self.used else 0.0
 
     @property
     def counts(self) -> TaskCounts:
@@ -285,13 +312,24 @@ class JournalHistory:
     """The history of a journal so far. Everything in it is mutable state; `apply` is the only thing that changes it.
 
     Args:
-        replay: of the journal, from the beginning of a segment.
+        source: returns the source of the machine of a key.
         reach: the last segments that it reaches back to, None for all. What is told of them depends on them alone, whoever has
             read how much before.
     """
 
-    def __init__(self, replay: Replay | None = None, reach: int | None = None) -> None:
-        self.replay = replay or Replay()
+    def __init__(self, source: Callable[[str], MachineSource] | None = None, reach: int | None = None) -> None:
+        self._source = source
+        self._sources: dict[str, MachineSource] = {}
+        self._replay = Replay(self._sources.__getitem__)
+        self._pending: deque[tuple[int, float, Record]] = deque()
+        """The records that the replay has not executed yet."""
+        self.step: replaying.Step | None = None
+        """The record that was executed last."""
+        self._executed: dict[UUID, ReplayedRun] = {}
+        self.world = KnowledgeBase()
+        """The knowledge that all runs share."""
+        self.world_began = 0.0
+        """When the world began, which may have been in an earlier segment."""
         self.number = 0
         self.time = 0.0
         self.segments: list[tuple[int, float]] = []
@@ -299,8 +337,7 @@ class JournalHistory:
         self.tasks: dict[UUID, TaskHistory] = {}
         self.runs: dict[UUID, RunHistory] = {}
         self.attempts: dict[UUID, Attempt] = {}
-        self.held: dict[UUID, HeldResources] = {}
-        """What requests have, or had, for themselves."""
+        self._held: dict[UUID, HeldResources] = {}
         self._reach = reach
         self._observed = 0
         """How many troubles the record that is being replayed has brought."""
@@ -311,10 +348,9 @@ class JournalHistory:
 
     @staticmethod
     def read(place: Place, last: int | None = None) -> JournalHistory:
-        """Read a journal, up to and with a record if one is given; raises as `replay_steps` does."""
-        history = JournalHistory()
+        """Read a journal, up to and with a record if one is given; raises as `steps_after` does."""
         with closing(KeptJournal(place)) as kept, no_collection():
-            history.replay.source = lambda key: TASKS.value(kept.part(key))
+            history = JournalHistory(lambda key: TASKS.value(kept.part(key)))
             for step in steps_after(kept, TASKS, history.apply, 0):
                 if step.number == last:
                     break
@@ -330,20 +366,53 @@ class JournalHistory:
         """When that was."""
         return self.segments[0][1] if self.segments else 0.0
 
+    def execute(self) -> Replay:
+        """Execute the runs as far as that is not done, and return the state after the last record; raises as `steps_after` does."""
+        with no_collection():
+            while self._pending:
+                number, time, record = self._pending[0]  # which stays if it cannot be executed: there is no state after it
+                try:
+                    self.step = self._execute(number, time, record)
+                except PnmError:
+                    raise
+                except Exception as error:
+                    raise damage("the journal", number - 1, error) from error
+                self._pending.popleft()
+        return self._replay
+
+    @property
+    def held(self) -> Mapping[UUID, HeldResources]:
+        """What requests have, or had, for themselves."""
+        self.execute()
+        return self._held
+
     def apply(self, number: int, time: float, record: Record) -> replaying.Step:
-        """Replay a record, and note what it tells; raises as `Replay.apply` does."""
+        """Note what a record tells; it is executed once somebody asks for the state after it."""
         self.number, self.time, self._observed = number, max(self.time, time), 0
-        step = self.replay.apply(number, time, record)
-        self._note(record)
-        if isinstance(record, _FREES):
-            self._note_resources()
+        self._pending.append((number, time, record))
+        self._note(time, record)
+        return replaying.Step(number, time, record)
+
+    def _execute(self, number: int, time: float, record: Record) -> replaying.Step:
+        step = self._replay.apply(number, time, record)
+        if isinstance(record, SharedBegan):
+            self._replay.forget()
+            self._held, self._holding = {}, set()
+        elif isinstance(record, RunMade):
+            self._executed[record.run] = self._replay.runs[record.run]
+        elif isinstance(record, _FREES):
+            self._note_resources(self._replay.now)
         return step
+
+    def _run(self, id: UUID) -> ReplayedRun:
+        self.execute()
+        return self._executed[id]
 
     def task_of(self, record: Record) -> UUID | None:
         """Return the task that a record is about; None if it is about none."""
         match record:
             case Happened(run) if run in self.runs:
-                return self.runs[run].replayed.made.task
+                return self.runs[run].made.task
             case RunMade(_, task) | TaskNoted(task) | TaskOver(task):
                 return task
             case TaskAccepted(wanted):
@@ -355,19 +424,25 @@ class JournalHistory:
         """Return the requests that a run has sent for a call."""
         return [self.attempts[request] for request in run.sent.get(call, ())]
 
-    def _note(self, record: Record) -> None:
+    def _note(self, time: float, record: Record) -> None:
         begins, self._begins = self._begins, False
         match record:
-            case SharedBegan():
+            case Happened():
+                self._note_event(self.runs[record.run], time, record)
+            case SharedBegan(began=began):
+                self.world_began = began
                 self._begin_segment()
             case KnowledgeBegan(base) if base == WORLD:
-                self._begins = begins
+                self.world, self._begins = base_of(record), begins
+            case KnowledgeDelta(base) if base == WORLD:
+                change(self.world, record)
             case RunMade():
                 self._note_run(record)
-            case RunSucceeded(run, successor) if run in self.runs:
+            case RunSucceeded(run, successor, results):
+                self._note_results(self.runs[run], results)
                 self._hand_over(self.runs[successor])
-            case Happened():
-                self._note_event(record)
+            case RunRetired(run, results):
+                self._note_results(self.runs[run], results)
             case TaskAccepted():
                 self._begins = begins
                 self._accept(record)
@@ -377,6 +452,8 @@ class JournalHistory:
                 self.tasks[id].state, self.tasks[id].reason = state, reason
             case TaskNoted(id, note) if id in self.tasks:
                 self._note_task(self.tasks[id], note)
+            case TimeCounted(of, used) if of in self.tasks:
+                self.tasks[of].used = used
             case TaskOver(id, ending):
                 self._begins = begins
                 self._end(self.tasks[id], ending, is_told=not begins or self.segments[-1][0] == 1)
@@ -389,30 +466,27 @@ class JournalHistory:
         if self._reach is not None:
             del self.segments[: -self._reach]
         self._begins = True
-        self.replay.forget()
-        self.held, self._holding = {}, set()
         self.attempts = {id: attempt for id, attempt in self.attempts.items() if attempt.record >= self.first}
         self.runs = {id: run for id, run in self.runs.items() if run.record >= self.first}
         for task in self.tasks.values():
             task.runs = [run for run in task.runs if run.record >= self.first]
         if self._reach is not None:
+            self._sources.clear()
+            self._executed = {id: run for id, run in self._executed.items() if id in self.runs}
             self.tasks = {id: task for id, task in self.tasks.items() if task.runs}
 
     # --- tasks ------------------------------------------------------------------------------------
 
     def _accept(self, accepted: TaskAccepted) -> None:
         id = accepted.wanted.id
-        if id not in self.tasks or self.tasks[id].replayed.accepted != accepted:  # else it is said again
-            replayed = self.replay.tasks[id]
-            self.tasks[id] = TaskHistory(replayed, self._runs_of(replayed))
-
-    def _runs_of(self, task: ReplayedTask) -> list[RunHistory]:
-        return [self.runs[replayed.made.run] for replayed in task.runs]
+        if id not in self.tasks or self.tasks[id].accepted != accepted:  # else it is said again
+            made = [run for run in self.runs.values() if run.made.task == id and run.record >= self.segments[-1][0]]  # of a plan, before it
+            self.tasks[id] = TaskHistory(accepted, self.time, made)
 
     def _end(self, task: TaskHistory, ending: TaskEnding, *, is_told: bool) -> None:
         if task.ended is None:  # else it is said again
             task.is_told = is_told
-            task.ended, task.state, task.reason = self.time, TaskState.OVER, ending.message
+            task.ending, task.ended, task.state, task.reason = ending, self.time, TaskState.OVER, ending.message
             for run in task.runs:
                 run.follow(f"its task is over: {ending.code.word}")
 
@@ -432,7 +506,7 @@ class JournalHistory:
     def _note_decision(self, task: TaskHistory, decision: Decision) -> None:
         """Note why another run follows; one that succeeds a run that goes on is made before that is kept."""
         last = task.own_runs[-1] if task.own_runs else None
-        if last and last.replan and not (last.is_decided or last.is_over):
+        if last and last.replan and not last.is_decided and last.results is None:
             last.replan, last.is_decided = replace(last.replan, why=decision_words(decision)), True
         else:
             task.decision = decision
@@ -440,12 +514,16 @@ class JournalHistory:
     # --- runs -------------------------------------------------------------------------------------
 
     def _note_run(self, made: RunMade) -> None:
-        task, replayed, source = self.tasks.get(made.task), self.replay.runs[made.run], self.replay.source_of(made)
-        run = self.runs[made.run] = RunHistory(self.number, self.time, replayed, source, snapshot(self.replay.world))
-        replayed.run.observer = _Listening(self, run)
-        if task is None:
+        if (source := self._sources.get(made.machine)) is None:
+            assert self._source is not None, "a history reads machines where it reads records"
+            source = self._sources[made.machine] = self._source(made.machine)
+        executed = partial(self._run, made.run)
+        run = self.runs[made.run] = RunHistory(self.number, self.time, made, source, snapshot(self.world), executed, origin=made.origin)
+        if (task := self.tasks.get(made.task)) is None:
             return
-        task.runs = self._runs_of(task.replayed)
+        # One that its process has made, and died before it began, is not told: this one takes its place.
+        task.runs = [one for one in task.runs if one.begun or one.made.caller != made.caller]
+        task.runs.append(run)
         if run.is_own:
             if len(task.own_runs) > 1:
                 before = task.own_runs[-2]
@@ -455,31 +533,50 @@ class JournalHistory:
 
     def _hand_over(self, new: RunHistory) -> None:
         """Note that a run goes on with requests of another one."""
-        for request, call in new.replayed.run.open_calls.items():
-            if request in self.attempts:
-                self.attempts[request] = replace(self.attempts[request], run=new.id, call=call.index)
+        for call, taken in new.made.adopted.items():
+            if taken.request in self.attempts:
+                self.attempts[taken.request] = self.attempts[taken.request]._replace(run=new.id, call=call)
 
-    def _note_event(self, record: Happened) -> None:
+    def _note_results(self, run: RunHistory, results: Iterable[Became]) -> None:
+        run.results = {one.call: one.of(run.source.plan) for one in results}
+
+    def _note_event(self, run: RunHistory, time: float, record: Happened) -> None:
+        for delta in record.deltas:
+            if delta.base == WORLD:
+                change(self.world, delta)
+        for told in record.told:
+            match told:
+                case Sent():
+                    self._note_sent(run, told)
+                case Hindered():
+                    self._note_trouble(run, told)
+                case _:
+                    assert_never(told)
         match record.event:
+            case Begin():
+                run.begun, run.origin = True, time if run.origin is None else run.origin
             case Accepted(id) if id in self.attempts:
-                self.attempts[id] = replace(self.attempts[id], accepted=self.time)
+                self.attempts[id] = self.attempts[id]._replace(accepted=self.time)
             case Feedback(id, text) if id in self.attempts:
-                self.attempts[id] = replace(self.attempts[id], feedback=text)
+                self.attempts[id] = self.attempts[id]._replace(feedback=text)
             case Ended(id, outcome) if id in self.attempts and self.attempts[id].ended is None:
-                self.attempts[id] = replace(self.attempts[id], ended=self.time, outcome=outcome)
+                self.attempts[id] = self.attempts[id]._replace(ended=self.time, outcome=outcome)
             case _:
                 pass
 
-    def note_sent(self, run: RunHistory, call: ActionCall, request: Request) -> None:
-        """Note that a run sends a request."""
-        number = request.attempt
-        self.attempts[request.id] = Attempt(run.id, call.index, run.id, call.index, request.action, number, self.number, self.time)
-        run.sent.setdefault(call.index, []).append(request.id)
-        run.requests += request.action.operation is None
-        run.follow(f"tried again, attempt {number}", call.index)
+    def _note_sent(self, run: RunHistory, sent: Sent) -> None:
+        index, id, number = sent.call, run.id, sent.attempt
+        action = action_with(run.source.plan.calls[index].action, sent.arguments)
+        self.attempts[sent.request] = Attempt(id, index, id, index, action, number, self.number, self.time)
+        run.sent.setdefault(index, []).append(sent.request)
+        run.requests += action.operation is None
+        run.follow(f"tried again, attempt {number}", index)
 
-    def note_trouble(self, run: RunHistory, step: Step, cause: Explanation, *, is_failure: bool) -> None:
+    def _note_trouble(self, run: RunHistory, told: Hindered) -> None:
         """Note what a step was hindered by, or has failed with. A failure takes the place of the hindrance that led to it."""
+        step, cause, is_failure = run.steps[told.step], told.cause, told.is_failure
+        if isinstance(step, ActionCall):
+            step = sent_with(step, told.arguments)
         known = [(key, run.troubles[key]) for key in run.open] if is_failure else []
         led = [(key, trouble) for key, trouble in known if trouble.step.index == step.index and not trouble.is_failure]
         key, hindrance = led[-1] if led else (f"{self.number}.{self._observed}", None)
@@ -487,32 +584,14 @@ class JournalHistory:
         run.troubles[key] = Trouble(step, cause, self.number, self.time, len(run.sent.get(step.index, ())), is_failure, hindrance)
         run.open[key] = None
 
-    def _note_resources(self) -> None:
-        now = {claim.request: claim for claim in self.replay.resources.held}
+    def _note_resources(self, time: float) -> None:
+        now = {claim.request: claim for claim in self._replay.resources.held}
         for request in self._holding - now.keys():
-            self.held[request] = replace(self.held[request], until=self.time)
+            self._held[request] = replace(self._held[request], until=time)
         for request in now.keys() - self._holding:
-            if request in self.replay.requests:
-                self.held[request] = HeldResources(str(self.replay.requests[request].action), now[request].names, self.time)
-        self._holding = self.held.keys() & now.keys()
-
-
-class _Listening(Observer):
-    """Tells the history what a run does that is replayed."""
-
-    def __init__(self, history: JournalHistory, run: RunHistory) -> None:
-        self._history = history
-        self._run = run
-
-    def sent(self, call: ActionCall, request: Request, now: float) -> None:
-        self._history.note_sent(self._run, call, request)
-
-    def hindered(self, call: ActionCall, cause: Explanation, now: float) -> None:
-        self._history.note_trouble(self._run, call, cause, is_failure=False)
-
-    def failed(self, failure: Failure, now: float) -> None:
-        cause = Explanation(failure.cause, failure.expected, failure.observed)
-        self._history.note_trouble(self._run, failure.call, cause, is_failure=True)
+            if request in self._replay.requests:
+                self._held[request] = HeldResources(str(self._replay.requests[request].action), now[request].names, time)
+        self._holding = self._held.keys() & now.keys()
 
 
 def _replan(before: RunHistory, after: MachineSource, decision: Decision | None) -> Replan:

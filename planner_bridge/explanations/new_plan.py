@@ -31,7 +31,7 @@ def not_told(task: TaskHistory) -> Answer:
 
 def _follows(history: JournalHistory, number: int, before: RunHistory, after: RunHistory) -> Answer:
     replan = after.replan or Replan("")
-    text = f"run {number} began at {after.time - history.replay.began:.2f} s: {replan.why}"
+    text = f"run {number} began at {after.time - history.world_began:.2f} s: {replan.why}"
     return Answer(text, Known.JOURNAL, (*why_failed(history, before), *_changes(replan)))
 
 
@@ -40,7 +40,7 @@ def why_failed(history: JournalHistory, run: RunHistory) -> Iterator[Answer]:
     for trouble in run.failures:
         step = trouble.step
         name = f"#{step.index} {step.action}" if isinstance(step, ActionCall) else str(step)
-        text = f"{name} failed at {trouble.time - history.replay.began:.2f} s: {_cause(trouble)}"
+        text = f"{name} failed at {trouble.time - history.world_began:.2f} s: {_cause(trouble)}"
         yield Answer(text, Known.JOURNAL, tuple(_attempts(history, run, trouble)))
 
 
@@ -51,7 +51,7 @@ def _cause(trouble: Trouble) -> str:
 
 def _attempts(history: JournalHistory, run: RunHistory, failed: Trouble) -> Iterator[Answer]:
     """Yield what was tried before the failure."""
-    began, step = history.replay.began, failed.step
+    began, step = history.world_began, failed.step
     if sent := history.sent(run, step.index):
         times = listed([f"{attempt.sent - began:.2f} s" for attempt in sent], most=_SHOWN)
         yield Answer(f"it was sent {counted(len(sent), 'time')}, at {times}", Known.JOURNAL)

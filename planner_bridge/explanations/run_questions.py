@@ -28,13 +28,13 @@ def task_meant(history: JournalHistory, text: str | None) -> TaskHistory:
     if not tasks:
         raise InputError("the journal has no task")
     if text is None:
-        return next((task for task in reversed(tasks) if task.replayed.ending is None), tasks[-1])
+        return next((task for task in reversed(tasks) if task.ending is None), tasks[-1])
     if text.isdecimal() and 1 <= int(text) <= len(tasks):
         return tasks[int(text) - 1]
     beginning = text.replace("-", "").lower()
-    meant = [task for task in tasks if len(beginning) >= _BEGINNING and task.replayed.accepted.wanted.id.hex.startswith(beginning)]
+    meant = [task for task in tasks if len(beginning) >= _BEGINNING and task.accepted.wanted.id.hex.startswith(beginning)]
     if len(meant) != 1:
-        known = listed([f"{number} ({task.replayed.accepted.wanted.id.hex[:8]})" for number, task in enumerate(tasks, 1)], most=8)
+        known = listed([f"{number} ({task.accepted.wanted.id.hex[:8]})" for number, task in enumerate(tasks, 1)], most=8)
         raise InputError(f"{'no task' if not meant else 'more than one task'} is called {text!r}; expected one of {known}")
     return meant[0]
 
@@ -60,7 +60,7 @@ def call_meant(task: TaskHistory, text: str) -> tuple[RunHistory, int]:
 
 def why_call_of_run(history: JournalHistory, task: TaskHistory, run: RunHistory, call: int) -> tuple[Answer, ...]:
     """Return why a call is in its plan, why it began when it did or what it waits for, and why it failed if it has."""
-    if task.replayed.accepted.wanted.is_plan or not all(isinstance(step, ActionCall) for step in run.source.plan.steps):
+    if task.accepted.wanted.is_plan or not all(isinstance(step, ActionCall) for step in run.source.plan.steps):
         needed = Answer("the plan was written by a person: what each call is for, it does not say", Known.GIVEN)
     else:
         try:
@@ -104,8 +104,8 @@ def explained(place: Place, task: UUID, call: tuple[UUID, int] | None = None, la
 def why_so(history: JournalHistory, task: TaskHistory) -> tuple[Answer, ...]:
     """Return how a task is doing and why: how it has ended, or what runs and what waits for what; and its new plans."""
     replans = why_replanned(history, task) if len(task.own_runs) > 1 else ()
-    if task.replayed.ending is not None:
-        ended = Answer(f"{task.name} is over: {task.replayed.ending.code.word}: {task.replayed.ending.message}", Known.JOURNAL)
+    if task.ending is not None:
+        ended = Answer(f"{task.name} is over: {task.ending.code.word}: {task.ending.message}", Known.JOURNAL)
         last = tuple(why_failed(history, task.runs[-1])) if task.runs else () if task.is_told else (not_told(task),)
         return ended, *last, *replans
     if not task.runs:

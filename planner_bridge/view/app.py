@@ -120,7 +120,7 @@ class ViewApp:
         from planner_bridge.explanations.run_questions import explained  # here, because it takes its time to import
 
         def asked(story: Story, run: UUID, index: int) -> _Asked | None:
-            task = story.runs[run].replayed.made.task if run in story.runs else None
+            task = story.runs[run].made.task if run in story.runs else None
             return None if task is None else _Asked(task, (run, index), story.number)
 
         def answered(about: _Asked) -> Response:
@@ -137,7 +137,7 @@ class ViewApp:
         from planner_bridge.model.projected_state import projected_state  # here, because it takes its time to import
 
         def told(story: Story) -> KnowledgeBase:
-            return projected_state(story.replay.world, (run.replayed.run for run in story.runs.values() if not run.is_over))
+            return projected_state(story.world, (run.executed().run for run in story.runs.values() if not run.is_over))
 
         world = await self._feed.asked((await self._feed.newest()).number, told, self._past)
         if world is None:

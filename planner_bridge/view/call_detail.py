@@ -120,7 +120,7 @@ def detail(story: Story, run: str, index: int) -> CallDetail | None:
     found = next((each for id, each in story.runs.items() if id.hex == run), None)
     if found is None or not 0 <= index < len(found.source.plan.calls):
         return None
-    replayed, call = found.replayed.run, found.source.plan.calls[index]
+    replayed, call = found.executed().run, found.source.plan.calls[index]
     action = next((open.action for open in replayed.open_calls.values() if open.index == index), call.action)
     limit = replayed.limit(call)
     places, transitions = _block(found, index)
@@ -149,8 +149,9 @@ def detail(story: Story, run: str, index: int) -> CallDetail | None:
 
 def _holder(story: Story, resource: str) -> str:
     """Return the action of the request that has a resource."""
-    claims = (claim for claim in story.replay.resources.held if resource in claim.names)
-    requests = (story.replay.requests[claim.request] for claim in claims if claim.request in story.replay.requests)
+    replay = story.execute()
+    claims = (claim for claim in replay.resources.held if resource in claim.names)
+    requests = (replay.requests[claim.request] for claim in claims if claim.request in replay.requests)
     return ", ".join(str(request.action) for request in requests)
 
 
@@ -170,7 +171,7 @@ def _wait(run: RunHistory, ordering: Ordering, *, is_before: bool) -> WaitShown:
 
 def _checks(story: Story, run: RunHistory, call: ActionCall) -> Iterator[Check]:
     action = call.action
-    context = EvaluationContext(run.replayed.run.knowledge, action, run.source.bindings.of(action.name))
+    context = EvaluationContext(run.executed().run.knowledge, action, run.source.bindings.of(action.name))
     parts = (
         ("before it starts", action.precondition),
         ("while it runs", action.invariant),
@@ -219,7 +220,7 @@ def _recovery(recovery: Recovery) -> str:
 
 def _block(run: RunHistory, index: int) -> tuple[tuple[PlaceShown, ...], tuple[TransitionShown, ...]]:
     """Return the places and transitions of a call, by the short names that people know them by."""
-    machine, marking = run.replayed.run.machine, run.replayed.run.marking
+    machine, marking = run.executed().run.machine, run.executed().run.marking
     prefix = f"{machine.plan.calls[index]} "
     own = frozenset(machine.blocks[index])
     places = tuple(PlaceShown(place.removeprefix(prefix), marking[place]) for place in machine.blocks[index])

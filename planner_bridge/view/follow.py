@@ -22,7 +22,6 @@ from planner_bridge.view.story import Story
 from planner_bridge.view.view import view_of
 from pnm.errors import PnmError
 from pnm.files.database.place import Place
-from pnm.journal.replay import Replay
 from pnm.journal.resume import steps_after
 from pnm.journal.store import KeptJournal
 
@@ -105,7 +104,7 @@ class Reader:
         """Begin a story that reaches back to the beginning of the segment before that of a record."""
         segments = kept.segments()
         before = max(0, bisect_right(segments, number) - 2)
-        self._story = Story(Replay(lambda key: TASKS.value(kept.part(key))))
+        self._story = Story(lambda key: TASKS.value(kept.part(key)))
         self._story.number = segments[before] - 1 if segments else 0
 
     def _replay(self, kept: KeptJournal, number: float) -> None:

@@ -19,7 +19,18 @@ from pnm.core.logic.computed_values import Layer
 from pnm.core.logic.expressions import Fluent, Unknown, Value, fluent_text, text_of
 from pnm.core.machine.requests import Ended, OutcomeKind
 from pnm.journal import replay as replaying
-from pnm.journal.records import WORLD, Happened, KnowledgeBegan, KnowledgeDelta, Record, RunMade, SharedBegan, TaskAccepted, TaskOver
+from pnm.journal.records import (
+    WORLD,
+    Happened,
+    KnowledgeBegan,
+    KnowledgeDelta,
+    MachineSource,
+    Record,
+    RunMade,
+    SharedBegan,
+    TaskAccepted,
+    TaskOver,
+)
 from pnm.journal.text import words
 
 EVENTS: Final = 200
@@ -34,11 +45,11 @@ class Story(JournalHistory):
     """The story of a journal so far. Everything in it is mutable state; `apply` is the only thing that changes it.
 
     Args:
-        replay: of the journal, from the beginning of a segment.
+        source: returns the source of the machine of a key.
     """
 
-    def __init__(self, replay: replaying.Replay) -> None:
-        super().__init__(replay, _SEGMENTS)
+    def __init__(self, source: Callable[[str], MachineSource] | None = None) -> None:
+        super().__init__(source, _SEGMENTS)
         self.facts: Mapping[str, FactShown] = {}
         """A new mapping whenever one of them changes."""
         self.events: dict[int, EventShown] = {}
@@ -60,11 +71,13 @@ class Story(JournalHistory):
         return self._questions | about_tasks
 
     def apply(self, number: int, time: float, record: Record) -> replaying.Step:
-        """Replay a record, and note what it tells; raises as `Replay.apply` does."""
-        step = super().apply(number, time, record)
+        """Note what a record tells, and execute it, for it is shown what the runs want; raises as `Replay.apply` does."""
+        super().apply(number, time, record)
+        replay, step = self.execute(), self.step
+        assert step is not None, "this record was executed"
         self._tell(step)
         task, mark = self.task_of(record), self._mark(record)
-        self.events[number] = EventShown(self.time, task.hex if task else "", words(step, self.replay), mark)
+        self.events[number] = EventShown(self.time, task.hex if task else "", words(step, replay), mark)
         if (old := self.events.get(number - EVENTS)) and not old.mark:
             del self.events[number - EVENTS]
         return step
@@ -115,7 +128,7 @@ class Story(JournalHistory):
                 self._questions.pop(id.hex, None)
             case _:
                 pass
-        name = self.runs[run].replayed.made.name
+        name = self.runs[run].made.name
         for command in step.commands:
             match command:
                 case Ask(id, question) if question.layer is Layer.PERSON:
@@ -133,14 +146,14 @@ class Story(JournalHistory):
             return
         facts = dict(self.facts)
         if delta.sensed:
-            sensed = {fluent_text(fluent): self.replay.world.is_sensed(fluent) for fluent in self.replay.world.facts()}
+            sensed = {fluent_text(fluent): self.world.is_sensed(fluent) for fluent in self.world.facts()}
             facts = {name: replace(fact, source=_source(is_sensed=sensed.get(name, False))) for name, fact in facts.items()}
         self.facts = facts | {fluent_text(fluent): self._fact(fluent, value) for fluent, value in delta.facts.items()}
 
     def _fact(self, fluent: Fluent, value: Value | Unknown, *, is_initial: bool = False) -> FactShown:
         before = self.facts.get(fluent_text(fluent))
         was = "" if before is None or not isinstance(value, Unknown) else before.was or before.value
-        return FactShown(value_words(value), _source(is_sensed=self.replay.world.is_sensed(fluent)), self.time, is_initial, was)
+        return FactShown(value_words(value), _source(is_sensed=self.world.is_sensed(fluent)), self.time, is_initial, was)
 
 
 def value_words(value: Value | Unknown) -> str:

@@ -24,16 +24,15 @@ def timelines(journal: Place | str) -> tuple[Timeline, ...]:
 
 
 def _timeline(history: JournalHistory, task: TaskHistory) -> Timeline:
-    began = min((task.replayed.time, *(run.time for run in task.runs)))
-    words = f"{task.replayed.ending.code.word}: {task.replayed.ending.message}" if task.replayed.ending else ""
+    began = min((task.time, *(run.time for run in task.runs)))
+    words = f"{task.ending.code.word}: {task.ending.message}" if task.ending else ""
     end = history.time if task.ended is None else task.ended
     return Timeline(task.name, tuple(_plan(history, run, began) for run in task.runs), end - began, words)
 
 
 def _plan(history: JournalHistory, run: RunHistory, began: float) -> TimedPlan:
     """Return the plan of a run in a task that has begun then."""
-    results, replayed = run.last_results, run.replayed.run
-    origin = (run.time if replayed.origin is None else replayed.origin) - began
+    results, origin = run.last_results, (run.time if run.origin is None else run.origin) - began
     calls = tuple(_call(history, run, call, results[call.index], origin, began) for call in run.source.plan.calls)
     failures = tuple(str(Failure(trouble.step, *trouble.cause)) for trouble in run.failures)
     return TimedPlan(run.time - began, calls, run.replan, failures)

@@ -39,27 +39,27 @@ def view_of(story: Story) -> View:
 
 
 def _task(story: Story, task: TaskHistory) -> TaskShown:
-    wanted, used = task.replayed.accepted.wanted, task.replayed.used
+    wanted, used = task.accepted.wanted, task.used
     limit = used.limit if used and isfinite(used.limit) else None
     return TaskShown(
         task.name,
         task.state.word,
         _reason(task),
         wanted.priority,
-        task.replayed.accepted.wall,
-        None if wanted.deadline is None else task.replayed.accepted.wall + wanted.deadline,
+        task.accepted.wall,
+        None if wanted.deadline is None else task.accepted.wall + wanted.deadline,
         round(task.seconds(story.time), 6),
         limit,
-        task.replayed.ending.code.word if task.replayed.ending else "",
+        task.ending.code.word if task.ending else "",
         tuple(run.id.hex for run in task.runs),
-        task.replayed.accepted.order,
+        task.accepted.order,
         str(task.counts) if task.runs else "",
     )
 
 
 def _reason(task: TaskHistory) -> str:
     """Return why a task is as it is; if nobody has said that, what it does."""
-    if task.reason or task.replayed.ending:
+    if task.reason or task.ending:
         return task.reason
     if task.helps:
         return "a person is asked what is to be done"
@@ -71,12 +71,12 @@ def _reason(task: TaskHistory) -> str:
     if run.failures:
         failed = f"{_step(run.failures[-1])} has failed: {run.failures[-1].cause.cause}"
         return f"{failed}; what else runs comes to its end" if task.state is TaskState.RUNNING else failed
-    going_on = [str(call.action) for call in run.replayed.run.open_calls.values()]
+    going_on = [str(call.action) for call in run.executed().run.open_calls.values()]
     return f"{', '.join(going_on)} {'run' if len(going_on) > 1 else 'runs'}" if going_on else ""
 
 
 def _run(run: RunHistory) -> RunShown:
-    made, origin = run.replayed.made, run.replayed.run.origin
+    made, origin = run.made, run.origin
     return RunShown(made.task.hex, made.name, run.record, run.time, origin, run.is_over, run.replan)
 
 
@@ -152,7 +152,7 @@ def _servers(story: Story) -> dict[str, ServerShown]:
     for attempt in story.attempts.values():
         server = story.runs[attempt.sender].server(attempt.action)
         actions.setdefault(server, {})[attempt.action.name] = None
-        if attempt.outcome is None and not story.runs[attempt.run].replayed.is_over:
+        if attempt.outcome is None and story.runs[attempt.run].results is None:
             busy.setdefault(server, []).append(str(attempt.action))
         failed[server] += attempt.outcome is not None and attempt.outcome.kind is not OutcomeKind.SUCCEEDED
     found = sorted(name for name in actions if name)

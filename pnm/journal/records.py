@@ -13,6 +13,7 @@ from typing import Final, TypeAlias
 from uuid import UUID
 
 from pnm.clock import TimeUsed
+from pnm.core.execution.call_results import CallResult, RunResult, Told, own_arguments, sent_with
 from pnm.core.execution.events import Command, Event, KnowledgeChanged, ResourcesChanged, Send, Store, Tick
 from pnm.core.execution.handover import UnderWay
 from pnm.core.knowledge_base import KnowledgeBase
@@ -20,7 +21,8 @@ from pnm.core.logic.effects import Changes
 from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.core.machine.bindings import Bindings
-from pnm.core.machine.machine import OnFailure
+from pnm.core.machine.causes import Cause
+from pnm.core.machine.machine import CallOutcome, OnFailure
 from pnm.core.machine.plan_graph import PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, Feedback, Postponed
 from pnm.tasks import TaskEnding, TaskState, Wanted
@@ -126,6 +128,7 @@ class Happened:
         fired: the transitions that fired, by number, in their order.
         deltas: what the run changed in knowledge.
         intents: the requests that are sent, and the updates that are made, once this record is kept.
+        told: the requests that are sent, and what has hindered steps.
     """
 
     run: UUID
@@ -134,21 +137,44 @@ class Happened:
     fired: tuple[int, ...] = ()
     deltas: tuple[KnowledgeDelta, ...] = ()
     intents: tuple[UUID, ...] = ()
+    told: tuple[Told, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Became:
+    """The result of a call when its run was over, or was succeeded: the number of the call, and what its plan does not say."""
+
+    call: int
+    kind: CallOutcome
+    attempts: int = 0
+    started: float | None = None
+    ended: float | None = None
+    assumed: bool = False
+    cause: Cause | None = None
+    arguments: tuple[str, ...] | None = None
+    """Those that it was sent with last; None if they are those of the plan."""
+
+    def of(self, plan: PlanGraph) -> CallResult:
+        """Return the result of the call of a plan."""
+        call = sent_with(plan.calls[self.call], self.arguments)
+        return CallResult(call, self.kind, self.attempts, self.started, self.ended, self.assumed, self.cause)
 
 
 @dataclass(frozen=True, slots=True)
 class RunSucceeded:
-    """A run has taken the place of another, whose requests it has taken over."""
+    """A run has taken the place of another, whose requests it has taken over; what had become of the calls of that."""
 
     run: UUID
     successor: UUID
+    results: tuple[Became, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class RunRetired:
-    """A run is not carried on: it has given back its resources."""
+    """A run is not carried on: it has given back its resources; what has become of its calls."""
 
     run: UUID
+    results: tuple[Became, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,6 +257,33 @@ class TaskSummary:
     ending: TaskEnding | None = None
     ended: float | None = None
     seconds: float | None = None
+
+
+def became(result: RunResult, plan: PlanGraph) -> tuple[Became, ...]:
+    """Return the results of the calls of a run, the last time that each was reached."""
+    last = {one.call.index: one for one in result.calls}
+    return tuple(
+        [
+            Became(call, one.kind, one.attempts, one.started, one.ended, one.assumed, one.cause, own_arguments(one.call, plan))
+            for call, one in sorted(last.items())
+            if one.kind is not CallOutcome.WAITING
+        ]
+    )
+
+
+def base_of(began: KnowledgeBegan) -> KnowledgeBase:
+    """Return a knowledge base as it began."""
+    return KnowledgeBase(began.facts, variables=began.variables, objects=began.objects, sensed=began.sensed, rules=began.rules)
+
+
+def change(base: KnowledgeBase, delta: KnowledgeDelta) -> None:
+    """Have a knowledge base follow changes."""
+    if delta.facts:
+        base.update(delta.facts)
+    else:
+        base.store(delta.variables)
+    for name, lag in delta.sensed.items():
+        base.sense((name,), lag=lag)
 
 
 def knowledge_now(number: int, base: KnowledgeBase) -> KnowledgeBegan:

@@ -25,6 +25,7 @@ from pnm.core.resources import Resources
 from pnm.errors import PnmError
 from pnm.journal.records import (
     WORLD,
+    Became,
     EndConfirmed,
     Happened,
     KnowledgeBegan,
@@ -41,6 +42,9 @@ from pnm.journal.records import (
     TaskNoted,
     TaskOver,
     TimeCounted,
+    base_of,
+    became,
+    change,
     follow,
     intents_of,
 )
@@ -170,10 +174,6 @@ class Replay:
         """The tasks that have not ended."""
         return tuple(task for task in self.tasks.values() if task.ending is None)
 
-    def source_of(self, made: RunMade) -> MachineSource:
-        """Return what the machine of a run was generated from."""
-        return self._machines[made.machine][0]
-
     def forget(self) -> None:
         """Forget what was in segments before the one that has just begun."""
         self.runs, self.tasks, self.requests, self._machines = {}, {}, {}, {}
@@ -194,23 +194,18 @@ class Replay:
                 self.shared, self.resources, self.bases = record, Resources(capacities), {}
                 self.began, self.segment_began, self.length = began, time, 1
                 self.fields = {}
-            case KnowledgeBegan(base, facts, variables, objects, sensed, rules):
-                self.bases[base] = KnowledgeBase(facts, variables=variables, objects=objects, sensed=sensed, rules=rules)
+            case KnowledgeBegan(base):
+                self.bases[base] = base_of(record)
                 follow(base, self.bases[base], self._note)
-            case KnowledgeDelta(base, facts, variables, sensed):
-                if facts:
-                    self.bases[base].update(facts)
-                else:
-                    self.bases[base].store(variables)
-                for name, lag in sensed.items():
-                    self.bases[base].sense((name,), lag=lag)
+            case KnowledgeDelta(base):
+                change(self.bases[base], record)
             case RunMade():
                 self._make(record)
-            case RunSucceeded(run, successor):
-                self._end(self.runs[run])
+            case RunSucceeded(run, successor, results):
+                self._end(number, self.runs[run], results)
                 self.runs[successor].run.take_the_place_of(self.runs[run].run, time)
-            case RunRetired(run):
-                self._end(self.runs[run])
+            case RunRetired(run, results):
+                self._end(number, self.runs[run], results)
                 self.runs[run].run.retire()
             case TimeCounted(of, used):
                 if (counted := self.runs.get(of) or self.tasks.get(of)) is not None:
@@ -239,6 +234,8 @@ class Replay:
             _differ(number, "changes", deltas, record.deltas)
         if (intents := intents_of(commands)) != record.intents:
             _differ(number, "intends", intents, record.intents)
+        if run.told != record.told:
+            _differ(number, "tells", run.told, record.told)
         return Step(number, time, record, transitions, commands)
 
     def _make(self, made: RunMade) -> None:
@@ -268,9 +265,10 @@ class Replay:
             task.runs = [one for one in task.runs if one.run.begun or one.made.caller != made.caller]
             task.runs.append(replayed)
 
-    def _end(self, replayed: ReplayedRun) -> None:
-        replayed.is_over = True
-        replayed.result = replayed.run.result() if replayed.run.over else replayed.run.interim_result()
+    def _end(self, number: int, replayed: ReplayedRun, results: tuple[Became, ...]) -> None:
+        replayed.is_over, replayed.result = True, replayed.run.result_so_far()
+        if (here := became(replayed.result, replayed.run.machine.plan)) != results:
+            _differ(number, "ends with", here, results)
 
     def _known_fields(self, action: GroundAction) -> tuple[str, ...] | None:
         return self.fields.get(str(action)) if self.fields else None

@@ -151,8 +151,12 @@ def steps_after(kept: KeptJournal, codec: Codec, apply: Apply, after: int) -> It
     except PnmError:
         raise
     except Exception as error:  # whatever it is that a damaged file, or records that do not fit each other, lead to
-        reason = f"{type(error).__name__}: {error}"[:_LONG]
-        raise Damaged(f"the journal {kept.place} is damaged behind record {after}: {reason}") from error
+        raise damage(f"the journal {kept.place}", after, error) from error
+
+
+def damage(journal: str, after: int, error: Exception) -> Damaged:
+    """Return what to raise if the record after this one leads to an error that no record of a whole journal does."""
+    return Damaged(f"{journal} is damaged behind record {after}: {type(error).__name__}: {str(error)[:_LONG]}")
 
 
 def summaries(place: Place, codec: Codec) -> tuple[TaskSummary, ...]:

@@ -82,7 +82,7 @@ home: Final = Table(
     Column("file", Text, nullable=False),
 )
 """Where the journal belongs, in its only row: to a node, and unless it is in PostgreSQL to a computer and to a file there."""
-LAYOUT: Final = Layout("journal", 0x504E4D4A, 4, _TABLES)  # PNMJ
+LAYOUT: Final = Layout("journal", 0x504E4D4A, 5, _TABLES)  # PNMJ
 
 
 def checksum(text: str, *numbers: float) -> int:

@@ -46,6 +46,7 @@ from pnm.journal.records import (
     TaskOver,
     TaskSummary,
     TimeCounted,
+    became,
     follow,
     intents_of,
     knowledge_now,
@@ -197,7 +198,7 @@ class WrittenJournal(Journal):
         finally:
             self._handling = False
         deltas, news, self._deltas, self._news = self._deltas, self._news, [], {}
-        self._record(Happened(run.id, event, news, run.fired, tuple(deltas), intents_of(commands)), now)
+        self._record(Happened(run.id, event, news, run.fired, tuple(deltas), intents_of(commands), run.told), now)
         self._waiting.append((perform, tuple(commands)))
         # What is only heard, and leads to nothing outside, is committed with what comes next, or a moment later: if it were lost
         # before that, it would be heard again, as if it had come after the death of this process.
@@ -211,11 +212,11 @@ class WrittenJournal(Journal):
 
     def succeeded(self, run: Run, successor: Run) -> None:
         """Record that a run has taken the place of another."""
-        self._record(RunSucceeded(run.id, successor.id))
+        self._record(RunSucceeded(run.id, successor.id, became(run.result_so_far(), run.machine.plan)))
 
     def retired(self, run: Run) -> None:
         """Record that a run is not carried on."""
-        self._record(RunRetired(run.id))
+        self._record(RunRetired(run.id, became(run.result_so_far(), run.machine.plan)))
 
     def confirmed(self, request: UUID, resources: Resources) -> None:
         """Record that the server of a request that was given up has confirmed its end, and free what it has kept."""

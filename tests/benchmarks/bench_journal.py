@@ -4,8 +4,8 @@ usage: python tests/benchmarks/bench_journal.py [engine] [failures] [replays] [r
 
 The engine: a run whose requests are answered at once, with every event committed to a file, and without; in turn, several times: as an
 executor carries it out, and with its events alone, without an event loop. A failure: from knowing of it to the begin of the next plan,
-as in `bench_replanning`. A replay: of runs with 100000 firings. A recovery: 100 tasks, each with a machine and a request that is out,
-from opening the file until every one of them goes on.
+as in `bench_replanning`. A replay: of runs with 100000 firings, beside what is read of them without
+executing them. A recovery: 100 tasks, each with a machine and a request that is out, from opening the file until every one of them goes on.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from uuid import UUID
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
+from planner_bridge.explanations.history import JournalHistory
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.simulation import robots_of
@@ -146,7 +147,9 @@ def replays(folder: Path) -> None:
     fired = with_journal(execute, folder / "long")
     with short_pauses():  # as in every process of ours
         took, without = seconds(lambda: replayed(folder / "long", TASKS), 2), seconds(lambda: without_journal(execute), 2)
+        told = seconds(lambda: JournalHistory.read(folder / "long"), 2)
     print(f"replay: {took * FIRINGS / fired:.2f} s for {FIRINGS} firings (at most 2); {took / without:.2f} times the runs themselves")
+    print(f"history: what `pnm why` and timelines read takes {told / took:.2f} times the replay (at most 0.6)")
 
 
 class Silent:

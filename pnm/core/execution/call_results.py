@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
+from uuid import UUID
 
 from pnm.core.machine.causes import Cause
 from pnm.core.machine.machine import CallOutcome, Rule
-from pnm.core.machine.plan_graph import ActionCall, PlanGraph, Step
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph, Step
 from pnm.core.machine.requests import Outcome
 
 # by these names, because a look into the class takes longer than all else that becomes of a call
@@ -107,6 +108,59 @@ class Explanation(NamedTuple):
     cause: Cause
     expected: str
     observed: str
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """A request that a run has sent, as its journal tells it to those who do not execute the run.
+
+    Args:
+        request: its identity.
+        call: the number of its call.
+        attempt: which one at this call it is.
+        arguments: those that it was sent with; None if they are those of the plan.
+    """
+
+    request: UUID
+    call: int
+    attempt: int
+    arguments: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Hindered:
+    """What a step was hindered by, or has failed with, as its journal tells it to those who do not execute the run.
+
+    Args:
+        step: its number.
+        cause: with what was expected and what was observed.
+        is_failure: whether the step was given up; else it is tried again, or recovers.
+        arguments: those that its call was sent with last; None if they are those of the plan.
+    """
+
+    step: int
+    cause: Explanation
+    is_failure: bool = False
+    arguments: tuple[str, ...] | None = None
+
+
+Told: TypeAlias = Sent | Hindered
+
+
+def own_arguments(call: ActionCall, plan: PlanGraph) -> tuple[str, ...] | None:
+    """Return the arguments that a call was sent with; None if they are those of the plan."""
+    arguments = call.action.arguments
+    return None if arguments == plan.calls[call.index].action.arguments else arguments
+
+
+def action_with(action: GroundAction, arguments: tuple[str, ...] | None) -> GroundAction:
+    """Return an action of a plan with other arguments; None for those of the plan."""
+    return action if arguments is None else replace(action, arguments=arguments)
+
+
+def sent_with(call: ActionCall, arguments: tuple[str, ...] | None) -> ActionCall:
+    """Return a call of a plan as it was sent with arguments; None for those of the plan."""
+    return call if arguments is None else replace(call, action=action_with(call.action, arguments))
 
 
 @dataclass(slots=True)

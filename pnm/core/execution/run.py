@@ -12,7 +12,7 @@ from collections.abc import Collection
 from typing import assert_never
 from uuid import UUID
 
-from pnm.core.execution.call_results import Explanation
+from pnm.core.execution.call_results import Explanation, Hindered, Sent, own_arguments
 from pnm.core.execution.events import (
     SILENT,
     Answered,
@@ -41,6 +41,7 @@ from pnm.core.logic.computed_values import Question, Unanswered
 from pnm.core.machine.causes import Cause
 from pnm.core.machine.guards import EffectsMissing, Withheld
 from pnm.core.machine.machine import CallOutcome, Rule
+from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import BEFORE_ACCEPTANCE, Accepted, Ended, Feedback, OutcomeKind, Postponed, TransitionAction
 from pnm.core.net.block_net import NumberedArcs
 
@@ -71,7 +72,7 @@ class Run(RunView):
 
     def handle(self, event: Event, now: float) -> list[Command]:
         """Take one event in and return what is to be done about it."""
-        state, self._fired = self._state, []
+        state, self._fired, self._told = self._state, [], []
         if now > state.now:  # guards compare times with each other, so the run's clock never goes back
             state.now = now
         match event:
@@ -316,6 +317,9 @@ class Run(RunView):
         failures = [self._results.failed(one, state.now, check, rule, lacking) for one in failing]
         begins_to_end = firing.turns and state.turn()
         for failure in failures:
+            cause = Explanation(failure.cause, failure.expected, failure.observed)
+            own = own_arguments(failure.call, self.machine.plan) if isinstance(failure.call, ActionCall) else None
+            self._told.append(Hindered(failure.call.index, cause, is_failure=True, arguments=own))
             self.observer.failed(failure, state.now)
         self._leave_and_mark(taken, given, site.all_at(firing.decided), marked_at)
         if begins_to_end:  # everything that waits has an exit for that, which has just opened
@@ -344,6 +348,7 @@ class Run(RunView):
         sent, now = self._calls.as_sent(call), self._state.now
         unseen = self._calls.explain_unseen(call, self._guards.context(call, place)) if isinstance(rule.guard, EffectsMissing) else None
         if cause := self._results.hindered(rule, call, check, unseen):
+            self._told.append(Hindered(call, cause, arguments=own_arguments(sent, self.machine.plan)))
             self.observer.hindered(sent, cause, now)
         if rule.outcome is CallOutcome.ALREADY_TRUE:
             self.observer.spared(sent, now)
@@ -358,8 +363,9 @@ class Run(RunView):
             commands, reports, changes_knowledge = calls.send(call, course.attempts, self._questions.answers_at(place))
             sent = course.call = calls.as_sent(call)
             self._state.is_stepping = False
-            for command in commands if self.observer is not SILENT else ():
+            for command in commands:
                 if isinstance(command, Send):
+                    self._told.append(Sent(command.request.id, call, command.request.attempt, own_arguments(sent, self.machine.plan)))
                     self.observer.sent(sent, command.request, now)
             self._reports += reports
         elif action is TransitionAction.ADOPT:  # the request is known since the run was made

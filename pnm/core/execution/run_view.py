@@ -9,7 +9,7 @@ from uuid import UUID
 
 from pnm.core.execution.call_data import GoalFields
 from pnm.core.execution.call_requests import Calls
-from pnm.core.execution.call_results import CallResult, CallResults, RunResult
+from pnm.core.execution.call_results import CallResult, CallResults, RunResult, Told
 from pnm.core.execution.events import SILENT, Command, Observer, Pause
 from pnm.core.execution.guards import Guards
 from pnm.core.execution.handover import Handover, UnderWay, check_adoption
@@ -79,6 +79,7 @@ class RunView:
         self._engine = Engine(machine.compiled, machine.initial)
         self._agenda = Agenda(self._index, knowledge)
         self._fired: list[int] = []
+        self._told: list[Told] = []
         self._commands: list[Command] = []
         self._reports: deque[Accepted | Ended] = deque()
         """Ends of requests that concerned knowledge alone."""
@@ -161,6 +162,11 @@ class RunView:
     def fired(self) -> tuple[int, ...]:
         """The transitions that the last event has had fire, by number."""
         return tuple(self._fired)
+
+    @property
+    def told(self) -> tuple[Told, ...]:
+        """What the last event has had it send, and what has hindered steps, in order."""
+        return tuple(self._told)
 
     @property
     def open_requests(self) -> tuple[UUID, ...]:
@@ -256,6 +262,10 @@ class RunView:
         handed = {running.call.index for running in self.under_way()}
         calls, failures = self._results.calls(handed), tuple(self._results.failures)
         return RunResult(False, "another run goes on", calls, failures, self.stopped)
+
+    def result_so_far(self) -> RunResult:
+        """Return how the run ended, or how far it has come."""
+        return self.result() if self.over else self.interim_result()
 
     def __repr__(self) -> str:
         state = "over" if self.over else "ending" if self.ending else "going on"

@@ -168,6 +168,6 @@ def test_of_a_task_whose_records_are_dropped_nothing_is_claimed(tmp_path: Path, 
     dropped = [task for task in told if not task.is_told]
     assert 0 < len(dropped) < len(told)
     for task in dropped:
-        ended, unknown = explained(tmp_path / "journal", task.replayed.accepted.wanted.id)
+        ended, unknown = explained(tmp_path / "journal", task.accepted.wanted.id)
         assert "is over: goal_reached" in ended.statement
         assert unknown.statement == f"how {task.name} went is not known: its records are not kept any more"

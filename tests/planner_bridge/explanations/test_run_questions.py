@@ -59,7 +59,7 @@ def test_what_a_call_waits_for_is_what_has_not_come_after_every_record(journal: 
     for last in range(1, length(journal), 3):
         history = JournalHistory.read(journal, last)
         for task in history.tasks.values():
-            for run in task.runs[-1:] if task.replayed.ending is None and task.runs and not task.runs[-1].is_over else ():
+            for run in task.runs[-1:] if task.ending is None and task.runs and not task.runs[-1].is_over else ():
                 for call in run.source.plan.calls:
                     if run.last_results[call.index].kind is CallOutcome.WAITING:
                         _, now, *_ = why_call_of_run(history, task, run, call.index)
@@ -131,7 +131,7 @@ def test_before_there_is_a_task_or_a_plan_that_is_said(journal: Path) -> None:
 def test_who_knows_the_ids_gets_the_same_answers(journal: Path) -> None:
     history = JournalHistory.read(journal, 40)
     ((id, task),) = history.tasks.items()
-    run = task.runs[-1].replayed.run.id
+    run = task.runs[-1].id
     assert explained(journal, id, last=40) == why_so(history, task)
     assert explained(journal, id, (run, 4), 40) == why_call_of_run(history, task, *call_meant(task, "4"))
     for wrong in ((uuid4(), None), (id, (run, 99)), (id, (uuid4(), 0))):

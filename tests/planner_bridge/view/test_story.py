@@ -13,7 +13,6 @@ from planner_bridge.view.story import Story
 from planner_bridge.view.view import view_of
 from pnm.core.logic.expressions import UNKNOWN
 from pnm.journal.records import WORLD, KnowledgeBegan, KnowledgeDelta, SharedBegan, TaskAccepted, TaskNoted
-from pnm.journal.replay import Replay
 from pnm.knowledge.sources.help import HelpAsked, HelpEnded
 from pnm.tasks import Wanted
 from tests.support.e2e.page.journals import steps
@@ -25,7 +24,7 @@ AT = ("at", "r1", "hall")
 
 def told(*records: object) -> Story:
     """A story of the world, and of records that follow one second after the other."""
-    story = Story(Replay())
+    story = Story()
     for number, record in enumerate((SharedBegan({}), KnowledgeBegan(WORLD, {AT: True}, sensed={"at": 0.5}), *records), 1):
         story.apply(number, float(number), record)
     return story

@@ -64,7 +64,7 @@ def test_the_states_of_calls_are_what_the_replay_says(reader: Reader, records: l
 
 
 def _results(story: Story) -> dict[tuple[str, int], str]:
-    runs = ((id.hex, replayed.result.calls if replayed.result else replayed.run.results) for id, replayed in story.replay.runs.items())
+    runs = ((id.hex, replayed.result.calls if replayed.result else replayed.run.results) for id, replayed in story.execute().runs.items())
     return {(run, result.call.index): result.kind.name.lower() for run, results in runs for result in results}
 
 

@@ -156,7 +156,7 @@ def test_a_journal_of_another_version_is_refused_by_name(tmp_path: Path, version
     opened(tmp_path / "j").close()
     with sqlite3.connect(tmp_path / "j") as connection:
         connection.execute(f"PRAGMA user_version = {version}")
-    with pytest.raises(JournalError, match=f"has format {version}; this version of pnm reads format 4"):
+    with pytest.raises(JournalError, match=f"has format {version}; this version of pnm reads format 5"):
         KeptJournal(tmp_path / "j")
 
 
