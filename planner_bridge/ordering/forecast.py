@@ -43,8 +43,9 @@ def forecast(plan: PlanGraph, events: Sequence[PlanEvent], left: Mapping[int, fl
         left: for the calls that are under way, the seconds that they are expected to take from now.
         state: of the world, as it is known to be.
     """
-    calls = [plan.calls[number] for number in dict.fromkeys(event.call for event in events)]
-    needed = read_write_sets([replace(call, under_way=call.index in left) for call in calls], plan.goal, state)
+    # A call that was under way when its machine was made may have to begin anew since.
+    calls = [replace(plan.calls[number], under_way=number in left) for number in dict.fromkeys(event.call for event in events)]
+    needed = read_write_sets(calls, plan.goal, state)
     before: dict[PlanEvent, list[Ordering]] = {}
     for ordering in plan.orderings:
         before.setdefault(ordering.after, []).append(ordering)
