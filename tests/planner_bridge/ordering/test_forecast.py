@@ -107,6 +107,6 @@ def test_without_a_forecast_what_others_need_is_not_to_be_had_at_all() -> None:
 def test_a_call_that_has_to_begin_anew_is_not_under_way_any_more() -> None:
     problem = world("(served shop)")
     graph = plan_graph(problem, plan_for(problem))
-    begins_anew = replace(graph, calls=(replace(graph.calls[0], under_way=True), *graph.calls[1:]))
+    begins_anew = replace(graph, steps=(replace(graph.steps[0], under_way=True), *graph.steps[1:]))
     state = initial_knowledge(problem)
     assert forecast(begins_anew, graph.order, {}, state) == forecast(graph, graph.order, {}, state)
