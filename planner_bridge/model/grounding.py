@@ -77,14 +77,14 @@ def initial_knowledge(*described: Problem | HandWrittenPlan) -> KnowledgeBase:
                 raise InputError(f"{other} and {name} begin with different values of {fluent_text(fluent)}: {before}, {value}")
         for kind, names in objects.items():
             members[kind] = tuple(dict.fromkeys((*members.get(kind, ()), *names)))
-        shared |= {str(rule): rule for rule in rules.rules}
+        shared |= {str(rule): rule for rule in rules}
     facts = {fluent: value for fluent, (value, _) in values.items()}
     return KnowledgeBase(facts, objects=members, rules=Rules(tuple(shared.values())))
 
 
 def _beginning(source: Problem | HandWrittenPlan) -> tuple[str, Mapping[Fluent, Value], Mapping[str, tuple[str, ...]], Rules]:
     if isinstance(source, Problem):
-        return source.name, source.init, source.objects_by_type, Rules(source.domain.rules)
+        return source.name, source.init, source.objects_by_type, source.domain.rules
     return source.name, source.facts, source.objects, source.rules
 
 

@@ -14,6 +14,7 @@ from pnm.core.logic.declared_names import Vocabulary
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.effects import Effects, Set, When, every_effect
 from pnm.core.logic.expressions import DURATION, UNDEFINED, Constant, Fluent, Value, Variable, expression_fluents
+from pnm.core.logic.rules import Rules
 from pnm.core.machine.plan_graph import Conditional
 from pnm.errors import InputError
 from pnm.language.plan import HandWrittenPlan
@@ -36,8 +37,8 @@ def world_of_plans(plans: Iterable[HandWrittenPlan]) -> Problem:
         objects |= plan.declared.objects
     for fluent, value in (use for plan in plans for use in _uses(plan)):
         declarations.use(fluent, value)
-    rules = tuple({str(rule): rule for plan in plans for rule in plan.rules.rules}.values())
-    domain = Domain("plans", types=types, predicates=declarations.predicates, functions=declarations.functions, rules=rules)
+    rules = tuple({str(rule): rule for plan in plans for rule in plan.rules}.values())
+    domain = Domain("plans", types=types, predicates=declarations.predicates, functions=declarations.functions, rules=Rules(rules))
     return Problem("plans", domain, objects or dict.fromkeys(declarations.objects, ("object",)))
 
 
@@ -123,7 +124,7 @@ def _uses(plan: HandWrittenPlan) -> Iterator[Use]:
         if isinstance(step, Conditional):
             yield from _in_condition(step.condition)
     yield from _in_condition(plan.goal)
-    for rule in plan.rules.rules:
+    for rule in plan.rules:
         yield (rule.name, *(variable.name for variable in rule.variables)), True
         yield from _in_condition(rule.condition)
 

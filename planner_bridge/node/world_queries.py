@@ -66,7 +66,7 @@ class SharedWorld:
         self.problem = problem
         self._knowledge = knowledge
         self._elapsed = elapsed
-        derived = frozenset(rule.name for rule in problem.domain.rules)
+        derived = problem.domain.rules.derived
         self._scope = TermScope(SymbolTable(problem.domain, problem.objects, Requirements(problem.domain.requirements), derived=derived))
         self._goals = {name: self._condition(text, f"goal {name}") for name, text in (goals or {}).items()}
         self._objects: dict[Fluent, str] = {}

@@ -23,7 +23,6 @@ from planner_bridge.ordering.writers import Writers
 from pnm.core.logic.conditions import fluents, names
 from pnm.core.logic.effects import Set, TimedChange, When, every_effect
 from pnm.core.logic.expressions import Fluent, expression_fluents
-from pnm.core.logic.rules import Rules
 from pnm.core.logic.trajectory import instances, names_in
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph, PlanGraphError
 from pnm.core.net.no_collection import no_collection
@@ -118,7 +117,7 @@ def total_order(problem: Problem, plan: Plan) -> PlanGraph:
     """Return the calls of a sequential plan in their total order."""
     calls = calls_of(problem, plan)
     ends = (Ordering(PlanEvent(index, Moment.END), PlanEvent(index + 1, Moment.START)) for index in range(len(calls) - 1))
-    return PlanGraph(tuple(calls), tuple(ends), problem.goal, Rules(problem.domain.rules))
+    return PlanGraph(tuple(calls), tuple(ends), problem.goal, problem.domain.rules)
 
 
 def causal_links(problem: Problem, actions: Sequence[GroundAction]) -> CausalLinks:
@@ -141,7 +140,7 @@ def _relevant(problem: Problem) -> frozenset[str]:
     asked = _asked_by_domain(problem.domain).union(names(problem.goal), *map(names_in, problem.constraints))
     asked |= {fluent[0] for change in problem.timed for fluent in change.changes}
     predicates = frozenset(problem.domain.predicates)
-    return dynamic_names(problem) & (predicates | Rules(problem.domain.rules).base(asked))
+    return dynamic_names(problem) & (predicates | problem.domain.rules.base(asked))
 
 
 @once_per_domain

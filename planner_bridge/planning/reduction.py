@@ -58,7 +58,7 @@ def indispensable(problem: Problem, actions: Sequence[GroundAction]) -> frozense
 
     What does not hold at first has to be made true. If a single action can do that, it is needed, and then what it demands is as well.
     """
-    state, derived = initial_knowledge(problem), {rule.name for rule in problem.domain.rules}
+    state, derived = initial_knowledge(problem), problem.domain.rules.derived
     by_itself = {fluent for change in problem.timed for fluent in change.changes}
     makers: dict[Fluent, dict[int, set[Value | None]]] = {}
     """The actions that may write a fluent, each with the values that it may write: None for one that is computed."""

@@ -64,7 +64,7 @@ def parse(text: str, file: str) -> Contents:
     if top is None:
         raise InputError("there is no domain in the file; expected the key 'actions'", Position(file, 1, 1))
     top.only(*PLAN_KEYS, *DOMAIN_KEYS, *_recipes(top))
-    model, _ = read_model(top, strict=True)
+    model = read_model(top, strict=True)
     if not model.domain.name:
         model = replace(model, name=model.name or Path(file).stem, domain=replace(model.domain, name=Path(file).stem))
     _check_names(model, top)

@@ -8,7 +8,6 @@ from typing import Final
 
 from pnm.core.logic.conditions import TRUE, Condition
 from pnm.core.logic.domain import ProblemModel
-from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.errors import Tolerated
 from pnm.files.yaml_nodes import Mapped
 from pnm.knowledge.sources.registry import SourceChoice, check_source
@@ -31,8 +30,6 @@ class LanguageDomain:
     model: ProblemModel = NOTHING_DECLARED
     """With the section ``problem``, if there is one."""
     actions: Mapping[str, LanguageAction] = field(default_factory=dict)
-    rules: Rules = NO_RULES
-    """Those of the model, stratified."""
     sources: tuple[SourceChoice, ...] = ()
     """The sources of knowledge that the file chose."""
     warnings: tuple[Tolerated, ...] = ()
@@ -45,34 +42,32 @@ def domain_from(top: Mapped, warnings: tuple[Tolerated, ...] = ()) -> LanguageDo
     """Read a domain from a document that may have other keys as well."""
     for entry in top.mapping("action_types").values():
         entry.only(*ACTION_KEYS)  # only anchors are made there; their contents are read where they are used
-    model, rules = read_model(top)
+    model = read_model(top)
     entries = top.mapping("actions")
     return LanguageDomain(
         model,
         {name: read_action(schema, entries[name], FormulaScope(model)) for name, schema in model.domain.actions.items()},
-        rules,
         sources=_read_sources(top),
         warnings=warnings,
         file=top.file,
     )
 
 
-def read_model(top: Mapped, *, strict: bool = False) -> tuple[ProblemModel, Rules]:
-    """Read the domain of a document and its problem, and the rules in their strata; `strict` is that of `FormulaScope`."""
+def read_model(top: Mapped, *, strict: bool = False) -> ProblemModel:
+    """Read the domain of a document and its problem; `strict` is that of `FormulaScope`."""
     node = top.filled("problem")
     section = None if node is None else node.mapped()
     if section is not None:
         section.only(*PROBLEM_KEYS)
     declared = read_declarations(top, section, strict=strict)
     scope = FormulaScope(declared, {}, strict, borrows=section is None)
-    rules = read_derived(top, scope)
-    domain = replace(declared.domain, rules=rules.rules)
+    domain = replace(declared.domain, rules=read_derived(top, scope))
     scope = replace(scope, declared=replace(declared, domain=domain))
     domain = replace(domain, actions={name: read_schema(name, entry, scope) for name, entry in top.mapping("actions").items()})
     if section is None:
-        return replace(declared, domain=domain), rules
+        return replace(declared, domain=domain)
     facts, timed = read_initial(section, scope)
-    return replace(declared, domain=domain, init=facts, timed=timed, goal=read_goal(section, scope)), rules
+    return replace(declared, domain=domain, init=facts, timed=timed, goal=read_goal(section, scope))
 
 
 def read_goal(entry: Mapped, scope: FormulaScope) -> Condition:

@@ -137,7 +137,7 @@ def _plan(head: PlanHead, others: Mapping[str, PlanHead]) -> HandWrittenPlan:
     restarts = entry.whole("restarts", None)
     builder = PlanGraphBuilder(lambda action: recoveries.get(action.name, ()), Facts(facts), None if restarts is None else max(1, restarts))
     goal = read_goal(entry, scope)
-    graph = builder.graph(steps, domain.model.goal if goal == TRUE else goal, domain.rules, _capacities(entry))
+    graph = builder.graph(steps, domain.model.goal if goal == TRUE else goal, domain.model.domain.rules, _capacities(entry))
     graph = replace(graph, due=_due(graph.goal, domain))
     _check_capacities(entry, graph, actions)
     parameters = None if head.parameters is None else tuple(variable.name[1:] for variable in head.parameters)
@@ -165,7 +165,8 @@ def _plan(head: PlanHead, others: Mapping[str, PlanHead]) -> HandWrittenPlan:
 def _due(goal: Condition, domain: LanguageDomain) -> float:
     """Return when the last timed fact comes that the goal reads: the goal is not looked at before."""
     asked = fluents(goal, KnowledgeBase(objects=domain.model.objects_by_type))
-    base = domain.rules.base(fluent[0] for fluent in asked if fluent[0] in domain.rules.derived)
+    rules = domain.model.domain.rules
+    base = rules.base(fluent[0] for fluent in asked if fluent[0] in rules.derived)
     late = (change.time for change in domain.model.timed for fluent in change.changes if fluent in asked or fluent[0] in base)
     return max(late, default=0.0)
 

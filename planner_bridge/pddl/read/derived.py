@@ -15,13 +15,13 @@ from planner_bridge.pddl.syntax.words import CONNECTIVES, new_name, operands, sh
 from pnm.core.logic.conditions import polarities
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.expressions import Variable
-from pnm.core.logic.rules import DerivationRule
+from pnm.core.logic.rules import DerivationRule, Rules
 from pnm.errors import counted
 
 DERIVED: Final = ":derived"
 
 
-def rules(sections: Iterable[Group], symbols: SymbolTable) -> tuple[DerivationRule, ...]:
+def rules(sections: Iterable[Group], symbols: SymbolTable) -> Rules:
     """Read the rules, which must be stratified, in the order of the file."""
     read: list[tuple[DerivationRule, Group]] = []
     for section in sections:
@@ -36,7 +36,7 @@ def rules(sections: Iterable[Group], symbols: SymbolTable) -> tuple[DerivationRu
         variables = tuple(_narrowed(own, needed, head, symbols) for own, needed in zip(given, declared.parameters, strict=True))
         read.append((DerivationRule(declared.name, variables, condition(body, TermScope(symbols).inside(variables))), section))
     _check_stratification(read)
-    return tuple(rule for rule, _ in read)
+    return Rules(tuple(rule for rule, _ in read))
 
 
 def derived_predicates(sections: Iterable[Group], symbols: SymbolTable) -> dict[str, Declaration]:

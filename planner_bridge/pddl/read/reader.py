@@ -142,7 +142,7 @@ def _problem(definition: Definition, domain: Domain, warnings: tuple[Tolerated, 
         domain,
         {**domain.constants, **own},
         needed,
-        derived=frozenset(rule.name for rule in domain.rules),
+        derived=domain.rules.derived,
         preference_names={preference.name.lower(): preference.name for preference in preferences if preference.name},
     )
     network = "\n".join(_verbatim_sections(definition, NETWORK, needed))

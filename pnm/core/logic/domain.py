@@ -14,7 +14,7 @@ from pnm.core.logic.conditions import TRUE, Condition, choices_in
 from pnm.core.logic.declared_names import FluentKind, Signature, Vocabulary
 from pnm.core.logic.effects import Effects, TimedChange, choices_in_effects
 from pnm.core.logic.expressions import Expression, Fluent, Value, Variable
-from pnm.core.logic.rules import DerivationRule
+from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError, Position
 
@@ -110,8 +110,8 @@ class DomainModel:
     functions: Mapping[str, Declaration] = field(default_factory=dict)
     """Functions, with numbers or objects for values."""
     actions: Mapping[str, ActionSchema] = field(default_factory=dict)
-    rules: tuple[DerivationRule, ...] = ()
-    """How derived predicates follow from others."""
+    rules: Rules = NO_RULES
+    """How derived predicates follow from others: one object for all that is planned and known in the domain."""
 
     @cached_property
     def fluents(self) -> dict[str, Declaration]:
@@ -178,7 +178,7 @@ class ProblemModel:
         """The names that files about this problem may use."""
         domain = self.domain
         fluents = frozenset((*domain.predicates, *domain.functions))
-        derived = frozenset(rule.name for rule in domain.rules)
+        derived = domain.rules.derived
         types = {name: domain.supertypes(name) for name in ("object", *domain.types)}
         types_of = {name: types["object"].union(*map(domain.supertypes, kinds)) for name, kinds in self.objects.items()}
         predicates = {name: _signature(declared, FluentKind.FACT) for name, declared in domain.predicates.items()}

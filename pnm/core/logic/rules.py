@@ -105,6 +105,13 @@ class Rules:
             if any(name in self._below(other) for other in negated):
                 raise UnstratifiedError(f"whether ({name} …) holds would depend on its own negation")
 
+    def __iter__(self) -> Iterator[DerivationRule]:
+        """Iterate over the rules, in their order."""
+        return iter(self.rules)
+
+    def __len__(self) -> int:
+        return len(self.rules)
+
     @cached_property
     def derived(self) -> frozenset[str]:
         """The names that the rules derive."""

@@ -103,7 +103,7 @@ class FormulaScope:
         if not self.strict:
             return
         if is_truth:
-            if any(rule.name == fluent[0] for rule in self.declared.domain.rules):
+            if fluent[0] in self.declared.domain.rules.derived:
                 raise InputError(f"{fluent[0]!r} is a derived predicate; it follows from others", node.position_of(fluent[0]))
             return
         self.check_value(value, self._values(fluent), value_node or node)

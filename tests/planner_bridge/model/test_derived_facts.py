@@ -22,7 +22,7 @@ from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Exists, ForAll, Holds, Not
 from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import Constant, Variable
-from pnm.core.logic.rules import DerivationRule
+from pnm.core.logic.rules import DerivationRule, Rules
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import Ordering, PlanGraph
 from pnm.errors import InputError
@@ -62,7 +62,7 @@ RULES = (
         ),
     ),
 )
-DOMAIN = replace(parse_domain(DOORS), rules=RULES)
+DOMAIN = replace(parse_domain(DOORS), rules=Rules(RULES))
 
 
 def doors(init: str = "(at r1 k)", goal: str = "(at r1 h)") -> Problem:

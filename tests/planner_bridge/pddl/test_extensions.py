@@ -56,7 +56,7 @@ def test_rules_are_read_in_their_order() -> None:
     )
     x, y, z = (Variable(name, ROOM) for name in ("?x", "?y", "?z"))
     narrow = Variable("?x", ("closet",)), Variable("?y", ("closet",))
-    assert domain.rules == (
+    assert domain.rules.rules == (
         DerivationRule("near", (x, y), Holds(("linked", "?x", "?y"))),
         DerivationRule("busy", (), Not(IDLE)),
         DerivationRule("near", narrow, Exists((z,), All((Holds(("linked", "?x", "?z")), Holds(("near", "?z", "?y")))))),

@@ -16,7 +16,7 @@ from pnm.core.logic.conditions import All, Any, Compare, ForAll, Holds, Implies,
 from pnm.core.logic.domain import MAX_CHOICES, ActionSchema, DurationConstraint, Preference
 from pnm.core.logic.effects import ForEach, Set, TimedChange, When
 from pnm.core.logic.expressions import DURATION, UNDEFINED, Arithmetic, Constant, Fluent, ValueOf, Variable
-from pnm.core.logic.rules import DerivationRule
+from pnm.core.logic.rules import DerivationRule, Rules
 from pnm.core.logic.trajectory import Constraint
 from tests.support.files import input_error
 from tests.support.pddl.models import (
@@ -45,7 +45,7 @@ def test_a_written_domain_reads_as_an_equal_one(
 ) -> None:
     domain = replace(
         domain_of(list(actions)),
-        rules=tuple(rules),
+        rules=Rules(tuple(rules)),
         constraints=tuple(map(over, kept)),
         preferences=tuple(wished),
         hierarchy=("(:task t)",),
@@ -178,7 +178,7 @@ WORDS = [
 @given(st.data())
 def test_a_damaged_text_is_read_or_refused_with_a_position(data: st.DataObject) -> None:
     domain = replace(
-        domain_of([SAMPLE, EARLY]), rules=(DerivationRule("calm", OWN, Not(IDLE)),), constraints=(LAW,), hierarchy=("(:task t)",)
+        domain_of([SAMPLE, EARLY]), rules=Rules((DerivationRule("calm", OWN, Not(IDLE)),)), constraints=(LAW,), hierarchy=("(:task t)",)
     )
     init: dict[Fluent, bool | float | str] = {("idle",): True, ("charge", "R1"): 3.0, ("home", "R1"): "hall"}
     wishes = Preference("p", IDLE, (Variable("?x"),)), Preference("q", (LAW,))

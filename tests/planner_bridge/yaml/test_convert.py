@@ -23,7 +23,7 @@ from pnm.core.logic.conditions import All, Compare, Holds
 from pnm.core.logic.domain import ActionSchema, Preference
 from pnm.core.logic.effects import TimedChange
 from pnm.core.logic.expressions import Constant, Fluent, ValueOf
-from pnm.core.logic.rules import DerivationRule
+from pnm.core.logic.rules import DerivationRule, Rules
 from pnm.core.logic.trajectory import Constraint
 from tests.support.files import ROOT, SHARED
 from tests.support.pddl import models as pddl
@@ -113,7 +113,7 @@ def test_a_domain_comes_back(
 ) -> None:
     domain = replace(
         pddl.domain_of(list(actions)),
-        rules=tuple(rules),
+        rules=Rules(tuple(rules)),
         constraints=tuple(map(pddl.over, kept)),
         preferences=tuple(wished),
         hierarchy=("(:task t)", "(:method m\n    :parameters () ; why\n\t:task (t))"),

@@ -89,7 +89,7 @@ def test_what_pddl_has(read: Read) -> None:
     assert move.binding.goal == {"to": "?to", "speed": 0.5}
     assert (move.binding.store, move.binding.ask) == ({"distance": "driven"}, {"speed": "How fast?"})
     assert move.objects == {"?t", "?from", "?to"}
-    assert domain.rules.rules == (DerivationRule("home", (Variable("?t", ("thing",)),), Holds(("at", "?t", "base"))),)
+    assert domain.model.domain.rules.rules == (DerivationRule("home", (Variable("?t", ("thing",)),), Holds(("at", "?t", "base"))),)
     assert domain.model.init == {("at", "r1", "k1"): True, ("battery", "r1"): 80.0, ("owner", "r1"): "r1", ("free", "r1"): False}
     assert domain.model.timed == (
         TimedChange(5.0, {("at", "r1", "k1"): False}),

@@ -106,7 +106,7 @@ def _flipped(problem: Problem, change: tuple[Fluent, ...]) -> Problem:
 
 
 def _facts(problem: Problem) -> Iterator[Fluent]:
-    derived = {rule.name for rule in problem.domain.rules}
+    derived = problem.domain.rules.derived
     for name, declared in problem.domain.predicates.items():
         objects = [[o for kind in variable.types for o in problem.objects_by_type.get(kind, ())] for variable in declared.parameters]
         yield from ((name, *chosen) for chosen in product(*objects) if name not in derived)

@@ -25,6 +25,7 @@ from pnm.core.logic.conditions import Any as AnyOf
 from pnm.core.logic.domain import ActionSchema, Declaration
 from pnm.core.logic.effects import Effects, ForEach, Set, When, every_effect
 from pnm.core.logic.expressions import Constant
+from pnm.core.logic.rules import Rules
 
 LIMIT: Final = 20.0
 """Seconds of one search."""
@@ -105,7 +106,7 @@ def allowing_more(problem: Problem) -> Problem | None:
         for number, change in enumerate(problem.timed):
             effects = tuple(Set(fluent, Constant(value)) for fluent, value in change.changes.items() if isinstance(value, bool))
             actions[f"by-itself-{number}"] = ActionSchema(f"by-itself-{number}", end_effects=effects)
-        rules = tuple(replace(rule, condition=_more(rule.condition)) for rule in domain.rules)
+        rules = Rules(tuple(replace(rule, condition=_more(rule.condition)) for rule in domain.rules))
         goal = _more(problem.goal)
     except _Beyond:
         return None
