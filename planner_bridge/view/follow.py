@@ -22,8 +22,9 @@ from planner_bridge.view.story import Story
 from planner_bridge.view.view import view_of
 from pnm.errors import PnmError
 from pnm.files.database.place import Place
+from pnm.journal.kept import Rewritten
 from pnm.journal.resume import steps_after
-from pnm.journal.store import KeptJournal
+from pnm.journal.store import KeptJournal, Seen
 
 PERIOD: Final = 0.1
 """Seconds between two looks into a journal that has grown: no browser gets more frames."""
@@ -45,10 +46,8 @@ class Reader:
         self._lock = Lock()
         self._kept: KeptJournal | None = None
         self._story: Story | None = None
-        self._rewritten = 0
-        """How often records had been taken away when the story began."""
-        self._stuck: PnmError | None = None
-        """Why the next record cannot be replayed, whenever it is tried."""
+        self._stuck: tuple[Seen, PnmError] | None = None
+        """The record that cannot be replayed, whenever it is tried, and why."""
         self._view = View()
 
     def newest(self) -> View:
@@ -94,16 +93,20 @@ class Reader:
     def _go_to(self, number: float) -> None:
         """Have the story end after a record, or after the last one."""
         kept = self._opened()
-        rewritten = kept.holding().rewritten
-        if self._story is None or self._rewritten != rewritten or number < self._story.number:
+        if self._story is None or number < self._story.number:
             self._begin(kept, number)
-            self._rewritten, self._stuck = rewritten, None
-        self._replay(kept, number)
+        try:
+            self._replay(kept, number)
+        except Rewritten:
+            self._view = View()
+            self._begin(kept, number)
+            self._replay(kept, number)
 
     def _begin(self, kept: KeptJournal, number: float) -> None:
         """Begin a story that reaches back to the beginning of the segment before that of a record."""
         segments = kept.segments()
         before = max(0, bisect_right(segments, number) - 2)
+        self._stuck = None
         self._story = Story(lambda key: TASKS.value(kept.part(key)))
         self._story.number = segments[before] - 1 if segments else 0
 
@@ -113,17 +116,22 @@ class Reader:
         if done >= number:
             return
         if self._stuck:
-            raise self._stuck
+            seen, error = self._stuck
+            kept.look(seen)
+            raise error
         try:
             for step in steps_after(kept, TASKS, self._story.apply, done):
                 done = step.number
                 if done >= number:
                     return
+        except Rewritten:
+            raise
         except PnmError as error:
             if self._story.number != done:  # in the middle of a record: the story of those before it is told anew
+                seen = kept.seen
                 self._begin(kept, done)
                 self._replay(kept, done)
-                self._stuck = error
+                self._stuck = seen, error
             raise
 
 

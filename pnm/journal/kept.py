@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
 from pnm.errors import PnmError
+from pnm.files.database.driver import DamagedDatabase, DatabaseError
+from pnm.files.database.lock import Locked
 from pnm.files.database.place import Place
 
 DAY: Final = 86400.0
@@ -33,6 +36,10 @@ class Damaged(JournalError):
     """A journal that cannot be read, whenever that is tried."""
 
 
+class Rewritten(JournalError):
+    """A journal of which records that were read are not there any more: what was made of them is to be made anew."""
+
+
 class Fenced(JournalError):
     """A process may not write its journal any more: another one has taken it over, or its database has lost what was kept."""
 
@@ -51,6 +58,18 @@ class Held(JournalError):
         """Which process that is."""
         self.left = left
         """Seconds until its lease is over, unless it renews it; 0 if it has no lease but a lock."""
+
+
+@contextmanager
+def journal_errors(place: Place, verb: str) -> Iterator[None]:
+    """Have what is wrong with the database of a journal be wrong with the journal."""
+    try:
+        yield
+    except Locked as error:
+        raise Held(f"{error.holder} holds the journal {place}", error.holder) from error
+    except DatabaseError as error:
+        kind = Damaged if isinstance(error, DamagedDatabase) else JournalError
+        raise kind(f"the journal {place} cannot be {verb}: {error}") from error
 
 
 class Durability(Enum):

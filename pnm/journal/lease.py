@@ -19,9 +19,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from pnm.files.database.driver import DatabaseError
-from pnm.files.database.lock import FileLock, Locked
-from pnm.journal.kept import Durability, Fenced, Held, Hold, JournalChoice, JournalError, StandBys, Unshared
+from pnm.files.database.lock import FileLock
+from pnm.journal.kept import Durability, Fenced, Held, Hold, JournalChoice, JournalError, StandBys, Unshared, journal_errors
 from pnm.journal.store import JournalFile
 
 _SAFE: Final = 0.9
@@ -193,9 +192,5 @@ def _locked(path: Path) -> FileLock:
     """Return the lock of a journal file; raise an error if another process has it, or it can be none."""
     if path.exists() and not path.is_file():
         raise JournalError(f"{path} is no file: it cannot be a journal")
-    try:
+    with journal_errors(path, "locked"):
         return FileLock(path)
-    except Locked as error:
-        raise Held(f"{error.holder} holds the journal {path}", error.holder) from error
-    except DatabaseError as error:
-        raise JournalError(f"the journal {path} cannot be locked: {error}") from error

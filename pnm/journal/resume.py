@@ -18,7 +18,7 @@ from pnm.core.net.no_collection import no_collection
 from pnm.errors import InputError, PnmError
 from pnm.files.database.place import Place
 from pnm.journal.codec import Codec, Undecodable
-from pnm.journal.kept import Damaged, Fenced, Held, Hold, JournalChoice, JournalError, log_end
+from pnm.journal.kept import Damaged, Fenced, Held, Hold, JournalChoice, JournalError, Rewritten, log_end
 from pnm.journal.lease import take
 from pnm.journal.records import Record, SharedBegan, TaskSummary
 from pnm.journal.replay import Replay, ReplayDiffers, Step
@@ -73,12 +73,11 @@ class Follower:
 
     def _begin(self) -> None:
         self._has_failed = False
-        self._rewritten = self._kept.holding().rewritten
         self._seen = max(0, self._kept.last_segment() - 1)
         self.replay = Replay(lambda key: self._codec.value(self._kept.part(key)))
 
     def catch_up(self) -> None:
-        """Replay what is new, or everything if something was taken away of what has been replayed.
+        """Replay what is new, or everything if what has been replayed is not there any more.
 
         Raises:
             ReplayDiffers: its runs do something else in this version.
@@ -89,13 +88,12 @@ class Follower:
         try:
             with no_collection():
                 self._apply()
-        except Exception:
-            if self._kept.holding().rewritten == self._rewritten:
-                self._has_failed = True
-                raise
-        if self._kept.holding().rewritten != self._rewritten:
+        except Rewritten:
             self._begin()
             self._apply()
+        except Exception:
+            self._has_failed = True
+            raise
 
     def _apply(self) -> None:
         for step in steps_after(self._kept, self._codec, self.replay.apply, self._seen):

@@ -24,23 +24,22 @@ from contextlib import closing, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from threading import Lock
-from types import TracebackType
 from typing import Final, NamedTuple
-
-from sqlalchemy import Executable
 
 from pnm.errors import InputError
 from pnm.files.database.database import Database
 from pnm.files.database.driver import DatabaseError, Rows
 from pnm.files.database.keeping import copy_file, move_file
-from pnm.files.database.lock import FileLock, Locked, Mark, mark_of, this_host, this_process
+from pnm.files.database.lock import FileLock, Mark, mark_of, this_host, this_process
 from pnm.files.database.place import Place
 from pnm.files.database.sqlite import has_log
 from pnm.journal import tables
-from pnm.journal.kept import Damaged, Durability, Fenced, Held, JournalError, Row
+from pnm.journal.kept import Damaged, Durability, Fenced, Held, JournalError, Rewritten, Row, journal_errors
 
 _AT_ONCE: Final = 5000
 """Records that are dropped in a transaction."""
+_READ: Final = 1000
+"""Records that are read at once."""
 _QUICK: Final = 64 * 1024 * 1024
 """Bytes of a file up to which its structure is checked before it is gone on with: some 0.2 s, unless it has to be read first."""
 _WHOLE: Final = "expected the whole journal, or --adopt to go on with what is here"
@@ -140,9 +139,9 @@ class JournalFile:
             _check_there(place, lock)
         self._database = _opened(place, read_only=False, durability=durability)
         try:
-            with self._guarded("written"):
+            with self._lock, journal_errors(self.place, "written"):
                 if lock and isinstance(place, Path) and place.stat().st_size <= _QUICK:
-                    self._database.check()
+                    self._database.do(lambda driver: driver.check())
                 check = partial(
                     self._check_home, Home.of(place, node) if node is not None else None, adopts=adopts, log_is_there=log_is_there
                 )
@@ -155,7 +154,9 @@ class JournalFile:
                 self.standing: tuple[str, ...] = ()
                 """The processes that stood by when the lease was renewed."""
                 if lock:
-                    self._database.gather()  # so that the file by itself is a journal, which says that it was not closed
+                    self._database.do(
+                        lambda driver: driver.gather()
+                    )  # so that the file by itself is a journal, which says that it was not closed
             self._mark()
         except BaseException:
             self._database.close()
@@ -164,31 +165,28 @@ class JournalFile:
     def _begin_epoch(self, wall: float, check: Callable[[int, str], None], *, only_free: bool) -> int:
         database, me = self._database, this_process()
         with database.transaction(is_durable=True):
-            database.run(tables.MAKE, id=1, epoch=0, holder="", until=0.0, rewritten=0)
+            database.run(tables.MAKE)
             is_writing, epoch, holder, left = self._lease_to_take()
             if is_writing or (only_free and left > 0.0):
                 raise Held(f"{holder} holds the journal {self.place}", holder, left)
             check(epoch, holder)
-            database.run(tables.TAKE, mine=epoch + 1, me=me, seconds=self._lease)
-            database.run(tables.BEGIN_EPOCH, epoch=epoch + 1, wall=wall, holder=me)
+            database.run(tables.TAKE, epoch=epoch + 1, me=me, seconds=self._lease)
+            database.run(tables.BEGIN_EPOCH, epoch=epoch + 1, wall=wall, me=me)
         return int(epoch) + 1
 
     def _check_home(self, home: Home | None, epoch: int, holder: str, *, adopts: bool, log_is_there: bool) -> None:
         """Raise an `InputError` unless the journal is all there, and belongs here; it does from now on."""
         left, last = self._file_lock.left if self._file_lock else None, self._run_one(tables.LAST)
-        if self._file_lock and not adopts:
-            if left and left.is_sure and (left.epoch, left.last) > (epoch, last):
-                kept = _behind(left, epoch, last)
-                raise InputError(f"the journal {self.place} is an older copy, or has lost what was written last: {kept}; {_WHOLE}")
-            if left is None and holder and not log_is_there:
-                raise InputError(f"the journal {self.place} was not closed by {holder}, and its log is missing; {_WHOLE}")
+        lacks = _lacks(left, epoch, last, holder, log_is_there=log_is_there or not self._file_lock)
+        if lacks and not adopts:
+            raise InputError(f"the journal {self.place} {lacks}; {_WHOLE}")
         rows = self._database.run(tables.HOME)
         known = Home(*rows[0]) if rows else home
         if home is not None and known is not None:
             if known != home and not adopts:
                 writer = str(self._database.run(tables.LAST_HOLDER)[0][0])
                 raise InputError(f"the journal {self.place} {known.unlike(home, writer)}; {_ADOPT}")
-            self._database.run(tables.SETTLE, id=1, **home._asdict())
+            self._database.run(tables.SETTLE, **home._asdict())
 
     def _mark(self, *, is_closed: bool = False) -> None:
         """Note beside the file how far it has come."""
@@ -198,7 +196,7 @@ class JournalFile:
     def _lease_to_take(self) -> tuple[bool, int, str, float]:
         """Return whether its holder writes at this moment, the epoch, the holder, and the seconds for which it has it."""
         free = self._database.run(tables.LEASE_TO_TAKE)
-        epoch, holder, left, _ = (free or self._database.run(tables.LEASE))[0]
+        epoch, holder, left = (free or self._database.run(tables.LEASE))[0]
         return not free, epoch, holder, left
 
     def append(self, rows: Sequence[Row], parts: Mapping[str, str]) -> None:
@@ -217,9 +215,9 @@ class JournalFile:
 
     def look(self) -> None:
         """Raise a `JournalError` if the journal is not where others look for it, as when its file was deleted or moved."""
-        with self._guarded("written"):
+        with self._lock, journal_errors(self.place, "written"):
             if self._database.is_connected:
-                self._database.look()
+                self._database.do(lambda driver: driver.look())
 
     def _keep(self, commit: _Commit) -> None:
         database, numbered = self._database, list(enumerate(commit.rows, commit.first))
@@ -239,7 +237,8 @@ class JournalFile:
         ]
         database.run_many(tables.KEEP_TASK, changed)
         named = [
-            {"key": key, "segment": commit.segment, "text": text, "checksum": tables.checksum(text)} for key, text in commit.parts.items()
+            {"key": key, "segment": commit.segment, "text": text, "checksum": tables.checksum(key + text)}
+            for key, text in commit.parts.items()
         ]
         database.run_many(tables.KEEP_PART, named)
 
@@ -249,15 +248,15 @@ class JournalFile:
         Raises:
             JournalError: it cannot be written now; nothing was.
         """
-        with self._guarded("written"):
+        with self._lock, journal_errors(self.place, "written"):
             oldest, first = self._run_one(tables.OLDEST), self._run_one(tables.NEEDED, before=records)
         for number in (*range(oldest + _AT_ONCE, first, _AT_ONCE), first):  # so that no transaction takes long
             with self._transaction():
                 for statement in tables.DROP_BEFORE:
                     self._database.run(statement, number=number)
                 self._database.run(tables.DROP_TASKS, before=tasks)
-        with self._guarded("written"):
-            self._database.shrink()
+        with self._lock, journal_errors(self.place, "written"):
+            self._database.do(lambda driver: driver.shrink())
 
     def renew(self) -> None:
         """Begin the lease anew, over a new connection if there is none; what was kept before is durable then.
@@ -267,16 +266,16 @@ class JournalFile:
             JournalError: it cannot be reached now.
         """
         with self._transaction(is_renewal=True):
-            self._database.run(tables.RENEW, mine=self.epoch, seconds=self._lease)
-            self.standing = self._database.waiting()
+            self._database.run(tables.RENEW, epoch=self.epoch, seconds=self._lease)
+            self.standing = self._database.do(lambda driver: driver.waiting())
 
     def close(self) -> None:
         """End the lease, and close the file, or the connection."""
         with self._lock:
             if self._database.is_connected:
                 with suppress(DatabaseError):
-                    self._database.run(tables.RELEASE, mine=self.epoch)
-                    self._database.announce()
+                    self._database.run(tables.RELEASE, epoch=self.epoch)
+                    self._database.do(lambda driver: driver.announce())
             self._database.close()
             if self._file_lock is not None:
                 self._mark(is_closed=True)
@@ -289,7 +288,7 @@ class JournalFile:
         database, kept = self._database, list[_Commit]()
         if not (is_renewal or database.is_connected):  # without the lock: `renew` mends that, in its time and not in that of the event loop
             raise JournalError(f"the journal {self.place} cannot be written: there is no connection to its database")
-        with self._guarded("reached" if is_renewal else "written"):
+        with self._lock, journal_errors(self.place, "reached" if is_renewal else "written"):
             with database.transaction(is_new=is_renewal, is_durable=is_renewal):
                 epoch, last = next(iter(database.run(tables.WHOSE)), (0, 0))
                 if epoch > self.epoch:
@@ -311,7 +310,6 @@ class JournalFile:
         if last > self._last:
             for statement in tables.DROP_AFTER:
                 self._database.run(statement, number=self._last)
-            self._database.run(tables.REWRITTEN)
         elif last < self._last:
             forgotten = [commit for commit in self._recent if commit.first > last]
             if not forgotten or forgotten[0].first != last + 1:
@@ -325,28 +323,8 @@ class JournalFile:
                 "the database of the journal %s had lost the records %d to %d; they are written again", self.place, last + 1, self._last
             )
 
-    def _run_one(self, statement: Executable, **values: object) -> int:
-        return int(self._database.run(statement, **values)[0][0])
-
-    def _guarded(self, verb: str) -> _Guarded:
-        return _Guarded(self._lock, f"the journal {self.place} cannot be {verb}")
-
-
-class _Guarded:
-    """The connection for one thread at a time; what is wrong with the database is wrong with the journal."""
-
-    def __init__(self, lock: Lock, failed: str) -> None:
-        self._lock = lock
-        self._failed = failed
-
-    def __enter__(self) -> None:
-        """Wait for the connection."""
-        self._lock.acquire()
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
-        self._lock.release()
-        if isinstance(error, DatabaseError):
-            raise JournalError(f"{self._failed}: {error}") from error
+    def _run_one(self, sql: str, **values: object) -> int:
+        return int(self._database.run(sql, **values)[0][0])
 
 
 def copy_journal(path: Path, to: Path) -> None:
@@ -355,7 +333,7 @@ def copy_journal(path: Path, to: Path) -> None:
     Raises:
         JournalError: that cannot be done.
     """
-    with _changed(path, "copied"):
+    with journal_errors(path, "copied"):
         copy_file(path, to)
     _settle(to)
 
@@ -366,19 +344,9 @@ def move_journal(path: Path, to: Path) -> None:
     Raises:
         JournalError: that cannot be done.
     """
-    with _changed(path, "moved"):
+    with journal_errors(path, "moved"):
         move_file(path, to)
     _settle(to, to.stat().st_ino)
-
-
-@contextmanager
-def _changed(path: Path, how: str) -> Iterator[None]:
-    try:
-        yield
-    except Locked as error:
-        raise Held(f"{error.holder} holds the journal {path}", error.holder) from error
-    except DatabaseError as error:
-        raise JournalError(f"the journal {path} cannot be {how}: {error}") from error
 
 
 def _settle(path: Path, inode: int | None = None) -> None:
@@ -389,8 +357,12 @@ def _settle(path: Path, inode: int | None = None) -> None:
             database.run(tables.MOVE, inode=str(inode))
 
 
-def _behind(left: Mark, epoch: int, last: int) -> str:
-    return f"{left.holder} has kept {left.last} records in it, up to its epoch {left.epoch}; here are {last}, up to epoch {epoch}"
+def _lacks(left: Mark | None, epoch: int, last: int, holder: str, *, log_is_there: bool) -> str:
+    """Return in words what was written in a file and is not there, by its lock or its last holder; empty if nothing is missed."""
+    if left and left.is_sure and (left.epoch, left.last) > (epoch, last):
+        kept = f"{left.holder} has kept {left.last} records in it, up to its epoch {left.epoch}"
+        return f"is an older copy, or has lost what was written last: {kept}; here are {last}, up to epoch {epoch}"
+    return f"was not closed by {holder}, and its log is missing" if left is None and holder and not log_is_there else ""
 
 
 def _has_log(place: Place) -> bool:
@@ -413,13 +385,22 @@ class Holding(NamedTuple):
         epoch: the latest.
         holder: the process that began it.
         left: seconds until its lease is over; below 0 when it is.
-        rewritten: how often records were taken away.
     """
 
     epoch: int
     holder: str
     left: float
-    rewritten: int
+
+
+class Seen(NamedTuple):
+    """A record that was read, as it was: another one in its place has another epoch or checksum."""
+
+    number: int
+    epoch: int
+    checksum: int
+
+
+_NOTHING: Final = Seen(0, 0, 0)
 
 
 class KeptJournal:
@@ -431,24 +412,62 @@ class KeptJournal:
 
     def __init__(self, place: Place) -> None:
         self.place = place
+        left, log_is_there = mark_of(place) if isinstance(place, Path) else None, not isinstance(place, Path) or _has_log(place)
         self._database = _opened(place, read_only=True)
+        try:
+            self._lacks = _lacks(left, self.holding().epoch, self.last(), self.holding().holder, log_is_there=log_is_there)
+            """What is not there any more, until that was said."""
+        except BaseException:
+            self.close()
+            raise
+        self.seen = _NOTHING
+        """The last record that was read."""
 
     def rows(self, after: int = 0) -> Iterator[tuple[int, Row]]:
         """Yield the records after this one, with their numbers.
 
+        Who reads on behind the last record that was read gets that one once more, in the same statement: a server may have lost it
+        since, and another process have written other records in its place.
+
         Raises:
+            Rewritten: the last record that was read is not there any more; the next call does not miss it.
             Damaged: records are missing, or not as they were written.
             JournalError: it cannot be read now.
         """
-        while rows := self._read(tables.ROWS, number=after):
+        self._warn()
+        while rows := self._read_from(after):
             for sequence, epoch, time, text, checksum in rows:
+                self.seen = Seen(sequence, epoch, checksum)
                 if not tables.is_whole(checksum, text, sequence, epoch, time):
                     raise self._damaged(f"record {sequence}")
-                if sequence != after + 1 and sequence != self._read(tables.OLDEST)[0][0]:
+                if sequence != after + 1 and self._read(tables.OLDEST)[0][0] < sequence:
                     missing = f"the records {after + 1} to {sequence - 1} are missing"
                     raise Damaged(f"the journal {self.place} is damaged: {missing}; its database has lost them")
                 yield sequence, Row(time, text)
                 after = sequence
+
+    def _warn(self) -> None:
+        """Have who reads know once what is not there: what is, is read all the same."""
+        lacks, self._lacks = self._lacks, ""
+        if lacks:
+            _log.warning("the journal %s %s", self.place, lacks)
+
+    def _read_from(self, after: int) -> Rows:
+        rows, seen = self._read(tables.ROWS, first=after, most=_READ), self.seen
+        if after == seen.number > 0:
+            self._compare(seen, rows)
+        return rows[1:] if rows and rows[0][0] == after else rows
+
+    def look(self, seen: Seen) -> None:
+        """Raise `Rewritten` if a record that was read is not there any more."""
+        self._compare(seen, self._read(tables.ROWS, first=seen.number, most=1))
+
+    def _compare(self, seen: Seen, rows: Rows) -> None:
+        """Raise `Rewritten` unless the rows begin with a record that was read; or with a later one, when it is not kept any more."""
+        found = next((Seen(sequence, epoch, checksum) for sequence, epoch, _, _, checksum in rows), _NOTHING)
+        if found != seen and found.number <= seen.number:
+            self.seen = _NOTHING
+            raise Rewritten(f"the journal {self.place} has lost its record {seen.number}, which was read before")
 
     def last_segment(self) -> int:
         """Return the number of the record with which the last segment begins; 0 if there is none."""
@@ -468,6 +487,7 @@ class KeptJournal:
 
     def tasks(self) -> Iterator[str]:
         """Yield the texts of all tasks, in the order in which they were accepted."""
+        self._warn()
         for text, checksum in self._read(tables.TASKS):
             if not tables.is_whole(checksum, text):
                 raise self._damaged("a task in its list")
@@ -479,13 +499,13 @@ class KeptJournal:
         Raises:
             JournalError: there is none.
         """
-        rows = self._read(tables.PART, wanted=key)
+        rows = self._read(tables.PART, key=key)
         if not rows:
             raise JournalError(f"the journal {self.place} names the part {key}, which is not there")
         text, checksum = rows[0]
-        if not tables.is_whole(checksum, text):
+        if not (isinstance(text, str) and tables.is_whole(checksum, key + text)):  # an index may lead to that of another key
             raise self._damaged(f"the part {key}")
-        return str(text)
+        return text
 
     def check(self) -> int:
         """Read everything; return how many records there are.
@@ -493,18 +513,15 @@ class KeptJournal:
         Raises:
             JournalError: something is damaged or missing.
         """
-        try:
-            self._database.check()
-        except DatabaseError as error:
-            raise Damaged(f"the journal {self.place} is damaged: {error}") from error
+        with journal_errors(self.place, "read"):
+            self._database.do(lambda driver: driver.check())
+        if self._lacks:
+            raise Damaged(f"the journal {self.place} {self._lacks}")
         count = sum(1 for _ in self.rows())
         for (key,) in self._read(tables.PARTS):
             self.part(key)
         for _ in self.tasks():
             """Each is checked."""
-        left, last, epoch = mark_of(self.place) if isinstance(self.place, Path) else None, self.last(), self.holding().epoch
-        if left and left.is_sure and (left.epoch, left.last) > (epoch, last):
-            raise Damaged(f"the journal {self.place} has lost what was written last: {_behind(left, epoch, last)}")
         return count
 
     def home(self) -> Home | None:
@@ -520,14 +537,12 @@ class KeptJournal:
     def holding(self) -> Holding:
         """Return who holds it."""
         rows = self._read(tables.LEASE)
-        return Holding(*rows[0]) if rows else Holding(0, "", 0.0, 0)
+        return Holding(*rows[0]) if rows else Holding(0, "", 0.0)
 
     def wait(self, seconds: float) -> None:
         """Wait until its holder lets it go, or for so long."""
-        try:
-            self._database.wait(seconds, this_process())
-        except DatabaseError as error:
-            raise JournalError(f"the journal {self.place} cannot be read: {error}") from error
+        with journal_errors(self.place, "read"):
+            self._database.do(lambda driver: driver.wait(seconds, this_process()))
 
     def close(self) -> None:
         """Close the file, or the connection."""
@@ -536,15 +551,11 @@ class KeptJournal:
     def _damaged(self, what: str) -> Damaged:
         return Damaged(f"the journal {self.place} is damaged: {what} is not as it was written")
 
-    def _read(self, statement: Executable, **values: object) -> Rows:
-        try:
-            return self._database.run(statement, **values)
-        except DatabaseError as error:
-            raise JournalError(f"the journal {self.place} cannot be read: {error}") from error
+    def _read(self, sql: str, **values: object) -> Rows:
+        with journal_errors(self.place, "read"):
+            return self._database.run(sql, **values)
 
 
 def _opened(place: Place, *, read_only: bool, durability: Durability = Durability.PROCESS_CRASH) -> Database:
-    try:
+    with journal_errors(place, "opened"):
         return Database(place, tables.LAYOUT, read_only=read_only, is_durable=durability is Durability.POWER_LOSS)
-    except DatabaseError as error:
-        raise JournalError(f"the journal {place} cannot be opened: {error}") from error

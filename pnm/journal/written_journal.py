@@ -13,7 +13,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from math import inf, isfinite
 from time import time
-from typing import TYPE_CHECKING, Final, Unpack
+from typing import Final, Unpack
 from uuid import UUID
 
 from pnm.clock import TimeUsed
@@ -52,10 +52,8 @@ from pnm.journal.records import (
     knowledge_now,
 )
 from pnm.journal.replay import Replay, ReplayedRun
+from pnm.journal.store import JournalFile
 from pnm.tasks import REMEMBERED, TaskEnding, TaskState, Wanted
-
-if TYPE_CHECKING:  # it takes 0.2 s to import: runs without a journal need not wait for it
-    from pnm.journal.store import JournalFile
 
 _RETRY: Final = 1.0
 """Seconds until it is tried again to write."""

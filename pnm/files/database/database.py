@@ -1,28 +1,25 @@
-"""Databases of ours: an SQLite file, or tables in PostgreSQL. Tables and statements are SQLAlchemy's, written for both.
+"""Databases of ours: an SQLite file, or tables in PostgreSQL, by the same statements.
 
-SQLAlchemy compiles statements; the driver executes them, in transactions that begin and end here. What an engine would add to that,
-pools and types, is not needed, and costs more than a commit does.
+A driver executes them, in transactions that begin and end here. A library that puts itself in between, with its pools and types, would
+make each commit take several times as long.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from functools import cache
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TypeVar
 
 from pnm.errors import PnmError
-from pnm.files.database.driver import DatabaseError, Driver, Layout, Rows
+from pnm.files.database.driver import DamagedDatabase, DatabaseError, Driver, Layout, Rows
 from pnm.files.database.limit import OperationLimit
 from pnm.files.database.place import Place
 from pnm.files.database.postgres import Postgres
-from pnm.files.database.sqlite import Sqlite
+from pnm.files.database.sqlite import Sqlite, is_damage
 
-if TYPE_CHECKING:  # it takes 0.15 s to import: who has no database need not wait for it
-    from sqlalchemy import Executable
-    from sqlalchemy.engine import Dialect
+T = TypeVar("T")
 
 
 class Database:
@@ -32,7 +29,7 @@ class Database:
 
     Args:
         place: of it; a file is made if there is none.
-        layout: its tables; made if there are none.
+        layout: its tables, made if there are none; None for a file that is taken as it is.
         read_only: whether it must be there, and is not written.
         is_durable: whether commits survive that the computer of the database dies.
 
@@ -42,7 +39,7 @@ class Database:
         DatabaseError: it cannot be opened, or has something else.
     """
 
-    def __init__(self, place: Place, layout: Layout, *, read_only: bool = False, is_durable: bool = False) -> None:
+    def __init__(self, place: Place, layout: Layout | None, *, read_only: bool = False, is_durable: bool = False) -> None:
         self.place = place
         self._layout = layout
         self._read_only = read_only
@@ -61,33 +58,33 @@ class Database:
         """Open the connection unless it is open."""
         if self._driver is not None:
             return
-        from sqlalchemy.schema import CreateTable  # here, because it takes 0.15 s
-
         with self._translated:
             if isinstance(self.place, Path):
                 driver: Driver = Sqlite(self.place, self._limit, read_only=self._read_only, is_durable=self._is_durable)
             else:
                 driver = Postgres(self.place, self._limit, read_only=self._read_only, is_durable=self._is_durable)
             try:
-                ddl = [str(CreateTable(table).compile(dialect=driver.dialect)) for table in self._layout.tables.sorted_tables]
-                driver.prepare(self._layout, ddl, read_only=self._read_only)
+                driver.prepare(self._layout, read_only=self._read_only)
             except BaseException:
                 driver.close()
                 raise
             self._driver = driver
 
-    def run(self, statement: Executable, **values: object) -> Rows:
+    def run(self, sql: str, **values: object) -> Rows:
         """Execute a statement, in the transaction if there is one; return its rows."""
         with self._translated:
-            driver, sql, constants = self._prepared(statement)
-            return driver.run(sql, {**constants, **values})
+            return self._connected().run(sql, values)
 
-    def run_many(self, statement: Executable, rows: Sequence[Mapping[str, object]]) -> None:
-        """Execute a statement without constants for each row."""
+    def run_many(self, sql: str, rows: Sequence[Mapping[str, object]]) -> None:
+        """Execute a statement for each row."""
         if rows:
             with self._translated:
-                driver, sql, _ = self._prepared(statement)
-                driver.run_many(sql, rows)
+                self._connected().run_many(sql, rows)
+
+    def do(self, work: Callable[[Driver], T]) -> T:
+        """Return what the driver does."""
+        with self._translated:
+            return work(self._connected())
 
     @contextmanager
     def transaction(self, *, is_new: bool = True, is_durable: bool = False) -> Iterator[None]:
@@ -106,47 +103,13 @@ class Database:
         try:
             yield
             with self._translated:
-                self._control("COMMIT")
+                assert self._driver is not None
+                self._driver.run("COMMIT", {})
         except BaseException:
             if self._driver is not None:
                 with suppress(DatabaseError), self._translated:
-                    self._control("ROLLBACK")
+                    self._driver.run("ROLLBACK", {})
             raise
-
-    def wait(self, seconds: float, process: str) -> None:
-        """Wait until something was announced in the database, or for so long; others see meanwhile that this process does."""
-        self.connect()
-        with self._translated:
-            assert self._driver is not None
-            self._limit.begin(seconds)
-            self._driver.wait(seconds, process)
-
-    def waiting(self) -> tuple[str, ...]:
-        """Return the processes that wait, as far as they can be seen."""
-        self.connect()
-        with self._translated:
-            assert self._driver is not None
-            return self._driver.waiting()
-
-    def announce(self) -> None:
-        """Have those go on that wait for something to be announced."""
-        self._do(lambda driver: driver.announce())
-
-    def shrink(self) -> None:
-        """Give space back that is not needed any more."""
-        self._do(lambda driver: driver.shrink())
-
-    def look(self) -> None:
-        """Raise a `DatabaseError` if what is written is not where others look for it, as when its file was deleted."""
-        self._do(lambda driver: driver.look())
-
-    def check(self) -> None:
-        """Raise a `DatabaseError` if the tables cannot be read as they were written."""
-        self._do(lambda driver: driver.check())
-
-    def gather(self) -> None:
-        """Have the tables, as far as nobody reads them, in one file."""
-        self._do(lambda driver: driver.gather())
 
     def close(self) -> None:
         """Close the connection."""
@@ -155,21 +118,10 @@ class Database:
                 self._driver.close()
             self._driver = None
 
-    def _do(self, work: Callable[[Driver], None]) -> None:
-        self.connect()
-        with self._translated:
-            assert self._driver is not None
-            work(self._driver)
-
-    def _control(self, sql: str) -> None:
-        assert self._driver is not None
-        self._driver.run(sql, {})
-
-    def _prepared(self, statement: Executable) -> tuple[Driver, str, Mapping[str, object]]:
-        """Return a statement as the driver has it, and the constants in it."""
+    def _connected(self) -> Driver:
         self.connect()
         assert self._driver is not None
-        return self._driver, *_compiled(statement, self._driver.dialect)
+        return self._driver
 
     def _drop(self) -> None:
         """Forget a connection that an error has ended."""
@@ -196,7 +148,8 @@ class _Translated:
         # Anything else: pg8000 raises what it comes across when a server goes away.
         if isinstance(error, Exception) and not isinstance(error, PnmError):
             self._drop()
-            raise DatabaseError(self._limit.exceeded or _reason(error)) from error
+            kind = DamagedDatabase if is_damage(error) else DatabaseError
+            raise kind(self._limit.exceeded or _reason(error)) from error
 
 
 def _reason(error: Exception) -> str:
@@ -205,10 +158,3 @@ def _reason(error: Exception) -> str:
     if isinstance(said, Mapping):
         return str(said.get("M", said))
     return str(error) or type(error).__name__
-
-
-@cache
-def _compiled(statement: Executable, dialect: Dialect) -> tuple[str, Mapping[str, object]]:
-    """Return a statement as text, and the constants in it; statements are module constants, so there are few."""
-    compiled = statement.compile(dialect=dialect)  # type: ignore[attr-defined]
-    return str(compiled), {name: value for name, value in compiled.params.items() if value is not None}

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from typing import Any, Final, TypeAlias
 
 from pnm.errors import PnmError
 
-if TYPE_CHECKING:  # it takes 0.15 s to import: who has no database need not wait for it
-    from sqlalchemy import MetaData
-    from sqlalchemy.engine import Dialect
-
+NOW: Final = "extract(epoch FROM clock_timestamp())::float8"
+"""The time of day on the clock of the database, in seconds, in SQL."""
 Rows: TypeAlias = list[Sequence[Any]]
 
 
 class DatabaseError(PnmError):
     """A database cannot be opened, read or written now."""
+
+
+class DamagedDatabase(DatabaseError):
+    """A database whose content is not what was written."""
 
 
 @dataclass(frozen=True)
@@ -27,58 +30,67 @@ class Layout:
         kind: what they are, in one word, for people.
         application: marks SQLite files.
         version: of the format; a database with another one is refused.
+        tables: a statement for each, which makes it.
     """
 
     kind: str
     application: int
     version: int
-    tables: MetaData
+    tables: tuple[str, ...]
 
 
-class Driver(Protocol):
-    """A connection of a driver. After an exception of its own, it may be closed, and is not used again unless it `survives` errors."""
+class Driver(ABC):
+    """A connection of a driver. After an exception of its own, it may be closed, and is not used again unless it `survives` errors.
+
+    Statements are in the SQL of PostgreSQL, as far as others have it or can put other words for it; parameters are ``:name``.
+    """
 
     survives: bool
 
-    @property
-    def dialect(self) -> Dialect:
-        """Which SQL it speaks."""
-
+    @abstractmethod
     def run(self, sql: str, values: Mapping[str, object], /) -> Rows:
-        """Execute a statement with ``:name`` parameters."""
+        """Execute a statement; return its rows."""
 
+    @abstractmethod
     def run_many(self, sql: str, rows: Sequence[Mapping[str, object]], /) -> None:
         """Execute a statement for each row."""
 
+    @abstractmethod
     def begin(self, *, is_durable: bool) -> None:
         """Begin a transaction that writes, and that survives the death of the computer of a server if it is durable."""
 
-    def prepare(self, layout: Layout, ddl: Sequence[str], *, read_only: bool) -> None:
-        """Make the tables unless they are there; refuse those of something else or of another version."""
+    @abstractmethod
+    def prepare(self, layout: Layout | None, *, read_only: bool) -> None:
+        """Make the tables unless they are there; refuse those of something else or of another version. None takes what there is."""
 
+    @abstractmethod
     def wait(self, seconds: float, process: str) -> None:
         """Wait until something was announced, or for so long; others see meanwhile that this process does."""
 
-    def waiting(self) -> tuple[str, ...]:
-        """Return the processes that wait, as far as they can be seen."""
-
-    def announce(self) -> None:
-        """Have those that wait go on."""
-
-    def shrink(self) -> None:
-        """Give space back that is not needed any more."""
-
-    def look(self) -> None:
-        """Raise a `DatabaseError` if what is written is not where others look for it, as when its file was deleted."""
-
-    def check(self) -> None:
-        """Raise a `DatabaseError` if the tables cannot be read as they were written."""
-
-    def gather(self) -> None:
-        """Have the tables, as far as nobody reads them, in one file."""
-
+    @abstractmethod
     def close(self) -> None:
         """Close the connection."""
+
+    # --- what only some need, and others see to by themselves ---
+
+    def waiting(self) -> tuple[str, ...]:
+        """Return the processes that wait, as far as they can be seen."""
+        return ()
+
+    def announce(self) -> None:  # noqa: B027
+        """Have those that wait go on."""
+
+    def shrink(self) -> None:  # noqa: B027
+        """Give space back that is not needed any more."""
+
+    def look(self) -> None:  # noqa: B027
+        """Raise a `DatabaseError` if what is written is not where others look for it, as when its file was deleted."""
+
+    def check(self) -> None:  # noqa: B027
+        """Raise `DamagedDatabase` if the tables cannot be read as they were written."""
+
+    def gather(self) -> None:  # noqa: B027
+        """Have the tables, as far as nobody reads them, in one file."""
 
 
 def check_version(layout: Layout, version: int) -> None:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-import sqlite3
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
+from pnm.files.database.database import Database
 from pnm.files.database.driver import DatabaseError
 from pnm.files.database.lock import FileLock
-from pnm.files.database.sqlite import LIMIT, files_of, has_log, log_of
+from pnm.files.database.sqlite import Sqlite, files_of
 
 
 def copy_file(path: Path, to: Path) -> None:
@@ -20,13 +20,7 @@ def copy_file(path: Path, to: Path) -> None:
         DatabaseError: that cannot be done; there is no such file then.
     """
     _check_new(to)
-    try:
-        with _opened(path, "ro") as connection:
-            to.touch(0o600)
-            connection.execute("VACUUM INTO ?", (str(to),))
-    except DatabaseError:
-        to.unlink(missing_ok=True)
-        raise
+    _do(path, lambda file: file.copy(to), read_only=True)
 
 
 def move_file(path: Path, to: Path) -> None:
@@ -37,14 +31,10 @@ def move_file(path: Path, to: Path) -> None:
         DatabaseError: that cannot be done; the file is where it was.
     """
     _check_new(to)
-    with _opened(path, "rw"):
-        """There is such a file."""
+    _do(path, lambda file: None, read_only=True)  # which makes no lock where there is no file
     lock = FileLock(path)
     try:
-        with _opened(path, "rw") as connection:
-            connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
-        if has_log(path):
-            raise DatabaseError("another process reads it; expected none")
+        _do(path, Sqlite.gather_all, read_only=False)
         if os.stat(path).st_dev == os.stat(to.parent).st_dev:
             path.rename(to)
         else:
@@ -64,17 +54,13 @@ def _check_new(to: Path) -> None:
         raise DatabaseError(f"there is {there[0]} already in {to.parent}; expected a new name")
 
 
-@contextmanager
-def _opened(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
-    """Enter a connection to a file that is there; errors of SQLite are those of a database."""
-    if not path.is_file():
-        lacks = f", only {log_of(path).name}, with what was written last; expected both" if has_log(path) else ""
-        raise DatabaseError(f"there is no such file{lacks}")
-    try:
-        with closing(
-            sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True, timeout=LIMIT, isolation_level=None)
-        ) as connection:
-            connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()
-            yield connection
-    except sqlite3.Error as error:
-        raise DatabaseError(str(error)) from error
+def _do(path: Path, work: Callable[[Sqlite], None], *, read_only: bool) -> None:
+    """Do something to a file that is there, whatever tables it has."""
+
+    def done(driver: object) -> None:
+        assert isinstance(driver, Sqlite)
+        driver.run("SELECT count(*) FROM sqlite_schema", {})
+        work(driver)
+
+    with closing(Database(path, None, read_only=read_only)) as database:
+        database.do(done)

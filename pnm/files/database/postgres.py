@@ -12,16 +12,12 @@ import socket
 import ssl
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from functools import cache
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from pnm.errors import InputError
-from pnm.files.database.driver import DatabaseError, Layout, Rows, check_version
+from pnm.files.database.driver import DatabaseError, Driver, Layout, Rows, check_version
 from pnm.files.database.limit import OperationLimit
 from pnm.files.database.place import ServerUrl
-
-if TYPE_CHECKING:
-    from sqlalchemy.engine import Dialect
 
 LIMIT: Final = 1.0
 """Seconds to wait for a server: to reach it, and for each of its answers."""
@@ -57,7 +53,7 @@ class _LimitedSsl(_Limited, ssl.SSLSocket):
     """The same, encrypted."""
 
 
-class Postgres:
+class Postgres(Driver):
     """Tables in a schema of a PostgreSQL database."""
 
     survives = False
@@ -67,7 +63,6 @@ class Postgres:
             from pg8000.native import Connection
         except ImportError as error:
             raise InputError("PostgreSQL needs pg8000; install petri-net-machines[postgres]") from error
-        self.dialect = _dialect()
         ended = f"{LIMIT * 1000:.0f}"
         settings = {
             "search_path": url.name,
@@ -75,6 +70,7 @@ class Postgres:
             "default_transaction_read_only": "on" if read_only else "off",
             **dict.fromkeys(("statement_timeout", "lock_timeout", "idle_in_transaction_session_timeout"), ended),
         }
+        self._limit = limit
         self._socket = _connected(url, limit)
         try:
             self._connection = Connection(
@@ -117,8 +113,10 @@ class Postgres:
         """Begin a transaction that writes. One that is durable makes everything durable that was committed before it."""
         self._connection.run("BEGIN; SET LOCAL synchronous_commit TO on" if is_durable else "BEGIN")
 
-    def prepare(self, layout: Layout, ddl: Sequence[str], *, read_only: bool) -> None:
+    def prepare(self, layout: Layout | None, *, read_only: bool) -> None:
         """Make the tables unless they are there; refuse those of something else or of another version."""
+        if layout is None:
+            return
         if version := self._version(layout):
             return check_version(layout, version)
         if read_only:
@@ -129,7 +127,7 @@ class Postgres:
         if not self._version(layout):
             self._connection.run(f"CREATE SCHEMA IF NOT EXISTS {self._name}")
             self._connection.run("CREATE TABLE IF NOT EXISTS formats (kind TEXT PRIMARY KEY, version INTEGER NOT NULL)")
-            for table in ddl:
+            for table in layout.tables:
                 self._connection.run(table)
             self._connection.run("INSERT INTO formats VALUES (:kind, :version)", kind=layout.kind, version=layout.version)
         self._connection.run("COMMIT")
@@ -150,6 +148,7 @@ class Postgres:
             self._connection.run("SELECT set_config('application_name', :name, false)", name=f"{self._waits}{process}"[:_NAME])
             self._listens = True
         if not self._connection.notifications:
+            self._limit.begin(seconds)
             select.select([self._socket], [], [], seconds)
             self._connection.run("SELECT 1")  # which reads what has come
         self._connection.notifications.clear()
@@ -169,11 +168,6 @@ class Postgres:
     def announce(self) -> None:
         """Have those that wait go on."""
         self._connection.run(f"NOTIFY {self._name}")
-
-    def shrink(self) -> None:
-        """Do nothing: the server sees to that."""
-
-    look = check = gather = shrink
 
     def close(self) -> None:
         """Close the connection."""
@@ -217,10 +211,3 @@ def _encrypted(plain: socket.socket, host: str, *, is_verified: bool) -> _Limite
     encrypted = context.wrap_socket(plain, server_hostname=host)
     assert isinstance(encrypted, _Limited)
     return encrypted
-
-
-@cache  # statements are compiled once for each
-def _dialect() -> Dialect:
-    from sqlalchemy.dialects.postgresql.pg8000 import dialect  # here, because it takes 0.15 s
-
-    return dialect(paramstyle="named")  # type: ignore[no-untyped-call]

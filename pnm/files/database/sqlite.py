@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import os
+import re
 import sqlite3
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
+from math import inf
 from pathlib import Path
 from time import monotonic, sleep
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import Final, TypeVar
 
-from pnm.files.database.driver import DatabaseError, Layout, Rows, check_version
+from pnm.files.database.driver import NOW, DamagedDatabase, DatabaseError, Driver, Layout, Rows, check_version
 from pnm.files.database.limit import SIZE, OperationLimit
 from pnm.files.database.lock import lock_of
 from pnm.files.private import private_file
-
-if TYPE_CHECKING:
-    from sqlalchemy.engine import Dialect
 
 T = TypeVar("T")
 
@@ -24,6 +23,16 @@ LIMIT: Final = 4.0
 """Seconds to wait while another process writes."""
 _AGAIN: Final = 0.02
 """Seconds until a retry of an operation for which SQLite itself does not wait."""
+_SLOW: Final = 4 * 1024 * 1024
+"""Bytes of a file that the slowest disk reads or writes in a second."""
+_PAGES: Final = 256
+"""Pages that are given back to the file system at once."""
+_SHRINKING: Final = 0.5
+"""Seconds for which that goes on: nothing else is done meanwhile, and what is left is used again, or given back the next time."""
+_NOW: Final = "((julianday('now') - 2440587.5) * 86400.0)"
+_LOCKS: Final = re.compile(r" FOR (UPDATE|SHARE)\b.*")
+"""What locks rows, where a transaction that writes has not locked all of a file."""
+_DAMAGE: Final = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 _STEPS: Final = 100_000
 """Steps of SQLite's machine, some milliseconds, until it is looked whether it may go on; signals are heard then as well."""
 
@@ -44,7 +53,7 @@ def has_log(path: Path) -> bool:
     return log.exists() and log.stat().st_size > 0
 
 
-class Sqlite:
+class Sqlite(Driver):
     """An SQLite file, in WAL mode: others may read while one writes.
 
     A file may be hostile: nothing but tables is read, and SQLite looks in between whether it may go on.
@@ -64,7 +73,6 @@ class Sqlite:
         self._path = path
         self._identities: dict[str, tuple[int, int]] = {}
         """The files that are written; as texts, for these are looked at often."""
-        self.dialect = _dialect()
         uri = f"{path.absolute().as_uri()}{'?mode=ro' if read_only else ''}"
         self._connection = sqlite3.connect(uri, uri=True, timeout=0.0, isolation_level=None, check_same_thread=False)
         self._connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, SIZE)
@@ -74,11 +82,11 @@ class Sqlite:
 
     def run(self, sql: str, values: Mapping[str, object], /) -> Rows:
         """Execute a statement with ``:name`` parameters."""
-        return self._within(lambda: self._limit.take_rows(self._connection.execute(sql, values)))
+        return self._within(lambda: self._limit.take_rows(self._connection.execute(_spelled(sql), values)))
 
     def run_many(self, sql: str, rows: Sequence[Mapping[str, object]], /) -> None:
         """Execute a statement for each row."""
-        self._within(lambda: self._connection.executemany(sql, rows))
+        self._within(lambda: self._connection.executemany(_spelled(sql), rows))
 
     def _within(self, work: Callable[[], T]) -> T:
         """Do some work within the limit.
@@ -97,14 +105,15 @@ class Sqlite:
         """Begin a transaction that writes; all are as durable as the file was opened to be."""
         self._connection.execute("BEGIN IMMEDIATE")
 
-    def prepare(self, layout: Layout, ddl: Sequence[str], *, read_only: bool) -> None:
+    def prepare(self, layout: Layout | None, *, read_only: bool) -> None:
         """Make the tables unless they are there; refuse those of something else or of another version."""
-        self._within(partial(_patiently, partial(self._prepare, layout, ddl, read_only=read_only)))
+        if layout is not None:
+            self._within(partial(_patiently, partial(self._prepare, layout, read_only=read_only)))
         self._connection.execute(f"PRAGMA busy_timeout = {LIMIT * 1000:.0f}")
         if not read_only:
             self._identities = {os.fspath(file): _identity(os.fspath(file)) for file in files_of(self._path) if file.exists()}
 
-    def _prepare(self, layout: Layout, ddl: Sequence[str], *, read_only: bool) -> None:
+    def _prepare(self, layout: Layout, *, read_only: bool) -> None:
         self._connection.execute(f"PRAGMA synchronous = {self._synchronous}")
         if self._number("application_id") != layout.application:
             if read_only or self._connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()[0]:
@@ -114,8 +123,8 @@ class Sqlite:
             with self._connection:
                 self.begin(is_durable=False)
                 if self._number("application_id") != layout.application:  # unless another process was quicker
-                    for table in ddl:
-                        self._connection.execute(table)
+                    for table in layout.tables:
+                        self._connection.execute(_spelled(table))
                     self._connection.execute(f"PRAGMA application_id = {layout.application}")
                     self._connection.execute(f"PRAGMA user_version = {layout.version}")
         check_version(layout, self._number("user_version"))
@@ -129,18 +138,14 @@ class Sqlite:
         """Wait for so long: nothing is announced in a file."""
         sleep(seconds)
 
-    def waiting(self) -> tuple[str, ...]:
-        """Return nothing: a file does not show it."""
-        return ()
-
-    def announce(self) -> None:
-        """Do nothing: nobody hears it."""
-
     def shrink(self) -> None:
-        """Give space back that is not needed any more."""
-        self._within(
-            lambda: self._connection.executescript("PRAGMA incremental_vacuum")
-        )  # which frees one page only when it is executed by itself
+        """Give space back that is not needed any more, in steps, each of which is kept."""
+        until, free, left = monotonic() + _SHRINKING, inf, self._number("freelist_count")
+        while 0 < left < free and monotonic() < until:
+            self._limit.begin()
+            # by `execute` alone, one page would be freed
+            self._within(lambda: self._connection.executescript(f"PRAGMA incremental_vacuum({_PAGES})"))
+            free, left = left, self._number("freelist_count")
 
     def look(self) -> None:
         """Raise a `DatabaseError` if a file that is written is not there any more, or is another one."""
@@ -153,14 +158,40 @@ class Sqlite:
             raise DatabaseError(f"{Path(file).name} is not the file any more that is written: it was replaced")
 
     def check(self) -> None:
-        """Raise a `DatabaseError` if the structure of the file is damaged."""
-        found = self._within(lambda: self._connection.execute("PRAGMA quick_check(1)").fetchone()[0])
+        """Raise `DamagedDatabase` if the structure of the file is damaged."""
+        found = self._throughout("PRAGMA quick_check(1)")[0][0]
         if found != "ok":
-            raise DatabaseError(f"it is damaged: {found}")
+            raise DamagedDatabase(f"it is damaged: {found}")
 
     def gather(self) -> None:
         """Write the log back to the file, as far as nobody reads what was there before."""
         self._connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
+
+    def gather_all(self) -> None:
+        """Write the log back to the file.
+
+        Raises:
+            DatabaseError: another process reads what was there before.
+        """
+        self._throughout("PRAGMA wal_checkpoint(TRUNCATE)")
+        if has_log(self._path):
+            raise DatabaseError("another process reads it; expected none")
+
+    def copy(self, to: Path) -> None:
+        """Make one file with all that has been committed, also while another process writes; it is on the disk, or not there at all."""
+        to.touch(0o600, exist_ok=False)
+        try:
+            self._throughout("VACUUM INTO :to", to=str(to))
+            for path in (to, to.parent):
+                _sync(path)
+        except BaseException:
+            to.unlink()
+            raise
+
+    def _throughout(self, sql: str, **values: object) -> Rows:
+        """Execute what goes through the whole file, and may take as long as that does; return its rows."""
+        self._limit.begin(sum(file.stat().st_size for file in files_of(self._path) if file.exists()) / _SLOW)
+        return self.run(sql, values)
 
     def close(self) -> None:
         """Close the connection."""
@@ -168,6 +199,20 @@ class Sqlite:
 
     def _number(self, pragma: str) -> int:
         return int(self._connection.execute(f"PRAGMA {pragma}").fetchone()[0])
+
+
+def is_damage(error: Exception) -> bool:
+    """Return whether an error says that a file is not what was written, and never will be."""
+    return isinstance(error, sqlite3.Error) and getattr(error, "sqlite_errorcode", 0) & 0xFF in _DAMAGE
+
+
+def _sync(path: Path) -> None:
+    """Have a file, or the names in a folder, on the disk."""
+    file = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(file)
+    finally:
+        os.close(file)
 
 
 def _identity(file: str) -> tuple[int, int]:
@@ -187,8 +232,7 @@ def _patiently(work: Callable[[], None]) -> None:
             sleep(_AGAIN)
 
 
-@cache  # statements are compiled once for each
-def _dialect() -> Dialect:
-    from sqlalchemy.dialects.sqlite import dialect  # here, because it takes 0.15 s
-
-    return dialect(paramstyle="named")
+@cache
+def _spelled(sql: str) -> str:
+    """Return a statement with the words that SQLite has; statements are constants, so there are few."""
+    return _LOCKS.sub("", sql.replace("BIGINT", "INTEGER").replace(NOW, _NOW))

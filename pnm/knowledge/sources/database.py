@@ -13,17 +13,28 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from time import time
-from typing import TYPE_CHECKING, TypeVar
+from typing import Final, TypeVar
 
 from pnm.core.logic.computed_values import MISSING, Question
-from pnm.files.database.driver import DatabaseError
+from pnm.files.database.database import Database
+from pnm.files.database.driver import DatabaseError, Layout
 from pnm.files.database.place import Place
 from pnm.files.private import private_folder
 from pnm.knowledge.sources.memory import read_value, write_value
 from pnm.knowledge.sources.source import Asker, SourceError
 
-if TYPE_CHECKING:
-    from pnm.files.database.database import Database
+LAYOUT: Final = Layout(
+    "knowledge",
+    0x504E4D4B,  # PNMK
+    1,
+    ("CREATE TABLE variables (name TEXT NOT NULL PRIMARY KEY, value TEXT NOT NULL, changed DOUBLE PRECISION NOT NULL, run TEXT NOT NULL)",),
+)
+_STORE: Final = (
+    "INSERT INTO variables VALUES (:name, :value, :changed, :run)"
+    " ON CONFLICT (name) DO UPDATE SET value = excluded.value, changed = excluded.changed, run = excluded.run"
+)
+_READ: Final = "SELECT value FROM variables WHERE name = :name"
+_FORGET: Final = "DELETE FROM variables WHERE name = :name"
 
 T = TypeVar("T")
 
@@ -85,30 +96,20 @@ class DatabaseKnowledge:
             raise SourceError(f"the knowledge in {self.place} cannot be used: {error}") from error
 
     def _read(self, name: str) -> object:
-        from pnm.knowledge.sources import variables
-
-        rows = self._open().run(variables.READ, wanted=name)
+        rows = self._open().run(_READ, name=name)
         return read_value(str(rows[0][0])) if rows else MISSING
 
     def _write(self, name: str, value: str, run: str) -> None:
-        from pnm.knowledge.sources import variables
-
-        self._open().run(variables.STORE, name=name, value=value, changed=time(), run=run)
+        self._open().run(_STORE, name=name, value=value, changed=time(), run=run)
 
     def _forget(self, name: str) -> None:
-        from pnm.knowledge.sources import variables
-
-        self._open().run(variables.FORGET, wanted=name)
+        self._open().run(_FORGET, name=name)
 
     def _open(self) -> Database:
         if self._database is None:
-            # here, because SQLAlchemy takes its time to import: who needs no knowledge does not wait for it
-            from pnm.files.database.database import Database
-            from pnm.knowledge.sources import variables
-
             if isinstance(self.place, Path):
                 private_folder(self.place.parent)
-            self._database = Database(self.place, variables.LAYOUT, is_durable=True)
+            self._database = Database(self.place, LAYOUT, is_durable=True)
         return self._database
 
     def _close(self) -> None:

@@ -16,7 +16,6 @@ from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 import pytest
-from sqlalchemy import Column, Integer, MetaData, Table, Text, text
 
 from pnm.files.database import limit
 from pnm.files.database.database import Database
@@ -25,9 +24,7 @@ from pnm.files.database.place import place_of
 from tests.support.e2e.hosts.postgres import PostgresServer
 from tests.support.processes import LIMIT, Program
 
-_TABLES = MetaData()
-notes = Table("notes", _TABLES, Column("id", Integer, primary_key=True), Column("text", Text, nullable=False))
-LAYOUT = Layout("notebook", 0x504E4D54, 1, _TABLES)
+LAYOUT = Layout("notebook", 0x504E4D54, 1, ("CREATE TABLE notes (id INTEGER PRIMARY KEY, text TEXT NOT NULL)",))
 ENDLESS = "WITH RECURSIVE endless(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM endless) SELECT {} FROM endless"
 WAITED = 30.0
 """Seconds after which something hangs: limits are set below."""
@@ -69,8 +66,8 @@ def file(tmp_path: Path) -> Path:
 def test_a_query_that_does_not_end_is_ended_and_the_file_is_read_on(file: Path, what: str, said: str) -> None:
     with closing(Database(file, LAYOUT, read_only=True)) as database:
         with pytest.raises(DatabaseError, match=said):
-            in_time(lambda: database.run(text(ENDLESS.format(what))))
-        assert database.run(text("SELECT 1")) == [(1,)]
+            in_time(lambda: database.run(ENDLESS.format(what)))
+        assert database.run("SELECT 1") == [(1,)]
 
 
 @pytest.mark.parametrize(
@@ -94,13 +91,12 @@ def test_a_file_with_more_than_tables_is_refused(file: Path, statement: str) -> 
 INTERRUPTED = """
 import sys
 from pathlib import Path
-from sqlalchemy import text
 from tests.pnm.files.test_database_limit import ENDLESS, LAYOUT, Database
 
 database = Database(Path(sys.argv[1]), LAYOUT)
 try:
     print("begun", flush=True)
-    database.run(text(ENDLESS.format("count(*)")))
+    database.run(ENDLESS.format("count(*)"))
 except KeyboardInterrupt:
     print("interrupted", flush=True)
 """
@@ -176,9 +172,9 @@ def test_a_server_whose_answers_do_not_end_is_not_heard_to_the_end(answer: Calla
 def test_a_result_of_postgresql_has_its_limit_and_the_connection_is_opened_anew(postgres: PostgresServer) -> None:
     with closing(Database(place_of(postgres.database()), LAYOUT)) as database:
         with pytest.raises(DatabaseError, match="it answers with more than"):
-            in_time(lambda: database.run(text("SELECT repeat('x', 1000) FROM generate_series(1, 100000)")))
+            in_time(lambda: database.run("SELECT repeat('x', 1000) FROM generate_series(1, 100000)"))
         assert not database.is_connected
-        assert database.run(text("SELECT 1")) == [[1]]
+        assert database.run("SELECT 1") == [[1]]
 
 
 @pytest.fixture
@@ -225,9 +221,9 @@ def encrypting(postgres: PostgresServer, tmp_path: Path) -> Iterator[int]:
 def test_an_encrypted_connection_has_the_same_limit(postgres: PostgresServer, encrypting: int, mode: str) -> None:
     url = f"{postgres.database().replace(str(postgres.port), str(encrypting))}?sslmode={mode}"
     with closing(Database(place_of(url), LAYOUT)) as database:
-        assert database.run(text("SELECT 1")) == [[1]]
+        assert database.run("SELECT 1") == [[1]]
         with pytest.raises(DatabaseError, match="it answers with more than"):
-            in_time(lambda: database.run(text("SELECT repeat('x', 1000) FROM generate_series(1, 100000)")))
+            in_time(lambda: database.run("SELECT repeat('x', 1000) FROM generate_series(1, 100000)"))
 
 
 def test_encryption_that_is_required_is_not_left_out(postgres: PostgresServer, encrypting: int) -> None:

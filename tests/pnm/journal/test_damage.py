@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import random
+import shutil
+from contextlib import closing
 from pathlib import Path
 
 import pytest
-from sqlalchemy import delete
 
 from planner_bridge.tasks.result import TASKS
 from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.errors import InputError, PnmError
+from pnm.files.database.lock import lock_of
 from pnm.files.database.place import Place
-from pnm.journal import tables
 from pnm.journal.kept import Durability, JournalChoice, JournalError, Row
+from pnm.journal.lease import take
 from pnm.journal.records import Record, TaskSummary
 from pnm.journal.replay import Replay
 from pnm.journal.resume import replay_steps, summaries, take_up
@@ -74,9 +76,38 @@ def test_a_record_that_is_missing_is_missed(place: Place) -> None:
     file = JournalFile(place, Durability.PROCESS_CRASH, 0.0)
     for number in range(1, 6):
         file.append([Row(0.0, str(number))], {})
-    file._database.run(delete(tables.records).where(tables.records.c.sequence == 3))
+    file._database.run("DELETE FROM records WHERE sequence = 3")
     file.close()
     kept = KeptJournal(place)
     with pytest.raises(JournalError, match="is damaged: the records 3 to 3 are missing"):
         list(kept.rows())
     kept.close()
+
+
+@pytest.mark.parametrize("has_lock", [True, False])
+def test_whoever_reads_a_journal_without_its_log_is_told_once(has_lock: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path, away = tmp_path / "tasks.journal", tmp_path / "away.journal"
+    file, hold = take(JournalChoice(path))
+    file.append([Row(0.0, "a")], {})
+    shutil.copy(path, away)
+    if has_lock:
+        shutil.copy(lock_of(path), lock_of(away))
+    with closing(KeptJournal(path)) as kept:
+        assert [*kept.tasks(), *kept.rows()] == [(1, Row(0.0, "a"))]
+    assert not caplog.records, "this one has its log"
+    with closing(KeptJournal(away)) as kept:
+        assert [*kept.tasks(), *kept.rows()] == []
+    said = "has lost what was written last" if has_lock else "and its log is missing"
+    assert [said in record.getMessage() for record in caplog.records] == [True]
+    hold.release()
+    file.close()
+
+
+def test_a_part_that_stands_where_another_one_should_is_refused(place: Place) -> None:
+    file = JournalFile(place, Durability.PROCESS_CRASH, 0.0)
+    file.append([Row(0.0, "a")], {"one": "first", "other": "second"})
+    file._database.run("DELETE FROM parts WHERE key = 'one'")
+    file._database.run("UPDATE parts SET key = 'one' WHERE key = 'other'")  # as an index does that leads elsewhere
+    file.close()
+    with closing(KeptJournal(place)) as kept, pytest.raises(JournalError, match="the part one is not as it was written"):
+        kept.part("one")

@@ -14,6 +14,7 @@ from pnm.journal.format import RECORDS
 from pnm.journal.kept import Durability, Fenced, Held, JournalChoice, JournalError, Row, TaskRow
 from pnm.journal.resume import take_up
 from pnm.journal.store import JournalFile, KeptJournal
+from pnm.journal.tables import LAYOUT
 from tests.support.e2e.hosts.postgres import PostgresServer
 from tests.support.processes import until
 
@@ -156,7 +157,7 @@ def test_a_journal_of_another_version_is_refused_by_name(tmp_path: Path, version
     opened(tmp_path / "j").close()
     with sqlite3.connect(tmp_path / "j") as connection:
         connection.execute(f"PRAGMA user_version = {version}")
-    with pytest.raises(JournalError, match=f"has format {version}; this version of pnm reads format 5"):
+    with pytest.raises(JournalError, match=f"has format {version}; this version of pnm reads format {LAYOUT.version}"):
         KeptJournal(tmp_path / "j")
 
 

@@ -18,8 +18,8 @@ from pnm.files.database import sqlite as sqlite_driver
 from pnm.files.database.database import Database
 from pnm.files.database.place import Place, place_of
 from pnm.files.database.postgres import MAKING
-from pnm.knowledge.sources import Asker, SourceError, variables
-from pnm.knowledge.sources.database import DatabaseKnowledge, default_path
+from pnm.knowledge.sources import Asker, SourceError
+from pnm.knowledge.sources.database import LAYOUT, DatabaseKnowledge, default_path
 from tests.support.e2e.hosts.postgres import PostgresServer
 from tests.support.logic.people import about, run_questions
 from tests.support.processes import until
@@ -232,7 +232,7 @@ def test_tables_that_others_have_just_made_are_not_made_again(postgres: Postgres
         ThreadPoolExecutor() as others,
     ):
         first.run("SELECT pg_advisory_lock(:key)", key=MAKING)
-        opened = [others.submit(Database, place, variables.LAYOUT) for _ in range(3)]
+        opened = [others.submit(Database, place, LAYOUT) for _ in range(3)]
         waiting = "SELECT count(*) FROM pg_locks WHERE locktype = 'advisory' AND NOT granted"
         until(lambda: first.run(waiting)[0][0] == len(opened) or any(one.done() for one in opened))
         first.run("SELECT pg_advisory_unlock(:key)", key=MAKING)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import closing, suppress
 from itertools import islice
+from random import Random
 from typing import Any
 
 import pytest
 
 from pnm.files.database.database import Database
 from pnm.files.database.place import Place, place_of
-from pnm.journal.kept import Damaged, Durability, Fenced, Row
+from pnm.journal.kept import Damaged, Durability, Fenced, JournalError, Rewritten, Row
 from pnm.journal.store import JournalFile, KeptJournal
 from pnm.journal.tables import LAYOUT
 from tests.support.e2e.hosts.crashes import Holder, kill, stop, survive
@@ -70,3 +72,33 @@ def test_a_journal_in_which_records_are_missing_says_so(place: Place) -> None:
     with pytest.raises(Damaged, match=r"is damaged: the records 4 to 5 are missing; its database has lost them"):
         next(rows)
     kept.close()
+
+
+def test_whoever_has_read_what_a_crash_has_lost_reads_what_is_there_in_its_place(postgres: PostgresServer) -> None:
+    place, random, missed = place_of(postgres.database()), Random(5), 0
+    JournalFile(place, Durability.PROCESS_CRASH, 0.0).close()
+    kept, read = KeptJournal(place), list[str]()
+
+    def read_on() -> None:
+        read.extend(row.text for _, row in kept.rows(len(read)))
+
+    for holder in range(CRASHES):
+        file = JournalFile(place, Durability.PROCESS_CRASH, 0.0)
+        for commit in range(random.randint(2, 5)):
+            file.append([Row(0.0, f"record {number} of commit {commit} of {holder}") for number in range(random.randint(1, 3))], {})
+            if random.random() < 0.3:
+                file.renew()  # from here on they are durable
+        try:
+            read_on()
+        except Rewritten:
+            missed += 1
+            read.clear()
+            read_on()
+        with closing(KeptJournal(place)) as fresh:
+            assert read == [row.text for _, row in fresh.rows()]
+        kill(postgres)  # the next one goes on with what is left
+        file.close()
+        with suppress(JournalError):
+            kept.last()  # over the connection of before
+    kept.close()
+    assert missed > 0

@@ -101,7 +101,7 @@ def test_a_holder_sees_who_stands_by_and_misses_who_does_not_any_more(postgres: 
     other.wait(0.0)
     assert renewed_after(3.0) == StandBys((this_process(),), 0.0)
     other.close()
-    until(lambda: not file._database.waiting())
+    until(lambda: not file._database.do(lambda driver: driver.waiting()))
     assert not renewed_after(3.0).are_missed, "it may be back"
     assert renewed_after(3.0).are_missed
     assert renewed_after(3.0) == StandBys((this_process(),), 9.0)

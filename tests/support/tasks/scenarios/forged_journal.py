@@ -20,10 +20,7 @@ def forged(path: Path) -> Iterator[sqlite3.Connection]:
         ).fetchall():
             found = checksum(text, sequence, epoch, time)
             connection.execute("UPDATE records SET checksum = ? WHERE sequence = ?", (found, sequence))
-        _check(connection, "tasks", "task")
-        _check(connection, "parts", "key")
-
-
-def _check(connection: sqlite3.Connection, table: str, key: str) -> None:
-    for name, text in connection.execute(f"SELECT {key}, text FROM {table}").fetchall():
-        connection.execute(f"UPDATE {table} SET checksum = ? WHERE {key} = ?", (checksum(text), name))
+        for task, text in connection.execute("SELECT task, text FROM tasks").fetchall():
+            connection.execute("UPDATE tasks SET checksum = ? WHERE task = ?", (checksum(text), task))
+        for key, text in connection.execute("SELECT key, text FROM parts").fetchall():
+            connection.execute("UPDATE parts SET checksum = ? WHERE key = ?", (checksum(key + text), key))
