@@ -22,13 +22,14 @@ import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from functools import partial
+from math import inf
 from pathlib import Path
 from threading import Lock
 from typing import Final, NamedTuple
 
 from pnm.errors import InputError
 from pnm.files.database.database import Database
-from pnm.files.database.driver import DatabaseError, Rows
+from pnm.files.database.driver import DatabaseError, Query, Rows
 from pnm.files.database.keeping import copy_file, move_file
 from pnm.files.database.lock import FileLock, Mark, mark_of, this_host, this_process
 from pnm.files.database.place import Place
@@ -146,9 +147,9 @@ class JournalFile:
                     self._check_home, Home.of(place, node) if node is not None else None, adopts=adopts, log_is_there=log_is_there
                 )
                 self.epoch: Final = self._begin_epoch(wall, check, only_free=lease is not None)
-                self._last, self._segment = self._run_one(tables.LAST), self._run_one(tables.LAST_SEGMENT)
-                walls = self._database.run(tables.SEGMENTS)
-                self.segment_wall: Final = float(walls[-1][1]) if walls else wall
+                self._last, self._segment = self._number(tables.LAST), self._number(tables.LAST_SEGMENT)
+                walls = self._database.read(tables.SEGMENTS)
+                self.segment_wall: Final = walls[-1][1] if walls else wall
                 """The time of day when the last segment began when the journal was opened."""
                 self._recent: list[_Commit] = []
                 self.standing: tuple[str, ...] = ()
@@ -176,15 +177,15 @@ class JournalFile:
 
     def _check_home(self, home: Home | None, epoch: int, holder: str, *, adopts: bool, log_is_there: bool) -> None:
         """Raise an `InputError` unless the journal is all there, and belongs here; it does from now on."""
-        left, last = self._file_lock.left if self._file_lock else None, self._run_one(tables.LAST)
+        left, last = self._file_lock.left if self._file_lock else None, self._number(tables.LAST)
         lacks = _lacks(left, epoch, last, holder, log_is_there=log_is_there or not self._file_lock)
         if lacks and not adopts:
             raise InputError(f"the journal {self.place} {lacks}; {_WHOLE}")
-        rows = self._database.run(tables.HOME)
+        rows = self._database.read(tables.HOME)
         known = Home(*rows[0]) if rows else home
         if home is not None and known is not None:
             if known != home and not adopts:
-                writer = str(self._database.run(tables.LAST_HOLDER)[0][0])
+                writer = self._database.read(tables.LAST_HOLDER)[0][0]
                 raise InputError(f"the journal {self.place} {known.unlike(home, writer)}; {_ADOPT}")
             self._database.run(tables.SETTLE, **home._asdict())
 
@@ -195,8 +196,8 @@ class JournalFile:
 
     def _lease_to_take(self) -> tuple[bool, int, str, float]:
         """Return whether its holder writes at this moment, the epoch, the holder, and the seconds for which it has it."""
-        free = self._database.run(tables.LEASE_TO_TAKE)
-        epoch, holder, left = (free or self._database.run(tables.LEASE))[0]
+        free = self._database.read(tables.LEASE_TO_TAKE)
+        epoch, holder, left = (free or self._database.read(tables.LEASE))[0]
         return not free, epoch, holder, left
 
     def append(self, rows: Sequence[Row], parts: Mapping[str, str]) -> None:
@@ -249,12 +250,15 @@ class JournalFile:
             JournalError: it cannot be written now; nothing was.
         """
         with self._lock, journal_errors(self.place, "written"):
-            oldest, first = self._run_one(tables.OLDEST), self._run_one(tables.NEEDED, before=records)
-        for number in (*range(oldest + _AT_ONCE, first, _AT_ONCE), first):  # so that no transaction takes long
+            oldest, first = self._number(tables.OLDEST), self._number(tables.NEEDED, before=records)
+        dropped = -inf
+        while dropped < first:
+            dropped = min(oldest + _AT_ONCE, first) if oldest else first  # so that no transaction takes long
             with self._transaction():
                 for statement in tables.DROP_BEFORE:
-                    self._database.run(statement, number=number)
+                    self._database.run(statement, number=dropped)
                 self._database.run(tables.DROP_TASKS, before=tasks)
+                oldest = self._number(tables.OLDEST)
         with self._lock, journal_errors(self.place, "written"):
             self._database.do(lambda driver: driver.shrink())
 
@@ -290,7 +294,7 @@ class JournalFile:
             raise JournalError(f"the journal {self.place} cannot be written: there is no connection to its database")
         with self._lock, journal_errors(self.place, "reached" if is_renewal else "written"):
             with database.transaction(is_new=is_renewal, is_durable=is_renewal):
-                epoch, last = next(iter(database.run(tables.WHOSE)), (0, 0))
+                epoch, last = next(iter(database.read(tables.WHOSE)), (0, 0))
                 if epoch > self.epoch:
                     raise Fenced(f"another process has taken over the journal {self.place}; it goes on there")
                 self._mend(int(last) if epoch == self.epoch else 0)
@@ -323,8 +327,8 @@ class JournalFile:
                 "the database of the journal %s had lost the records %d to %d; they are written again", self.place, last + 1, self._last
             )
 
-    def _run_one(self, sql: str, **values: object) -> int:
-        return int(self._database.run(sql, **values)[0][0])
+    def _number(self, query: Query, **values: object) -> int:
+        return int(self._database.read(query, **values)[0][0])
 
 
 def copy_journal(path: Path, to: Path) -> None:
@@ -415,7 +419,9 @@ class KeptJournal:
         left, log_is_there = mark_of(place) if isinstance(place, Path) else None, not isinstance(place, Path) or _has_log(place)
         self._database = _opened(place, read_only=True)
         try:
-            self._lacks = _lacks(left, self.holding().epoch, self.last(), self.holding().holder, log_is_there=log_is_there)
+            (epoch, holder, _), last = self.holding(), self.last()
+            # of a journal that was just begun, the log comes after the first look for it
+            self._lacks = _lacks(left, epoch, last, holder, log_is_there=log_is_there or _has_log(place))
             """What is not there any more, until that was said."""
         except BaseException:
             self.close()
@@ -438,7 +444,7 @@ class KeptJournal:
         while rows := self._read_from(after):
             for sequence, epoch, time, text, checksum in rows:
                 self.seen = Seen(sequence, epoch, checksum)
-                if not tables.is_whole(checksum, text, sequence, epoch, time):
+                if tables.checksum(text, sequence, epoch, time) != checksum:
                     raise self._damaged(f"record {sequence}")
                 if sequence != after + 1 and self._read(tables.OLDEST)[0][0] < sequence:
                     missing = f"the records {after + 1} to {sequence - 1} are missing"
@@ -477,9 +483,9 @@ class KeptJournal:
         """Return the numbers of the records with which the segments begin, in order."""
         rows = self._read(tables.SEGMENTS)
         for first, wall, checksum in rows:
-            if not tables.is_whole(checksum, "", first, wall):
+            if tables.checksum("", first, wall) != checksum:
                 raise self._damaged(f"the segment of record {first}")
-        return tuple(int(first) for first, _, _ in rows)
+        return tuple(first for first, _, _ in rows)
 
     def last(self) -> int:
         """Return the number of the last record; 0 if there is none."""
@@ -489,7 +495,7 @@ class KeptJournal:
         """Yield the texts of all tasks, in the order in which they were accepted."""
         self._warn()
         for text, checksum in self._read(tables.TASKS):
-            if not tables.is_whole(checksum, text):
+            if tables.checksum(text) != checksum:
                 raise self._damaged("a task in its list")
             yield text
 
@@ -503,9 +509,9 @@ class KeptJournal:
         if not rows:
             raise JournalError(f"the journal {self.place} names the part {key}, which is not there")
         text, checksum = rows[0]
-        if not (isinstance(text, str) and tables.is_whole(checksum, key + text)):  # an index may lead to that of another key
+        if tables.checksum(key + text) != checksum:  # an index may lead to that of another key
             raise self._damaged(f"the part {key}")
-        return text
+        return str(text)
 
     def check(self) -> int:
         """Read everything; return how many records there are.
@@ -551,9 +557,9 @@ class KeptJournal:
     def _damaged(self, what: str) -> Damaged:
         return Damaged(f"the journal {self.place} is damaged: {what} is not as it was written")
 
-    def _read(self, sql: str, **values: object) -> Rows:
+    def _read(self, query: Query, **values: object) -> Rows:
         with journal_errors(self.place, "read"):
-            return self._database.run(sql, **values)
+            return self._database.read(query, **values)
 
 
 def _opened(place: Place, *, read_only: bool, durability: Durability = Durability.PROCESS_CRASH) -> Database:

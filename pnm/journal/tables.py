@@ -6,10 +6,10 @@ Each row whose content is relied on has a checksum of that: see `checksum`.
 from __future__ import annotations
 
 import struct
-from typing import Any, Final
+from typing import Final
 from zlib import crc32
 
-from pnm.files.database.driver import NOW, Layout
+from pnm.files.database.driver import NOW, Layout, Query
 
 LAYOUT: Final = Layout(
     "journal",
@@ -38,18 +38,10 @@ def checksum(text: str, *numbers: float) -> int:
     return crc32(text.encode(), crc32(struct.pack(f"<{len(numbers)}d", *numbers)))
 
 
-def is_whole(kept: object, text: Any, *numbers: Any) -> bool:
-    """Return whether a row is as it was written; what is damaged may be of any type."""
-    try:
-        return checksum(text, *numbers) == kept
-    except (AttributeError, UnicodeError, struct.error):
-        return False
-
-
 # --- who may write ---
 MAKE: Final = "INSERT INTO lease VALUES (1, 0, '', 0.0) ON CONFLICT DO NOTHING"
-LEASE: Final = f"SELECT epoch, holder, until - {NOW} FROM lease"
-LEASE_TO_TAKE: Final = f"{LEASE} FOR UPDATE SKIP LOCKED"
+LEASE: Final = Query(f"SELECT epoch, holder, until - {NOW} FROM lease", (int, str, float))
+LEASE_TO_TAKE: Final = Query(f"{LEASE.sql} FOR UPDATE SKIP LOCKED", LEASE.columns)
 TAKE: Final = f"UPDATE lease SET epoch = :epoch, holder = :me, until = {NOW} + :seconds"
 BEGIN_EPOCH: Final = "INSERT INTO epochs VALUES (:epoch, :wall, :me)"
 RENEW: Final = f"UPDATE lease SET until = {NOW} + :seconds WHERE epoch = :epoch"
@@ -61,9 +53,9 @@ SETTLE: Final = (
     "INSERT INTO home VALUES (1, :node, :host, :file)"
     " ON CONFLICT (id) DO UPDATE SET node = excluded.node, host = excluded.host, file = excluded.file"
 )
-HOME: Final = "SELECT node, host, file FROM home"
+HOME: Final = Query("SELECT node, host, file FROM home", (str, str, str))
 MOVE: Final = "UPDATE home SET file = :inode"
-LAST_HOLDER: Final = "SELECT holder FROM epochs ORDER BY epoch DESC LIMIT 1"
+LAST_HOLDER: Final = Query("SELECT holder FROM epochs ORDER BY epoch DESC LIMIT 1", (str,))
 
 # --- what is kept ---
 KEEP: Final = "INSERT INTO records VALUES (:sequence, :epoch, :time, :text, :checksum)"
@@ -73,19 +65,22 @@ KEEP_TASK: Final = (
     "INSERT INTO tasks VALUES (:task, :accepted, :wall, :is_over, :text, :checksum) ON CONFLICT (task) DO UPDATE"
     " SET wall = excluded.wall, is_over = excluded.is_over, text = excluded.text, checksum = excluded.checksum"
 )
-ROWS: Final = "SELECT sequence, epoch, time, text, checksum FROM records WHERE sequence >= :first ORDER BY sequence LIMIT :most"
-PART: Final = "SELECT text, checksum FROM parts WHERE key = :key"
-PARTS: Final = "SELECT key FROM parts ORDER BY key"
-TASKS: Final = "SELECT text, checksum FROM tasks ORDER BY accepted"
-LAST: Final = "SELECT coalesce(max(sequence), 0) FROM records"
-WHOSE: Final = f"SELECT epoch, ({LAST}) FROM lease FOR SHARE OF lease"
+ROWS: Final = Query(
+    "SELECT sequence, epoch, time, text, checksum FROM records WHERE sequence >= :first ORDER BY sequence LIMIT :most",
+    (int, int, float, str, int),
+)
+PART: Final = Query("SELECT text, checksum FROM parts WHERE key = :key", (str, int))
+PARTS: Final = Query("SELECT key FROM parts ORDER BY key", (str,))
+TASKS: Final = Query("SELECT text, checksum FROM tasks ORDER BY accepted", (str, int))
+LAST: Final = Query("SELECT coalesce(max(sequence), 0) FROM records", (int,))
+WHOSE: Final = Query(f"SELECT epoch, ({LAST.sql}) FROM lease FOR SHARE OF lease", (int, int))
 """The latest epoch, which nobody can end before the transaction does, and the last record."""
-LAST_SEGMENT: Final = "SELECT coalesce(max(first), 0) FROM segments"
-SEGMENTS: Final = "SELECT first, wall, checksum FROM segments ORDER BY first"
+LAST_SEGMENT: Final = Query("SELECT coalesce(max(first), 0) FROM segments", (int,))
+SEGMENTS: Final = Query("SELECT first, wall, checksum FROM segments ORDER BY first", (int, float, int))
 
 # --- what is not kept any more ---
-OLDEST: Final = "SELECT coalesce(min(sequence), 0) FROM records"
-NEEDED: Final = f"{LAST_SEGMENT} WHERE wall < :before"
+OLDEST: Final = Query("SELECT coalesce(min(sequence), 0) FROM records", (int,))
+NEEDED: Final = Query(f"{LAST_SEGMENT.sql} WHERE wall < :before", LAST_SEGMENT.columns)
 """The first record of the segment that goes on at a time of day: those before it are older."""
 _NUMBERS: Final = {"records": "sequence", "segments": "first", "parts": "segment", "tasks": "accepted"}
 """The columns with numbers of records."""

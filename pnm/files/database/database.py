@@ -13,11 +13,11 @@ from types import TracebackType
 from typing import TypeVar
 
 from pnm.errors import PnmError
-from pnm.files.database.driver import DamagedDatabase, DatabaseError, Driver, Layout, Rows
+from pnm.files.database.driver import DamagedDatabase, DatabaseError, Driver, Layout, Query, Rows
 from pnm.files.database.limit import OperationLimit
 from pnm.files.database.place import Place
 from pnm.files.database.postgres import Postgres
-from pnm.files.database.sqlite import Sqlite, is_damage
+from pnm.files.database.sqlite import Sqlite
 
 T = TypeVar("T")
 
@@ -46,7 +46,7 @@ class Database:
         self._is_durable = is_durable
         self._driver: Driver | None = None
         self._limit = OperationLimit()
-        self._translated = _Translated(self._limit, self._drop)
+        self._translated = _Translated(self._limit, Sqlite.said if isinstance(place, Path) else Postgres.said, self._drop)
         self.connect()
 
     @property
@@ -74,6 +74,17 @@ class Database:
         """Execute a statement, in the transaction if there is one; return its rows."""
         with self._translated:
             return self._connected().run(sql, values)
+
+    def read(self, query: Query, **values: object) -> Rows:
+        """Return the rows of a query.
+
+        Raises:
+            DamagedDatabase: they have values that nobody writes there.
+        """
+        rows = self.run(query.sql, **values)
+        if any(tuple(map(type, row)) != query.columns for row in rows):
+            raise DamagedDatabase("it has values of another type than were written")
+        return rows
 
     def run_many(self, sql: str, rows: Sequence[Mapping[str, object]]) -> None:
         """Execute a statement for each row."""
@@ -136,8 +147,9 @@ class _Translated:
     survive.
     """
 
-    def __init__(self, limit: OperationLimit, drop: Callable[[], None]) -> None:
+    def __init__(self, limit: OperationLimit, said: Callable[[Exception], DatabaseError], drop: Callable[[], None]) -> None:
         self._limit = limit
+        self._said = said
         self._drop = drop
 
     def __enter__(self) -> None:
@@ -145,16 +157,7 @@ class _Translated:
         self._limit.begin()
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
-        # Anything else: pg8000 raises what it comes across when a server goes away.
         if isinstance(error, Exception) and not isinstance(error, PnmError):
             self._drop()
-            kind = DamagedDatabase if is_damage(error) else DatabaseError
-            raise kind(self._limit.exceeded or _reason(error)) from error
-
-
-def _reason(error: Exception) -> str:
-    """Return what is wrong in words; pg8000 has those of the server in a table."""
-    said = error.args[0] if error.args else None
-    if isinstance(said, Mapping):
-        return str(said.get("M", said))
-    return str(error) or type(error).__name__
+            reason = self._limit.exceeded or ("it answers with more than there is memory for" if isinstance(error, MemoryError) else "")
+            raise (DatabaseError(reason) if reason else self._said(error)) from error

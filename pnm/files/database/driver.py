@@ -23,6 +23,19 @@ class DamagedDatabase(DatabaseError):
 
 
 @dataclass(frozen=True)
+class Query:
+    """A statement that reads.
+
+    Args:
+        sql: of it.
+        columns: the types of the values in a row; a file or a server may have others, whatever its tables say.
+    """
+
+    sql: str
+    columns: tuple[type, ...]
+
+
+@dataclass(frozen=True)
 class Layout:
     """The tables that are kept together, and how a database shows that it has them.
 
@@ -46,6 +59,11 @@ class Driver(ABC):
     """
 
     survives: bool
+
+    @staticmethod
+    @abstractmethod
+    def said(error: Exception) -> DatabaseError:
+        """Return in words what is wrong, by an exception of the driver."""
 
     @abstractmethod
     def run(self, sql: str, values: Mapping[str, object], /) -> Rows:

@@ -29,6 +29,9 @@ MAKING: Final = 0x504E4D
 """The lock of those that make tables."""
 _ASK_FOR_SSL: Final = bytes.fromhex("00000008 04d2162f")
 """The request with which encryption begins, of PostgreSQL's protocol."""
+_WORDS: Final = 1000
+"""Characters of what a server says is wrong."""
+_NONSENSE: Final = "the server does not speak PostgreSQL's protocol"
 
 
 class _Limited(socket.socket):
@@ -77,7 +80,7 @@ class Postgres(Driver):
                 url.user,
                 host=url.host,
                 database=url.database,
-                password=url.password,
+                password=url.password or "",  # without any, some ways to ask for it fail in the driver
                 sock=self._socket,
                 ssl_context=False,  # it is encrypted already, if it shall be
                 application_name="pnm",
@@ -91,6 +94,21 @@ class Postgres(Driver):
         """How the names of connections begin that wait for what is announced here."""
         self._statements: dict[str, Any] = {}
         self._listens = False
+
+    @staticmethod
+    def said(error: Exception) -> DatabaseError:
+        """Return the words of the server, the driver or the network; any other exception comes of an answer without sense."""
+        from pg8000.exceptions import Error
+        from scramp import ScramException  # of the proof of a password
+
+        match error:
+            case Error(args=(str(words), *_)) if "stream" in words:  # the server copies something, which nobody has asked for
+                return DatabaseError(_NONSENSE)
+            case Error(args=({"M": str(words)}, *_)) | Error(args=(str(words), *_)) | ScramException(args=(str(words), *_)):
+                return DatabaseError(words[:_WORDS])
+            case OSError():
+                return DatabaseError(str(error) or type(error).__name__)
+        return DatabaseError(_NONSENSE)
 
     def run(self, sql: str, values: Mapping[str, object], /) -> Rows:
         """Execute a statement with ``:name`` parameters."""
@@ -200,7 +218,12 @@ def _connected(url: ServerUrl, limit: OperationLimit) -> _Limited:
 
 def _may_encrypt(plain: socket.socket) -> bool:
     plain.sendall(_ASK_FOR_SSL)
-    return plain.recv(1) == b"S"
+    match plain.recv(1):
+        case b"S" | b"N" as answer:
+            return answer == b"S"
+        case b"" | b"E":
+            raise DatabaseError("the server refuses the connection")
+    raise DatabaseError(_NONSENSE)
 
 
 def _encrypted(plain: socket.socket, host: str, *, is_verified: bool) -> _Limited:

@@ -80,6 +80,12 @@ class Sqlite(Driver):
         self._limit = limit
         self._synchronous = "FULL" if is_durable else "NORMAL"
 
+    @staticmethod
+    def said(error: Exception) -> DatabaseError:
+        """Return SQLite's words; only what it calls damaged is not what was written, and never will be."""
+        is_damage = getattr(error, "sqlite_errorcode", 0) & 0xFF in _DAMAGE
+        return (DamagedDatabase if is_damage else DatabaseError)(str(error) or type(error).__name__)
+
     def run(self, sql: str, values: Mapping[str, object], /) -> Rows:
         """Execute a statement with ``:name`` parameters."""
         return self._within(lambda: self._limit.take_rows(self._connection.execute(_spelled(sql), values)))
@@ -199,11 +205,6 @@ class Sqlite(Driver):
 
     def _number(self, pragma: str) -> int:
         return int(self._connection.execute(f"PRAGMA {pragma}").fetchone()[0])
-
-
-def is_damage(error: Exception) -> bool:
-    """Return whether an error says that a file is not what was written, and never will be."""
-    return isinstance(error, sqlite3.Error) and getattr(error, "sqlite_errorcode", 0) & 0xFF in _DAMAGE
 
 
 def _sync(path: Path) -> None:

@@ -17,7 +17,7 @@ from typing import Final, TypeVar
 
 from pnm.core.logic.computed_values import MISSING, Question
 from pnm.files.database.database import Database
-from pnm.files.database.driver import DatabaseError, Layout
+from pnm.files.database.driver import DatabaseError, Layout, Query
 from pnm.files.database.place import Place
 from pnm.files.private import private_folder
 from pnm.knowledge.sources.memory import read_value, write_value
@@ -33,7 +33,7 @@ _STORE: Final = (
     "INSERT INTO variables VALUES (:name, :value, :changed, :run)"
     " ON CONFLICT (name) DO UPDATE SET value = excluded.value, changed = excluded.changed, run = excluded.run"
 )
-_READ: Final = "SELECT value FROM variables WHERE name = :name"
+_READ: Final = Query("SELECT value FROM variables WHERE name = :name", (str,))
 _FORGET: Final = "DELETE FROM variables WHERE name = :name"
 
 T = TypeVar("T")
@@ -96,8 +96,8 @@ class DatabaseKnowledge:
             raise SourceError(f"the knowledge in {self.place} cannot be used: {error}") from error
 
     def _read(self, name: str) -> object:
-        rows = self._open().run(_READ, name=name)
-        return read_value(str(rows[0][0])) if rows else MISSING
+        rows = self._open().read(_READ, name=name)
+        return read_value(rows[0][0]) if rows else MISSING
 
     def _write(self, name: str, value: str, run: str) -> None:
         self._open().run(_STORE, name=name, value=value, changed=time(), run=run)

@@ -11,8 +11,7 @@ import struct
 import subprocess
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, suppress
 from pathlib import Path
 
 import pytest
@@ -21,27 +20,12 @@ from pnm.files.database import limit
 from pnm.files.database.database import Database
 from pnm.files.database.driver import DatabaseError, Layout
 from pnm.files.database.place import place_of
+from tests.support.e2e.hosts.hostile_postgres import in_time, serving
 from tests.support.e2e.hosts.postgres import PostgresServer
 from tests.support.processes import LIMIT, Program
 
 LAYOUT = Layout("notebook", 0x504E4D54, 1, ("CREATE TABLE notes (id INTEGER PRIMARY KEY, text TEXT NOT NULL)",))
 ENDLESS = "WITH RECURSIVE endless(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM endless) SELECT {} FROM endless"
-WAITED = 30.0
-"""Seconds after which something hangs: limits are set below."""
-
-
-def in_time(work: Callable[[], object]) -> object:
-    """Return what a function does in a thread of its own; it hangs if it takes long."""
-    future: Future[object] = Future()
-
-    def run() -> None:
-        try:
-            future.set_result(work())
-        except BaseException as error:
-            future.set_exception(error)
-
-    threading.Thread(target=run, daemon=True).start()
-    return future.result(WAITED)
 
 
 @pytest.fixture
@@ -116,29 +100,6 @@ def test_ctrl_c_ends_a_query(file: Path) -> None:
 # --- PostgreSQL ---
 
 
-@contextmanager
-def serving(answer: Callable[[socket.socket], None]) -> Iterator[str]:
-    """Serve whoever connects, once encryption is refused and the connection begun; yield the URL."""
-
-    def serve() -> None:
-        with suppress(OSError):
-            while True:
-                client, _ = listening.accept()
-                threading.Thread(target=serve_one, args=(client,), daemon=True).start()
-
-    def serve_one(client: socket.socket) -> None:
-        with suppress(OSError), client:
-            client.recv(8)
-            client.sendall(b"N")
-            client.recv(4096)
-            client.sendall(b"R" + struct.pack("!II", 8, 0))
-            answer(client)
-
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        threading.Thread(target=serve, daemon=True).start()
-        yield f"postgresql://pnm@127.0.0.1:{listening.getsockname()[1]}/db"
-
-
 def trickle(client: socket.socket) -> None:
     over = threading.Event()
     for byte in b"S" * 1000:
@@ -166,6 +127,11 @@ def swell(client: socket.socket) -> None:
 def test_a_server_whose_answers_do_not_end_is_not_heard_to_the_end(answer: Callable[[socket.socket], None], said: str) -> None:
     with serving(answer) as url, pytest.raises(DatabaseError, match=said):
         in_time(lambda: Database(place_of(url), LAYOUT))
+
+
+def test_an_answer_for_which_there_is_no_memory_is_an_error_in_words(file: Path) -> None:
+    with closing(Database(file, LAYOUT)) as database, pytest.raises(DatabaseError, match="more than there is memory for"):
+        database.do(lambda _: bytes(1 << 62))
 
 
 @pytest.mark.usefixtures("hurry")

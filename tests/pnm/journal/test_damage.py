@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import random
 import shutil
-from contextlib import closing
+import sqlite3
+from contextlib import closing, suppress
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -18,7 +20,7 @@ from pnm.journal.kept import Durability, JournalChoice, JournalError, Row
 from pnm.journal.lease import take
 from pnm.journal.records import Record, TaskSummary
 from pnm.journal.replay import Replay
-from pnm.journal.resume import replay_steps, summaries, take_up
+from pnm.journal.resume import Taken, replay_steps, summaries, take_up
 from pnm.journal.store import JournalFile, KeptJournal
 from tests.support.tasks.scenarios.random_scenarios import run_scenario
 
@@ -29,11 +31,16 @@ def records(path: Path) -> list[Record]:
     return [step.record for step in replay_steps(path, TASKS, Replay())]
 
 
-def taken(path: Path) -> tuple[dict[Fluent, Value | Unknown], tuple[TaskSummary, ...]]:
-    """Return what goes on from a journal: what is known, and the tasks as they are listed."""
+def gone_on_with(path: Path) -> Taken:
     journal = take_up(JournalChoice(path), TASKS, "")
     journal.hold.release()
     journal.file.close()
+    return journal
+
+
+def taken(path: Path) -> tuple[dict[Fluent, Value | Unknown], tuple[TaskSummary, ...]]:
+    """Return what goes on from a journal: what is known, and the tasks as they are listed."""
+    journal = gone_on_with(path)
     assert journal.replay is not None
     return dict(journal.replay.world.facts()), summaries(path, TASKS)
 
@@ -43,6 +50,45 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("written") / "journal"
     run_scenario(3, journal=path)
     return path
+
+
+OTHER_VALUES = ("'text'", "x'ff00'", "NULL", "9e999", "9223372036854775807")
+COLUMNS = {
+    "records": ("sequence", "epoch", "time", "text", "checksum"),
+    "segments": ("first", "wall", "checksum"),
+    "tasks": ("task", "accepted", "text", "checksum"),
+    "parts": ("key", "segment", "text", "checksum"),
+    "epochs": ("epoch", "holder"),
+    "lease": ("epoch", "holder", "until"),
+    "home": ("node", "host", "file"),
+}
+
+
+@pytest.mark.parametrize("table", COLUMNS)
+def test_values_of_any_type_are_read_or_refused(table: str, written: Path, tmp_path: Path) -> None:
+    for column, value in product(COLUMNS[table], OTHER_VALUES):
+        path = tmp_path / f"{column} {OTHER_VALUES.index(value)}"
+        path.write_bytes(written.read_bytes())
+        lock_of(path).write_text("a pid 1\n1 1 - a pid 1\n")  # which is compared with what is read
+        with closing(sqlite3.connect(path)) as connection:
+            connection.executescript(
+                f"CREATE TABLE loose AS SELECT * FROM {table}; DROP TABLE {table}; ALTER TABLE loose RENAME TO {table};"
+                f"UPDATE {table} SET {column} = {value}"
+            )
+        for read in (check, records, lambda path: summaries(path, TASKS), prune, gone_on_with):
+            with suppress(PnmError):
+                read(path)
+
+
+def check(path: Path) -> None:
+    with closing(KeptJournal(path)) as kept:
+        kept.check()
+        kept.home(), kept.writer(), kept.holding(), kept.last_segment()
+
+
+def prune(path: Path) -> None:
+    with closing(JournalFile(path, Durability.PROCESS_CRASH, 0.0)) as file:
+        file.drop(1e12, 1e12)
 
 
 @pytest.mark.parametrize("seed", range(4))
