@@ -82,6 +82,8 @@ class Codec:
             return _whole(value)
         except (ValueError, TypeError, KeyError) as error:
             raise Undecodable(f"not a value of this version: {text[:80]}: {error}") from error
+        except RecursionError as error:
+            raise Undecodable(f"not a value of this version: {text[:80]}: nested too deep") from error
 
     # --- writing ------------------------------------------------------------------------------
 

@@ -166,9 +166,12 @@ def summaries(place: Place, codec: Codec) -> tuple[TaskSummary, ...]:
     """
     kept = KeptJournal(place)
     try:
-        return tuple(map(codec.value, kept.tasks()))
+        found = tuple(map(codec.value, kept.tasks()))
     finally:
         kept.close()
+    if any(not isinstance(summary, TaskSummary) for summary in found):
+        raise Undecodable(f"the journal {place} cannot be read: its list of tasks has something else")
+    return found
 
 
 def command_of(place: Place, codec: Codec) -> tuple[tuple[str, ...], str] | None:

@@ -22,6 +22,7 @@ from pnm.journal.records import Record, TaskSummary
 from pnm.journal.replay import Replay
 from pnm.journal.resume import Taken, replay_steps, summaries, take_up
 from pnm.journal.store import JournalFile, KeptJournal
+from tests.support.tasks.scenarios.forged_journal import forged
 from tests.support.tasks.scenarios.random_scenarios import run_scenario
 
 FLIPS = 400
@@ -78,6 +79,17 @@ def test_values_of_any_type_are_read_or_refused(table: str, written: Path, tmp_p
         for read in (check, records, lambda path: summaries(path, TASKS), prune, gone_on_with):
             with suppress(PnmError):
                 read(path)
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "[" * 100_000 + "]" * 100_000, '{"@":' * 50_000, "9" * 5000, "1e999"])
+def test_texts_that_nobody_writes_are_refused(text: str, written: Path, tmp_path: Path) -> None:
+    shutil.copy(written, tmp_path / "journal")
+    with forged(tmp_path / "journal") as connection:
+        for table in ("records", "tasks", "parts"):
+            connection.execute(f"UPDATE {table} SET text = ?", (text,))
+    for read in (records, lambda path: summaries(path, TASKS)):
+        with pytest.raises(PnmError):
+            read(tmp_path / "journal")
 
 
 def check(path: Path) -> None:
