@@ -137,12 +137,12 @@ MISTAKES: Final = (
             ),
             Change(
                 "pnm/executor.py",
-                "if len(run.open_requests) == len(run.under_way()) and not run.settling:",
-                "if not (run.settling or any(call.kind.value == 'running' for call in run.interim_result().calls)):",
+                "return len(self.run.open_requests) == len(self.run.under_way()) and not self.run.settling",
+                "return not (self.run.settling or any(call.kind.value == 'running' for call in self.run.interim_result().calls))",
             ),
             Change(
                 "pnm/executor.py",
-                "            if self.paused and not run.looks_for_effects:\n                return False\n",
+                "            if self.paused and not self.run.looks_for_effects:\n                return False\n",
                 "",
             ),
         ),
