@@ -39,6 +39,9 @@ class NumberedWord(IntEnum):
         """The word."""
         return self.name.lower()
 
+    def __str__(self) -> str:
+        return self.word
+
 
 class Code(NumberedWord):
     """How a task ended; the numbers are those of ``pnm_interfaces/action/AchieveGoal``."""

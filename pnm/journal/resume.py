@@ -154,7 +154,8 @@ def steps_after(kept: KeptJournal, codec: Codec, apply: Apply, after: int) -> It
 
 def damage(journal: str, after: int, error: Exception) -> Damaged:
     """Return what to raise if the record after this one leads to an error that no record of a whole journal does."""
-    return Damaged(f"{journal} is damaged behind record {after}: {type(error).__name__}: {str(error)[:_LONG]}")
+    why = str(error)[:_LONG] if isinstance(error, PnmError) else "what follows does not fit the records before it"
+    return Damaged(f"{journal} is damaged behind record {after}: {why}")
 
 
 def summaries(place: Place, codec: Codec) -> tuple[TaskSummary, ...]:

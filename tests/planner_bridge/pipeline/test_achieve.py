@@ -55,6 +55,7 @@ def test_an_action_client_carries_out_the_plan_and_what_follows_a_failure() -> N
     assert isinstance(robot, ActionClient)
     result = achieve(None, ring(), actions=robot, settings=Settings())
     assert result.goal_reached
+    assert (str(result.code), int(result.code)) == ("goal_reached", 0)
     assert robot.sent == ["move(r1, a, b)", "move(r1, a, b)", "move(r1, b, c)"]
     assert result.as_json()["calls"][0]["assumed"]  # type: ignore[index]
 
