@@ -14,7 +14,7 @@ from enum import IntEnum
 from typing import Final, Protocol, TypeAlias
 from uuid import UUID
 
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.net.net import Marking
 

@@ -41,7 +41,7 @@ from pnm.journal.codec import Undecodable
 from pnm.journal.kept import DAY, KEPT, LISTED, JournalChoice, JournalError
 from pnm.journal.lease import take
 from pnm.journal.records import Happened, RunMade, TaskAccepted, TaskSummary
-from pnm.journal.replay import Replay, Step
+from pnm.journal.replay import Replay, ReplayStep
 from pnm.journal.resume import command_of, replay_steps, summaries
 from pnm.journal.store import KeptJournal, copy_journal, move_journal
 from pnm.journal.text import words
@@ -296,7 +296,7 @@ def errors_of_journals() -> Iterator[None]:
         raise InputError(str(error)) from error
 
 
-def _print(step: Step, state: Replay, console: SafeConsole) -> None:
+def _print(step: ReplayStep, state: Replay, console: SafeConsole) -> None:
     first, *more = words(step, state)
     task = state.runs[step.record.run].made.task.hex[:8] if isinstance(step.record, Happened | RunMade) else ""
     console.print(Text(f"{step.number:6} {step.time - state.began:9.2f} s  {task:8}  {first}"))
@@ -318,7 +318,7 @@ def _print_state(state: Replay, console: SafeConsole) -> None:
         console.print(Text(f"fact {statement_text(fluent, value)}"))
 
 
-def _as_json(step: Step, state: Replay) -> dict[str, Any]:
+def _as_json(step: ReplayStep, state: Replay) -> dict[str, Any]:
     """Return a record, and what has come of it: of the places and calls of its run those that its transitions are about."""
     record = json.loads(TASKS.text(step.record))
     entry: dict[str, Any] = {"number": step.number, "time": step.time, "record": record, "words": list(words(step, state))}

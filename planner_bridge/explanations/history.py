@@ -323,7 +323,7 @@ class JournalHistory:
         self._replay = Replay(self._sources.__getitem__)
         self._pending: deque[tuple[int, float, Record]] = deque()
         """The records that the replay has not executed yet."""
-        self.step: replaying.Step | None = None
+        self.step: replaying.ReplayStep | None = None
         """The record that was executed last."""
         self._executed: dict[UUID, ReplayedRun] = {}
         self.world = KnowledgeBase()
@@ -386,14 +386,14 @@ class JournalHistory:
         self.execute()
         return self._held
 
-    def apply(self, number: int, time: float, record: Record) -> replaying.Step:
+    def apply(self, number: int, time: float, record: Record) -> replaying.ReplayStep:
         """Note what a record tells; it is executed once somebody asks for the state after it."""
         self.number, self.time, self._observed = number, max(self.time, time), 0
         self._pending.append((number, time, record))
         self._note(time, record)
-        return replaying.Step(number, time, record)
+        return replaying.ReplayStep(number, time, record)
 
-    def _execute(self, number: int, time: float, record: Record) -> replaying.Step:
+    def _execute(self, number: int, time: float, record: Record) -> replaying.ReplayStep:
         step = self._replay.apply(number, time, record)
         if isinstance(record, SharedBegan):
             self._replay.forget()

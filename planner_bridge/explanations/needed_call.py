@@ -28,7 +28,7 @@ _SHOWN: Final = 6
 
 
 @dataclass(frozen=True, slots=True)
-class Need:
+class CallNeed:
     """What a later call, or the goal, needs of an earlier call."""
 
     by: int | None
@@ -53,7 +53,7 @@ class Course:
     goal: Condition
     under_way: frozenset[int] = frozenset()
     """The calls that have begun before."""
-    _needs: dict[int, tuple[Need, ...]] = field(default_factory=dict, repr=False)
+    _needs: dict[int, tuple[CallNeed, ...]] = field(default_factory=dict, repr=False)
     """Those that were looked for already: mutable state."""
 
     @staticmethod
@@ -66,14 +66,14 @@ class Course:
         """What is not fulfilled although nothing is left out: what is given up, and changed beside the plan."""
         return frozenset(self._unmet(None))
 
-    def needs(self, call: int) -> tuple[Need, ...]:
+    def needs(self, call: int) -> tuple[CallNeed, ...]:
         """Return what needs the call itself, in the order of time."""
         if call not in self._needs:
             found: dict[int | None, dict[Condition, None]] = {}
             for by, condition in self._unmet(call):
                 if by != call and (by, condition) not in self.as_it_is:
                     found.setdefault(by, {})[condition] = None
-            self._needs[call] = tuple(Need(by, tuple(conditions)) for by, conditions in found.items())
+            self._needs[call] = tuple(CallNeed(by, tuple(conditions)) for by, conditions in found.items())
         return self._needs[call]
 
     def _unmet(self, without: int | None) -> Iterator[tuple[int | None, Condition]]:
@@ -154,7 +154,7 @@ def why_call(course: Course, call: int) -> Answer:
     return Answer(f"{course.name(call)} is needed: without it, the rest of the plan does not work", Known.SIMULATION, reasons)
 
 
-def _need(course: Course, need: Need) -> Answer:
+def _need(course: Course, need: CallNeed) -> Answer:
     conditions = listed([str(condition) for condition in need.conditions])
     if need.by is None:
         return Answer(f"the goal needs it: {conditions}", Known.SIMULATION)

@@ -15,7 +15,7 @@ from planner_bridge.explanations.answer import Answer, Known, Solves, Unsolvable
 from planner_bridge.explanations.limited_search import AnswerLimit
 from planner_bridge.model.plan import PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
-from planner_bridge.planning.reachability import Achiever, Literal, Reachability, literal_of
+from planner_bridge.planning.reachability import Achiever, GoalLiteral, Reachability, literal_of
 from pnm.core.logic.conditions import All, Compare, Condition, Not, conjunction, conjuncts, fluents, ground
 from pnm.core.logic.expressions import NOTHING, Environment, fluent_text
 from pnm.errors import counted
@@ -118,7 +118,7 @@ class DeadEnds:
         asked = replace(self.problem, goal=condition, constraints=(), preferences=(), metric=None, network="")
         return Answer(text, Known.RELAXATION, reasons, (Unsolvable(asked),))
 
-    def _end(self, literal: Literal) -> str:
+    def _end(self, literal: GoalLiteral) -> str:
         """Return what there is to say of a fact that nothing brings about; empty if there are actions for that."""
         condition, mentioned = literal.condition, fluents(literal.condition, self.reachability.state)
         if guarded := [self.problem.guards[fluent] for fluent in mentioned & self.problem.guards.keys()]:
@@ -142,7 +142,7 @@ class DeadEnds:
         whys = {why.statement: why for part in parts for lack in self.lacks(*part) for why in [self.why(lack, path)]}
         return tuple(whys.values()), 0 if is_every else others
 
-    def _ways(self, literal: Literal, path: tuple[Condition, ...]) -> tuple[tuple[Answer, ...], int]:
+    def _ways(self, literal: GoalLiteral, path: tuple[Condition, ...]) -> tuple[tuple[Answer, ...], int]:
         """Return why the action that would most likely bring the fact about can never do it; and how many others there are.
 
         Others are told of as well if nothing but a switch, such as a door, keeps them from it.

@@ -17,7 +17,7 @@ from planner_bridge.explanations.answer import Answer, Known, NoSmallerChange, S
 from planner_bridge.explanations.limited_search import AnswerLimit
 from planner_bridge.model.plan import Plan, PlanningStatus
 from planner_bridge.model.problem import Problem
-from planner_bridge.planning.reachability import Literal, Reachability, TooLarge, literal_of
+from planner_bridge.planning.reachability import GoalLiteral, Reachability, TooLarge, literal_of
 from pnm.core.logic.conditions import Compare, Condition
 from pnm.core.logic.expressions import NOTHING, Environment, Fluent, Value, choices, fluent_text
 from pnm.errors import counted
@@ -32,11 +32,11 @@ _LABELS: Final = 60
 """Labels of one literal; with more, not all changes are looked at."""
 _NUMBERS = ("no fact", "one fact", "two facts", "three facts")
 
-Label: TypeAlias = frozenset[Literal]
+Label: TypeAlias = frozenset[GoalLiteral]
 _NONE: Final[frozenset[Label]] = frozenset({frozenset()})
 
 
-def changed(problem: Problem, change: Iterable[Literal]) -> Problem:
+def changed(problem: Problem, change: Iterable[GoalLiteral]) -> Problem:
     """Return the problem that begins with these facts as they are given."""
     init, known = dict[Fluent, Value](problem.init), set[Fluent]()
     for fluent, truth in change:
@@ -66,7 +66,7 @@ class Labels:
     fixed: frozenset[Fluent]
     """Facts that are not changed."""
     most: int
-    of_literal: dict[Literal, frozenset[Label]] = field(default_factory=dict)
+    of_literal: dict[GoalLiteral, frozenset[Label]] = field(default_factory=dict)
     is_complete: bool = True
 
     def settle(self, goal: Condition, limit: AnswerLimit) -> frozenset[Label]:
@@ -103,7 +103,7 @@ class Labels:
             joined = self._least(frozenset(one | other for one, other in product(joined, self.of(*part))))
         return joined
 
-    def is_changeable(self, literal: Literal) -> bool:
+    def is_changeable(self, literal: GoalLiteral) -> bool:
         """Return whether the literal is a fact that can be changed as such."""
         subject = literal.subject
         return isinstance(subject, tuple) and subject not in self.fixed and subject[0] not in self.reachability.state.rules.derived
@@ -153,7 +153,7 @@ def what_would_help(problem: Problem, limit: AnswerLimit, reason: Answer) -> Ans
     return _nothing(problem, reachability, proved)
 
 
-def _facts(problem: Problem, reachability: Reachability, fixed: frozenset[Fluent]) -> Iterator[Literal]:
+def _facts(problem: Problem, reachability: Reachability, fixed: frozenset[Fluent]) -> Iterator[GoalLiteral]:
     """Yield every fact that the domain knows, as it would be if it were changed."""
     for name, declared in problem.domain.predicates.items():
         if name in reachability.state.rules.derived:
@@ -161,7 +161,7 @@ def _facts(problem: Problem, reachability: Reachability, fixed: frozenset[Fluent
         for env in choices(declared.parameters, reachability.state, NOTHING):
             fluent = (name, *(str(env[variable.name]) for variable in declared.parameters))
             if fluent not in fixed:
-                yield Literal(fluent, reachability.state.value(fluent) is not True)
+                yield GoalLiteral(fluent, reachability.state.value(fluent) is not True)
 
 
 @dataclass(frozen=True, slots=True)

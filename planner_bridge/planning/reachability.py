@@ -56,7 +56,7 @@ class TooLarge(Exception):
 Lack: TypeAlias = frozenset[Condition]
 
 
-class Literal(NamedTuple):
+class GoalLiteral(NamedTuple):
     """A fact that is to be true or false, or a comparison that is to be so or not."""
 
     subject: Fluent | Compare
@@ -122,7 +122,7 @@ class Reachability:
         """What actions do, by the name of the fluent."""
         for change in _changes(problem):
             self._changes[change.effect.fluent[0]].append(change)
-        self._ways: dict[Literal, Way] = {}
+        self._ways: dict[GoalLiteral, Way] = {}
         self._waiting = deque[_Use]()
         self._use: _Use | None = None
         """What is looked at."""
@@ -197,7 +197,7 @@ class Reachability:
             case _:  # what is computed at run time may come out either way
                 return [], True
 
-    def way(self, literal: Literal) -> Way:
+    def way(self, literal: GoalLiteral) -> Way:
         """Return how the literal may become true."""
         if literal not in self._ways:
             self._ways[literal] = way = Way(0, frozenset(), [])
@@ -208,7 +208,7 @@ class Reachability:
                 self._waiting += [_Use(way, achiever) for achiever in way.achievers]
         return self._ways[literal]
 
-    def weight(self, literal: Literal) -> int:
+    def weight(self, literal: GoalLiteral) -> int:
         """Return the cost of making a literal true: highest for what actions are there for, then maps and tables, lowest for a switch.
 
         A switch without objects, such as a door that is open, is nearer than a fact about one.
@@ -222,7 +222,7 @@ class Reachability:
             return 2 * len(subject)
         return 2 if subject[1:] else 1
 
-    def may_be(self, literal: Literal) -> bool:
+    def may_be(self, literal: GoalLiteral) -> bool:
         """Return whether the literal is true at first, or may become so by itself."""
         subject, truth = literal
         mentioned = fluents(literal.condition, self.state)
@@ -238,7 +238,7 @@ class Reachability:
         mentioned = sorted(fluents(comparison, self.state))
         return [fluent for fluent in mentioned if fluent[0] not in self._changing and self.state.value(fluent) is None]
 
-    def achievers(self, literal: Literal) -> Iterator[Achiever]:
+    def achievers(self, literal: GoalLiteral) -> Iterator[Achiever]:
         """Yield what may make the literal true."""
         subject, truth = literal
         if isinstance(subject, tuple) and subject[0] in self.state.rules.derived:
@@ -324,13 +324,13 @@ def _defined(schema: ActionSchema) -> tuple[Condition, ...]:
     return tuple(Compare("=", expression, expression) for expression in dict.fromkeys(expressions) if any(expression_fluents(expression)))
 
 
-def literal_of(condition: Condition, env: Environment = NOTHING, truth: bool = True) -> Literal | None:
+def literal_of(condition: Condition, env: Environment = NOTHING, truth: bool = True) -> GoalLiteral | None:
     """Return the literal that the condition, or its opposite, is; None if it has several parts."""
     match condition:
         case Holds(fluent):
-            return Literal(bind(fluent, env), truth)
+            return GoalLiteral(bind(fluent, env), truth)
         case Compare(operation, left, right):
-            return Literal(Compare(operation, ground_expression(left, env), ground_expression(right, env)), truth)
+            return GoalLiteral(Compare(operation, ground_expression(left, env), ground_expression(right, env)), truth)
         case Not(operand):
             return literal_of(operand, env, not truth)
         case _:

@@ -56,7 +56,7 @@ from pnm.knowledge.sources.source import Asker, Source
 from pnm.tasks import Code, TaskState
 
 
-class Due(Enum):
+class Outstanding(Enum):
     """What is due after a look at a run that goes on."""
 
     NOTHING = "nothing"
@@ -200,7 +200,7 @@ class GoalLoop:
                 follows = await self._replan(execution)
                 if isinstance(follows, PlanGraph):
                     return follows
-                execution.note(is_due=follows is Due.REPLACEMENT)
+                execution.note(is_due=follows is Outstanding.REPLACEMENT)
                 execution.release()
 
     @property
@@ -210,7 +210,7 @@ class GoalLoop:
 
     # --- replanning -----------------------------------------------------------------------------
 
-    async def _replan(self, execution: PlanExecution) -> PlanGraph | Due:
+    async def _replan(self, execution: PlanExecution) -> PlanGraph | Outstanding:
         """Replace the run by that of another plan, or return that plan if the run is over; if the run goes on, what is still due."""
         if execution.is_over:  # reports about the last calls may still be on their way; the decision below should know them
             await self._catch_up(execution)
@@ -218,12 +218,12 @@ class GoalLoop:
             if execution.is_over:
                 self._check_end(execution)
             elif not await self._is_to_be_replaced(execution) or execution.is_over:
-                return Due.NOTHING
+                return Outstanding.NOTHING
             if (delay := self._backoff(execution)) > 0.0:
                 if not execution.is_over:
                     # The run goes on during the back-off: what is under way may still succeed.
                     execution.call_attention_at(asyncio.get_running_loop().time() + delay)
-                    return Due.REPLACEMENT
+                    return Outstanding.REPLACEMENT
                 # Decided anew afterwards: the task may have been stopped, or the goal reached, in the meantime.
                 await self._control.wait(delay)
                 continue
@@ -233,7 +233,7 @@ class GoalLoop:
                     await self._context.backend.refresh()
                 if not await execution.at_rest():  # only what is settled can be handed over
                     if not execution.is_over:  # it goes on, for a call that has ended waits for others, which have to begin
-                        return Due.REPLACEMENT
+                        return Outstanding.REPLACEMENT
                     await self._catch_up(execution)  # it has come to its end while that was waited for
                     continue
             was_over, under_way, history = execution.is_over, execution.under_way, self._next_history(execution)
@@ -243,10 +243,10 @@ class GoalLoop:
             if execution.is_over is not was_over:
                 continue
             if decision is None:
-                return Due.REPLACEMENT
+                return Outstanding.REPLACEMENT
             if isinstance(decision, GiveUp):
                 if not execution.is_over:
-                    return Due.NOTHING
+                    return Outstanding.NOTHING
                 self._log.end(execution.run.machine, execution.result, decision)
                 unfulfilled = self._log.unfulfilled(self._monitor.missing)
                 reason = join_reasons(decision.reason, self._log.last_failure, unfulfilled)
@@ -256,10 +256,10 @@ class GoalLoop:
                 self._follow(execution.run.machine, execution.result, decision, history)
                 return await self._follower(execution, decision)
             graph = await self._successor(execution, decision, history, under_way)
-            if isinstance(graph, Due):
+            if isinstance(graph, Outstanding):
                 return graph
             if not execution.is_over:
-                return Due.NOTHING
+                return Outstanding.NOTHING
             await self._catch_up(execution)  # it came to its end while its successor was planned
             self._check_end(execution)
             if not self._monitor.why_not(Progress.beginning(graph), self._context.forbidden(history)):
@@ -377,7 +377,7 @@ class GoalLoop:
 
     async def _successor(
         self, execution: PlanExecution, decision: ResumePlan | PlanAgain, history: History, under_way: tuple[UnderWay, ...]
-    ) -> PlanGraph | Due:
+    ) -> PlanGraph | Outstanding:
         """Replace a run that goes on by that of another plan. Return the plan; what is still due if the run has to go on.
 
         If it does so while a plan is searched for, the plan is returned all the same. What is under way was so when the decision was made.
@@ -389,20 +389,20 @@ class GoalLoop:
                 self._control.enter(TaskState.REPLANNING, decision_words(decision))
                 plan = await self._search.following(execution, decision.forbidden)
                 if plan is None:
-                    return Due.REPLACEMENT
+                    return Outstanding.REPLACEMENT
                 if not await execution.at_rest() and not execution.is_over:
-                    return Due.REPLACEMENT
+                    return Outstanding.REPLACEMENT
                 under_way = execution.under_way
                 graph = await self._accepted(plan, under_way)
                 if self._monitor.why_not(Progress.beginning(graph), self._context.forbidden(history)):
-                    return Due.REPLACEMENT
+                    return Outstanding.REPLACEMENT
             successor = None if execution.is_over else await proved_machine(self._context, graph)
             reserved = self._control.reserved if successor and isinstance(decision, PlanAgain) else None
             goes_on = await execution.at_rest()
             # Nothing waits from here on: what others have begun, and what has ended, while the machine was made is all that there is.
             if execution.under_way != under_way or (reserved and self._context.scheduler.conflicts(self._context.task, reserved)):
                 execution.call_attention_at(asyncio.get_running_loop().time())
-                return Due.REPLACEMENT
+                return Outstanding.REPLACEMENT
             if goes_on and successor:
                 self._control.check()
                 machine, result = execution.run.machine, execution.result
@@ -410,9 +410,9 @@ class GoalLoop:
                 self._follow(machine, result, decision, history)
                 self._retry_at = None
         except (NoPlan, TaskEnded):
-            return Due.NOTHING
+            return Outstanding.NOTHING
         except (NotProjectable, PlanGraphError, Unsound):  # what is under way may not fit into any plan
-            return Due.REPLACEMENT
+            return Outstanding.REPLACEMENT
         finally:
             self._control.enter(TaskState.RUNNING)
         return graph

@@ -23,7 +23,7 @@ from planner_bridge.tasks.result import Episode, KeptGoal, PlanResult, code_of_r
 from planner_bridge.yaml.reader import read
 from pnm.actions.backend import schedule
 from pnm.core.logic.conditions import TRUE
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.errors import InputError

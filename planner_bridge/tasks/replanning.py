@@ -21,7 +21,7 @@ from pnm.core.logic.evaluation import evaluate, explanation
 from pnm.core.logic.expressions import is_number, same_value
 from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings, WhenLost
-from pnm.core.machine.causes import Blame, Cause
+from pnm.core.machine.failure_causes import Blame, Cause
 from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, PlanEvent, PlanGraph
 from pnm.errors import check_counts, check_seconds, counted

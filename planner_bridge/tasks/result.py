@@ -18,7 +18,7 @@ from pnm.clock import TimeUsed
 from pnm.core.execution.call_results import CallResult, Failure, RunResult
 from pnm.core.logic import trajectory
 from pnm.core.logic.trajectory import Constraint, ConstraintProgress
-from pnm.core.machine.causes import Trouble
+from pnm.core.machine.failure_causes import FailureKind
 from pnm.core.machine.machine import CallOutcome, PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.errors import counted
@@ -35,11 +35,11 @@ _PLANNING: Final = {
     PlanningStatus.CANCELLED: Code.CANCELLED,
 }
 
-_TROUBLES: Final = {
-    Trouble.ACTION: Code.ACTION_FAILED,
-    Trouble.CONDITION: Code.CONDITION_LOST,
-    Trouble.TIME: Code.TIMED_OUT,
-    Trouble.SERVER: Code.SERVER_UNAVAILABLE,
+_CODES: Final = {
+    FailureKind.ACTION: Code.ACTION_FAILED,
+    FailureKind.CONDITION: Code.CONDITION_LOST,
+    FailureKind.TIME: Code.TIMED_OUT,
+    FailureKind.SERVER: Code.SERVER_UNAVAILABLE,
 }
 
 
@@ -58,7 +58,7 @@ def code_of_run(result: RunResult, stopped: Code) -> Code:
 
 def code_of_failures(failures: Sequence[Failure]) -> Code:
     """Return the code of a task that ends with these failures, the last of which counts."""
-    return _TROUBLES[failures[-1].cause.trouble] if failures else Code.CONDITION_LOST
+    return _CODES[failures[-1].cause.kind] if failures else Code.CONDITION_LOST
 
 
 class Stopwatch:

@@ -70,7 +70,7 @@ class Story(JournalHistory):
         }
         return self._questions | about_tasks
 
-    def apply(self, number: int, time: float, record: Record) -> replaying.Step:
+    def apply(self, number: int, time: float, record: Record) -> replaying.ReplayStep:
         """Note what a record tells, and execute it, for it is shown what the runs want; raises as `Replay.apply` does."""
         super().apply(number, time, record)
         replay, step = self.execute(), self.step
@@ -102,7 +102,7 @@ class Story(JournalHistory):
             case _:
                 return ""
 
-    def _tell(self, step: replaying.Step) -> None:
+    def _tell(self, step: replaying.ReplayStep) -> None:
         match step.record:
             case SharedBegan():
                 self.events = {number: event for number, event in self.events.items() if number >= self.first}
@@ -120,7 +120,7 @@ class Story(JournalHistory):
             case _:
                 pass
 
-    def _tell_questions(self, run: UUID, event: object, step: replaying.Step) -> None:
+    def _tell_questions(self, run: UUID, event: object, step: replaying.ReplayStep) -> None:
         match event:
             case Restarted():
                 self.clock = None

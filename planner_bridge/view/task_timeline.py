@@ -45,7 +45,7 @@ def _call(history: JournalHistory, run: RunHistory, call: ActionCall, became: Ca
     return TimedCall(call.index, name, lane, planned, lasts, attempts, became.outcome, became.is_done, has_failed)
 
 
-def _attempt(attempt: Attempt, began: float) -> timeline.Attempt:
+def _attempt(attempt: Attempt, began: float) -> timeline.TimedAttempt:
     if attempt.ended is None or attempt.outcome is None:
-        return timeline.Attempt(attempt.sent - began)
-    return timeline.Attempt(attempt.sent - began, attempt.ended - began, attempt.outcome.kind, attempt.outcome.message)
+        return timeline.TimedAttempt(attempt.sent - began)
+    return timeline.TimedAttempt(attempt.sent - began, attempt.ended - began, attempt.outcome.kind, attempt.outcome.message)

@@ -49,7 +49,7 @@ def log_end(why: Fenced) -> None:
     _log.error("%s; nothing is done here any more", why)
 
 
-class Held(JournalError):
+class HeldByAnother(JournalError):
     """Another process holds the journal."""
 
     def __init__(self, message: str, holder: str, left: float = 0.0) -> None:
@@ -66,7 +66,7 @@ def journal_errors(place: Place, verb: str) -> Iterator[None]:
     try:
         yield
     except Locked as error:
-        raise Held(f"{error.holder} holds the journal {place}", error.holder) from error
+        raise HeldByAnother(f"{error.holder} holds the journal {place}", error.holder) from error
     except DatabaseError as error:
         kind = Damaged if isinstance(error, DamagedDatabase) else JournalError
         raise kind(f"the journal {place} cannot be {verb}: {error}") from error

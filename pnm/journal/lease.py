@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Final
 
 from pnm.files.database.lock import FileLock
-from pnm.journal.kept import Durability, Fenced, Held, Hold, JournalChoice, JournalError, StandBys, Unshared, journal_errors
+from pnm.journal.kept import Durability, Fenced, HeldByAnother, Hold, JournalChoice, JournalError, StandBys, Unshared, journal_errors
 from pnm.journal.store import JournalFile
 
 _SAFE: Final = 0.9
@@ -78,7 +78,7 @@ def is_locked(path: Path) -> bool:
     """Return whether another process has the lock of a journal file."""
     try:
         _locked(path).release()
-    except Held:
+    except HeldByAnother:
         return True
     except JournalError:  # which whoever opens it says
         return False

@@ -21,7 +21,7 @@ from pnm.core.logic.effects import Changes
 from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.core.machine.bindings import Bindings
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.machine import CallOutcome, OnFailure
 from pnm.core.machine.plan_graph import PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, Feedback, Postponed

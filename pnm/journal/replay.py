@@ -56,7 +56,7 @@ class ReplayDiffers(PnmError):
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class ReplayStep:
     """A record that was replayed.
 
     Args:
@@ -178,7 +178,7 @@ class Replay:
         """Forget what was in segments before the one that has just begun."""
         self.runs, self.tasks, self.requests, self._machines = {}, {}, {}, {}
 
-    def apply(self, number: int, time: float, record: Record) -> Step:
+    def apply(self, number: int, time: float, record: Record) -> ReplayStep:
         """Replay a record.
 
         Raises:
@@ -216,9 +216,9 @@ class Replay:
                 self.resources.confirm(request)
             case _:
                 assert_never(record)
-        return Step(number, time, record)
+        return ReplayStep(number, time, record)
 
-    def _happened(self, number: int, time: float, record: Happened) -> Step:
+    def _happened(self, number: int, time: float, record: Happened) -> ReplayStep:
         replayed, self._deltas = self.runs[record.run], []
         run = replayed.run
         if record.fields:
@@ -236,7 +236,7 @@ class Replay:
             _differ(number, "intends", intents, record.intents)
         if run.told != record.told:
             _differ(number, "tells", run.told, record.told)
-        return Step(number, time, record, transitions, commands)
+        return ReplayStep(number, time, record, transitions, commands)
 
     def _make(self, made: RunMade) -> None:
         assert self.source is not None, "a replay reads machines where it reads records"

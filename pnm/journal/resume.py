@@ -18,10 +18,10 @@ from pnm.core.net.no_collection import no_collection
 from pnm.errors import InputError, PnmError
 from pnm.files.database.place import Place
 from pnm.journal.codec import Codec, Undecodable
-from pnm.journal.kept import Damaged, Fenced, Held, Hold, JournalChoice, JournalError, Rewritten, log_end
+from pnm.journal.kept import Damaged, Fenced, HeldByAnother, Hold, JournalChoice, JournalError, Rewritten, log_end
 from pnm.journal.lease import take
 from pnm.journal.records import Record, SharedBegan, TaskSummary
-from pnm.journal.replay import Replay, ReplayDiffers, Step
+from pnm.journal.replay import Replay, ReplayDiffers, ReplayStep
 from pnm.journal.store import JournalFile, KeptJournal
 from pnm.journal.written_journal import WrittenJournal
 
@@ -33,7 +33,7 @@ _LONG: Final = 200
 """Characters of a reason, which may quote what is in a file."""
 
 Take: TypeAlias = Callable[[JournalChoice], tuple[JournalFile, Hold]]
-Apply: TypeAlias = Callable[[int, float, Record], Step]
+Apply: TypeAlias = Callable[[int, float, Record], ReplayStep]
 """Replays a record, with its number and its time."""
 
 _log = logging.getLogger(__name__)
@@ -124,7 +124,7 @@ def replayed(place: Place, codec: Codec) -> Replay:
     return replay
 
 
-def replay_steps(place: Place, codec: Codec, replay: Replay, *, only_last: bool = False) -> Iterator[Step]:
+def replay_steps(place: Place, codec: Codec, replay: Replay, *, only_last: bool = False) -> Iterator[ReplayStep]:
     """Replay a journal, or only its last segment; yield each record when it was replayed.
 
     Raises:
@@ -138,7 +138,7 @@ def replay_steps(place: Place, codec: Codec, replay: Replay, *, only_last: bool 
         yield from steps_after(kept, codec, replay.apply, kept.last_segment() - 1 if only_last else 0)
 
 
-def steps_after(kept: KeptJournal, codec: Codec, apply: Apply, after: int) -> Iterator[Step]:
+def steps_after(kept: KeptJournal, codec: Codec, apply: Apply, after: int) -> Iterator[ReplayStep]:
     """Replay the records after this one by a function; yield each when it was replayed; raises as `replay_steps` does."""
     try:
         for number, row in kept.rows(after):
@@ -237,7 +237,7 @@ async def stand_by(choice: JournalChoice, codec: Codec, origin: str, waits: Call
                     case Taken() as taken:
                         taken.hold.saw((holder,) if holder else ())  # which is expected to stand by now
                         return taken
-                    case Held() as held:
+                    case HeldByAnother() as held:
                         holder = held.holder
                         if holder != told:
                             waits(holder)
@@ -272,11 +272,11 @@ class _Candidate:
         self._why_not = ""
         """Why this version cannot replay it."""
 
-    def asked(self) -> Taken | Held:
+    def asked(self) -> Taken | HeldByAnother:
         """Return the journal as `taken` does, or who holds it."""
         try:
             return self.taken()
-        except Held as held:
+        except HeldByAnother as held:
             return held
 
     def taken(self) -> Taken:
@@ -294,7 +294,7 @@ class _Candidate:
         replay = self._replay()
         try:
             file, hold = self._take(choice)
-        except Held as held:
+        except HeldByAnother as held:
             if replay is not None and replay.shared is not None and replay.shared.origin != self._origin:
                 raise InputError(f"{held.holder} holds {place}, for another domain, problem or world") from held
             raise

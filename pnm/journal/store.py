@@ -29,13 +29,13 @@ from typing import Final, NamedTuple
 
 from pnm.errors import InputError
 from pnm.files.database.database import Database
-from pnm.files.database.driver import DatabaseError, Query, Rows
+from pnm.files.database.driver import DatabaseError, Rows, SqlQuery
 from pnm.files.database.keeping import copy_file, move_file
 from pnm.files.database.lock import FileLock, Mark, mark_of, this_host, this_process
 from pnm.files.database.place import Place
 from pnm.files.database.sqlite import has_log
 from pnm.journal import tables
-from pnm.journal.kept import Damaged, Durability, Fenced, Held, JournalError, Rewritten, Row, journal_errors
+from pnm.journal.kept import Damaged, Durability, Fenced, HeldByAnother, JournalError, Rewritten, Row, journal_errors
 
 _AT_ONCE: Final = 5000
 """Records that are dropped in a transaction."""
@@ -169,7 +169,7 @@ class JournalFile:
             database.run(tables.MAKE)
             is_writing, epoch, holder, left = self._lease_to_take()
             if is_writing or (only_free and left > 0.0):
-                raise Held(f"{holder} holds the journal {self.place}", holder, left)
+                raise HeldByAnother(f"{holder} holds the journal {self.place}", holder, left)
             check(epoch, holder)
             database.run(tables.TAKE, epoch=epoch + 1, me=me, seconds=self._lease)
             database.run(tables.BEGIN_EPOCH, epoch=epoch + 1, wall=wall, me=me)
@@ -327,7 +327,7 @@ class JournalFile:
                 "the database of the journal %s had lost the records %d to %d; they are written again", self.place, last + 1, self._last
             )
 
-    def _number(self, query: Query, **values: object) -> int:
+    def _number(self, query: SqlQuery, **values: object) -> int:
         return int(self._database.read(query, **values)[0][0])
 
 
@@ -557,7 +557,7 @@ class KeptJournal:
     def _damaged(self, what: str) -> Damaged:
         return Damaged(f"the journal {self.place} is damaged: {what} is not as it was written")
 
-    def _read(self, query: Query, **values: object) -> Rows:
+    def _read(self, query: SqlQuery, **values: object) -> Rows:
         with journal_errors(self.place, "read"):
             return self._database.read(query, **values)
 

@@ -9,7 +9,7 @@ import struct
 from typing import Final
 from zlib import crc32
 
-from pnm.files.database.driver import NOW, Layout, Query
+from pnm.files.database.driver import NOW, Layout, SqlQuery
 
 LAYOUT: Final = Layout(
     "journal",
@@ -40,8 +40,8 @@ def checksum(text: str, *numbers: float) -> int:
 
 # --- who may write ---
 MAKE: Final = "INSERT INTO lease VALUES (1, 0, '', 0.0) ON CONFLICT DO NOTHING"
-LEASE: Final = Query(f"SELECT epoch, holder, until - {NOW} FROM lease", (int, str, float))
-LEASE_TO_TAKE: Final = Query(f"{LEASE.sql} FOR UPDATE SKIP LOCKED", LEASE.columns)
+LEASE: Final = SqlQuery(f"SELECT epoch, holder, until - {NOW} FROM lease", (int, str, float))
+LEASE_TO_TAKE: Final = SqlQuery(f"{LEASE.sql} FOR UPDATE SKIP LOCKED", LEASE.columns)
 TAKE: Final = f"UPDATE lease SET epoch = :epoch, holder = :me, until = {NOW} + :seconds"
 BEGIN_EPOCH: Final = "INSERT INTO epochs VALUES (:epoch, :wall, :me)"
 RENEW: Final = f"UPDATE lease SET until = {NOW} + :seconds WHERE epoch = :epoch"
@@ -53,9 +53,9 @@ SETTLE: Final = (
     "INSERT INTO home VALUES (1, :node, :host, :file)"
     " ON CONFLICT (id) DO UPDATE SET node = excluded.node, host = excluded.host, file = excluded.file"
 )
-HOME: Final = Query("SELECT node, host, file FROM home", (str, str, str))
+HOME: Final = SqlQuery("SELECT node, host, file FROM home", (str, str, str))
 MOVE: Final = "UPDATE home SET file = :inode"
-LAST_HOLDER: Final = Query("SELECT holder FROM epochs ORDER BY epoch DESC LIMIT 1", (str,))
+LAST_HOLDER: Final = SqlQuery("SELECT holder FROM epochs ORDER BY epoch DESC LIMIT 1", (str,))
 
 # --- what is kept ---
 KEEP: Final = "INSERT INTO records VALUES (:sequence, :epoch, :time, :text, :checksum)"
@@ -65,22 +65,22 @@ KEEP_TASK: Final = (
     "INSERT INTO tasks VALUES (:task, :accepted, :wall, :is_over, :text, :checksum) ON CONFLICT (task) DO UPDATE"
     " SET wall = excluded.wall, is_over = excluded.is_over, text = excluded.text, checksum = excluded.checksum"
 )
-ROWS: Final = Query(
+ROWS: Final = SqlQuery(
     "SELECT sequence, epoch, time, text, checksum FROM records WHERE sequence >= :first ORDER BY sequence LIMIT :most",
     (int, int, float, str, int),
 )
-PART: Final = Query("SELECT text, checksum FROM parts WHERE key = :key", (str, int))
-PARTS: Final = Query("SELECT key FROM parts ORDER BY key", (str,))
-TASKS: Final = Query("SELECT text, checksum FROM tasks ORDER BY accepted", (str, int))
-LAST: Final = Query("SELECT coalesce(max(sequence), 0) FROM records", (int,))
-WHOSE: Final = Query(f"SELECT epoch, ({LAST.sql}) FROM lease FOR SHARE OF lease", (int, int))
+PART: Final = SqlQuery("SELECT text, checksum FROM parts WHERE key = :key", (str, int))
+PARTS: Final = SqlQuery("SELECT key FROM parts ORDER BY key", (str,))
+TASKS: Final = SqlQuery("SELECT text, checksum FROM tasks ORDER BY accepted", (str, int))
+LAST: Final = SqlQuery("SELECT coalesce(max(sequence), 0) FROM records", (int,))
+WHOSE: Final = SqlQuery(f"SELECT epoch, ({LAST.sql}) FROM lease FOR SHARE OF lease", (int, int))
 """The latest epoch, which nobody can end before the transaction does, and the last record."""
-LAST_SEGMENT: Final = Query("SELECT coalesce(max(first), 0) FROM segments", (int,))
-SEGMENTS: Final = Query("SELECT first, wall, checksum FROM segments ORDER BY first", (int, float, int))
+LAST_SEGMENT: Final = SqlQuery("SELECT coalesce(max(first), 0) FROM segments", (int,))
+SEGMENTS: Final = SqlQuery("SELECT first, wall, checksum FROM segments ORDER BY first", (int, float, int))
 
 # --- what is not kept any more ---
-OLDEST: Final = Query("SELECT coalesce(min(sequence), 0) FROM records", (int,))
-NEEDED: Final = Query(f"{LAST_SEGMENT.sql} WHERE wall < :before", LAST_SEGMENT.columns)
+OLDEST: Final = SqlQuery("SELECT coalesce(min(sequence), 0) FROM records", (int,))
+NEEDED: Final = SqlQuery(f"{LAST_SEGMENT.sql} WHERE wall < :before", LAST_SEGMENT.columns)
 """The first record of the segment that goes on at a time of day: those before it are older."""
 _NUMBERS: Final = {"records": "sequence", "segments": "first", "parts": "segment", "tasks": "accepted"}
 """The columns with numbers of records."""

@@ -39,10 +39,10 @@ from pnm.journal.records import (
     TaskOver,
     TimeCounted,
 )
-from pnm.journal.replay import Replay, Step
+from pnm.journal.replay import Replay, ReplayStep
 
 
-def words(step: Step, replay: Replay) -> tuple[str, ...]:
+def words(step: ReplayStep, replay: Replay) -> tuple[str, ...]:
     """Return what a record says, a line for everything that has come of it; `replay` has replayed it just now."""
     record = step.record
     match record:

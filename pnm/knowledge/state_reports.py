@@ -23,7 +23,7 @@ from pnm.errors import InputError, suggestion
 from pnm.knowledge.complaints import Complaints
 
 
-class Watchdog:
+class StalenessWatchdog:
     """A staleness watchdog: calls a function when it was not reset for `limit` seconds, and again after every later reset.
 
     The limit is on the clock of the event loop; None for none. Its state: the time of expiry, the one timer, and whether it rests.
@@ -108,7 +108,7 @@ class StateReports:
         self._stale = stale
         self._complaints = Complaints(source, _log)
         self.declare(known)
-        self._watchdogs: dict[str, Watchdog] = {}
+        self._watchdogs: dict[str, StalenessWatchdog] = {}
         self._before: dict[str, dict[Fluent, Value | Unknown]] = {}
         self._senders: dict[str, tuple[int, int]] = {}
 
@@ -133,7 +133,7 @@ class StateReports:
                 self._watchdogs[name].reset()
             else:
                 silence = f"nothing was reported about {name} for {self._stale:g} s" if self._stale else ""
-                self._watchdogs[name] = Watchdog(self._stale, partial(self._forget, name, silence))
+                self._watchdogs[name] = StalenessWatchdog(self._stale, partial(self._forget, name, silence))
         self._distrust(self._watched(names) & wrong.keys())
 
     def _note_sender(self, name: str, sequence: int, has_changed: bool) -> None:

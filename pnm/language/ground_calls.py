@@ -9,7 +9,7 @@ from typing import Final
 from pnm.core.logic.computed_values import Data, KnowledgeOperation, Layer, Literal, Operation, Query, Update, filled, parameters_in, parts
 from pnm.core.logic.conditions import TRUE
 from pnm.core.logic.expressions import Environment, Fluent, Value, ValueOf, is_number, text_of, value_of
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.plan_graph import EMPTY, GroundAction, Recovery, Then, ground_schema
 from pnm.errors import InputError
 from pnm.language.actions import OPERATION, ActionKind, LanguageAction

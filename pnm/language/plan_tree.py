@@ -15,7 +15,7 @@ from typing import Final, TypeAlias
 
 from pnm.core.logic.computed_values import Data, KnowledgeOperation
 from pnm.core.logic.conditions import Condition
-from pnm.core.machine.causes import Cause, Phase, causes_in
+from pnm.core.machine.failure_causes import Cause, Phase, causes_in
 from pnm.core.machine.plan_graph import Moment, Step, Then
 from pnm.errors import InputError, Position
 from pnm.files.yaml_nodes import Node

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple, assert_never
 from pnm.core.logic.computed_values import Data
 from pnm.core.logic.conditions import TRUE, Condition, ground
 from pnm.core.logic.rules import NO_RULES, Rules
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.plan_graph import (
     ActionCall,
     Choice,

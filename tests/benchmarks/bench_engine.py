@@ -18,7 +18,7 @@ from pnm.core.execution.machine_index import prepare
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import TRUE
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import (

@@ -53,7 +53,7 @@ from pnm.core.logic.expressions import UNKNOWN, Constant, Fluent, Unknown, Value
 from pnm.core.logic.operators import CHANGING, Uncomputable
 from pnm.core.logic.rules import NO_RULES, Reads, Rules, read_by, reads_of
 from pnm.core.machine.bindings import Binding, goal_data, open_parameters, own_values, placeholders
-from pnm.core.machine.guards import Guard, Reading
+from pnm.core.machine.guards import Guard, KnowledgeRead
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind
 from pnm.core.message_fields import Unreadable, parse_field, value_in
@@ -318,15 +318,15 @@ def reads_of_guard(guard: Guard, action: GroundAction | None, rules: Rules) -> R
     if action is not None and not is_closed(action):  # its parameters may depend on anything
         return None
     match guard.reads:
-        case Reading.NOTHING:
+        case KnowledgeRead.NOTHING:
             return frozenset()
-        case Reading.ANYTHING:  # servers say which goal fields they have without anything being heard of it
+        case KnowledgeRead.ANYTHING:  # servers say which goal fields they have without anything being heard of it
             return None
-        case Reading.CONDITION:
+        case KnowledgeRead.CONDITION:
             return None if guard.asks is None else read_by(guard.asks, rules)
-        case Reading.EFFECTS if action is None:
+        case KnowledgeRead.EFFECTS if action is None:
             return None
-        case Reading.EFFECTS:
+        case KnowledgeRead.EFFECTS:
             checked = read_by(All((action.end_condition, action.expected)), rules)
             fluents = [one.fluent for one in every_effect((*action.start_effects, *action.end_effects)) if isinstance(one, Set)]
             return None if checked is None else checked.union(*(reads_of(fluent, NO_RULES) for fluent in fluents))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Final, NamedTuple, TypeAlias
 from uuid import UUID
 
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.machine import CallOutcome, Rule
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph, Step
 from pnm.core.machine.requests import Outcome

@@ -19,7 +19,7 @@ from pnm.core.execution.run_state import RunState
 from pnm.core.logic.conditions import Condition, ground, names
 from pnm.core.logic.evaluation import evaluate, explanation, observed
 from pnm.core.logic.expressions import UNKNOWN, Truth
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.guards import (
     Accepts,
     Adopted,

@@ -80,7 +80,7 @@ ALWAYS, NEVER = -inf, inf
 _NO_CHANGES: Changes = {}
 
 
-class Answer(NamedTuple):
+class Response(NamedTuple):
     """Value of δ̂: the transitions that fire, in their order, and what is to be done outside: requests, cancellations, questions."""
 
     firings: tuple[str, ...]
@@ -168,7 +168,7 @@ class ReferenceRun:
 
     # --- δ̂ --------------------------------------------------------------------------------------
 
-    def delta(self, symbol: Symbol, now: float) -> Answer:
+    def delta(self, symbol: Symbol, now: float) -> Response:
         """Take a symbol in: note what it says, fire what it opens, and settle."""
         self.firings, self.commands, self.now = [], [], max(self.now, now)
         match symbol:
@@ -215,7 +215,7 @@ class ReferenceRun:
         while self.early and self.has_begun:
             self._report(self.early.pop(0))
             self._settle()
-        return Answer(tuple(self.firings), tuple(self.commands))
+        return Response(tuple(self.firings), tuple(self.commands))
 
     def _report(self, report: _Report) -> None:
         """Fire the transition that a report opens, if its request is alive."""

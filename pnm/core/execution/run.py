@@ -38,7 +38,7 @@ from pnm.core.execution.machine_index import Decision, Firing, Site
 from pnm.core.execution.questions import subject_of
 from pnm.core.execution.run_view import RunView
 from pnm.core.logic.computed_values import Question, Unanswered
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.guards import EffectsMissing, Withheld
 from pnm.core.machine.machine import CallOutcome, Rule
 from pnm.core.machine.plan_graph import ActionCall

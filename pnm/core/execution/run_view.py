@@ -19,7 +19,7 @@ from pnm.core.execution.run_state import Agenda, RunState
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.effects import Changes
 from pnm.core.machine.bindings import Bindings, WhenLost
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import Accepted, Ended, Report

@@ -34,7 +34,7 @@ from pnm.core.logic.conditions import TRUE, Condition, conjunction, conjuncts, d
 from pnm.core.logic.effects import When, every_effect, names_written
 from pnm.core.logic.rules import Rules
 from pnm.core.machine.bindings import Binding, WhenLost
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.guards import (
     Accepts,
     Adopted,

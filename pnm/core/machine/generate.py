@@ -13,7 +13,7 @@ from typing import Any, Final
 from pnm.core.machine.bindings import Bindings, is_open
 from pnm.core.machine.blocks import END, FAILED, GOAL, START, MachineBlocks, PlacedRegion, PlacedStep
 from pnm.core.machine.call_block import CallBlock
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.guards import Always, ConditionFalse, ConditionTrue, Due, Ending, Failing
 from pnm.core.machine.machine import OnFailure, PetriNetMachine, Rule
 from pnm.core.machine.plan_graph import ActionCall, Moment, PlanEvent, PlanGraph, Step

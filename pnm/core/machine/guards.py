@@ -32,7 +32,7 @@ class Opener(Enum):
     TIME = "time"
 
 
-class Reading(Enum):
+class KnowledgeRead(Enum):
     """Reading of a guard: what of the knowledge it looks at."""
 
     NOTHING = "nothing"
@@ -55,7 +55,7 @@ class GuardKind(_Traits):
     __slots__ = ()
 
     opened_by: ClassVar[Opener]
-    reads: ClassVar[Reading]
+    reads: ClassVar[KnowledgeRead]
     is_check: ClassVar[bool]
     """It compares a condition, data, time or resources with what is known: that it opens is a cause of failure by itself."""
 
@@ -118,7 +118,7 @@ class Always(GuardKind):
     """Open at once."""
 
     opened_by = Opener.TOKENS
-    reads = Reading.NOTHING
+    reads = KnowledgeRead.NOTHING
     is_check = False
     goes_well = True
 
@@ -134,7 +134,7 @@ class _OfRun(GuardKind):
 
     __slots__ = ()
     opened_by = Opener.ENDING
-    reads = Reading.NOTHING
+    reads = KnowledgeRead.NOTHING
     is_check = False
 
 
@@ -176,7 +176,7 @@ class _OfCondition(GuardKind):
     __slots__ = ()
     condition: Condition
     opened_by = Opener.KNOWLEDGE
-    reads = Reading.CONDITION
+    reads = KnowledgeRead.CONDITION
     is_check = True
 
     @property
@@ -235,7 +235,7 @@ class AlreadyTrue(OfCall):
 
     call: int
     opened_by = Opener.KNOWLEDGE
-    reads = Reading.ANYTHING
+    reads = KnowledgeRead.ANYTHING
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,7 +244,7 @@ class DataMissing(OfCall):
 
     call: int
     opened_by = Opener.KNOWLEDGE
-    reads = Reading.ANYTHING
+    reads = KnowledgeRead.ANYTHING
     is_check = True
 
 
@@ -254,7 +254,7 @@ class EffectsSeen(OfCall):
 
     call: int
     opened_by = Opener.KNOWLEDGE
-    reads = Reading.EFFECTS
+    reads = KnowledgeRead.EFFECTS
     goes_well = True
     closed_for = "the effects are not seen"
 
@@ -265,7 +265,7 @@ class EffectsMissing(OfCall):
 
     call: int
     opened_by = Opener.KNOWLEDGE
-    reads = Reading.EFFECTS
+    reads = KnowledgeRead.EFFECTS
 
     @property
     def complement(self) -> Guard | None:
@@ -281,7 +281,7 @@ class Withheld(OfCall):
     action: TransitionAction | None
     """Action of the transition that waits: a request to be sent may need other resources than one that goes on."""
     opened_by = Opener.RESOURCES
-    reads = Reading.ANYTHING
+    reads = KnowledgeRead.ANYTHING
     is_check = True
 
     def about(self, call: int, /) -> Guard:
@@ -301,7 +301,7 @@ class Adopted(OfCall):
 
     call: int
     opened_by = Opener.HANDOVER
-    reads = Reading.NOTHING
+    reads = KnowledgeRead.NOTHING
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,7 +310,7 @@ class Accepts(OfCall):
 
     call: int
     opened_by = Opener.REPORT
-    reads = Reading.NOTHING
+    reads = KnowledgeRead.NOTHING
     goes_well = True
 
 
@@ -321,7 +321,7 @@ class Ends(OfCall):
     call: int
     kinds: frozenset[OutcomeKind]
     opened_by = Opener.REPORT
-    reads = Reading.NOTHING
+    reads = KnowledgeRead.NOTHING
 
     def about(self, call: int, /) -> Guard:
         return Ends(call, self.kinds)
@@ -344,7 +344,7 @@ class _OfTime(GuardKind):
     __slots__ = ()
     seconds: float
     opened_by = Opener.TIME
-    reads = Reading.NOTHING
+    reads = KnowledgeRead.NOTHING
 
     @property
     def proved(self) -> object:

@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 
 from pnm.core import notebook
 from pnm.core.machine.bindings import Bindings, is_open
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.guards import Always, Guard
 from pnm.core.machine.plan_graph import Moment, Ordering, PlanGraph
 from pnm.core.machine.requests import TransitionAction

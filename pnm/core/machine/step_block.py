@@ -19,7 +19,7 @@ from types import MappingProxyType
 from typing import Any, Final, Generic, NamedTuple, TypeVar, assert_never
 
 from pnm.core.machine.bindings import Bindings
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.guards import (
     After,
     ConditionFalse,

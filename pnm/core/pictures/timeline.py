@@ -13,7 +13,7 @@ from pnm.core.machine.requests import OutcomeKind
 
 
 @dataclass(frozen=True, slots=True)
-class Attempt:
+class TimedAttempt:
     """A request that was sent for a call."""
 
     sent: float
@@ -39,7 +39,7 @@ class TimedCall:
     """When its plan has it start."""
     duration: float | None = None
     """How long its plan takes it to last; None when nothing is known about that."""
-    attempts: tuple[Attempt, ...] = ()
+    attempts: tuple[TimedAttempt, ...] = ()
     """Those whose requests were sent under this plan; a later plan may have taken the last one over."""
     outcome: str = ""
     """What became of it under this plan, in words."""

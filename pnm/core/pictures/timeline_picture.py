@@ -15,7 +15,7 @@ from typing import Final
 from pnm.core.machine.requests import OutcomeKind
 from pnm.core.pictures.step_words import cut
 from pnm.core.pictures.svg import picture, xml
-from pnm.core.pictures.timeline import Attempt, Replan, TimedCall, TimedPlan, Timeline
+from pnm.core.pictures.timeline import Replan, TimedAttempt, TimedCall, TimedPlan, Timeline
 
 _LEFT: Final = 112
 """Pixels for the names of lanes."""
@@ -182,7 +182,7 @@ def _written(kind: str, y: float, scale: float, words: Sequence[tuple[float, str
             yield f'<text class="{kind}" x="{_LEFT + time * scale + 3:g}" y="{y:g}">{xml(shown)}</text>'
 
 
-def _look(attempt: Attempt) -> tuple[str, str]:
+def _look(attempt: TimedAttempt) -> tuple[str, str]:
     """Return the kind of an attempt, and a sign: nothing is said by colours alone."""
     match attempt.outcome:
         case None:
@@ -195,7 +195,7 @@ def _look(attempt: Attempt) -> tuple[str, str]:
             return "failed", "✗"
 
 
-def _how(attempt: Attempt) -> str:
+def _how(attempt: TimedAttempt) -> str:
     how = attempt.outcome.value if attempt.outcome else "under way"
     return f"{how}: {attempt.message}" if attempt.message else how
 

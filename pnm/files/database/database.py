@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import TypeVar
 
 from pnm.errors import PnmError
-from pnm.files.database.driver import DamagedDatabase, DatabaseError, Driver, Layout, Query, Rows
+from pnm.files.database.driver import DamagedDatabase, DatabaseError, Driver, Layout, Rows, SqlQuery
 from pnm.files.database.limit import OperationLimit
 from pnm.files.database.place import Place
 from pnm.files.database.postgres import Postgres
@@ -75,7 +75,7 @@ class Database:
         with self._translated:
             return self._connected().run(sql, values)
 
-    def read(self, query: Query, **values: object) -> Rows:
+    def read(self, query: SqlQuery, **values: object) -> Rows:
         """Return the rows of a query.
 
         Raises:

@@ -23,7 +23,7 @@ class DamagedDatabase(DatabaseError):
 
 
 @dataclass(frozen=True)
-class Query:
+class SqlQuery:
     """A statement that reads.
 
     Args:

@@ -17,7 +17,7 @@ from typing import Final, TypeVar
 
 from pnm.core.logic.computed_values import MISSING, Question
 from pnm.files.database.database import Database
-from pnm.files.database.driver import DatabaseError, Layout, Query
+from pnm.files.database.driver import DatabaseError, Layout, SqlQuery
 from pnm.files.database.place import Place
 from pnm.files.private import private_folder
 from pnm.knowledge.sources.memory import read_value, write_value
@@ -33,7 +33,7 @@ _STORE: Final = (
     "INSERT INTO variables VALUES (:name, :value, :changed, :run)"
     " ON CONFLICT (name) DO UPDATE SET value = excluded.value, changed = excluded.changed, run = excluded.run"
 )
-_READ: Final = Query("SELECT value FROM variables WHERE name = :name", (str,))
+_READ: Final = SqlQuery("SELECT value FROM variables WHERE name = :name", (str,))
 _FORGET: Final = "DELETE FROM variables WHERE name = :name"
 
 T = TypeVar("T")

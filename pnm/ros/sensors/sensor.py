@@ -14,7 +14,7 @@ from pnm.core.logic.expressions import fluent_text
 from pnm.core.message_fields import Look
 from pnm.errors import InputError
 from pnm.knowledge.sensor_model import ByService, Instance, Reading, read, unknown
-from pnm.knowledge.state_reports import Watchdog
+from pnm.knowledge.state_reports import StalenessWatchdog
 from pnm.ros.node.messages import FieldError, import_type, to_message
 from pnm.ros.sensors.fitted import fitted
 
@@ -39,7 +39,7 @@ class SensorRecorder:
         self._knowledge = knowledge
         self._unread: frozenset[int] = frozenset()
         self._closed = False
-        self._watchdog = Watchdog(instance.sensor.stale, self._forget)
+        self._watchdog = StalenessWatchdog(instance.sensor.stale, self._forget)
 
     def record(self, look: Look) -> None:
         """Record the facts and variables of a message, given how to read its fields."""

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Final
 from uuid import UUID
 
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.net.net import Marking
 from pnm.core.pictures.export import as_data

@@ -22,7 +22,7 @@ from pnm.actions.bindings_file import binding_keys, read_bindings
 from pnm.actions.faults import FaultKind
 from pnm.core.execution.call_results import Failure
 from pnm.core.machine.bindings import DEFAULT
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.message_fields import value_in
 from pnm.core.readiness import ReadyState

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 
 from planner_bridge.model.problem import Problem
-from planner_bridge.planning.reachability import Literal, Reachability, TooLarge, literal_of
+from planner_bridge.planning.reachability import GoalLiteral, Reachability, TooLarge, literal_of
 from tests.support.pddl.problems import rooms
 from tests.support.pddl.random_problems import problems as random_problems
 
@@ -18,7 +18,7 @@ from tests.support.pddl.random_problems import problems as random_problems
 def test_no_achiever_has_a_cheaper_lack_than_what_it_achieves(problem: Problem) -> None:
     reachability = Reachability(problem, problem.unknown)
     reachability.settle(problem.goal)
-    seen = set[Literal]()
+    seen = set[GoalLiteral]()
     waiting = [literal for lack in reachability.of(problem.goal) if (literal := literal_of(lack))]
     while waiting:
         literal = waiting.pop()

@@ -14,7 +14,7 @@ from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange
 from pnm.clock import run_async
 from pnm.core.execution.call_results import CallResult, Failure
 from pnm.core.machine.bindings import Binding, Bindings
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.tasks import TaskState

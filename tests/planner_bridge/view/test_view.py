@@ -14,7 +14,7 @@ from planner_bridge.view.view import view_of
 from pnm.core.execution.events import Begin
 from pnm.core.machine.requests import Ended
 from pnm.journal.records import Happened, RunMade, TaskAccepted, TaskOver
-from pnm.journal.replay import Step
+from pnm.journal.replay import ReplayStep
 from tests.support.e2e.page.journals import steps
 from tests.support.tasks.scenarios.random_scenarios import run_scenario
 
@@ -22,7 +22,7 @@ FAILING = "move(r1, hall, kitchen)"
 
 
 @pytest.fixture(scope="module")
-def records(delivery: Path) -> list[Step]:
+def records(delivery: Path) -> list[ReplayStep]:
     return steps(delivery)
 
 
@@ -31,13 +31,13 @@ def reader(delivery: Path) -> Reader:
     return Reader(delivery)
 
 
-def at(reader: Reader, step: Step) -> View:
+def at(reader: Reader, step: ReplayStep) -> View:
     view = reader.at(step.number, view_of)
     assert view is not None
     return view
 
 
-def failing_ends(records: list[Step]) -> list[Step]:
+def failing_ends(records: list[ReplayStep]) -> list[ReplayStep]:
     """The records in which a request ends without success."""
     return [
         step
@@ -46,7 +46,7 @@ def failing_ends(records: list[Step]) -> list[Step]:
     ]
 
 
-def test_a_task_is_planned_for_runs_and_is_over(reader: Reader, records: list[Step]) -> None:
+def test_a_task_is_planned_for_runs_and_is_over(reader: Reader, records: list[ReplayStep]) -> None:
     accepted = next(step for step in records if isinstance(step.record, TaskAccepted))
     begins = next(step for step in records if isinstance(step.record, Happened) and isinstance(step.record.event, Begin))
     over = next(step for step in records if isinstance(step.record, TaskOver))
@@ -57,7 +57,7 @@ def test_a_task_is_planned_for_runs_and_is_over(reader: Reader, records: list[St
     assert (ended.code, ended.reason, len(ended.runs)) == ("goal_reached", "the goal holds", 3)
 
 
-def test_the_states_of_calls_are_what_the_replay_says(reader: Reader, records: list[Step]) -> None:
+def test_the_states_of_calls_are_what_the_replay_says(reader: Reader, records: list[ReplayStep]) -> None:
     for step in records:
         view, results = at(reader, step), reader.at(step.number, _results)
         assert {(call.run, call.index): call.state for call in view.calls.values()} == results
@@ -68,7 +68,7 @@ def _results(story: Story) -> dict[tuple[str, int], str]:
     return {(run, result.call.index): result.kind.name.lower() for run, results in runs for result in results}
 
 
-def test_a_failure_is_told_with_what_was_expected_and_seen_and_what_followed(reader: Reader, records: list[Step]) -> None:
+def test_a_failure_is_told_with_what_was_expected_and_seen_and_what_followed(reader: Reader, records: list[ReplayStep]) -> None:
     first, second, *_ = failing_ends(records)
     (hindered,) = at(reader, first).troubles.values()
     assert (hindered.step, hindered.cause, hindered.expected, hindered.observed) == (FAILING, "aborted", "success", "the way is blocked")
@@ -80,7 +80,7 @@ def test_a_failure_is_told_with_what_was_expected_and_seen_and_what_followed(rea
     assert later[0] == f"{first.number}.0", "what happened keeps its name"
 
 
-def test_a_replan_says_why_and_what_becomes_of_the_calls_that_were_left(reader: Reader, records: list[Step]) -> None:
+def test_a_replan_says_why_and_what_becomes_of_the_calls_that_were_left(reader: Reader, records: list[ReplayStep]) -> None:
     view = at(reader, records[-1])
     first, second, third = (view.runs[id] for id in next(iter(view.tasks.values())).runs)
     assert first.replan is None
@@ -95,7 +95,7 @@ def test_a_replan_says_why_and_what_becomes_of_the_calls_that_were_left(reader: 
     assert [run.record for run in (first, second, third)] == made
 
 
-def test_attempts_have_their_times_and_lanes_are_those_of_robots(reader: Reader, records: list[Step]) -> None:
+def test_attempts_have_their_times_and_lanes_are_those_of_robots(reader: Reader, records: list[ReplayStep]) -> None:
     view = at(reader, records[-1])
     failing = [request for request in view.requests.values() if request.action == FAILING]
     assert [(request.attempt, request.sent, request.ended, request.outcome) for request in failing][:2] == [
@@ -107,7 +107,7 @@ def test_attempts_have_their_times_and_lanes_are_those_of_robots(reader: Reader,
     assert not any(server.busy for server in view.servers.values())
 
 
-def test_facts_say_since_when_they_are_so_and_how_they_are_known(reader: Reader, records: list[Step]) -> None:
+def test_facts_say_since_when_they_are_so_and_how_they_are_known(reader: Reader, records: list[ReplayStep]) -> None:
     view = at(reader, records[-1])
     assert (view.facts["(at parcel1 hall)"].value, view.facts["(at parcel1 hall)"].since) == ("true", 14.0)
     assert not view.facts["(at parcel1 hall)"].is_initial
@@ -115,7 +115,7 @@ def test_facts_say_since_when_they_are_so_and_how_they_are_known(reader: Reader,
     assert {fact.source for fact in view.facts.values()} == {"sensed", "assumed"}
 
 
-def test_what_is_marked_on_the_way_through_the_records(reader: Reader, records: list[Step]) -> None:
+def test_what_is_marked_on_the_way_through_the_records(reader: Reader, records: list[ReplayStep]) -> None:
     marks = {int(number): event.mark for number, event in at(reader, records[-1]).events.items() if event.mark}
     replans = [step.number for step in records if isinstance(step.record, RunMade)][1:]
     over = [step.number for step in records if isinstance(step.record, TaskOver)]
@@ -123,7 +123,7 @@ def test_what_is_marked_on_the_way_through_the_records(reader: Reader, records: 
     assert marks == {**dict.fromkeys(failures, "failure"), **dict.fromkeys(replans, "replan"), **dict.fromkeys(over, "end")}
 
 
-def test_a_task_is_planned_again_after_a_failure_and_not_after_its_goal(reader: Reader, records: list[Step]) -> None:
+def test_a_task_is_planned_again_after_a_failure_and_not_after_its_goal(reader: Reader, records: list[ReplayStep]) -> None:
     (over,) = [step for step in records if isinstance(step.record, TaskOver)]
     before_replans = [number for number, step in enumerate(records[1:]) if isinstance(step.record, RunMade)][1:]
     shown = [
@@ -134,7 +134,7 @@ def test_a_task_is_planned_again_after_a_failure_and_not_after_its_goal(reader: 
     assert [task.reason.partition(":")[0] for task in shown[:2]] == ["the rest of the plan still works", "a new plan is needed"]
 
 
-def told(reader: Reader, step: Step, action: str) -> CallDetail:
+def told(reader: Reader, step: ReplayStep, action: str) -> CallDetail:
     """The detail of the first call of an action in the newest run."""
     view = at(reader, step)
     run = next(iter(view.tasks.values())).runs[-1]
@@ -144,7 +144,7 @@ def told(reader: Reader, step: Step, action: str) -> CallDetail:
     return found
 
 
-def test_a_call_tells_what_it_waits_for_its_conditions_and_where_its_token_is(reader: Reader, records: list[Step]) -> None:
+def test_a_call_tells_what_it_waits_for_its_conditions_and_where_its_token_is(reader: Reader, records: list[ReplayStep]) -> None:
     first = failing_ends(records)[0]
     unload = told(reader, first, "unload(r1, parcel2, kitchen)")
     waits = {wait.action: (wait.has_come, wait.protects) for wait in unload.waits_for}
@@ -165,7 +165,7 @@ def test_a_call_tells_what_it_waits_for_its_conditions_and_where_its_token_is(re
     assert moving.resources == ()
 
 
-def test_there_is_no_detail_of_a_call_that_is_not_there(reader: Reader, records: list[Step]) -> None:
+def test_there_is_no_detail_of_a_call_that_is_not_there(reader: Reader, records: list[ReplayStep]) -> None:
     run = next(iter(at(reader, records[-1]).runs))
     assert reader.at(records[-1].number, lambda story: detail(story, run, 99)) is None
     assert reader.at(records[-1].number, lambda story: detail(story, "0", 0)) is None

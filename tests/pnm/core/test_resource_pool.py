@@ -15,7 +15,7 @@ from pnm.core.execution.events import Begin, Send, Tick
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Binding, Bindings
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, Flow, GroundAction, PlanGraph, Recovery, Then
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind

@@ -13,7 +13,7 @@ from pnm.core.execution.call_results import Failure
 from pnm.core.logic.computed_values import MISSING
 from pnm.core.logic.conditions import All, Holds, Not
 from pnm.core.logic.expressions import UNKNOWN
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
 from pnm.core.machine.requests import Accepted
 from pnm.journal.codec import Undecodable

@@ -11,7 +11,7 @@ import pytest
 
 from pnm.files.database.place import Place, place_of
 from pnm.journal.format import RECORDS
-from pnm.journal.kept import Durability, Fenced, Held, JournalChoice, JournalError, Row, TaskRow
+from pnm.journal.kept import Durability, Fenced, HeldByAnother, JournalChoice, JournalError, Row, TaskRow
 from pnm.journal.resume import take_up
 from pnm.journal.store import JournalFile, KeptJournal
 from pnm.journal.tables import LAYOUT
@@ -86,7 +86,7 @@ def test_whoever_opens_it_last_may_write(place: Place) -> None:
 
 def test_a_journal_with_a_lease_is_taken_by_nobody_until_it_is_let_go(place: Place) -> None:
     first = opened(place, 60.0)
-    with pytest.raises(Held, match=f"pid {os.getpid()} holds the journal") as refused:
+    with pytest.raises(HeldByAnother, match=f"pid {os.getpid()} holds the journal") as refused:
         opened(place, 60.0)
     assert 50.0 < refused.value.left <= 60.0
     first.append([Row(0.0, "a")], {})

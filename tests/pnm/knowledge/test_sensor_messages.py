@@ -16,7 +16,7 @@ from pnm.core.logic.expressions import UNDEFINED, UNKNOWN
 from pnm.core.message_fields import Comparison, parse_field, succeeds
 from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import Instance, instances, read
-from pnm.knowledge.state_reports import StateReports, Watchdog
+from pnm.knowledge.state_reports import StalenessWatchdog, StateReports
 from tests.support.files import ROOT, written
 from tests.support.pddl.sensed_world import KNOWN, PROBLEM, look, objects
 
@@ -144,8 +144,8 @@ def test_what_nobody_reports_for_too_long_falls_silent_once_and_again():
 
     async def main():
         loop = asyncio.get_running_loop()
-        watchdog = Watchdog(10.0, lambda: fallen.append(loop.time()))
-        forever = Watchdog(None, lambda: fallen.append("never"))
+        watchdog = StalenessWatchdog(10.0, lambda: fallen.append(loop.time()))
+        forever = StalenessWatchdog(None, lambda: fallen.append("never"))
         for _ in range(3):
             await asyncio.sleep(9.0)
             watchdog.reset()

@@ -8,7 +8,7 @@ import pytest
 
 from pnm.core.logic.computed_values import Layer, Literal, Operation, Update
 from pnm.core.logic.conditions import TRUE, Computed, Holds
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import EMPTY, ActionCall, Loop, Recovery, Then

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pnm.core.logic.computed_values import Data, Layer, Literal, Operation, Query, Update
 from pnm.core.logic.conditions import Computed, Condition, Holds
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.plan_graph import (
     EMPTY,
     ActionCall,

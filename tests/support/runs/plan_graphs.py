@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pnm.core.logic.conditions import TRUE, Condition, Holds
 from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import Constant, Fluent
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.plan_graph import (
     ActionCall,
     Choice,

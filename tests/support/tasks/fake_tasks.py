@@ -18,7 +18,7 @@ from planner_bridge.node.serve import NodeApi, NodeContext, make_task_manager
 from pnm.core.knowledge_base import KnowledgeBase, parse_fluent
 from pnm.core.logic.computed_values import Layer, Question
 from pnm.core.logic.expressions import Fluent, Unknown, Value, fluent_text
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.net.net import Marking

@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.bindings import WhenLost
 from pnm.core.machine.call_block import CallTerms
-from pnm.core.machine.causes import ASKED, Cause
+from pnm.core.machine.failure_causes import ASKED, Cause
 from pnm.core.machine.guards import (
     Accepts,
     Adopted,
@@ -346,7 +346,7 @@ def _ends_lost(rule: Rule) -> bool:
 # --- the rules --------------------------------------------------------------------------------
 
 
-class Watch(NamedTuple):
+class WatchedPlaces(NamedTuple):
     """A guard that is asked at all places of a kind, and may differ from call to call."""
 
     rule: CallRule
@@ -391,14 +391,14 @@ def _over_all(call: Asked) -> Guard | None:
 
 _UNDER_WAY: Final = _at(lambda net: net.under_way)
 WATCHES: Final = (
-    Watch(CallRule.DATA, _before_sending, _is(DataMissing), lambda call: DataMissing(call.step.index)),
-    Watch(CallRule.LATEST_START, _before_sending, _is(Due), lambda call: _due(call.terms.latest)),
-    Watch(CallRule.PRECONDITION, _at(lambda net: net.ready), _sends, lambda call: ConditionTrue(call.terms.may_start)),
-    Watch(CallRule.ANSWER, _at(lambda net: net.unanswered), _is(After), lambda call: After(call.terms.binding.accept), _cancels),
-    Watch(CallRule.OVER_ALL, _UNDER_WAY, _is(InvariantFalse), _over_all, _cancels_and_fails),
-    Watch(CallRule.DEADLINE, _UNDER_WAY, _is(Due), lambda call: _due(call.step.deadline), _cancels_and_fails),
-    Watch(CallRule.TIME_LIMIT, _UNDER_WAY, _is(After), lambda call: After(call.terms.timeout), _cancels),
-    Watch(
+    WatchedPlaces(CallRule.DATA, _before_sending, _is(DataMissing), lambda call: DataMissing(call.step.index)),
+    WatchedPlaces(CallRule.LATEST_START, _before_sending, _is(Due), lambda call: _due(call.terms.latest)),
+    WatchedPlaces(CallRule.PRECONDITION, _at(lambda net: net.ready), _sends, lambda call: ConditionTrue(call.terms.may_start)),
+    WatchedPlaces(CallRule.ANSWER, _at(lambda net: net.unanswered), _is(After), lambda call: After(call.terms.binding.accept), _cancels),
+    WatchedPlaces(CallRule.OVER_ALL, _UNDER_WAY, _is(InvariantFalse), _over_all, _cancels_and_fails),
+    WatchedPlaces(CallRule.DEADLINE, _UNDER_WAY, _is(Due), lambda call: _due(call.step.deadline), _cancels_and_fails),
+    WatchedPlaces(CallRule.TIME_LIMIT, _UNDER_WAY, _is(After), lambda call: After(call.terms.timeout), _cancels),
+    WatchedPlaces(
         CallRule.CANCELLING,
         _at(lambda net: net.cancelled),
         _is(After),
@@ -541,7 +541,7 @@ TRAITS: Final[tuple[tuple[CallRule, Callable[[CallNet, Asked], _Compared]], ...]
 )
 
 
-def check_content(net: CallNet, call: Asked) -> Mapping[int, Watch]:
+def check_content(net: CallNet, call: Asked) -> Mapping[int, WatchedPlaces]:
     """Check that the net of a call does what is asked of it; return the watches by the numbers of their transitions.
 
     Raises:
@@ -549,7 +549,7 @@ def check_content(net: CallNet, call: Asked) -> Mapping[int, Watch]:
     """
     if not net.ready:
         raise Unsound(f"{call.step} is never sent")
-    watched: dict[int, Watch] = {}
+    watched: dict[int, WatchedPlaces] = {}
     for watch in WATCHES:
         guard = watch.asked(call)
         for exits in watch.exits(net):
@@ -565,7 +565,7 @@ def check_content(net: CallNet, call: Asked) -> Mapping[int, Watch]:
     return watched
 
 
-def check_guard(watch: Watch, guard: Guard, call: Asked) -> None:
+def check_guard(watch: WatchedPlaces, guard: Guard, call: Asked) -> None:
     """Check a guard of a call that is of the same kind as another, which was looked at.
 
     Raises:

@@ -14,7 +14,7 @@ from typing import Final, TypeAlias
 from pnm.core.machine.guards import ConditionFalse, ConditionTrue
 from pnm.core.machine.machine import CallOutcome, OnFailure, PetriNetMachine, Region
 from pnm.core.machine.plan_graph import Conditional, Moment
-from pnm.core.machine.verification.part import Inside, Part, Step, Unsound, step_of, without_counts
+from pnm.core.machine.verification.part import Inside, Part, PartStep, Unsound, step_of, without_counts
 from pnm.core.machine.verification.place_roles import check_roles
 from pnm.core.net.net import Weights
 
@@ -27,7 +27,7 @@ ENOUGH: Final = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class PlacedBlock:
     """A block and what connects it to others of its region."""
 
     owner: Owner
@@ -178,7 +178,7 @@ class Anatomy:
 
     # --- blocks -------------------------------------------------------------------------------
 
-    def block(self, owner: Owner) -> Block:
+    def block(self, owner: Owner) -> PlacedBlock:
         """Cut the block of a step, or the frame, out of the machine; what it holds becomes a single step."""
         machine = self.machine
         regions = self.regions.get(owner, [])
@@ -238,7 +238,7 @@ class Anatomy:
             settling=frozenset(place for place in places if machine.settling_places.get(place, -1) == owner),
             owed=owed,
         )
-        return Block(owner, part, first, rest, early)
+        return PlacedBlock(owner, part, first, rest, early)
 
     @cached_property
     def _restarts(self) -> tuple[str, ...]:
@@ -264,16 +264,16 @@ class Anatomy:
         stand_together = not numbers or numbers == [*range(numbers[0], numbers[-1] + 1)]
         return tuple(places)[:ENOUGH] if are_alike and stand_together else tuple(places)
 
-    def _inside(self, regions: Iterable[Region]) -> Iterable[Step]:
+    def _inside(self, regions: Iterable[Region]) -> Iterable[PartStep]:
         """Return one step in the place of all that happens inside each region."""
         for region in regions:
             first = dict.fromkeys(region.first, 1)
-            yield Step("inside", Inside(), first, dict.fromkeys(region.last, 1))
+            yield PartStep("inside", Inside(), first, dict.fromkeys(region.last, 1))
             if region.owner is None:
                 for place in self._restarts:
-                    yield Step("restart asked", Inside(), {**first, _may_come(place): 1}, {**first, place: 1})
+                    yield PartStep("restart asked", Inside(), {**first, _may_come(place): 1}, {**first, place: 1})
 
-    def _holding(self, owner: Owner, step: Step) -> Step:
+    def _holding(self, owner: Owner, step: PartStep) -> PartStep:
         """Return a step of a loop, a choice or the frame with what it means for that: what it holds is entered, or it may be left."""
         entered = frozenset[int]().union(
             *(region.steps for region in self.regions.get(owner, ()) if not step.outputs.keys().isdisjoint(region.first))
@@ -286,7 +286,7 @@ class Anatomy:
             settles = any(step.guard == guards[truth] and entered == {inner.index for inner in flow.steps} for truth, flow in ways.items())
         return step._replace(settles=settles, outcome=CallOutcome.WAITING if entered and not settles else None)
 
-    def note_waits(self, block: Block, waits: dict[Event, set[Event]]) -> None:
+    def note_waits(self, block: PlacedBlock, waits: dict[Event, set[Event]]) -> None:
         """Note which events of other blocks of the same region the events of this block wait for."""
         start, end = (block.owner, "start"), (block.owner, "end")
         waits.setdefault(end, set()).add(start)
@@ -304,7 +304,7 @@ def _may_come(place: str) -> str:
     return f"{place} may come"
 
 
-def _check_together(supplies: Iterable[tuple[str, ...]], steps: Sequence[Step]) -> None:
+def _check_together(supplies: Iterable[tuple[str, ...]], steps: Sequence[PartStep]) -> None:
     for together in supplies:
         if len(together) > 1:
             for step in steps:
@@ -312,7 +312,7 @@ def _check_together(supplies: Iterable[tuple[str, ...]], steps: Sequence[Step]) 
                     raise Unsound(f"{step.name} takes only some of the inputs {list(together)}")
 
 
-def _resources(steps: Iterable[Step], resources: Mapping[str, int]) -> dict[str, int]:
+def _resources(steps: Iterable[PartStep], resources: Mapping[str, int]) -> dict[str, int]:
     """Return what the block takes of resources; it must take all of it at once.
 
     That it has none of it when it does, is explored: there is only so much for it.

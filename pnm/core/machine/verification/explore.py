@@ -9,8 +9,8 @@ from typing import Final, NamedTuple, TypeAlias
 from pnm.core.machine.guards import Accepts, Ends, PauseAsked
 from pnm.core.machine.requests import BEFORE_ACCEPTANCE
 from pnm.core.machine.verification.block_shape import without_twins
-from pnm.core.machine.verification.moves import AGAIN, FROM_OUTSIDE, Moves, State
-from pnm.core.machine.verification.part import Inside, Part, Step, Unsound
+from pnm.core.machine.verification.moves import AGAIN, FROM_OUTSIDE, Moves, PartState
+from pnm.core.machine.verification.part import Inside, Part, PartStep, Unsound
 from pnm.core.machine.verification.place_roles import check_outcomes, check_steps
 from pnm.core.machine.verification.state_faults import StateFaults
 
@@ -18,7 +18,7 @@ MAX_STATES: Final = 2_000_000
 
 _Trace: TypeAlias = "tuple[_Trace, str] | None"
 """Trace to a state: the last step, and the trace before it."""
-_Reached: TypeAlias = tuple[State, _Trace]
+_Reached: TypeAlias = tuple[PartState, _Trace]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ def explore_part(part: Part) -> Exploration:
     # counted: `successors` makes sure that it comes to an end.
     apart = {step.name for step in part.steps if isinstance(step.guard, PauseAsked) or step.counted} | {AGAIN}
     roots: list[_Reached] = [(moves.start(), None)]
-    seen: set[State] = set()
+    seen: set[PartState] = set()
     while roots:
         root = roots.pop()
         if root[0] not in seen:
@@ -56,11 +56,12 @@ def explore_part(part: Part) -> Exploration:
     return Exploration(len(seen), tuple(number for number in range(len(part.steps)) if number not in moves.fired))
 
 
-def _walk(moves: Moves, faults: StateFaults, root: _Reached, seen: set[State], apart: Set[str]) -> list[_Reached]:
+def _walk(moves: Moves, faults: StateFaults, root: _Reached, seen: set[PartState], apart: Set[str]) -> list[_Reached]:
     """Walk through every state that is reached from the root but by some steps; return what those lead to."""
-    path: list[tuple[_Reached, Iterator[tuple[str, State]]]] = []  # an explicit stack: plans may be deeper than Python's recursion limit
-    on_path: set[State] = set()
-    left: dict[State, _Reached] = {}
+    # An explicit stack: plans may be deeper than Python's recursion limit.
+    path: list[tuple[_Reached, Iterator[tuple[str, PartState]]]] = []
+    on_path: set[PartState] = set()
+    left: dict[PartState, _Reached] = {}
 
     def enter(reached: _Reached) -> None:
         state, trace = reached
@@ -127,7 +128,7 @@ def never_fire(part: Part, explored: Exploration) -> list[NeverFires]:
     return [NeverFires(step.name, _reason(part, step, marked)) for step in steps if not isinstance(step.guard, Inside)]
 
 
-def _reason(part: Part, step: Step, marked: Collection[str]) -> str:
+def _reason(part: Part, step: PartStep, marked: Collection[str]) -> str:
     if unmarked := [place for place in step.inputs if place not in marked]:
         return f"nothing marks {unmarked[0]}"
     if isinstance(step.guard, Ends) and step.guard.kinds.isdisjoint(BEFORE_ACCEPTANCE):

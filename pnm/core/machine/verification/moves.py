@@ -7,7 +7,7 @@ from typing import Final, NamedTuple, TypeAlias
 
 from pnm.core.machine.guards import Accepts, Adopted, Moods, Opener
 from pnm.core.machine.verification.exits import is_open
-from pnm.core.machine.verification.part import Part, Step, Unsound, in_each_case
+from pnm.core.machine.verification.part import Part, PartStep, Unsound, in_each_case
 from pnm.core.machine.verification.request_life import Account, Life, accounted, following, lacking_account, may_come, misuse
 
 Tokens: TypeAlias = tuple[int, ...]
@@ -21,7 +21,7 @@ FROM_OUTSIDE: Final = frozenset((*STOPS, AGAIN, SUPPLY))
 _OF_REQUESTS: Final = (Opener.REPORT, Opener.HANDOVER)
 
 
-class State(NamedTuple):
+class PartState(NamedTuple):
     """A state of a part: its tokens, and what became of the requests of its calls."""
 
     tokens: Tokens
@@ -76,18 +76,18 @@ class Moves:
         counting = {step.counted.place for step in part.steps if step.counted}
         self._lasting = {self.index[place] for place in part.failures | counting if place in self.index}
 
-    def start(self) -> State:
+    def start(self) -> PartState:
         """Return the state that the part begins in."""
         adopted = {step.call for step in self.part.steps if isinstance(step.guard, Adopted)}
         requests = tuple(Life.ADOPTABLE if call in adopted else Life.NONE for call in self.calls)
         tokens = tuple(self.part.initial.get(place, 0) for place in self.part.places)
-        return State(tokens, requests=requests, accounts=(Account.OPEN,) * len(self.calls))
+        return PartState(tokens, requests=requests, accounts=(Account.OPEN,) * len(self.calls))
 
-    def marked(self, state: State) -> list[int]:
+    def marked(self, state: PartState) -> list[int]:
         """Return the marked places at which rules are asked: all but records."""
         return [place for place, tokens in enumerate(state.tokens) if tokens and place not in self.records]
 
-    def moods(self, state: State) -> Moods:
+    def moods(self, state: PartState) -> Moods:
         """Return whether the part is failing, ending, and to cancel what is under way."""
         failing = state.stop > 1 or any(state.tokens[place] for place in self._failures)
         ending = failing or state.stop > 0 or any(state.tokens[place] for place in self._restarts)
@@ -95,7 +95,7 @@ class Moves:
 
     # --- what can happen ------------------------------------------------------------------------
 
-    def possible(self, state: State) -> list[int]:
+    def possible(self, state: PartState) -> list[int]:
         """Return the enabled steps whose guards may be open, as `pnm.core.execution.run` asks them: in order, at each marked place.
 
         Reports are not asked for at a place: they come when they like as long as their request is alive.
@@ -108,7 +108,7 @@ class Moves:
             possible.update(dict.fromkeys([number for number in reports if self._may_come(self.part.steps[number], state)]))
         return [*possible]
 
-    def exits(self, place: int, state: State, moods: Moods) -> tuple[list[int], bool]:
+    def exits(self, place: int, state: PartState, moods: Moods) -> tuple[list[int], bool]:
         """Return which steps may be open at a place, and whether those after them wait for resources."""
         exits: list[int] = []
         for number in self.consumers[place]:
@@ -129,7 +129,7 @@ class Moves:
                 break
         return exits, False
 
-    def is_enabled(self, number: int, state: State) -> bool:
+    def is_enabled(self, number: int, state: PartState) -> bool:
         """Return whether there are all tokens that the step takes."""
         tokens = state.tokens
         for place, weight in self._needs[number]:  # noqa: SIM110 (this is asked most often of all, and `all` takes twice the time)
@@ -137,24 +137,24 @@ class Moves:
                 return False
         return True
 
-    def lacks_resources(self, number: int, state: State) -> bool:
+    def lacks_resources(self, number: int, state: PartState) -> bool:
         """Return whether the step would be enabled if all resources were free."""
         lacking = {place for place, weight in self._needs[number] if state.tokens[place] < weight}
         return bool(lacking) and lacking <= self.resources.keys()
 
-    def _may_come(self, step: Step, state: State) -> bool:
+    def _may_come(self, step: PartStep, state: PartState) -> bool:
         """Return whether a report, or an adoption, may come in this state: as far as the request of the call is concerned."""
         if step.call is None:
             return True
         life = state.requests[self.calls[step.call]]
         return may_come(step, life, accepts=any(state.tokens[place] for place in self._unaccepted.get(step.call, ())))
 
-    def reports_now(self, call: int | None, state: State) -> list[Step]:
+    def reports_now(self, call: int | None, state: PartState) -> list[PartStep]:
         """Return the steps that take reports about the request of the call."""
         steps = self.part.steps
         return [steps[number] for place in self.marked(state) for number in self.reports[place] if steps[number].call == call]
 
-    def is_stuck(self, state: State, possible: Sequence[int]) -> bool:
+    def is_stuck(self, state: PartState, possible: Sequence[int]) -> bool:
         """Return whether, in some case of the counters, none of the possible steps is: nothing happens without something from outside."""
         steps = [self.part.steps[number] for number in possible]
         if any(not step.counted for step in steps):
@@ -166,7 +166,7 @@ class Moves:
                 return False
         return True
 
-    def starves(self, state: State) -> bool:
+    def starves(self, state: PartState) -> bool:
         """Return whether resources are waited for, and nothing else is sure to happen."""
         moods, waits = self.moods(state), False
         for place in self.marked(state):
@@ -179,7 +179,7 @@ class Moves:
 
     # --- what it leads to -----------------------------------------------------------------------
 
-    def successors(self, state: State, possible: Sequence[int], is_at_rest: bool) -> Iterator[tuple[str, State]]:
+    def successors(self, state: PartState, possible: Sequence[int], is_at_rest: bool) -> Iterator[tuple[str, PartState]]:
         """Yield everything that can happen next, given the steps that can."""
         ending = self.moods(state).ending
         for number in possible:
@@ -195,14 +195,14 @@ class Moves:
             first = self.part.initial
             tokens = [state.tokens[number] if number in self._lasting else first.get(place, 0) for place, number in self.index.items()]
             stop, calls = 0 if state.stop == 1 else state.stop, len(self.calls)
-            yield AGAIN, State(tuple(tokens), stop, requests=(Life.NONE,) * calls, accounts=(Account.OPEN,) * calls)
+            yield AGAIN, PartState(tuple(tokens), stop, requests=(Life.NONE,) * calls, accounts=(Account.OPEN,) * calls)
         if any(state.tokens[place] for place in self._finals):
             return  # it is over: nobody stops it any more
         for stop in self._stops:
             if stop > state.stop:  # a stop may come at any moment, between any two firings
                 yield STOPS[stop], state._replace(stop=stop)
 
-    def _after(self, number: int, state: State, *, ending: bool) -> State:
+    def _after(self, number: int, state: PartState, *, ending: bool) -> PartState:
         step, requests, accounts = self.part.steps[number], state.requests, state.accounts
         position = self.calls[step.call]
         life, account = requests[position], accounts[position]
@@ -221,4 +221,4 @@ class Moves:
         restores = step.counted.restores if step.counted else None
         if state.restored and restores is False:
             raise Unsound(f"{step.name} counts on after something was counted back, which may go on for ever")
-        return State(tuple(tokens), state.stop, state.supplied, requests, accounts, state.restored or bool(restores))
+        return PartState(tuple(tokens), state.stop, state.supplied, requests, accounts, state.restored or bool(restores))

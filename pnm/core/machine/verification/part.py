@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
-from pnm.core.machine.causes import Cause
-from pnm.core.machine.guards import Guard, GuardKind, InvariantFalse, OfCall, Opener, Reading
+from pnm.core.machine.failure_causes import Cause
+from pnm.core.machine.guards import Guard, GuardKind, InvariantFalse, KnowledgeRead, OfCall, Opener
 from pnm.core.machine.machine import CallOutcome, PetriNetMachine
 from pnm.core.machine.plan_graph import Then
 from pnm.core.machine.requests import TransitionAction
@@ -90,7 +90,7 @@ class Inside(GuardKind):
     """In the place of a guard: what happens inside a region, which takes its time but comes to an end."""
 
     opened_by = Opener.TOKENS
-    reads = Reading.NOTHING
+    reads = KnowledgeRead.NOTHING
     is_check = False
 
 
@@ -116,7 +116,7 @@ class Count(NamedTuple):
     """Whether the step moves a token back, or on; None if it takes all of them away."""
 
 
-class Step(NamedTuple):
+class PartStep(NamedTuple):
     """A transition of a part of a net, or all that happens inside a region."""
 
     name: str
@@ -143,7 +143,7 @@ class Part:
     """A part of a machine with what surrounds it: inputs that come once, at any moment."""
 
     places: tuple[str, ...]
-    steps: tuple[Step, ...]
+    steps: tuple[PartStep, ...]
     initial: Mapping[str, int]
     supplies: tuple[tuple[str, ...], ...] = ()
     """Sets of places that get their tokens from outside, each set at once."""
@@ -181,7 +181,7 @@ class Part:
     loop, a choice or the frame."""
 
 
-def step_of(machine: PetriNetMachine, name: str) -> Step:
+def step_of(machine: PetriNetMachine, name: str) -> PartStep:
     """Return a transition with its guard, and with its action if it belongs to a call."""
     rule, inputs, outputs = machine.rules[name], machine.net.inputs[name], machine.net.outputs[name]
     about = rule.guard.call if isinstance(rule.guard, OfCall) else rule.call
@@ -190,21 +190,21 @@ def step_of(machine: PetriNetMachine, name: str) -> Step:
     if rule.call is None or rule.call >= len(machine.plan.calls):
         if rule.action is not None or isinstance(rule.guard, InvariantFalse | OfCall):
             raise Unsound(f"{name} is about a request, and belongs to no call")
-        return Step(name, rule.guard, inputs, outputs, finds_cause=rule.cause is not None and rule.guard.is_check)
+        return PartStep(name, rule.guard, inputs, outputs, finds_cause=rule.cause is not None and rule.guard.is_check)
     settles, recoveries = False, machine.plan.calls[rule.call].recoveries
     if rule.cause is not None and recoveries:
         # What is withheld before the call is sent is treated as if the server were not there.
         cause = Cause.UNAVAILABLE if rule.cause is Cause.WITHHELD else rule.cause
         settles = any(recovery.then is Then.SKIP and cause in recovery.causes for recovery in recoveries)
-    return Step(name, rule.guard, inputs, outputs, rule.call, rule.action, rule.gives_up, rule.outcome, rule.cause is not None, settles)
+    return PartStep(name, rule.guard, inputs, outputs, rule.call, rule.action, rule.gives_up, rule.outcome, rule.cause is not None, settles)
 
 
 # --- counters -------------------------------------------------------------------------------
 
 
 def without_counts(
-    steps: Sequence[Step], initial: Mapping[str, int], budgets: frozenset[str]
-) -> tuple[tuple[Step, ...], dict[str, int], frozenset[str]]:
+    steps: Sequence[PartStep], initial: Mapping[str, int], budgets: frozenset[str]
+) -> tuple[tuple[PartStep, ...], dict[str, int], frozenset[str]]:
     """Return steps and tokens in which one place stands for each counter, marked as long as there is one, and those places.
 
     Raises:
@@ -225,7 +225,7 @@ def without_counts(
         if initial.get(spent):
             raise Unsound(f"some of the counter {left} is spent from the beginning")
 
-    def abstract(step: Step) -> Step:
+    def abstract(step: PartStep) -> PartStep:
         if budgets.isdisjoint(step.inputs):
             return step
         taken = [place for place in step.inputs if place in budgets]
@@ -249,7 +249,7 @@ def without_counts(
     return tuple(map(abstract, steps)), {**kept, **{place: 1 for place in counters if initial.get(place)}}, counters
 
 
-def in_each_case(steps: Sequence[Step]) -> Iterator[list[list[Step]]]:
+def in_each_case(steps: Sequence[PartStep]) -> Iterator[list[list[PartStep]]]:
     """Yield for each counter that the steps ask for, if there is one, which of the steps are enabled in each of its cases.
 
     Steps that ask for another counter are left out: they may be enabled or not.

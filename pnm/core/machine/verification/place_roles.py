@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pnm.core.machine.guards import AlreadyTrue, Due, EffectsMissing, EffectsSeen, Ending, Ends, Opener
 from pnm.core.machine.machine import CallOutcome, PetriNetMachine
 from pnm.core.machine.requests import TransitionAction
-from pnm.core.machine.verification.part import Part, Step, Unsound
+from pnm.core.machine.verification.part import Part, PartStep, Unsound
 
 
 def check_roles(machine: PetriNetMachine) -> str:
@@ -74,7 +74,7 @@ def check_outcomes(part: Part) -> None:
             raise Unsound(f"{step.name} makes its call {step.outcome}, whatever has become of it")
 
 
-def _outcome_is_so(step: Step, part: Part) -> bool:
+def _outcome_is_so(step: PartStep, part: Part) -> bool:
     """Return whether the outcome that the call has after the step is what has happened."""
     guard = step.guard
     match step.outcome:

@@ -12,7 +12,7 @@ from pnm.core.machine.machine import PetriNetMachine, Rule
 from pnm.core.machine.plan_graph import ActionCall, Flow, Moment, Ordering, PlanEvent, PlanGraph, flows, in_order
 from pnm.core.machine.requests import TransitionAction
 from pnm.core.machine.step_block import PORTS, Port
-from pnm.core.machine.verification.decompose import Block
+from pnm.core.machine.verification.decompose import PlacedBlock
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.net.block_net import Segment
 
@@ -153,7 +153,7 @@ def _check_times(name: str, rule: Rule, inputs: Iterable[str], release: float, d
         raise Unsound(f"{name} does not wait for the times that the plan gives")
 
 
-def check_events(machine: PetriNetMachine, block: Block, transitions: Collection[str]) -> None:
+def check_events(machine: PetriNetMachine, block: PlacedBlock, transitions: Collection[str]) -> None:
     """Check that the orderings of a step are kept where its start and its end are.
 
     What its start waits for is taken before anything else happens, what its end waits for before it is left. That its end marks

@@ -10,10 +10,10 @@ from collections.abc import Iterable
 from enum import Enum
 from typing import Final
 
-from pnm.core.machine.guards import Accepts, Adopted, Ends, Reading
+from pnm.core.machine.guards import Accepts, Adopted, Ends, KnowledgeRead
 from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.requests import BEFORE_ACCEPTANCE, OutcomeKind, TransitionAction
-from pnm.core.machine.verification.part import Step
+from pnm.core.machine.verification.part import PartStep
 
 _ANY: Final = frozenset(OutcomeKind)
 
@@ -29,14 +29,14 @@ class Life(Enum):
     __hash__ = object.__hash__  # each is there once; states are hashed all the time
 
 
-def following(step: Step, life: Life) -> Life:
+def following(step: PartStep, life: Life) -> Life:
     """Return the life of the request once the step has happened."""
     if step.action in (TransitionAction.SEND, TransitionAction.ADOPT):
         return Life.ALIVE
     return Life.OVER if step.gives_up or isinstance(step.guard, Ends) else life
 
 
-def misuse(step: Step, life: Life, *, ending: bool) -> str:
+def misuse(step: PartStep, life: Life, *, ending: bool) -> str:
     """Return what the step does that it must not do with the request of its call; empty when there is nothing."""
     match step.action:
         case TransitionAction.SEND if ending:
@@ -57,12 +57,12 @@ def misuse(step: Step, life: Life, *, ending: bool) -> str:
         return f"{step.name} makes its call {step.outcome}, and its last request is not over"
     if step.gives_up and life is not Life.ALIVE:
         return f"{step.name} gives a request up, and none is alive"
-    if step.guard.reads is Reading.EFFECTS and life in (Life.NONE, Life.ADOPTABLE):
+    if step.guard.reads is KnowledgeRead.EFFECTS and life in (Life.NONE, Life.ADOPTABLE):
         return f"{step.name} looks for the effects of a request that was not sent"
     return ""
 
 
-def may_come(step: Step, life: Life, *, accepts: bool) -> bool:
+def may_come(step: PartStep, life: Life, *, accepts: bool) -> bool:
     """Return whether a report about the request, or its adoption, may come.
 
     Where an acceptance is waited for (`accepts`), an end that implies one is taken as that first.
@@ -76,7 +76,7 @@ def may_come(step: Step, life: Life, *, accepts: bool) -> bool:
             return life is Life.ALIVE
 
 
-def untaken(steps: Iterable[Step]) -> frozenset[OutcomeKind]:
+def untaken(steps: Iterable[PartStep]) -> frozenset[OutcomeKind]:
     """Return the ends of a request that is alive which none of the enabled steps takes; such a report would be lost."""
     taken = frozenset[OutcomeKind]()
     expected = _ANY
@@ -105,7 +105,7 @@ SETTLED: Final = (Account.PASSED_OVER, Account.DONE)
 _KNOWN: Final = (Account.HINDERED, Account.PASSED_OVER)
 
 
-def accounted(step: Step, before: Account) -> Account:
+def accounted(step: PartStep, before: Account) -> Account:
     """Return the account of the call once the step has happened, as `pnm.core.execution.call_results` keeps it."""
     match step.outcome:
         case CallOutcome.WAITING:
@@ -122,7 +122,7 @@ def accounted(step: Step, before: Account) -> Account:
             return Account.ENDED
 
 
-def lacking_account(step: Step, before: Account, *, fails: bool) -> str:
+def lacking_account(step: PartStep, before: Account, *, fails: bool) -> str:
     """Return what the step asserts of its call although there is no account of it; empty when there is nothing."""
     if step.outcome is CallOutcome.PASSED_OVER and before is Account.OPEN:
         return f"{step.name} leaves a call that has not come to an end"

@@ -7,7 +7,7 @@ from operator import gt
 
 from pnm.core.machine.guards import Always, Ends
 from pnm.core.machine.verification.exits import asks_the_world, lacking_exit, missing_exit
-from pnm.core.machine.verification.moves import Moves, State
+from pnm.core.machine.verification.moves import Moves, PartState
 from pnm.core.machine.verification.part import Inside, in_each_case
 from pnm.core.machine.verification.request_life import SETTLED, Life, untaken
 
@@ -27,7 +27,7 @@ class StateFaults:
         budget = sum(tokens for place, tokens in part.initial.items() if place in part.records)
         self._most = [budget if place in part.records - part.failures else 1 for place in part.places]
 
-    def of(self, state: State, possible: Sequence[int], *, stuck: bool) -> str:
+    def of(self, state: PartState, possible: Sequence[int], *, stuck: bool) -> str:
         """Return what is wrong with a state; empty when nothing is."""
         part, moves = self._part, self._moves
         if any(map(gt, state.tokens, self._most)):
@@ -70,7 +70,7 @@ class StateFaults:
             return False
         return any(isinstance(guard, Ends) for guard in others) or bool(missing_exit(list(filter(asks_the_world, alone))))
 
-    def _unanswered(self, place: int, state: State) -> str:
+    def _unanswered(self, place: int, state: PartState) -> str:
         """Return for which answer of the world no exit opens in finite time, if one is waited for and for no resources."""
         moves = self._moves
         numbers = moves.consumers[place]
@@ -82,7 +82,7 @@ class StateFaults:
         lacking = (max((lacking_exit([step.guard for step in case], moods) for case in cases), key=len) for cases in cases_of_each)
         return min(lacking, key=len)
 
-    def _ends_too_soon(self, state: State) -> str:
+    def _ends_too_soon(self, state: PartState) -> str:
         """Return what is still going on although the end of the part is marked; empty when nothing is, or it is not."""
         ended = [place for place in self._ends if state.tokens[place]]
         if not ended:
@@ -102,7 +102,7 @@ class StateFaults:
                     return f"{name} is marked although {what} was not carried out, and the plan does not pass it over"
         return ""
 
-    def _loses_reports(self, state: State) -> str:
+    def _loses_reports(self, state: PartState) -> str:
         """Return for which request that is alive an end would be lost, or be taken for that of a call at rest."""
         if Life.ALIVE not in state.requests:
             return ""

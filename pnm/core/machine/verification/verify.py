@@ -44,8 +44,8 @@ from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.step_block import PORTS
 from pnm.core.machine.verification.block_shape import kinds_of, shape_of
-from pnm.core.machine.verification.call_content import RESOURCES, Asked, AskedOf, CallNet, Chain, Watch, check_content, check_guard
-from pnm.core.machine.verification.decompose import Anatomy, Block, Connected, Event, Owner
+from pnm.core.machine.verification.call_content import RESOURCES, Asked, AskedOf, CallNet, Chain, WatchedPlaces, check_content, check_guard
+from pnm.core.machine.verification.decompose import Anatomy, Connected, Event, Owner, PlacedBlock
 from pnm.core.machine.verification.explore import Exploration, NeverFires, explore_part, never_fire
 from pnm.core.machine.verification.part import Inside, Part, Unsound, step_of
 from pnm.core.machine.verification.place_roles import check_roles
@@ -153,7 +153,7 @@ def _verified(machine: PetriNetMachine) -> Proof:
     return Proof(len(machine.plan.calls), len(proved), sum(shape.explored.states for shape in proved), machine)
 
 
-_Watched: TypeAlias = tuple[tuple[int, Watch], ...]
+_Watched: TypeAlias = tuple[tuple[int, WatchedPlaces], ...]
 """Guards of a kind of calls that are looked at for each: where they are among those of its own, and what asks for them."""
 _KEEPS_ITS_RULES: Final = Remembered[object, _Watched]()
 """The kinds of calls whose content was looked at, in any machine."""
@@ -305,7 +305,7 @@ def _beside(blocks: MachineBlocks, own: set[int]) -> Connected:
     return Connected(owners(blocks.writers), owners(blocks.readers))
 
 
-def _check_reached(anatomy: Anatomy, block: Block, explored: Exploration) -> None:
+def _check_reached(anatomy: Anatomy, block: PlacedBlock, explored: Exploration) -> None:
     """Refuse a plan with steps that can never begin."""
     for region in anatomy.regions.get(block.owner, ()) if explored.unfired else ():
         steps = enumerate(block.part.steps)

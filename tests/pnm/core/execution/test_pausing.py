@@ -10,7 +10,7 @@ from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import Constant
 from pnm.core.machine.bindings import Binding, Bindings
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, Flow, GroundAction, PlanGraph, Recovery, Then
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind

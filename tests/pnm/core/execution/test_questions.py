@@ -14,7 +14,7 @@ from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import Layer
 from pnm.core.machine.bindings import Binding, Bindings
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind

@@ -23,7 +23,7 @@ from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import Layer, Literal, Operation, Query
 from pnm.core.logic.conditions import Computed, Holds
 from pnm.core.machine.bindings import Binding, Bindings
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, Flow, GroundAction, PlanGraph, Recovery, Then
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Request

@@ -13,7 +13,7 @@ from pnm.core.logic.computed_values import Layer, Literal, Operation, Query
 from pnm.core.logic.conditions import Computed
 from pnm.core.logic.expressions import UNKNOWN
 from pnm.core.machine.bindings import Binding, Bindings
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import ActionCall, Choice, Loop, PlanGraph, Recovery, Then, WaitUntil

@@ -17,7 +17,7 @@ from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph, Pla
 from pnm.core.machine.requests import TransitionAction
 from pnm.core.machine.verification.block_shape import shape_of
 from pnm.core.machine.verification.explore import explore_part
-from pnm.core.machine.verification.part import Part, Step, Unsound
+from pnm.core.machine.verification.part import Part, PartStep, Unsound
 from pnm.core.machine.verification.verify import explore, verify
 from pnm.core.net.net import PetriNet
 from tests.support.runs.mutation.changes import with_input, with_rule, without_transition
@@ -141,7 +141,7 @@ def test_what_nobody_may_ever_do_is_no_exit(guard: Guard) -> None:
 
 def ending_in(*finals: str, guard: Guard = Always()) -> Part:
     """A part that ends in these places, all at once."""
-    step = Step("end", guard, {"start": 1}, dict.fromkeys(finals, 1))
+    step = PartStep("end", guard, {"start": 1}, dict.fromkeys(finals, 1))
     return Part(places=("start", *finals), steps=(step,), initial={"start": 1}, finals=frozenset(finals))
 
 

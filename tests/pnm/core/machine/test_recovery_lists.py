@@ -9,7 +9,7 @@ import pytest
 from pnm.core.logic.conditions import Holds, Not
 from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import Constant
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, Flow, GroundAction, PlanGraph, PlanGraphError, Recovery, Then
 from pnm.core.machine.verification.verify import explore, verify

@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.core.machine.requests import OutcomeKind
-from pnm.core.pictures.timeline import Attempt, Replan, TimedCall, TimedPlan, Timeline, replan
+from pnm.core.pictures.timeline import Replan, TimedAttempt, TimedCall, TimedPlan, Timeline, replan
 from pnm.core.pictures.timeline_picture import timeline_svg
 
 GOLDEN = Path(__file__).parent / "golden" / "timeline.svg"
@@ -30,13 +30,19 @@ def example() -> Timeline:
     """A call that fails twice, and a plan that takes the place of the first; one call is still under way."""
     first = (
         TimedCall(
-            0, "move(r1, hall, kitchen)", "r1", 0.0, 4.0, (Attempt(0.0, 3.0, FAILED, "no <path>"), Attempt(3.5, 6.0, FAILED)), "aborted"
+            0,
+            "move(r1, hall, kitchen)",
+            "r1",
+            0.0,
+            4.0,
+            (TimedAttempt(0.0, 3.0, FAILED, "no <path>"), TimedAttempt(3.5, 6.0, FAILED)),
+            "aborted",
         ),
-        TimedCall(1, "load(r2, parcel)", "r2", 0.0, 2.0, (Attempt(0.0, 2.5, DONE),), "succeeded", is_done=True),
+        TimedCall(1, "load(r2, parcel)", "r2", 0.0, 2.0, (TimedAttempt(0.0, 2.5, DONE),), "succeeded", is_done=True),
         TimedCall(2, "unload(r1, parcel)", "r1", 4.0, 2.0, (), "skipped"),
     )
     second = (
-        TimedCall(0, "open(r2, door)", "r2", 6.0, 3.0, (Attempt(6.0, 8.0, CANCELED), Attempt(8.0)), "running"),
+        TimedCall(0, "open(r2, door)", "r2", 6.0, 3.0, (TimedAttempt(6.0, 8.0, CANCELED), TimedAttempt(8.0)), "running"),
         TimedCall(1, "unload(r1, parcel)", "r1", 9.0, 2.0, (), "waiting"),
     )
     new = replan("move has failed 2 times", (call.name for call in first if not call.is_done), (call.name for call in second))
@@ -63,7 +69,7 @@ def test_signs_and_words_tell_how_attempts_ended() -> None:
 
 
 def test_a_call_that_fails_although_its_request_succeeded_says_so() -> None:
-    call = TimedCall(0, "grasp(cup)", "r1", 0.0, 1.0, (Attempt(0.0, 5.0, DONE),), "effects_missing", is_failed=True)
+    call = TimedCall(0, "grasp(cup)", "r1", 0.0, 1.0, (TimedAttempt(0.0, 5.0, DONE),), "effects_missing", is_failed=True)
     assert "✗ effects_missing" in texts(timeline_svg(Timeline("g", (TimedPlan(0.0, (call,)),), 5.0)))
 
 
@@ -74,7 +80,7 @@ def test_what_takes_no_time_and_what_was_never_begun_is_named() -> None:
 
 @pytest.mark.parametrize("seconds", [0.0, 0.004, 1.0, 59.0, 86_400.0, 1e7])
 def test_the_axis_has_round_times_that_can_be_read(seconds: float) -> None:
-    calls = (TimedCall(0, "wait(r1)", "r1", 0.0, seconds, (Attempt(0.0, seconds, DONE),), "succeeded"),)
+    calls = (TimedCall(0, "wait(r1)", "r1", 0.0, seconds, (TimedAttempt(0.0, seconds, DONE),), "succeeded"),)
     svg = timeline_svg(Timeline("g", (TimedPlan(0.0, calls),), seconds))
     times = [float(text.removesuffix(" s")) for text in texts(svg) if re.fullmatch(r"[\d.e+-]+ s", text)]
     assert times[0] == 0.0
@@ -85,10 +91,10 @@ TIMES = st.floats(0, 50).map(lambda number: round(number, 1))
 
 
 @st.composite
-def attempts(draw: st.DrawFn) -> tuple[Attempt, ...]:
+def attempts(draw: st.DrawFn) -> tuple[TimedAttempt, ...]:
     moments = sorted(draw(st.lists(TIMES, min_size=2, max_size=6)))
     pairs = list(zip(moments[::2], moments[1::2], strict=False))
-    return tuple(Attempt(sent, ended, draw(st.sampled_from(OutcomeKind))) for sent, ended in pairs)
+    return tuple(TimedAttempt(sent, ended, draw(st.sampled_from(OutcomeKind))) for sent, ended in pairs)
 
 
 @st.composite
@@ -138,9 +144,9 @@ def test_every_call_is_drawn_once_or_named_and_no_bars_lie_over_each_other(timel
 
 def test_calls_that_are_later_than_planned_keep_their_names_and_each_failure_its_sign() -> None:
     calls = (
-        TimedCall(0, "go(r1, a)", "r1", 0.0, 10.0, (Attempt(0.0, 20.0, DONE),), "succeeded"),
-        TimedCall(1, "go(r1, b)", "r1", 10.0, 10.0, (Attempt(20.0, 39.0, DONE),), "succeeded"),
-        TimedCall(2, "go(r1, c)", "r1", 20.0, 10.0, tuple(Attempt(39.0 + n / 10, 39.1 + n / 10, FAILED) for n in range(3)), "aborted"),
+        TimedCall(0, "go(r1, a)", "r1", 0.0, 10.0, (TimedAttempt(0.0, 20.0, DONE),), "succeeded"),
+        TimedCall(1, "go(r1, b)", "r1", 10.0, 10.0, (TimedAttempt(20.0, 39.0, DONE),), "succeeded"),
+        TimedCall(2, "go(r1, c)", "r1", 20.0, 10.0, tuple(TimedAttempt(39.0 + n / 10, 39.1 + n / 10, FAILED) for n in range(3)), "aborted"),
     )
     said = texts(timeline_svg(Timeline("g", (TimedPlan(0.0, calls),), 40.0)))
     assert {call.name for call in calls} <= {*said}
@@ -162,7 +168,7 @@ def test_no_task_has_a_picture() -> None:
 def test_a_picture_grows_as_its_calls_do() -> None:
     def elements(calls: int) -> int:
         chain = tuple(
-            TimedCall(n, "go(r1)", "r1", n * 3.0, 3.0, (Attempt(n * 3.0, n * 3.0 + 3.0, DONE),), "succeeded") for n in range(calls)
+            TimedCall(n, "go(r1)", "r1", n * 3.0, 3.0, (TimedAttempt(n * 3.0, n * 3.0 + 3.0, DONE),), "succeeded") for n in range(calls)
         )
         svg = timeline_svg(Timeline("g", (TimedPlan(0.0, chain),), calls * 3.0))
         return sum(group.get("class") == "call" for group in ElementTree.fromstring(svg).iter(f"{SVG}g")) + svg.count("<rect")

@@ -12,7 +12,7 @@ import pytest
 
 from pnm.files.database.lock import this_process
 from pnm.files.database.place import Place, place_of
-from pnm.journal.kept import Durability, Fenced, Held, JournalChoice, JournalError, Row, StandBys
+from pnm.journal.kept import Durability, Fenced, HeldByAnother, JournalChoice, JournalError, Row, StandBys
 from pnm.journal.lease import Lease, take
 from pnm.journal.store import JournalFile, KeptJournal
 from tests.support.e2e.hosts.postgres import PostgresServer
@@ -47,7 +47,7 @@ def holder(tmp_path: Path) -> Iterator[Program]:
 
 def test_the_lock_of_a_file_is_free_when_its_process_is_dead_and_not_before(tmp_path: Path, holder: Program) -> None:
     for _ in range(2):
-        with pytest.raises(Held, match=rf"pid {holder.process.pid} holds the journal .*/j"):
+        with pytest.raises(HeldByAnother, match=rf"pid {holder.process.pid} holds the journal .*/j"):
             try_to_take(tmp_path / "j")
         holder.process.send_signal(signal.SIGSTOP)
     holder.process.kill()
@@ -58,7 +58,7 @@ def test_the_lock_of_a_file_is_free_when_its_process_is_dead_and_not_before(tmp_
 
 def test_a_place_is_held_once(place: Place) -> None:
     file, hold = take(JournalChoice(place, lease=1000.0))
-    with pytest.raises(Held, match=f"pid {os.getpid()} holds the journal"):
+    with pytest.raises(HeldByAnother, match=f"pid {os.getpid()} holds the journal"):
         try_to_take(place)
     assert hold.is_mine()
     hold.release()
@@ -123,7 +123,7 @@ def test_a_lease_is_renewed_while_the_event_loop_is_alive_and_not_while_it_hangs
         for _ in range(5):  # for longer than the lease is
             await renewed.get()
         assert hold.is_mine()
-        with pytest.raises(Held):
+        with pytest.raises(HeldByAnother):
             try_to_take(place)
         kept = KeptJournal(place)
         until(lambda: kept.holding().left < 0.0)  # on this thread, which is that of the event loop

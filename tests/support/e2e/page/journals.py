@@ -8,7 +8,7 @@ from pathlib import Path
 
 from planner_bridge.tasks.result import TASKS
 from pnm.journal.kept import Durability, Row
-from pnm.journal.replay import Replay, Step
+from pnm.journal.replay import Replay, ReplayStep
 from pnm.journal.resume import replay_steps
 from pnm.journal.store import JournalFile, KeptJournal
 
@@ -44,6 +44,6 @@ class GrowingJournal:
         self._file.close()
 
 
-def steps(journal: Path) -> list[Step]:
+def steps(journal: Path) -> list[ReplayStep]:
     """The records of a journal, replayed by the product."""
     return list(replay_steps(journal, TASKS, Replay()))

@@ -8,7 +8,7 @@ from math import inf
 from random import Random
 from typing import Final
 
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.guards import After, Always, Due, Ends, Withheld
 from pnm.core.machine.machine import CallOutcome, PetriNetMachine
 from pnm.core.machine.plan_graph import Moment

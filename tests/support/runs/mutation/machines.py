@@ -10,7 +10,7 @@ from pnm.core.logic.computed_values import Layer, Literal, Operation, Query
 from pnm.core.logic.conditions import TRUE, Computed, Condition, Holds, Not
 from pnm.core.machine.bindings import Binding, Bindings, WhenLost
 from pnm.core.machine.blocks import MachineBlocks, built_from
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import (

@@ -10,7 +10,7 @@ from pathlib import Path
 from shutil import copyfile
 from typing import Final
 
-from pnm.journal.kept import UNSHARED, Durability, Fenced, Held, Hold, JournalError, Row
+from pnm.journal.kept import UNSHARED, Durability, Fenced, HeldByAnother, Hold, JournalError, Row
 from pnm.journal.lease import Lease
 from pnm.journal.store import JournalFile
 from tests.support.runs.simulation.processes import Process
@@ -74,12 +74,12 @@ class Folder:
         return self.path.with_name(f"{self.path.name}{self.copies or ''}")
 
     def check_free(self, process: Process) -> None:
-        """Raise `Held` if another process has the lock, or a lease that is not over."""
+        """Raise `HeldByAnother` if another process has the lock, or a lease that is not over."""
         holder, left = self.holder, self.until - process.loop.time()
         if holder is None or holder is process:
             return
         if left > 0.0 if self.is_leased else not holder.is_dead:
-            raise Held(f"{holder.name} holds the journal", holder.name, left)
+            raise HeldByAnother(f"{holder.name} holds the journal", holder.name, left)
 
     def tear(self, before: bytes, share: float) -> None:
         """Go on with a copy of the file whose log is as it was before, but for a share of what was written last.

@@ -17,7 +17,7 @@ from pnm.core.resources import Resources
 from pnm.errors import InputError
 from pnm.executor import Executor
 from pnm.journal.format import RECORDS
-from pnm.journal.kept import Fenced, Held, Hold, JournalChoice, JournalError
+from pnm.journal.kept import Fenced, HeldByAnother, Hold, JournalChoice, JournalError
 from pnm.journal.replay import Replay, ReplayedTask
 from pnm.journal.resume import take_up
 from pnm.journal.written_journal import WrittenJournal
@@ -104,9 +104,9 @@ class Node:
                 self._folder.check_free(self.process)
                 taken = take_up(JournalChoice(self._folder.journal), RECORDS, "", self._take)
                 return taken.write(self._fenced, self.process.loop.time), taken.replay
-            except (Held, InputError) as error:
-                held = error if isinstance(error, Held) else error.__cause__
-                if not isinstance(held, Held):
+            except (HeldByAnother, InputError) as error:
+                held = error if isinstance(error, HeldByAnother) else error.__cause__
+                if not isinstance(held, HeldByAnother):
                     raise
                 await asyncio.sleep(max(held.left, 0.25))
 

@@ -14,7 +14,7 @@ from pnm.core.logic.conditions import TRUE, Condition, Holds, Not, conjunction
 from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import Constant, Fluent
 from pnm.core.machine.bindings import Binding, Bindings
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import (
     EMPTY,

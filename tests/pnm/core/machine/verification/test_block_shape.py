@@ -12,7 +12,7 @@ from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.guards import After, Always, CancelAsked, ConditionFalse, ConditionTrue, Ending, Failing, Guard, PauseAsked
 from pnm.core.machine.verification.block_shape import shape_of
 from pnm.core.machine.verification.explore import explore_part
-from pnm.core.machine.verification.part import Part, Step, Unsound
+from pnm.core.machine.verification.part import Part, PartStep, Unsound
 
 GUARDS: tuple[Guard, ...] = (
     Always(),
@@ -36,7 +36,7 @@ def parts(draw: st.DrawFn) -> Part:
         return draw(st.frozensets(st.sampled_from(places), max_size=min(most, len(places))))
 
     steps = tuple(
-        Step(f"t{number}", draw(st.sampled_from(GUARDS)), dict.fromkeys(some(2) or places[:1], 1), dict.fromkeys(some(2), 1))
+        PartStep(f"t{number}", draw(st.sampled_from(GUARDS)), dict.fromkeys(some(2) or places[:1], 1), dict.fromkeys(some(2), 1))
         for number in range(draw(st.integers(1, 2)))
     )
     records, supplies = some(1), (some(1),)
@@ -72,7 +72,7 @@ def doubled(part: Part, place: str) -> Part:
     return replace(
         part,
         places=tuple(both(part.places)),
-        steps=tuple(Step(one.name, one.guard, all_of({**one.inputs}), all_of({**one.outputs})) for one in part.steps),
+        steps=tuple(PartStep(one.name, one.guard, all_of({**one.inputs}), all_of({**one.outputs})) for one in part.steps),
         initial=all_of({**part.initial}),
         supplies=tuple(tuple(both(supply)) for supply in part.supplies),
         **{role: frozenset(both(getattr(part, role))) for role in ROLES},
@@ -104,7 +104,7 @@ def test_names_and_the_order_of_places_do_not_matter(part: Part, order: list[int
     other = replace(
         part,
         places=tuple(names.values()) if part.records | part.finals else tuple(sorted(names.values())),
-        steps=tuple(Step(one.name, one.guard, named(one.inputs), named(one.outputs)) for one in part.steps),
+        steps=tuple(PartStep(one.name, one.guard, named(one.inputs), named(one.outputs)) for one in part.steps),
         initial=named(part.initial),
         supplies=tuple(tuple(named(supply)) for supply in part.supplies),
         **{role: frozenset(named(getattr(part, role))) for role in ROLES},

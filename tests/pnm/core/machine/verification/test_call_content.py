@@ -11,7 +11,7 @@ from pnm.core.logic.conditions import TRUE, Holds
 from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import Constant
 from pnm.core.machine.bindings import Binding, Bindings
-from pnm.core.machine.causes import Cause, Phase
+from pnm.core.machine.failure_causes import Cause, Phase
 from pnm.core.machine.generate import generate
 from pnm.core.machine.guards import After, ConditionFalse, ConditionTrue, Guard, InvariantFalse
 from pnm.core.machine.machine import PetriNetMachine

@@ -10,7 +10,7 @@ import pytest
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Holds
 from pnm.core.machine.bindings import Binding, Bindings
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.guards import Always, ConditionFalse, ConditionTrue, DataMissing
 from pnm.core.machine.machine import CallOutcome, PetriNetMachine, Rule

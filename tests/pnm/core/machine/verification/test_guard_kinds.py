@@ -16,9 +16,9 @@ from pnm.core.machine.guards import (
     Ends,
     Guard,
     GuardKind,
+    KnowledgeRead,
     OfCall,
     Opener,
-    Reading,
     Withheld,
 )
 from pnm.core.machine.requests import OutcomeKind
@@ -54,7 +54,7 @@ def test_about_another_call_a_guard_is_otherwise_the_same(guard: Guard) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_knowledge_opens_reads_some(kind: type[GuardKind]) -> None:
-    assert kind.opened_by is not Opener.KNOWLEDGE or kind.reads is not Reading.NOTHING
+    assert kind.opened_by is not Opener.KNOWLEDGE or kind.reads is not KnowledgeRead.NOTHING
 
 
 def test_times_count_for_the_proof_as_far_as_they_come() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.blocks import PlacedStep
-from pnm.core.machine.causes import Cause
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import EMPTY, ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph, Recovery, Then

@@ -25,8 +25,8 @@ class NoRecovery(Enum):
     PLAN = "a plan as a whole fails so, and none of its calls"
 
 
-class Trouble(Enum):
-    """The kind of trouble that a task ends with which does not get past it."""
+class FailureKind(Enum):
+    """The kind of failure that a task ends with which does not get past it."""
 
     ACTION = auto()
     CONDITION = auto()
@@ -51,52 +51,52 @@ class Cause(StrEnum):
 
     Attributes:
         phase: of a call, when it comes; or why it has no recoveries.
-        trouble: which kind it is.
+        kind: which kind of failure it is.
         blame: whom it speaks against. A condition over all that breaks speaks against the action: it was under way, as when its robot
             notices that itself and aborts.
         happened: what has become of a call, as the predicate of a sentence.
     """
 
     phase: Phase | NoRecovery
-    trouble: Trouble
+    kind: FailureKind
     blame: Blame
     happened: str
 
-    def __new__(cls, value: str, phase: Phase | NoRecovery, trouble: Trouble, blame: Blame = Blame.ACTION, happened: str = "") -> Self:
+    def __new__(cls, value: str, phase: Phase | NoRecovery, kind: FailureKind, blame: Blame = Blame.ACTION, happened: str = "") -> Self:
         """Make a member of its traits."""
         cause = str.__new__(cls, value)
         cause._value_ = value
-        cause.phase, cause.trouble, cause.blame, cause.happened = phase, trouble, blame, happened or f"failed: {value}"
+        cause.phase, cause.kind, cause.blame, cause.happened = phase, kind, blame, happened or f"failed: {value}"
         return cause
 
-    BEFORE = "before", Phase.BEFORE, Trouble.ACTION
+    BEFORE = "before", Phase.BEFORE, FailureKind.ACTION
     """The recovery's own condition holds before the start."""
-    PRECONDITION_FALSE = "precondition_false", Phase.BEFORE, Trouble.CONDITION, Blame.WORLD
-    DATA_MISSING = "data_missing", Phase.BEFORE, Trouble.CONDITION
-    REJECTED = "rejected", Phase.DURING, Trouble.SERVER, Blame.ACTION, "was rejected"
-    UNAVAILABLE = "unavailable", Phase.DURING, Trouble.SERVER, Blame.SERVER, "found no server"
-    ABORTED = "aborted", Phase.DURING, Trouble.ACTION, Blame.ACTION, "was aborted"
-    CANCELED = "canceled", Phase.DURING, Trouble.ACTION, Blame.ACTION, "was cancelled"
-    TIMED_OUT = "timed_out", Phase.DURING, Trouble.TIME, Blame.ACTION, "timed out"
-    LOST = "lost", Phase.DURING, Trouble.SERVER, Blame.SERVER, "lost its server"
-    AFTER = "after", Phase.AFTER, Trouble.ACTION
+    PRECONDITION_FALSE = "precondition_false", Phase.BEFORE, FailureKind.CONDITION, Blame.WORLD
+    DATA_MISSING = "data_missing", Phase.BEFORE, FailureKind.CONDITION
+    REJECTED = "rejected", Phase.DURING, FailureKind.SERVER, Blame.ACTION, "was rejected"
+    UNAVAILABLE = "unavailable", Phase.DURING, FailureKind.SERVER, Blame.SERVER, "found no server"
+    ABORTED = "aborted", Phase.DURING, FailureKind.ACTION, Blame.ACTION, "was aborted"
+    CANCELED = "canceled", Phase.DURING, FailureKind.ACTION, Blame.ACTION, "was cancelled"
+    TIMED_OUT = "timed_out", Phase.DURING, FailureKind.TIME, Blame.ACTION, "timed out"
+    LOST = "lost", Phase.DURING, FailureKind.SERVER, Blame.SERVER, "lost its server"
+    AFTER = "after", Phase.AFTER, FailureKind.ACTION
     """The recovery's own condition holds after success."""
-    EFFECTS_MISSING = "effects_missing", Phase.AFTER, Trouble.ACTION
-    INVARIANT_FALSE = "invariant_false", NoRecovery.CALL, Trouble.CONDITION
-    TOO_LATE = "too_late", NoRecovery.CALL, Trouble.TIME
+    EFFECTS_MISSING = "effects_missing", Phase.AFTER, FailureKind.ACTION
+    INVARIANT_FALSE = "invariant_false", NoRecovery.CALL, FailureKind.CONDITION
+    TOO_LATE = "too_late", NoRecovery.CALL, FailureKind.TIME
     """Its deadline, or the time of its latest start, has passed before it was sent."""
-    DEADLINE_MISSED = "deadline_missed", NoRecovery.CALL, Trouble.TIME
-    WITHHELD = "withheld", NoRecovery.CALL, Trouble.SERVER, Blame.WORLD, "has waited in vain for what others keep"
+    DEADLINE_MISSED = "deadline_missed", NoRecovery.CALL, FailureKind.TIME
+    WITHHELD = "withheld", NoRecovery.CALL, FailureKind.SERVER, Blame.WORLD, "has waited in vain for what others keep"
     """Its resources belong to requests that were given up."""
-    LOOP_LIMIT = "loop_limit", NoRecovery.STEP, Trouble.ACTION
+    LOOP_LIMIT = "loop_limit", NoRecovery.STEP, FailureKind.ACTION
     """All rounds of a loop are spent."""
-    CONDITION_UNKNOWN = "condition_unknown", NoRecovery.STEP, Trouble.ACTION
+    CONDITION_UNKNOWN = "condition_unknown", NoRecovery.STEP, FailureKind.ACTION
     """The condition of a loop or a choice is neither true nor false."""
-    RESTART_LIMIT = "restart_limit", NoRecovery.PLAN, Trouble.ACTION
+    RESTART_LIMIT = "restart_limit", NoRecovery.PLAN, FailureKind.ACTION
     """The plan shall begin anew once more, and has done so as often as it may."""
-    GOAL_FALSE = "goal_false", NoRecovery.PLAN, Trouble.ACTION
+    GOAL_FALSE = "goal_false", NoRecovery.PLAN, FailureKind.ACTION
     """Every step is done, and the goal of the plan does not hold."""
-    WAIT_LIMIT = "wait_limit", NoRecovery.STEP, Trouble.TIME
+    WAIT_LIMIT = "wait_limit", NoRecovery.STEP, FailureKind.TIME
     """The condition that is waited for has not become true in time."""
 
 
