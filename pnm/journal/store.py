@@ -155,9 +155,8 @@ class JournalFile:
                 self.standing: tuple[str, ...] = ()
                 """The processes that stood by when the lease was renewed."""
                 if lock:
-                    self._database.do(
-                        lambda driver: driver.gather()
-                    )  # so that the file by itself is a journal, which says that it was not closed
+                    # So that the file by itself is a journal, which says that it was not closed.
+                    self._database.do(lambda driver: driver.gather())
             self._mark()
         except BaseException:
             self._database.close()
