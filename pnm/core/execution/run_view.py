@@ -233,8 +233,11 @@ class RunView:
 
     @property
     def unsettled(self) -> tuple[ActionCall, ...]:
-        """The calls that are under way, and those whose effects are still being looked for."""
-        return (*self.open_calls.values(), *self.settling)
+        """The calls that are under way, and those whose effects are being looked for: all of them come to their ends by themselves.
+
+        A call that has ended and waits for others before that is not among them: what it does has been done, and a pause holds it up.
+        """
+        return (*self.open_calls.values(), *(self._calls.as_sent(self._index.settling[place]) for place in self._sought))
 
     @property
     def settling(self) -> tuple[ActionCall, ...]:
@@ -250,7 +253,12 @@ class RunView:
     @property
     def looks_for_effects(self) -> bool:
         """Whether effects of calls are looked for, or what that depends on is asked: it ends by itself, unlike a wait for other calls."""
-        return any(self._engine.tokens[place] and place in self._undecided for place in self._index.settling)
+        return bool(self._sought)
+
+    @property
+    def _sought(self) -> list[int]:
+        """The places of calls whose effects are being looked for."""
+        return [place for place in self._index.settling if self._engine.tokens[place] and place in self._undecided]
 
     @property
     def handover(self) -> Handover:

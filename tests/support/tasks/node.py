@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from functools import update_wrapper
@@ -14,9 +15,10 @@ from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.scheduling.task_limits import TaskLimits
 from planner_bridge.tasks.settings import OnChange, Settings
 from pnm.actions.faults import NO_FAULTS, Faults
+from pnm.core.logic.computed_values import MISSING, Layer, Question
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.machine import OnFailure
-from pnm.knowledge.sources.source import Source
+from pnm.knowledge.sources.source import Asker, Source
 from tests.support.tasks.simulation import TaskSimulation, simulate_tasks
 
 P = ParamSpec("P")
@@ -31,6 +33,20 @@ def everything_needs(resource: str, **bindings: Binding) -> Settings:
 
 EAGER = Settings(on_change=OnChange.EAGER, on_failure=OnFailure.CONTINUE_OTHERS, limits=Limits(seconds=2000.0))
 USUAL = everything_needs("{r}")
+
+
+class SlowPerson:
+    """Answers everything after a minute."""
+
+    async def query(self, question: Question, asker: Asker, /) -> object:
+        if question.layer is not Layer.PERSON:
+            return MISSING
+        await asyncio.sleep(60.0)
+        return "yes"
+
+    async def update(self, question: Question, value: object, asker: Asker, /) -> None: ...
+
+    async def close(self) -> None: ...
 
 
 def simulated(

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
-
 from pnm.actions.faults import Fault, FaultKind, Faults
-from pnm.core.logic.computed_values import MISSING, Layer, Question
 from pnm.core.machine.bindings import Binding
-from pnm.knowledge.sources.source import Asker
 from pnm.tasks import TaskState
 from tests.support.pddl.problems import fleet
-from tests.support.tasks.node import EAGER, everything_needs, simulated
+from tests.support.tasks.node import EAGER, SlowPerson, everything_needs, simulated
 from tests.support.tasks.simulation import TaskSimulation
 
 
@@ -90,20 +86,6 @@ async def test_who_is_resumed_waits_until_nothing_is_under_way_of_those_that_mak
     await simulation.sees(low, "failed")
     assert len(simulation.sent(high)) == sent, "a robot that has not confirmed that it has stopped gets no other command"
     await simulation.ended_with(high, low)
-
-
-class SlowPerson:
-    """Answers everything after a minute."""
-
-    async def query(self, question: Question, asker: Asker, /) -> object:
-        if question.layer is not Layer.PERSON:
-            return MISSING
-        await asyncio.sleep(60.0)
-        return "yes"
-
-    async def update(self, question: Question, value: object, asker: Asker, /) -> None: ...
-
-    async def close(self) -> None: ...
 
 
 ASKING = Binding(resources=("lift",), retries=0, ask={"word": "May I?"}, goal={"word": "$word"})
