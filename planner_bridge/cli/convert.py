@@ -23,12 +23,6 @@ from pnm.language.files import SCHEMA
 @click.argument("problem", type=FILE, required=False)
 @output_options
 @click.option("--with-plan", is_flag=True, help="find a plan for the problem, and write it as well")
-@click.option(
-    "--seed-compatible",
-    "original",
-    is_flag=True,
-    help="write the plan as the first implementation of Petri Net Machines loads it, which knows no durations",
-)
 @bindings_option
 @planning
 @command
@@ -39,7 +33,6 @@ def export(
     output: Path | None,
     force: bool,
     with_plan: bool,
-    original: bool,
     bindings: Path | None,
     planner: str,
     planner_timeout: float,
@@ -47,12 +40,11 @@ def export(
 ) -> int:
     """Write a domain, a problem and a plan as YAML."""
     bound = bindings_for(domain, bindings, None)
-    with searching(planner, planner_timeout) if with_plan or original else nullcontext():
+    with searching(planner, planner_timeout) if with_plan else nullcontext():
         result = exported(
             domain,
             problem,
             with_plan=with_plan,
-            original=original,
             bindings=bound,
             planner=planner,
             timeout=planner_timeout,
@@ -62,7 +54,7 @@ def export(
     if result.reason:
         SafeConsole(stderr=True).print_reason("no plan:", result.reason)
         return 1
-    if left_out := [f"{key!r}" for key in unwritten(bound, original=original)]:
+    if left_out := [f"{key!r}" for key in unwritten(bound)]:
         print(f"{' and '.join(left_out)} of the bindings are not in the text: give --bindings when it is run", file=sys.stderr)
     write(output, result.text, force=force)
     return 0

@@ -16,7 +16,6 @@ from planner_bridge.pddl.write.writer import write_domain as domain_text
 from planner_bridge.pddl.write.writer import write_problem as problem_text
 from planner_bridge.planning.kairos import IMPROVE
 from planner_bridge.planning.solve import solve
-from planner_bridge.yaml.first_implementation import write_original
 from planner_bridge.yaml.reader import read
 from planner_bridge.yaml.write_bindings import write_bindings
 from planner_bridge.yaml.write_domain import write_domain, write_problem
@@ -49,7 +48,6 @@ def exported(
     problem: Path | None,
     *,
     with_plan: bool = False,
-    original: bool = False,
     bindings: Bindings = NO_BINDINGS,
     planner: str = "kairos",
     timeout: float = 30.0,
@@ -57,25 +55,22 @@ def exported(
 ) -> Exported:
     """Return a PDDL domain as YAML: alone, with a problem for it, or with a plan besides, which the planner has `timeout` seconds to find.
 
-    The plan can be written for the `original`, the first implementation. Raises `InputError` if a file is wrong, or has what cannot
-    be written. Bindings are written beside the actions; the first implementation has no place for them.
+    Bindings are written beside the actions. Raises `InputError` if a file is wrong, or has what cannot be written.
     """
     model = read_domain(domain)
     for name in bindings.actions.keys() - model.actions.keys():
         hint = suggestion(name, model.actions.keys())
         raise InputError(f"the bindings have an action {name!r}, which is not in {domain}{hint and f'; {hint}'}")
     if problem is None:
-        if with_plan or original:
+        if with_plan:
             raise InputError(f"a plan is for a problem; expected its file after {domain}")
         return Exported(write_domain(model, _comments(domain, "domain"), bindings), model.warnings)
     whole = read_problem(problem, model)
-    if not with_plan and not original:
+    if not with_plan:
         return Exported(write_problem(whole, _both(domain, problem), bindings=bindings), whole.warnings)
     result = solve(whole, planner=planner, timeout=timeout, improve=improve)
     if result.plan is None:
         return Exported(warnings=whole.warnings, reason=result.reason)
-    if original:
-        return Exported(write_original(whole, result.plan), whole.warnings)
     graph = plan_graph(whole, result.plan)
     return Exported(write_problem(whole, _both(domain, problem), plan_entries(graph, whole.domain), bindings), whole.warnings)
 

@@ -32,14 +32,9 @@ def write_bindings(bindings: Bindings) -> str:
     return document(emitter.Mapping((Entry(emitter.Mapping(actions), "actions"),))) if actions else ""
 
 
-def unwritten(bindings: Bindings, *, original: bool) -> tuple[str, ...]:
-    """Return the keys of a bindings file that have no place in exported YAML; for the first implementation, actions have none."""
-    parts = {
-        "actions": original and bool(bindings.actions),
-        "assumed": bindings.assumed != NO_BINDINGS.assumed,
-        "lag": bindings.lag != NO_BINDINGS.lag,
-    }
-    return tuple(key for key, is_left_out in parts.items() if is_left_out)
+def unwritten(bindings: Bindings) -> tuple[str, ...]:
+    """Return the keys of a bindings file that have no place in exported YAML."""
+    return tuple(key for key in ("assumed", "lag") if getattr(bindings, key) != getattr(NO_BINDINGS, key))
 
 
 def _value(value: object) -> Value:

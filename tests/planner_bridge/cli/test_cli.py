@@ -189,15 +189,10 @@ def test_what_is_exported_is_imported_again(tmp_path: Path) -> None:
     assert "\nplan:\n  - move: {robot: r1, from: dock1, to: gate}\n" in again.stdout
 
 
-def test_a_plan_for_the_first_implementation_is_exported() -> None:
-    assert "\n---\ninitial_knowledge:\n" in pnm("export", *PATROL, "--seed-compatible").stdout
-
-
 @pytest.mark.parametrize(
     ("arguments", "status", "message"),
     [
         (("export", PATROL[0], "--with-plan"), 2, "a plan is for a problem; expected its file after "),
-        (("export", *DELIVERY, "--seed-compatible"), 2, "the first implementation has no way to say the duration of the action 'load'"),
         (("export", str(ROOT / "nothing.pddl")), 2, f"{ROOT}/nothing.pddl: there is no such file"),
         (("import", str(ROOT / "nothing.yaml"), "-o", "x"), 2, f"{ROOT}/nothing.yaml: there is no such file"),
         (("import", FAULTS, "-o", "x"), 2, f"{FAULTS}:1:1: there is no domain in the file; expected the key 'actions'"),
