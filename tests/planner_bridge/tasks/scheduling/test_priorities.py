@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+from planner_bridge.pddl import parse_domain, parse_problem
 from pnm.actions.faults import Fault, FaultKind, Faults
-from pnm.core.machine.bindings import Binding
-from pnm.tasks import TaskState
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.tasks import Code, TaskState
 from tests.support.pddl.problems import fleet
 from tests.support.tasks.node import EAGER, SlowPerson, everything_needs, simulated
 from tests.support.tasks.simulation import TaskSimulation
@@ -99,3 +102,25 @@ async def test_nobody_is_held_up_by_a_task_that_only_waits_for_an_answer(simulat
     assert simulation.seen(low, "state", "makes way"), "what the other one does first needs the lift"
     assert simulation.ended_at(low) < simulation.seen(high, "sent", "pick")[0].time
     assert len(simulation.seen(low, "conflict")) == 1
+
+
+KITCHEN = """
+(define (domain kitchen)
+  (:requirements :durative-actions)
+  (:predicates (cold) (warm) (baked) (served))
+  (:durative-action heat :parameters () :duration (= ?duration 8)
+    :condition (and (at start (cold)) (over all (warm)))
+    :effect (and (at start (not (cold))) (at start (warm)) (at end (not (warm)))))
+  (:durative-action bake :parameters () :duration (= ?duration 5) :condition (over all (warm)) :effect (at end (baked)))
+  (:durative-action serve :parameters () :duration (= ?duration 1) :condition (at start (cold)) :effect (at end (served))))
+"""
+PROBLEM = parse_problem("(define (problem p) (:domain kitchen) (:init (cold)) (:goal (and)))", parse_domain(KITCHEN))
+ASKED_BEFORE = replace(EAGER, bindings=Bindings({"bake": Binding(ask={"word": "May I?"}, goal={"word": "$word"})}))
+
+
+@simulated(PROBLEM, chosen=ASKED_BEFORE, source=SlowPerson())
+async def test_nobody_waits_for_a_call_that_is_over_and_only_waits_for_another_one_of_a_task_that_makes_way(simulation: TaskSimulation):
+    low = await simulation.begun("(baked)")
+    await simulation.sees(low, "ended", "heat")  # whose end counts once what needs it warm has been baked, and that waits for an answer
+    high = simulation.want("(served)", priority=1)  # there would be a plan if heating could still be undone
+    assert await simulation.ended_with(high, low) == [Code.NO_PLAN, Code.CONDITION_LOST]
