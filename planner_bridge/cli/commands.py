@@ -77,7 +77,7 @@ class Commands(click.Group):
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(package_name="petri-net-machines", prog_name="pnm")
 def app() -> None:
-    """Run robots from goals: PDDL goal, plan, Petri Net Machine, ROS 2 actions, and a new plan when something fails."""
+    """Run robots from goals: PDDL goal, plan, Petri Net Machine, ROS 2 actions, and a new plan after a failure."""
 
 
 @app.command(epilog="Example: pnm plan domain.pddl problem.pddl --format svg -o plan.svg")
@@ -89,7 +89,7 @@ def app() -> None:
     type=click.Choice(["text", "dot", "svg"]),
     default="text",
     show_default=True,
-    help="dot and svg are pictures of its calls, and of what waits for what",
+    help="dot and svg draw its calls and their orderings",
 )
 @output_options
 @as_json_option
@@ -159,9 +159,7 @@ def plan(
     show_default=True,
     help="json has everything; dot and svg are pictures",
 )
-@click.option(
-    "--level", type=click.Choice(["calls", "net"]), help="of a picture: calls, and what waits for what (default); or the whole net"
-)
+@click.option("--level", type=click.Choice(["calls", "net"]), help="of a picture: calls and their orderings (default), or the whole net")
 @output_options
 @click.option("-v", "--verbose", is_flag=True, help="list the transitions that can never fire, with the reason")
 @bindings_option
@@ -198,7 +196,7 @@ def net(
     from pnm.core.pictures.plan_picture import plan_svg
 
     if written_as == "json" and level == "calls":
-        raise InputError("--format json has the whole net, and its calls; expected --format dot or svg with --level calls")
+        raise InputError("--format json has the whole net and its calls; expected --format dot or svg with --level calls")
     chosen = chosen_files(domain, problem, plan_file)
     if isinstance(chosen, Path):
         from planner_bridge.cli.run import machine_of
@@ -235,16 +233,16 @@ def net(
 @files
 @bindings_option
 @faults_option
-@click.option("--speed", type=Seconds(0.001), help="seconds simulated per real second; default 20, or 1 if facts change by themselves")
-@click.option("--log", type=FILE, help="a new file for what truly happens, a JSON object per line")
+@click.option("--speed", type=Seconds(0.001), help="simulated seconds per real second; default 20, or 1 with timed facts")
+@click.option("--log", type=FILE, help="a new file for the true events, one JSON object a line")
 @force_option
 @command
 def simulate(
     *, domain: Path, problem: Path, bindings: Path | None, faults: Path | None, speed: float | None, log: Path | None, force: bool
 ) -> int:
-    """Play the robots, as action servers of ROS 2.
+    """Simulate the robots, as action servers of ROS 2.
 
-    There is one for each action of DOMAIN, or as the bindings say; what sensors see is published.
+    There is one for each action of DOMAIN, or as the bindings say. Sensors publish their facts.
     """
     from planner_bridge.cli.options import faults_for
     from planner_bridge.node.simulate import play
@@ -275,11 +273,11 @@ def show_help(context: click.Context, name: str | None) -> None:
 @click.argument("story", type=click.Choice(["delivery", "mall"]), default="delivery")
 @command
 def demo(story: str) -> int:
-    """Show the whole story on simulated robots.
+    """Show a goal with failures on simulated robots.
 
     Plan, machine, run, failure, replan, goal.
 
-    `mall`, over ROS 2: several tasks that share a robot, with people who interrupt it and answer late.
+    `mall`, over ROS 2: several tasks share a robot, and people interrupt it and answer late.
     """
     from planner_bridge.cli.consoles.safe_console import SafeConsole
     from planner_bridge.cli.demo import show_delivery, show_mall

@@ -22,7 +22,7 @@ from pnm.language.files import SCHEMA
 @click.argument("domain", type=FILE)
 @click.argument("problem", type=FILE, required=False)
 @output_options
-@click.option("--with-plan", is_flag=True, help="find a plan for the problem, and write it as well")
+@click.option("--with-plan", is_flag=True, help="also find and write a plan for the problem")
 @bindings_option
 @planning
 @command
@@ -63,14 +63,14 @@ def export(
 @click.command("import", epilog="Example: pnm import robots.yaml -o robots")
 @click.argument("file", type=FILE)
 @click.option(
-    "-o", "--output", type=FILE, required=True, help="a folder, for domain.pddl, problem.pddl and bindings.yaml; made if it is not there"
+    "-o", "--output", type=FILE, required=True, help="the folder of domain.pddl, problem.pddl and bindings.yaml; created if missing"
 )
 @force_option
 @command
 def from_yaml(file: Path, output: Path, force: bool) -> int:
     """Write a domain in YAML as PDDL.
 
-    With its problem if there is one, and how actions are bound as bindings.yaml.
+    Also writes its problem, if it has one, and its bindings as bindings.yaml.
     """
     result = imported(file)
     print_warnings(result.warnings)
@@ -88,7 +88,7 @@ def from_yaml(file: Path, output: Path, force: bool) -> int:
 def schema(output: Path | None, force: bool) -> int:
     """Write the JSON Schema of YAML files, for editors.
 
-    They complete and check plans, domains and worlds by it.
+    Editors complete and check plans, domains and worlds with it.
     """
     write(output, SCHEMA.read_text(encoding="utf-8"), force=force)
     return 0

@@ -52,8 +52,8 @@ journal_argument = click.argument("journal", required=False)
 
 @click.command(cls=ViewingCommand, epilog="Examples: pnm replay tasks.journal --to 120; pnm replay tasks.journal --view")
 @journal_argument
-@click.option("--to", "last", type=click.IntRange(1), help="the record after which to stop, and to print what was so then")
-@click.option("--json", "as_json", is_flag=True, help="print a JSON object per record, and nothing else")
+@click.option("--to", "last", type=click.IntRange(1), help="stop after this record, and print the state")
+@click.option("--json", "as_json", is_flag=True, help="print only one JSON object per record")
 @timeline_option
 @force_option
 @view_option
@@ -61,8 +61,8 @@ journal_argument = click.argument("journal", required=False)
 def replay(journal: str | None, last: int | None, as_json: bool, timeline: Path | None, force: bool, view: int | None) -> int:
     """Execute the runs of a journal again.
 
-    Step by step, without any robot; with --to also what was so after that record. With --view instead on a page, until Ctrl-C, with
-    --timeline only to draw its tasks. Without JOURNAL it is that of the node on this computer that has written last.
+    Runs step by step, without any robot. With --to, also print the state after that record. With --view, show a page until Ctrl-C; with
+    --timeline, only draw the tasks. The default JOURNAL is the node's journal written last on this computer.
     """
     if (last or as_json) and (timeline or view is not None):
         raise InputError("--view and --timeline show all of the journal; expected no --to, and no --json")
@@ -93,13 +93,13 @@ def replay(journal: str | None, last: int | None, as_json: bool, timeline: Path 
 
 @click.command(epilog="Example: pnm history tasks.journal")
 @journal_argument
-@click.option("--json", "as_json", is_flag=True, help="print a JSON object per task, and nothing else")
+@click.option("--json", "as_json", is_flag=True, help="print only one JSON object per task")
 @command
 def history(journal: str | None, as_json: bool) -> int:
     """List the tasks of a journal.
 
-    When each was accepted, what it is about, and how it has ended.
-    Without JOURNAL it is that of the node on this computer that has written last.
+    Each line has the time of acceptance, the goal and the end.
+    The default JOURNAL is the node's journal written last on this computer.
     """
     with errors_of_journals():
         tasks = summaries(chosen_journal(journal), TASKS)
@@ -118,7 +118,7 @@ def history(journal: str | None, as_json: bool) -> int:
 def journal_files() -> None:
     """Check, move, copy or prune a journal.
 
-    With all that is in the log beside its file.
+    The log beside its file is included.
     """
 
 
@@ -132,7 +132,7 @@ _new = click.argument("to", metavar="TO", type=FILE)
 def check(journal: str) -> int:
     """Read everything in a journal.
 
-    Whether all of it is there and as it was written, whose it is, and whether it was closed.
+    Prints whether it is complete and undamaged, whose it is, and whether it was closed.
     """
     with errors_of_journals(), closing(KeptJournal(place_of(journal))) as kept:
         records, tasks = kept.check(), summaries(place_of(journal), TASKS)
@@ -156,7 +156,7 @@ def check(journal: str) -> int:
 def move(journal: str, to: Path) -> int:
     """Move a journal that no process writes, as one file.
 
-    It goes on at its new place; what is started with the old one begins a new journal. It may be of any version.
+    The journal goes on at its new place; a new one begins at the old place. It may be of any version.
     """
     with errors_of_journals():
         move_journal(_file(journal), to)
@@ -171,7 +171,7 @@ def move(journal: str, to: Path) -> int:
 def copy(journal: str, to: Path) -> int:
     """Copy a journal to one new file, also while a node writes it.
 
-    The copy can be looked at; who is to go on with it has to say --adopt.
+    The copy can be read; to continue it, use --adopt.
     """
     with errors_of_journals():
         copy_journal(_file(journal), to)
@@ -186,7 +186,7 @@ def copy(journal: str, to: Path) -> int:
 def prune(journal: str, keep_days: float) -> int:
     """Drop old records of a journal that no process writes.
 
-    Those that nothing needs any more: a running node does so by itself. The segment that goes on is kept whole.
+    A running node does so by itself. The last segment is kept whole.
     """
     with errors_of_journals():
         place = place_of(journal)
@@ -279,7 +279,7 @@ def _words(given: Sequence[str]) -> str:
 
 
 def chosen_journal(journal: str | None) -> Place:
-    """Return the journal that is meant; one that was not named is named on stderr."""
+    """Return the chosen journal; name it on stderr if it is the default."""
     if journal is not None:
         return place_of(journal)
     latest = latest_journal()
@@ -305,7 +305,7 @@ def _print(step: ReplayStep, state: Replay, console: SafeConsole) -> None:
 
 
 def _print_state(state: Replay, console: SafeConsole) -> None:
-    """Print what was so after the last record: tasks, marked places, facts."""
+    """Print the state after the last record: tasks, marked places, facts."""
     for id, task in state.tasks.items():
         doing = "over" if task.ending else "not over"
         console.print(Text(f"task {id.hex[:8]}  {_name(task.accepted)}: {doing}"))

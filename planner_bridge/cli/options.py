@@ -44,7 +44,7 @@ class Seconds(click.FloatRange):
     name = "number"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Refuse what is not a finite number of at least the minimum."""
+        """Refuse anything but a finite number of at least the minimum."""
         number = super().convert(value, param, ctx)
         if not isfinite(number):
             self.fail(f"{value} is not a finite number", param, ctx)
@@ -123,7 +123,7 @@ def state_folder() -> Path:
 
 
 def seal_of(command: Sequence[str]) -> str:
-    """Return what shows that this user has given a command on this computer: nobody else has the secret. Empty if there can be none."""
+    """Return the proof that this user has given a command on this computer, by a secret of the user. Empty if there can be none."""
     try:
         return hmac.new(secret_in(state_folder()), json.dumps(command).encode(), "sha256").hexdigest()
     except (OSError, PnmError):
@@ -156,7 +156,7 @@ class ViewingCommand(click.Command):
 
 
 class RepeatableCommand(ViewingCommand):
-    """A command that knows what it was given, so that another process can be given the same."""
+    """A command that keeps its arguments, so that another process can get the same."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Note the arguments."""
@@ -168,65 +168,63 @@ files = options(click.argument("domain", type=FILE), click.argument("problem", t
 files_or_plan = options(
     click.argument("domain", type=FILE, required=False),
     click.argument("problem", type=FILE, required=False),
-    click.option("--plan", "plan_file", type=FILE, help="a hand-written plan in YAML, or a world of plans, in place of DOMAIN and PROBLEM"),
-    click.option("--name", help="which plan of that file, if there are several"),
+    click.option("--plan", "plan_file", type=FILE, help="a hand-written plan in YAML, or a world of plans, instead of DOMAIN and PROBLEM"),
+    click.option("--name", help="the plan of that file, if it has several"),
 )
-set_option = click.option("--set", "given", metavar="NAME=VALUE", multiple=True, help="a parameter of that plan; the value as YAML")
+set_option = click.option("--set", "given", metavar="NAME=VALUE", multiple=True, help="a parameter of that plan; the value in YAML")
 
 
 def planning_within(improve: float) -> Decorator:
-    """Return the options about planning, with this default for how long a better plan is looked for."""
+    """Return the options about planning, with this default for the search for a better plan."""
     return options(
         click.option(
             "--planner", default="kairos", show_default=True, help="kairos, any engine of unified-planning, race, or race:NAME,NAME"
         ),
-        click.option("--planner-timeout", type=Seconds(0.01), default=30.0, show_default=True, help="seconds the planner may take"),
-        click.option("--improve", type=Seconds(0), default=improve, show_default=True, help="seconds to look for a better plan, at most"),
+        click.option("--planner-timeout", type=Seconds(0.01), default=30.0, show_default=True, help="seconds for the planner"),
+        click.option("--improve", type=Seconds(0), default=improve, show_default=True, help="seconds to search for a better plan, at most"),
     )
 
 
 planning = planning_within(2.0)
-quiet_option = click.option("-q", "--quiet", is_flag=True, help="print how it ended, and nothing before")
-as_json_option = click.option("--json", "as_json", is_flag=True, help="print one JSON object as the last line, and nothing else")
-bindings_option = click.option("--bindings", type=FILE, help="how actions are bound to servers; by default bindings.yaml beside DOMAIN")
-force_option = click.option("--force", is_flag=True, help="replace files that exist")
+quiet_option = click.option("-q", "--quiet", is_flag=True, help="print only the result")
+as_json_option = click.option("--json", "as_json", is_flag=True, help="print only one JSON object, as the last line")
+bindings_option = click.option("--bindings", type=FILE, help="the bindings of actions to servers; by default bindings.yaml beside DOMAIN")
+force_option = click.option("--force", is_flag=True, help="overwrite existing files")
 output_options = options(click.option("-o", "--output", type=FILE, help="a new file; by default the terminal"), force_option)
 adopt_option = click.option(
-    ADOPT, is_flag=True, help="take the journal although it is that of a node or of another computer, a copy, or lacks what came last"
+    ADOPT, is_flag=True, help="also take a journal of a node or of another computer, a copy, or one without its last records"
 )
 journal_options = options(
-    click.option(
-        "--journal", type=PlaceName(), help="file, or postgresql://…, that the run is kept in: `pnm resume` goes on if this process dies"
-    ),
+    click.option("--journal", type=PlaceName(), help="file or postgresql://… for the run: `pnm resume` continues it if this process dies"),
     click.option(
         "--durability",
         type=click.Choice(["process-crash", "power-loss"]),
-        help="what the journal survives: the death of the process, or that of the computer, which is slower; by default process-crash in a"
-        " file, power-loss in PostgreSQL",
+        help="the crash that the journal survives: of the process, or of the computer, which is slower; by default process-crash for a"
+        " file, power-loss for PostgreSQL",
     ),
     adopt_option,
 )
-timeline_option = click.option("--timeline", type=FILE, help="a new SVG file: what was planned and done when, what failed, new plans")
+timeline_option = click.option("--timeline", type=FILE, help="a new SVG file with planned and executed calls, failures and new plans")
 knowledge_option = click.option(
-    "--knowledge", type=PlaceName(), help="SQLite file of the global knowledge, or postgresql://…, in place of what plans choose"
+    "--knowledge", type=PlaceName(), help="SQLite file or postgresql://… of the global knowledge, instead of the choice of the plans"
 )
-sensing_option = click.option("--sensing", type=FILE, help="topics and services of ROS 2 that report the state of the world")
+sensing_option = click.option("--sensing", type=FILE, help="file with the topics and services of ROS 2 that report facts")
 view_option = click.option(
     "--view",
     metavar="[PORT]",
     type=click.IntRange(0, 65535),
-    help=f"show it on a page in a browser; by default at port {VIEW_PORT}, 0 for any",
+    help=f"show a page in a browser, at this port (default {VIEW_PORT}, 0 for any)",
 )
 controls_option = click.option(
-    "--view-controls", "controls", is_flag=True, help="who has the URL of that page, with its token, may control tasks there"
+    "--view-controls", "controls", is_flag=True, help="let people control tasks on that page, if they have its URL with the token"
 )
-faults_option = click.option("--faults", type=FILE, help="what goes wrong in simulation")
+faults_option = click.option("--faults", type=FILE, help="file with the failures of the simulated robots")
 
 
 def controlled_by(view: int | None, what: Controlled, *, controls: bool) -> Controlled:
-    """Return what a page may control, by the options; raise an `InputError` if there is no page."""
+    """Return the part that a page may control, by the options; raise an `InputError` if there is no page."""
     if controls and view is None:
-        raise InputError("--view-controls is about the page; expected --view as well")
+        raise InputError("--view-controls needs the page; expected --view as well")
     return what if controls else Controlled.NOTHING
 
 
@@ -250,7 +248,7 @@ def chosen_files(domain: Path | None, problem: Path | None, plan_file: Path | No
     """Return the file of a hand-written plan, or DOMAIN and PROBLEM; raise an `InputError` if neither is given, or both."""
     if plan_file is not None:
         if domain is not None:
-            raise InputError("--plan comes in the place of DOMAIN and PROBLEM")
+            raise InputError("--plan replaces DOMAIN and PROBLEM; expected one or the other")
         return plan_file
     if domain is None or problem is None:
         raise InputError("expected DOMAIN and PROBLEM, or --plan and a file")
@@ -277,7 +275,7 @@ def check_output(path: Path, *, force: bool) -> None:
     if not os.path.isdir(path.parent):  # unlike `Path.is_dir` and `Path.is_file` also for names that are too long
         raise InputError(f"{path}: cannot be written: there is no folder {path.parent}")
     if os.path.isfile(path) and not force and not path.is_relative_to("/dev"):  # /dev/stdout may be redirected to a file
-        raise InputError(f"{path}: there is such a file already; --force replaces it")
+        raise InputError(f"{path}: already exists; use --force to overwrite it")
 
 
 def write_files(texts: Mapping[Path, str], *, force: bool) -> None:
@@ -302,12 +300,12 @@ def write_files(texts: Mapping[Path, str], *, force: bool) -> None:
 
 
 class Output(Enum):
-    """What `pnm run` prints."""
+    """The output of `pnm run`."""
 
-    NUMBERS = "every event, with how large machines are, and how it ended"
-    EVENTS = "every event, and how it ended"
-    ENDING = "how it ended"
-    JSON = "how it ended, as one JSON object"
+    NUMBERS = "every event, the size of machines, and the result"
+    EVENTS = "every event, and the result"
+    ENDING = "the result"
+    JSON = "the result, as one JSON object"
 
 
 @dataclass(frozen=True, slots=True)

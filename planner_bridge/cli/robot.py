@@ -46,10 +46,10 @@ _STYLES: Final = {ReadyState.READY: "green", ReadyState.UNFIT: "bold red"}
 @force_option
 @command
 def init(folder: Path, force: bool) -> int:
-    """Write first files for the robot that is there.
+    """Write first files for a running robot.
 
-    A domain, a problem, bindings and sensors for what is in the ROS graph, into FOLDER.
-    They pass `pnm check`; every line that needs a decision of yours has a comment with the word `decide`.
+    Writes a domain, a problem, bindings and sensors for the ROS graph into FOLDER.
+    They pass `pnm check`. Every line that needs your decision has a comment with the word `decide`.
     """
     name = re.sub(r"\W", "-", folder.resolve().name.lower()).strip("-") or "robot"
 
@@ -80,7 +80,7 @@ def init(folder: Path, force: bool) -> int:
 @set_option
 @bindings_option
 @sensing_option
-@click.option("--wait", type=Seconds(0), default=0.0, help="seconds for what is not there yet to appear")
+@click.option("--wait", type=Seconds(0), default=0.0, help="seconds for missing servers and sensors to appear")
 @as_json_option
 @command
 def check(
@@ -97,7 +97,7 @@ def check(
 ) -> int:
     """Check servers and sensors in the ROS graph.
 
-    Nothing is sent. Exit status: 0 everything is ready, 1 something is not there yet, there twice or silent, 2 something can never work.
+    Sends nothing. Exit status: 0 everything is ready, 1 something is missing, there twice or silent, 2 something can never work.
     """
     chosen = chosen_files(domain, problem, plan_file)
     if isinstance(chosen, Path):
@@ -118,7 +118,7 @@ def check(
 
 
 def print_table(console: SafeConsole, rows: Sequence[Readiness]) -> None:
-    """Print a line for each row; what to do comes last, because it may be long."""
+    """Print a line for each row; the advice comes last, because it may be long."""
     lines = [("what", "name", "type", "state", "what to do")]
     lines += [(row.what, row.name, row.type, row.state.value, row.where + row.advice) for row in rows]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]

@@ -77,35 +77,31 @@ from pnm.tasks import Code, Tasks
 )
 @files_or_plan
 @set_option
-@click.option("--actions", type=click.Choice(["simulated", "ros2"]), default="simulated", show_default=True, help="who performs actions")
+@click.option("--actions", type=click.Choice(["simulated", "ros2"]), default="simulated", show_default=True, help="which robots to use")
 @bindings_option
 @faults_option
 @knowledge_option
 @sensing_option
 @planning
-@click.option("--sim-time", is_flag=True, help="follow /clock, as nodes with use_sim_time do: a paused simulation pauses all limits")
-@click.option("--replans", type=click.IntRange(0), default=10, show_default=True, help="how many new machines may follow the first")
+@click.option("--sim-time", is_flag=True, help="follow /clock, like nodes with use_sim_time: a paused simulation pauses all limits")
+@click.option("--replans", type=click.IntRange(0), default=10, show_default=True, help="new machines after the first, at most")
 @click.option(
     "--patience", type=Seconds(0), default=0.0, show_default=True, help="seconds to wait for facts to change while there is no plan"
 )
 @click.option("--ask-for-help", is_flag=True, help="ask a person when the goal cannot be reached: 'try again' or 'give up'")
-@click.option(
-    "--seconds", type=Seconds(0), help="how long the goal is pursued; by default an hour, or thrice what the plan takes if longer"
-)
+@click.option("--seconds", type=Seconds(0), help="seconds for the goal; by default an hour, or three times the plan's duration if longer")
 @click.option(
     "--on-failure",
     type=click.Choice(["drain", "cancel", "continue_others"]),
-    help="what running actions do when one has failed; by default what a hand-written plan says, or else drain",
+    help="treatment of running actions after a failure; by default that of a hand-written plan, or else drain",
 )
-@click.option(
-    "--answer", "answers", metavar="NAME=VALUE", multiple=True, help="what people would answer, who are not asked then; several in turn"
-)
+@click.option("--answer", "answers", metavar="NAME=VALUE", multiple=True, help="an answer in place of a person's; several are used in turn")
 @journal_options
 @timeline_option
 @force_option
 @view_option
 @controls_option
-@click.option("-v", "--verbose", is_flag=True, help="print how large machines are, and how much was explored to prove them")
+@click.option("-v", "--verbose", is_flag=True, help="print the size of machines, and the states that their proof explored")
 @quiet_option
 @as_json_option
 @command
@@ -144,7 +140,7 @@ def run(
 ) -> int:
     """Plan, execute, and replan until the goal holds.
 
-    With --plan, carry out a hand-written plan; with --view, show it on a page, until Ctrl-C.
+    With --plan, carry out a hand-written plan. With --view, show a page until Ctrl-C.
     """
     if sim_time and actions != "ros2":
         raise InputError("--sim-time follows /clock of ROS 2; expected --actions ros2")

@@ -37,7 +37,7 @@ _TRACE: Final = ("pnm_interfaces/msg/TraceEvent", "executor/trace")
 namespace_option = click.option("-n", "--namespace", default="", help="the namespace of the node")
 one_or_all = options(
     click.argument("task", default=""),
-    click.option("--all", "every", is_flag=True, help="all tasks, those to come as well"),
+    click.option("--all", "every", is_flag=True, help="all tasks, also later ones"),
     namespace_option,
 )
 
@@ -152,7 +152,7 @@ class EventPrinter:
 def status(namespace: str, as_json: bool) -> int:
     """Show the tasks of the node.
 
-    Those that are not over, and those that ended last.
+    Lists running and waiting tasks, and those that ended last.
     """
     message = _with_node(namespace, lambda node: node.status())
     if as_json:
@@ -168,7 +168,7 @@ def status(namespace: str, as_json: bool) -> int:
 def watch(namespace: str) -> int:
     """Follow the tasks of the node until interrupted.
 
-    Shows them, and then a line for whatever happens to them; on a terminal what is going on stays in sight below.
+    Prints the tasks, and a line for every event; a terminal also shows the running calls below.
     """
     console = SafeConsole()
 
@@ -194,16 +194,16 @@ def watch(namespace: str) -> int:
     type=click.Choice([policy.word for policy in OnConflict]),
     default="default",
     show_default=True,
-    help="what to do if others are in its way",
+    help="what to do in conflict with other tasks",
 )
 @namespace_option
 @as_json_option
 @command
 def goal(*, goal: str, priority: int, deadline: float | None, policy: str, namespace: str, as_json: bool) -> int:
-    """Send a goal, and follow it until it is over.
+    """Send a goal, and follow it to its end.
 
-    GOAL is a condition in PDDL, or a name that the node knows; by default that of its problem.
-    Prints what happens until the task is over. Ctrl-C cancels it.
+    GOAL is a condition in PDDL or the name of a goal; by default the goal of the node's problem.
+    Prints all events of the task. Ctrl-C cancels it.
     """
     console, task = SafeConsole(), uuid4()
     fields = {"goal": goal, "priority": priority, "deadline": deadline or 0.0, "policy": int(OnConflict[policy.upper()])}
@@ -238,12 +238,12 @@ def goal(*, goal: str, priority: int, deadline: float | None, policy: str, names
 
 @click.command(epilog="Example: pnm pause 3f2a --at-once")
 @one_or_all
-@click.option("--at-once", is_flag=True, help="cancel what is under way, in place of waiting for its end")
+@click.option("--at-once", is_flag=True, help="cancel running calls, instead of waiting for their ends")
 @command
 def pause(task: str, every: bool, namespace: str, at_once: bool) -> int:
     """Pause a task: it starts nothing more.
 
-    TASK is the beginning of its id; by default the only one that is going on.
+    TASK is the beginning of its id; by default the only running task.
     """
     return _command("pause", "paused", task, every=every, namespace=namespace, at_once=at_once)
 
@@ -251,14 +251,14 @@ def pause(task: str, every: bool, namespace: str, at_once: bool) -> int:
 @click.command(epilog="Examples: pnm resume --all; pnm resume tea.journal")
 @one_or_all
 @adopt_option
-@click.option("--yes", "is_trusted", is_flag=True, help="carry out what a FILE says that somebody else, or another computer, has begun")
+@click.option("--yes", "is_trusted", is_flag=True, help="continue a FILE that somebody else, or another computer, has begun")
 @command
 def resume(task: str, every: bool, namespace: str, adopt: bool, is_trusted: bool) -> int:
-    """Let a paused task, or a run that has died, go on.
+    """Continue a paused task, or a run that has died.
 
-    TASK is the beginning of a task's id, by default of the only one that is paused; or the file that `pnm run --journal FILE`
-    has kept a run in, which goes on in this process, with the options that it was given. A file that you have not begun on this
-    computer is like a script of somebody else: what it would do is shown, and done if you say so.
+    TASK is the beginning of a task's id, by default of the only paused task. Or it is the file of `pnm run --journal FILE`: the run
+    continues in this process, with its options. A file that you have not begun on this computer is like a script of somebody else:
+    the command shows what it would do, and asks.
     """
     if task.strip("0123456789abcdefABCDEF-"):  # no id
         from planner_bridge.cli.journal import resume_run  # here, because it takes its time to import
@@ -275,25 +275,25 @@ def resume(task: str, every: bool, namespace: str, adopt: bool, is_trusted: bool
 def cancel(task: str, every: bool, namespace: str) -> int:
     """Cancel a task, and wait for its robots.
 
-    TASK is the beginning of its id; by default the only one that is going on.
+    TASK is the beginning of its id; by default the only running task.
     """
     return _command("cancel", "cancelled", task, every=every, namespace=namespace)
 
 
 @click.command(epilog="Example: pnm facts '(at r1 hall)' --add '(open door)'")
 @click.argument("questions", nargs=-1)
-@click.option("--add", multiple=True, metavar="FACT", help="record that it is so: '(at r1 hall)', '(= (battery r1) 0.8)'")
-@click.option("--remove", multiple=True, metavar="FACT", help="record that it is not so")
-@click.option("--forget", multiple=True, metavar="FACT", help="record that nothing is known of it")
+@click.option("--add", multiple=True, metavar="FACT", help="record as true: '(at r1 hall)', '(= (battery r1) 0.8)'")
+@click.option("--remove", multiple=True, metavar="FACT", help="record as false")
+@click.option("--forget", multiple=True, metavar="FACT", help="record as unknown")
 @namespace_option
 @as_json_option
 @command
 def facts(
     *, questions: tuple[str, ...], add: tuple[str, ...], remove: tuple[str, ...], forget: tuple[str, ...], namespace: str, as_json: bool
 ) -> int:
-    """Print what the node knows, or change it.
+    """Print or change the facts of the node.
 
-    Answers to QUESTIONS such as '(at r1 hall)' or '(battery r1)'; without any, everything.
+    QUESTIONS are facts and numbers such as '(at r1 hall)' or '(battery r1)'; by default all.
     """
     changes = {"add": list(add), "remove": list(remove), "forget": list(forget)}
 

@@ -52,7 +52,7 @@ def _option(parameter: NodeParameter) -> Callable[[Any], Any]:
 @click.command(cls=RosCommand, epilog="Example: pnm serve domain.pddl problem.pddl --planner-timeout 5 --ros-args -r __ns:=/robot1")
 @click.argument("domain", required=False)
 @click.argument("problem", required=False)
-@click.option("--params-file", "files", multiple=True, type=FILE, help="parameters in a file as ROS has them; may be repeated")
+@click.option("--params-file", "files", multiple=True, type=FILE, help="a ROS file of parameters; may be repeated")
 @options(*(_option(parameter) for parameter in PARAMETERS if parameter.name not in ("domain", "problem")))
 @view_option
 @controls_option
@@ -60,9 +60,9 @@ def _option(parameter: NodeParameter) -> Callable[[Any], Any]:
 def serve(files: tuple[Path, ...], view: int | None, controls: bool, **given: ParameterValue | None) -> int:
     """Take goals over ROS 2 until interrupted.
 
-    This is the node that a robot runs. It offers actions for goals of DOMAIN and PROBLEM, and for each plan of a world.
-    With --view, a page shows what its journal tells; with --view-controls, goals are sent and tasks controlled there as well.
-    What follows --ros-args is for ROS 2; options come before parameters that are given there, and before files of parameters.
+    This is the node of a robot. It offers actions for goals of DOMAIN and PROBLEM, and for each plan of a world.
+    With --view, a page shows its journal; with --view-controls, people also send goals and control tasks there.
+    Arguments after --ros-args are for ROS 2. Options override parameters that are given there, and files of parameters.
     """
     # here, because these take their time to import, which `pnm serve --help` need not wait for
     from planner_bridge.cli.consoles.node_console import NodeConsole, NodePage

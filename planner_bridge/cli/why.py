@@ -40,12 +40,12 @@ _NARROW: Final = 40
 @click.argument("domain", type=FILE, required=False)
 @click.argument("problem", type=FILE, required=False)
 @click.option("--call", "called", metavar="CALL", help="why this call: its number, or the call itself, such as 'move(r1, a, b)'")
-@click.option("--not", "other", metavar="CALL", help="why not this call, which the plan does not have; of DOMAIN and PROBLEM")
-@click.option("--replan", is_flag=True, help="why there were new plans; of a journal")
-@click.option("--journal", metavar="FILE", help="file of a journal, or postgresql://…; with DOMAIN and PROBLEM, what is so in it counts")
-@click.option("--task", metavar="TASK", help="of a journal: its number, or how its id begins; by default the last that goes on")
-@click.option("--to", "last", type=click.IntRange(1), help="of a journal: the record up to which it is read")
-@click.option("--seconds", type=Seconds(0.1), default=SECONDS, show_default=True, help="for all searches together, at most")
+@click.option("--not", "other", metavar="CALL", help="why not this call, which the plan lacks; with DOMAIN and PROBLEM")
+@click.option("--replan", is_flag=True, help="why there were new plans, from a journal")
+@click.option("--journal", metavar="FILE", help="file or postgresql://… of a journal; DOMAIN and PROBLEM are used with its facts")
+@click.option("--task", metavar="TASK", help="task of the journal: number or beginning of the id; by default the last running one")
+@click.option("--to", "last", type=click.IntRange(1), help="the last record of the journal to read")
+@click.option("--seconds", type=Seconds(0.1), default=SECONDS, show_default=True, help="seconds for all searches together")
 @as_json_option
 @command
 def why(
@@ -63,8 +63,8 @@ def why(
 ) -> int:
     """Explain a plan, or why there is none, or a run.
 
-    With DOMAIN and PROBLEM: what each call of a plan is for; or why there is no plan, and what would help. Without them: how a task of
-    a journal is doing, and why; by default in that of the node on this computer that has written last. What is not proved is called so.
+    With DOMAIN and PROBLEM, explain the calls of a plan, or why there is none and what would help. Without them, explain a task from a
+    journal (by default the node's journal written last on this computer). Unproved statements say `not proved`.
     """
     if sum((called is not None, other is not None, replan)) > 1:
         raise InputError("expected one of --call, --not and --replan: each is a question of its own")

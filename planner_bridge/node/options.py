@@ -18,38 +18,38 @@ from pnm.tasks import OnConflict
 
 PARAMETERS: Final = (
     NodeParameter("domain", "", "file with the domain, in PDDL"),
-    NodeParameter("problem", "", "file with the problem, in PDDL: the world as it is at first, and the goal when none is named"),
-    NodeParameter("bindings", "", "file that binds actions to servers; by default bindings.yaml beside the domain"),
+    NodeParameter("problem", "", "file with the problem, in PDDL: the initial facts, and the default goal"),
+    NodeParameter("bindings", "", "file with the bindings of actions to servers; by default bindings.yaml beside the domain"),
     NodeParameter("sensing", "", "file that maps topics and services to facts about the world"),
-    NodeParameter("goals", "", "YAML file with goals by name"),
-    NodeParameter("problems", "", "folder of the PDDL files of problem/save and problem/load; without it they name no files"),
-    NodeParameter("world", "", "YAML file with a domain and files of hand-written plans, each of which becomes an action server"),
-    NodeParameter("world_name", "", "which world of that file, if there are several", option="name"),
-    NodeParameter("knowledge", "", "SQLite file of the global knowledge, or postgresql://…, in place of what plans choose"),
+    NodeParameter("goals", "", "YAML file with named goals"),
+    NodeParameter("problems", "", "folder of the PDDL files of problem/save and problem/load; without it they cannot name files"),
+    NodeParameter("world", "", "YAML file with a domain and hand-written plans, each of which becomes an action server"),
+    NodeParameter("world_name", "", "the world of that file, if there are several", option="name"),
+    NodeParameter("knowledge", "", "SQLite file or postgresql://… of the global knowledge, instead of the choice of the plans"),
     NodeParameter(
-        "journal", "", "file that tasks are kept in, or postgresql://… for several nodes: they go on from it when the process has died;"
+        "journal", "", "file of the tasks, or postgresql://… for several nodes: tasks go on from it after a crash;"
         " by default one for the node and its files in ~/.local/state/pnm/journals; 'none' keeps nothing",
     ),
     NodeParameter(
-        "durability", "", "what the journal survives: the death of the process, or that of the computer, which is slower;"
-        " by default process-crash in a file, power-loss in PostgreSQL",
+        "durability", "", "the crash that the journal survives: of the process, or of the computer, which is slower;"
+        " by default process-crash for a file, power-loss for PostgreSQL",
         choices=tuple(level.word for level in Durability),
     ),
-    NodeParameter("keep_days", KEPT / DAY, "days for which the journal keeps what nothing needs any more; tasks are listed for longer"),
+    NodeParameter("keep_days", KEPT / DAY, "days for which the journal keeps old records; tasks are listed for longer"),
     NodeParameter(
-        "adopt", False, "whether the journal is taken although it is that of another node or computer, a copy, or lacks what came last"
+        "adopt", False, "whether to take a journal of another node or computer, a copy, or one without its last records"
     ),
-    NodeParameter("lease", LEASE, "seconds until another node takes over a journal in PostgreSQL when this one is cut off", least=1),
+    NodeParameter("lease", LEASE, "seconds after which another node takes over a journal in PostgreSQL from a silent one", least=1),
     NodeParameter("planner", DEFAULT_PLANNER, "kairos, any engine of unified-planning, race, or race:NAME,NAME"),
-    NodeParameter("planner_timeout", 30.0, "seconds the planner may take"),
-    NodeParameter("improve", IMPROVE, "seconds for which a better plan is looked for, at most"),
+    NodeParameter("planner_timeout", 30.0, "seconds for the planner"),
+    NodeParameter("improve", IMPROVE, "seconds to search for a better plan, at most"),
     NodeParameter("replans", 10, "how often the plan of a task may be replaced"),
     NodeParameter("patience", 0.0, "seconds for which a goal without a plan waits for facts to change"),
-    NodeParameter("ask_for_help", False, "whether a person is asked, as for values, when a task cannot go on: 'try again' or 'give up'"),
+    NodeParameter("ask_for_help", False, "whether a person is asked when a goal cannot be reached: 'try again' or 'give up'"),
     NodeParameter("max_tasks", 8, "how many tasks are planned for and carried out at a time", least=1),
-    NodeParameter("max_queue", 100, "how many tasks may wait besides; more are refused"),
+    NodeParameter("max_queue", 100, "how many more tasks may wait; others are refused"),
     NodeParameter(
-        "on_failure", "continue_others", "what running actions do when another one of the task has failed",
+        "on_failure", "continue_others", "treatment of running actions after a failure in their task",
         choices=tuple(policy.value for policy in OnFailure),
     ),
     NodeParameter(
@@ -57,10 +57,10 @@ PARAMETERS: Final = (
         choices=tuple(policy.value for policy in OnChange),
     ),
     NodeParameter(
-        "on_conflict", "plan_around", "what becomes of a goal that cannot be pursued beside others, unless the goal specifies it",
+        "on_conflict", "plan_around", "treatment of a goal in conflict with others, unless the goal specifies it",
         choices=tuple(policy.word for policy in OnConflict if policy),
     ),
-    NodeParameter("cancel", 20.0, "seconds in which tasks have to end when the node is shut down"),
+    NodeParameter("cancel", 20.0, "seconds for tasks to end when the node is shut down"),
     NodeParameter("autostart", True, "whether the node configures and activates itself"),
 )  # fmt: skip
 
@@ -81,7 +81,7 @@ class Options:
     journal: str
     """A file, postgresql://…, 'none', or empty for the default."""
     durability: Durability | None
-    """None for what is usual in the place of the journal."""
+    """None for the default of the place of the journal."""
     keep_days: float
     adopt: bool
     lease: float
@@ -111,7 +111,7 @@ class Options:
         if given["domain"] is None and given["world"] is None:
             raise InputError("there is nothing to serve; expected a domain and a problem, or a world of plans, or both")
         if given["goals"] and given["domain"] is None:
-            raise InputError("goals with names need a domain and a problem; expected both, or no goals")
+            raise InputError("named goals need a domain and a problem; expected both, or no goals")
         given["world_name"] = given["world_name"] or None
         given["on_failure"], given["on_conflict"] = OnFailure(given["on_failure"]), OnConflict[given["on_conflict"].upper()]
         given["on_change"] = OnChange(given["on_change"])

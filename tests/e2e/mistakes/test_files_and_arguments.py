@@ -53,12 +53,12 @@ FILES = {
         f"net {BOTH} -o nowhere/net.dot", 2, ("nowhere/net.dot: cannot be written: there is no folder nowhere",)
     ),
     "an input for the output": Mistake(
-        f"export {BOTH} -o robots/domain.pddl", 2, ("robots/domain.pddl: there is such a file already; --force replaces it",)
+        f"export {BOTH} -o robots/domain.pddl", 2, ("robots/domain.pddl: already exists; use --force to overwrite it",)
     ),
     "a folder with a domain for the output of an import": Mistake(
         "import kitchen.yaml -o robots",
         2,
-        ("robots/domain.pddl: there is such a file already; --force replaces it",),
+        ("robots/domain.pddl: already exists; use --force to overwrite it",),
         {"kitchen.yaml": "actions: {go: {params: [place]}}\n"},
     ),
     "several plans in the file to import": Mistake(
@@ -73,7 +73,7 @@ ARGUMENTS = {
     "nothing to plan for": Mistake("plan robots/domain.pddl", 2, ("Usage: pnm plan", "Missing argument 'PROBLEM'")),
     "nothing to run": Mistake("run", 2, ("expected DOMAIN and PROBLEM, or --plan and a file",)),
     "nothing to reach": Mistake("run robots/domain.pddl", 2, ("expected DOMAIN and PROBLEM, or --plan and a file",)),
-    "a plan and a problem": Mistake(f"run {BOTH} --plan tea.yaml", 2, ("--plan comes in the place of DOMAIN and PROBLEM",)),
+    "a plan and a problem": Mistake(f"run {BOTH} --plan tea.yaml", 2, ("--plan replaces DOMAIN and PROBLEM; expected one or the other",)),
     "an option is misspelt": Mistake(f"plan {BOTH} --planer kairos", 2, ("No such option '--planer'", "'--planner'")),
     "a time-out, of what?": Mistake(f"run {BOTH} --timeout 5", 2, ("No such option '--timeout'", "'--planner-timeout'")),
     "a command is misspelt": Mistake(f"pln {BOTH}", 2, ("No such command 'pln'. Did you mean 'plan'?",)),

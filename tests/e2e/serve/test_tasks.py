@@ -23,7 +23,7 @@ from tests.support.files import ROOT, written
         ([DOMAIN], 2, "a domain and a problem belong together"),
         ([DOMAIN, "nowhere.pddl"], 2, "nowhere.pddl: there is no such file"),
         ([DOMAIN, PROBLEM, "--ros-args", "-p", "on_failure:=canzel"], 2, "did you mean 'cancel'?"),
-        (["--world", "world.yaml", "--goals", "goals.yaml"], 2, "goals with names need a domain and a problem; expected both, or no goals"),
+        (["--world", "world.yaml", "--goals", "goals.yaml"], 2, "named goals need a domain and a problem; expected both, or no goals"),
         ([DOMAIN, PROBLEM, "--ros-args", "--spam"], 1, "--spam"),
         ([DOMAIN, PROBLEM, "--spam", "--ros-args"], 2, "No such option"),
         (["--params-file", "nowhere.yaml"], 2, "nowhere.yaml: there is no such file"),

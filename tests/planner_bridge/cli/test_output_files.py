@@ -23,7 +23,7 @@ def domain(tmp_path: Path) -> Path:
 def test_a_file_that_exists_is_not_replaced(domain: Path, command: str) -> None:
     before = domain.read_bytes()
     done = pnm(command, str(domain), str(domain.parent / "problem.pddl"), "--log" if command == "simulate" else "-o", str(domain))
-    assert (done.returncode, done.stderr) == (2, f"{domain}: there is such a file already; --force replaces it\n")
+    assert (done.returncode, done.stderr) == (2, f"{domain}: already exists; use --force to overwrite it\n")
     assert domain.read_bytes() == before
 
 
@@ -40,7 +40,7 @@ def test_nothing_is_imported_over_files_that_exist(domain: Path) -> None:
     domain.unlink()
     before = (folder / "problem.pddl").read_bytes()
     done = pnm("import", str(text), "-o", str(folder))
-    assert (done.returncode, done.stderr) == (2, f"{folder / 'problem.pddl'}: there is such a file already; --force replaces it\n")
+    assert (done.returncode, done.stderr) == (2, f"{folder / 'problem.pddl'}: already exists; use --force to overwrite it\n")
     assert not domain.exists()  # neither, if not both
     assert (folder / "problem.pddl").read_bytes() == before
     assert pnm("import", str(text), "-o", str(folder), "--force").returncode == 0

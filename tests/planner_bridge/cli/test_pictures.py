@@ -80,7 +80,7 @@ def test_a_timeline_that_cannot_be_written_is_refused_before_anything_moves(tmp_
     (tmp_path / "t.svg").write_text("mine")
     done = pnm("run", *DELIVERY, "--timeline", str(tmp_path / "t.svg"))
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == f"{tmp_path / 't.svg'}: there is such a file already; --force replaces it\n"
+    assert done.stderr == f"{tmp_path / 't.svg'}: already exists; use --force to overwrite it\n"
     done = pnm("replay", str(tmp_path / "t.svg"), "--timeline", str(tmp_path / "u.svg"))
     assert done.returncode == 2
     assert not (tmp_path / "u.svg").exists()
