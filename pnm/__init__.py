@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from pnm.core.knowledge_base import Layered as Layered
     from pnm.core.logic.computed_values import MISSING as MISSING
     from pnm.core.logic.conditions import Condition as Condition
+    from pnm.core.logic.conditions import evaluate as evaluate
     from pnm.core.logic.effects import Effect as Effect
     from pnm.core.logic.effects import changes as changes
-    from pnm.core.logic.evaluation import evaluate as evaluate
     from pnm.core.logic.expressions import UNKNOWN as UNKNOWN
     from pnm.core.logic.expressions import Fluent as Fluent
     from pnm.core.machine.bindings import Binding as Binding
@@ -55,10 +55,10 @@ if TYPE_CHECKING:
     from pnm.core.net.net import NetBuilder as NetBuilder
     from pnm.core.net.net import PetriNet as PetriNet
     from pnm.core.pictures.net_picture import net_svg as net_svg
-    from pnm.core.pictures.plan_dot import plan_dot as plan_dot
+    from pnm.core.pictures.plan_picture import plan_dot as plan_dot
     from pnm.core.pictures.plan_picture import plan_svg as plan_svg
     from pnm.core.pictures.timeline import Timeline as Timeline
-    from pnm.core.pictures.timeline_picture import timeline_svg as timeline_svg
+    from pnm.core.pictures.timeline import timeline_svg as timeline_svg
     from pnm.errors import InputError as InputError
     from pnm.errors import NotEnabled as NotEnabled
     from pnm.errors import PnmError as PnmError

@@ -132,8 +132,7 @@ def plan(
         SafeConsole(stderr=written_as != "text").print_reason("no plan:", result.reason)
     elif written_as != "text":
         from planner_bridge.ordering.plan_to_graph import plan_graph
-        from pnm.core.pictures.plan_dot import plan_dot
-        from pnm.core.pictures.plan_picture import plan_svg
+        from pnm.core.pictures.plan_picture import plan_dot, plan_svg
 
         graph = plan_graph(loaded, result.plan)
         write(output, plan_svg(graph) if written_as == "svg" else plan_dot(graph), force=force)
@@ -192,8 +191,7 @@ def net(
     from pnm.core.machine.verification.verify import verify
     from pnm.core.pictures.export import to_dot, to_json
     from pnm.core.pictures.net_picture import net_svg
-    from pnm.core.pictures.plan_dot import plan_dot
-    from pnm.core.pictures.plan_picture import plan_svg
+    from pnm.core.pictures.plan_picture import plan_dot, plan_svg
 
     if written_as == "json" and level == "calls":
         raise InputError("--format json has the whole net and its calls; expected --format dot or svg with --level calls")

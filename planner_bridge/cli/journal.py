@@ -34,7 +34,7 @@ from planner_bridge.node.journal_place import latest_journal
 from planner_bridge.tasks.result import TASKS
 from planner_bridge.view.task_timeline import timelines
 from pnm.core.knowledge_base import statement_text
-from pnm.core.pictures.timeline_picture import timeline_svg
+from pnm.core.pictures.timeline import timeline_svg
 from pnm.errors import InputError, printable
 from pnm.files.database.place import Place, place_of
 from pnm.journal.codec import Undecodable

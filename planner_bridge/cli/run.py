@@ -223,7 +223,7 @@ def looked_at(
 def _draw(journal: JournalChoice, timeline: Path, *, force: bool) -> None:
     """Draw the timeline of the last task of a journal."""
     from planner_bridge.view.task_timeline import timelines  # here, because most runs are not drawn
-    from pnm.core.pictures.timeline_picture import timeline_svg
+    from pnm.core.pictures.timeline import timeline_svg
 
     write(timeline, timeline_svg(*timelines(journal.place)[-1:]), force=force)
 

@@ -8,9 +8,8 @@ from planner_bridge.explanations.answer import Answer, Known, listed
 from planner_bridge.explanations.history import JournalHistory, RunHistory, TaskHistory
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.logic.computed_values import Unanswered
-from pnm.core.logic.conditions import All, conjuncts, fluents
+from pnm.core.logic.conditions import All, conjuncts, evaluate, fluents, observed
 from pnm.core.logic.effects import written
-from pnm.core.logic.evaluation import evaluate, observed
 from pnm.core.logic.expressions import Fluent, fluent_text
 from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering

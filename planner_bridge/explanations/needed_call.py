@@ -19,8 +19,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import Happening, Progression, Stage, calls_of, happenings, snapshot
 from planner_bridge.planning.validate import why_invalid
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import Condition
-from pnm.core.logic.evaluation import unmet
+from pnm.core.logic.conditions import Condition, unmet
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 
 _SHOWN: Final = 6

@@ -17,10 +17,9 @@ from planner_bridge.model.grounding import ground_action, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
 from planner_bridge.model.problem import TOTAL_TIME, Problem
 from planner_bridge.planning.validate import DURATION_TOLERANCE
-from pnm.core.logic.conditions import Holds, conjunction, ground
+from pnm.core.logic.conditions import Holds, conjunction, ground, observed, unmet
 from pnm.core.logic.domain import ActionSchema, Declaration
 from pnm.core.logic.effects import Set, ground_effects
-from pnm.core.logic.evaluation import observed, unmet
 from pnm.core.logic.expressions import Constant, Environment, Fluent, ValueOf, ground_expression
 from pnm.errors import counted
 

@@ -10,8 +10,7 @@ from typing import Final, TypeAlias
 from planner_bridge.model.problem import Domain, Problem
 from pnm.core.logic.computed_values import fluents_in
 from pnm.core.logic.conditions import Compare, Computed, Condition, Holds, every_part
-from pnm.core.logic.declared_names import Vocabulary
-from pnm.core.logic.domain import Declaration
+from pnm.core.logic.domain import Declaration, Vocabulary
 from pnm.core.logic.effects import Effects, Set, When, every_effect
 from pnm.core.logic.expressions import DURATION, UNDEFINED, Constant, Fluent, Value, Variable, expression_fluents
 from pnm.core.logic.rules import Rules

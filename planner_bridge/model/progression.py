@@ -23,9 +23,8 @@ from planner_bridge.model.grounding import ground_step
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Problem
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import Condition
+from pnm.core.logic.conditions import TOLERANCE, Condition, evaluate, explanation
 from pnm.core.logic.effects import Changes, Effects, TimedChange, changes, decided
-from pnm.core.logic.evaluation import TOLERANCE, evaluate, explanation
 from pnm.core.logic.expressions import Fluent, Value
 from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, progressed
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, PlanEvent

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from planner_bridge.node.options import Options
 from planner_bridge.pipeline.loading import bindings_beside
 from pnm.actions.bindings_file import bindings_in
-from pnm.core.logic.declared_names import Vocabulary
+from pnm.core.logic.domain import Vocabulary
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings
 from pnm.files.yaml_nodes import Mapped, load_yaml
 from pnm.knowledge.sensor_file import sensing_in

@@ -22,9 +22,8 @@ from planner_bridge.pddl.read.terms import TermScope
 from planner_bridge.pddl.syntax.expressions import Group, Node, parse, where, wrong
 from planner_bridge.pddl.syntax.words import number, number_text, operands
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
-from pnm.core.logic.conditions import Condition, choices_in
+from pnm.core.logic.conditions import Condition, choices_in, evaluate
 from pnm.core.logic.domain import MAX_CHOICES, check_choices
-from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, State, Unknown, Value, fluent_text, same_value
 from pnm.errors import InputError, Position, suggestion
 from pnm.files.yaml_nodes import load_yaml

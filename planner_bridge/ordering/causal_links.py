@@ -24,9 +24,8 @@ from typing import NamedTuple
 
 from planner_bridge.ordering.enclosing_actions import SLACK
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import All, Condition, conjuncts, fluents
+from pnm.core.logic.conditions import All, Condition, conjuncts, evaluate, fluents
 from pnm.core.logic.effects import TimedChange, read, read_early, written
-from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNKNOWN, Fluent, State, Unknown, Value
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent
 

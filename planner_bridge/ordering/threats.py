@@ -26,9 +26,8 @@ from planner_bridge.ordering.causal_links import CausalLinks, OrderKept
 from planner_bridge.ordering.partial_order import NEAR, PartialOrder
 from planner_bridge.ordering.writers import Writers
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
-from pnm.core.logic.conditions import Condition, fluents
+from pnm.core.logic.conditions import Condition, evaluate, fluents
 from pnm.core.logic.effects import Effects, TimedChange, changes, decided
-from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNKNOWN, Fluent, Unknown, Value, same_value
 from pnm.core.machine.plan_graph import Moment, PlanEvent, PlanGraph
 

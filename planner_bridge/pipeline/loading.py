@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.pddl import read_domain, read_problem
-from pnm.core.logic.declared_names import Vocabulary
+from pnm.core.logic.domain import Vocabulary
 from pnm.errors import InputError, Tolerated
 
 if TYPE_CHECKING:

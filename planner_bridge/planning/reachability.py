@@ -19,9 +19,8 @@ from typing import Final, NamedTuple, TypeAlias
 from planner_bridge.model.grounding import dynamic_names, initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.normal_form import Assignment, assignments
-from pnm.core.logic.conditions import All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, fluents
+from pnm.core.logic.conditions import All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, evaluate, fluents
 from pnm.core.logic.domain import ActionSchema
-from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import (
     DURATION,
     NOTHING,

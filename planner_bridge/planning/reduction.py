@@ -21,9 +21,8 @@ from planner_bridge.model.progression import Happening, NotApplicable, Progressi
 from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.validate import InvalidPlan, last_state
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import Condition, Holds, Not, conjuncts, fluents, names
+from pnm.core.logic.conditions import Condition, Holds, Not, conjuncts, evaluate, fluents, names
 from pnm.core.logic.effects import possible_assignments
-from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import Constant, Fluent, State, Unknown, Value, ValueOf, value_of
 from pnm.core.machine.plan_graph import GroundAction, Moment
 

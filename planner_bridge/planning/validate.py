@@ -42,9 +42,9 @@ from planner_bridge.planning.normal_form import calculates_with_whole_numbers, i
 from planner_bridge.planning.reachability import MAY_BE_UNSET
 from planner_bridge.planning.unreachable import why_unknown, why_unreachable
 from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import TOLERANCE, evaluate, explanation
 from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import assignments, possible_assignments
-from pnm.core.logic.evaluation import TOLERANCE, evaluate, explanation
 from pnm.core.logic.expressions import UNKNOWN, Constant, Expression, Fluent, State, Unknown, Value, fluent_text, value_of
 from pnm.core.logic.trajectory import moments, observed_of
 from pnm.core.machine.plan_graph import GroundAction, Moment

@@ -20,14 +20,12 @@ from planner_bridge.tasks.replanning import Progress, why_not
 from planner_bridge.tasks.result import ConstraintResult, KeptGoal, PreferenceResult, TrajectoryNote, Violation
 from pnm.actions.backend import schedule
 from pnm.clock import TimeLimit
-from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.logic.conditions import All
+from pnm.core.knowledge_base import KnowledgeBase, Layered, Readers
+from pnm.core.logic.conditions import TOLERANCE, All
 from pnm.core.logic.domain import Preference
-from pnm.core.logic.evaluation import TOLERANCE
 from pnm.core.logic.expressions import NOTHING, Environment, choices
 from pnm.core.logic.rules import read_by
 from pnm.core.logic.trajectory import Constraint, ConstraintProgress, instances, is_fulfilled, names_in, observed_of, shifted
-from pnm.core.readers import Readers
 from pnm.tasks import Code
 
 SETTLING: Final = 0.01

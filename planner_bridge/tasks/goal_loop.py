@@ -44,7 +44,7 @@ from planner_bridge.tasks.result import (
 )
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.handover import UnderWay
-from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.conditions import evaluate
 from pnm.core.logic.expressions import fluent_text
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import PlanGraph, PlanGraphError

@@ -16,8 +16,8 @@ from planner_bridge.model.progression import ConstraintProgression, NotApplicabl
 from planner_bridge.ordering.plan_to_graph import deordered
 from pnm.core.execution.call_results import CallResult, Failure
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
+from pnm.core.logic.conditions import evaluate, explanation
 from pnm.core.logic.effects import changes
-from pnm.core.logic.evaluation import evaluate, explanation
 from pnm.core.logic.expressions import is_number, same_value
 from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings, WhenLost

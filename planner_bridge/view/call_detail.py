@@ -11,8 +11,7 @@ from planner_bridge.explanations.history import RunHistory
 from planner_bridge.view.story import Story, value_words
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.logic.computed_values import Unanswered
-from pnm.core.logic.conditions import Condition, conjuncts, fluents
-from pnm.core.logic.evaluation import evaluate, observed
+from pnm.core.logic.conditions import Condition, conjuncts, evaluate, fluents, observed
 from pnm.core.logic.expressions import Fluent, Unknown, fluent_text
 from pnm.core.machine.plan_graph import ActionCall, Ordering, Recovery
 from pnm.errors import PnmError

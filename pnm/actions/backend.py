@@ -14,7 +14,7 @@ from typing import Final, Protocol
 from pnm.actions.simulated_robots import SimulatedRobots
 from pnm.actions.simulated_world import report_changes
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.declared_names import Vocabulary
+from pnm.core.logic.domain import Vocabulary
 from pnm.core.logic.effects import TimedChange
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import ActionClient

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from pnm.core.knowledge_base import parse_fluent
-from pnm.core.logic.declared_names import Vocabulary
+from pnm.core.logic.domain import Vocabulary
 from pnm.core.machine.bindings import _NAME, DEFAULT, Binding, Bindings, Foreign, Table, WhenLost, placeholders
 from pnm.errors import InputError, Position
 from pnm.files.yaml_nodes import Mapped, Node, load_yaml

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from pnm.core.knowledge_base import parse_statement
-from pnm.core.logic.declared_names import Vocabulary
+from pnm.core.logic.domain import Vocabulary
 from pnm.core.logic.expressions import Fluent, Value
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError

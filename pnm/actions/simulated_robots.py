@@ -16,11 +16,10 @@ from uuid import UUID
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
 from pnm.actions.simulated_world import Activity, SimulatedWorld
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.computed_values import MISSING, Question, compute
+from pnm.core.logic.computed_values import MISSING, Question, Uncomputable, compute
+from pnm.core.logic.conditions import TOLERANCE
 from pnm.core.logic.effects import TimedChange
-from pnm.core.logic.evaluation import TOLERANCE
 from pnm.core.logic.expressions import Fluent, Unknown, Value, bind
-from pnm.core.logic.operators import Uncomputable
 from pnm.core.machine.bindings import Bindings, WhenLost
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request

@@ -10,9 +10,8 @@ from collections.abc import Iterable, Mapping
 from typing import Final
 
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import TRUE, Condition, data_in
+from pnm.core.logic.conditions import TRUE, Condition, data_in, evaluate, unmet
 from pnm.core.logic.effects import Changes, changes, decided, undo, values_before
-from pnm.core.logic.evaluation import evaluate, unmet
 from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError

@@ -14,15 +14,14 @@ and *assumed* otherwise: then an action's effect is written when the action succ
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, Generic, TypeVar
 
 from pnm.core.logic.computed_values import MISSING
-from pnm.core.logic.derived_facts import DerivedFacts
 from pnm.core.logic.effects import Changes
 from pnm.core.logic.expressions import UNKNOWN, Constant, Fluent, Unknown, Value, absent_value, fluent_text, same_value
-from pnm.core.logic.rules import NO_RULES, Rules
+from pnm.core.logic.rules import NO_RULES, DerivedFacts, Reads, Rules
 from pnm.errors import InputError, check_seconds
 
 _REMEMBERED: Final = 20_000
@@ -337,3 +336,49 @@ def parse_statement(text: str) -> tuple[Fluent, Value]:
     if match := _EQUAL.match(text):
         return parse_fluent(match[1]), float(match[2]) if _NUMBER.match(match[2]) else match[2]
     return parse_fluent(text), True
+
+
+# --- who reads which fluents, so that a change concerns only those who read what has changed ---
+
+
+Reader = TypeVar("Reader", bound=Hashable)
+
+
+class Readers(Generic[Reader]):
+    """An index from fluents, and names of fluents, to those who read them. The mutable state is what the constructor sets."""
+
+    def __init__(self) -> None:
+        self.reads: dict[Reader, Reads] = {}
+        """What each of them reads."""
+        self._of: dict[Fluent | str, set[Reader]] = {}
+        self._of_all: set[Reader] = set()
+
+    def __len__(self) -> int:
+        return len(self.reads)
+
+    def add(self, reader: Reader, reads: Reads) -> None:
+        """Have changes of what it reads concern a reader; of everything, if it is not known what that is. Only the first time counts."""
+        if reader in self.reads:
+            return
+        self.reads[reader] = reads
+        if reads is None:
+            self._of_all.add(reader)
+        else:
+            for read in reads:
+                self._of.setdefault(read, set()).add(reader)
+
+    def remove(self, reader: Reader) -> None:
+        """Have no change concern a reader."""
+        self._of_all.discard(reader)
+        for read in self.reads.pop(reader, None) or ():
+            readers = self._of[read]
+            readers.discard(reader)
+            if not readers:
+                del self._of[read]
+
+    def concerned(self, changed: Iterable[Fluent]) -> set[Reader]:
+        """Return whom changes of these fluents concern."""
+        found = self._of_all.copy()
+        for fluent in changed:
+            found.update(self._of.get(fluent, ()), self._of.get(fluent[0], ()))
+        return found

@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, TypeAlias, assert_never
 
-from pnm.core.logic.evaluation import TOLERANCE
+from pnm.core.logic.computed_values import Uncomputable, operate
+from pnm.core.logic.conditions import TOLERANCE
 from pnm.core.logic.expressions import is_number
-from pnm.core.logic.operators import Uncomputable, operate
 from pnm.errors import InputError, PnmError
 
 COMPARISONS: Final = ("eq", "ne", "lt", "le", "gt", "ge", "contains")
-"""Operators of `pnm.core.logic.operators` that a field and a constant can be compared by."""
+"""Operators of `pnm.core.logic.computed_values` that a field and a constant can be compared by."""
 
 _STEP: Final = re.compile(r"\.?([A-Za-z]\w*)|\[(-?\d{1,9})\]|\[([A-Za-z]\w*)=([^\[\]]+)\]", re.ASCII)
 

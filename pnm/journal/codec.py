@@ -37,12 +37,12 @@ class Undecodable(PnmError):
 
 
 def value_classes(*modules: ModuleType) -> tuple[type, ...]:
-    """Return the dataclasses, enums and named tuples that the modules define."""
+    """Return the dataclasses, enums and named tuples that the modules define for others."""
     return tuple(
         entry
         for module in modules
         for entry in vars(module).values()
-        if isinstance(entry, type) and entry.__module__ == module.__name__ and _is_value(entry)
+        if isinstance(entry, type) and entry.__module__ == module.__name__ and not entry.__name__.startswith("_") and _is_value(entry)
     )
 
 

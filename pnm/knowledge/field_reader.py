@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from pnm.core.logic.declared_names import Vocabulary
+from pnm.core.logic.domain import Vocabulary
 from pnm.core.logic.expressions import UNDEFINED, is_number
 from pnm.core.message_fields import COMPARISONS, Comparison, Every, Field, FieldValue, Flag, Negation, Some, Test, parse_field
 from pnm.errors import InputError

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from pnm.core.knowledge_base import parse_fluent
-from pnm.core.logic.declared_names import FluentKind, Signature, Vocabulary
+from pnm.core.logic.domain import FluentKind, Signature, Vocabulary
 from pnm.core.logic.expressions import Fluent, Variable
 from pnm.core.message_fields import Field, FieldValue, fields_in
 from pnm.errors import InputError, Position, suggestion

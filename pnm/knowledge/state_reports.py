@@ -16,7 +16,7 @@ from math import prod
 from typing import Final
 
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
-from pnm.core.logic.declared_names import FluentKind, Vocabulary
+from pnm.core.logic.domain import FluentKind, Vocabulary
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Value, absent_value
 from pnm.core.readiness import Readiness, ReadyState
 from pnm.errors import InputError, suggestion

@@ -10,7 +10,7 @@ from uuid import UUID
 
 from pnm.clock import follow_real_time
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.declared_names import Vocabulary
+from pnm.core.logic.domain import Vocabulary
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import ActionClient

@@ -15,7 +15,7 @@ from typing import Any
 
 from pnm.core.knowledge_base import parse_fluent
 from pnm.core.logic.computed_values import MISSING
-from pnm.core.logic.declared_names import FluentKind, Vocabulary
+from pnm.core.logic.domain import FluentKind, Vocabulary
 from pnm.core.logic.expressions import fluent_text
 from pnm.core.machine.bindings import Binding, Bindings, Table, open_parameters, placeholders
 from pnm.core.machine.plan_graph import GroundAction

@@ -20,20 +20,39 @@ from uuid import UUID
 from pnm.core.execution.events import Performed, Store
 from pnm.core.execution.questions import EvaluationContext, unknown_values
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.compiled_condition import CompiledCondition, compiled
 from pnm.core.logic.computed_values import (
+    CHANGING,
     MISSING,
     KnowledgeOperation,
     Layer,
     Operation,
     Query,
     Question,
+    Uncomputable,
     Update,
     compute,
     may_ask,
     question_of,
 )
-from pnm.core.logic.conditions import TRUE, All, Compare, Condition, Holds, Not, conjunction, conjuncts, data_in, fluents, ground, names
+from pnm.core.logic.conditions import (
+    TRUE,
+    All,
+    Compare,
+    CompiledCondition,
+    Condition,
+    Holds,
+    Not,
+    compiled,
+    conjunction,
+    conjuncts,
+    data_in,
+    evaluate,
+    fluents,
+    ground,
+    names,
+    observed,
+    unmet,
+)
 from pnm.core.logic.effects import (
     Changes,
     Effects,
@@ -48,9 +67,7 @@ from pnm.core.logic.effects import (
     names_written,
     written,
 )
-from pnm.core.logic.evaluation import evaluate, observed, unmet
 from pnm.core.logic.expressions import UNKNOWN, Constant, Fluent, Unknown, Value, ValueOf, bind, is_number, same_value
-from pnm.core.logic.operators import CHANGING, Uncomputable
 from pnm.core.logic.rules import NO_RULES, Reads, Rules, read_by, reads_of
 from pnm.core.machine.bindings import Binding, goal_data, open_parameters, own_values, placeholders
 from pnm.core.machine.guards import Guard, KnowledgeRead

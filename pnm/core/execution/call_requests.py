@@ -28,9 +28,8 @@ from pnm.core.execution.machine_index import index_of
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import Question
-from pnm.core.logic.conditions import Condition
+from pnm.core.logic.conditions import Condition, observed
 from pnm.core.logic.effects import Changes, is_fixed, names_written
-from pnm.core.logic.evaluation import observed
 from pnm.core.logic.expressions import bind, same_value
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.machine import PetriNetMachine

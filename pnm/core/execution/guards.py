@@ -16,8 +16,7 @@ from pnm.core.execution.call_results import Explanation
 from pnm.core.execution.machine_index import Firing, Site
 from pnm.core.execution.questions import EvaluationContext, Questions
 from pnm.core.execution.run_state import RunState
-from pnm.core.logic.conditions import Condition, ground, names
-from pnm.core.logic.evaluation import evaluate, explanation, observed
+from pnm.core.logic.conditions import Condition, evaluate, explanation, ground, names, observed
 from pnm.core.logic.expressions import UNKNOWN, Truth
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.guards import (

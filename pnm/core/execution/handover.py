@@ -16,9 +16,8 @@ from pnm.core.execution.call_data import Intention, denied_at_end, may_be_late, 
 from pnm.core.execution.call_results import CallResult
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import Condition, conjuncts, ground, names
+from pnm.core.logic.conditions import Condition, conjuncts, evaluate, ground, names, observed, unmet
 from pnm.core.logic.effects import Changes, undo, values_before
-from pnm.core.logic.evaluation import evaluate, observed, unmet
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.machine.requests import Request

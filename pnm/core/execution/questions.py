@@ -23,13 +23,13 @@ from pnm.core.logic.computed_values import (
     Query,
     Question,
     Unanswered,
+    Uncomputable,
     Update,
     compute,
     question_of,
     variable_name,
 )
 from pnm.core.logic.expressions import NOTHING, Environment, Fluent, Unknown, Value
-from pnm.core.logic.operators import Uncomputable
 from pnm.core.machine.bindings import DEFAULT, Binding, open_parameters
 from pnm.core.machine.plan_graph import GroundAction, PlanGraph
 

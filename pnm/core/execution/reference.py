@@ -57,9 +57,8 @@ from pnm.core.execution.handover import CallAttempt, UnderWay
 from pnm.core.execution.questions import EvaluationContext, Questions, subject_of
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import Question, Unanswered
-from pnm.core.logic.conditions import Condition, ground, names
+from pnm.core.logic.conditions import Condition, evaluate, ground, names
 from pnm.core.logic.effects import Changes
-from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNKNOWN, Fluent, Truth
 from pnm.core.machine import guards, requests
 from pnm.core.machine.bindings import Bindings

@@ -13,11 +13,10 @@ from pnm.core.execution.call_results import CallResults
 from pnm.core.execution.events import Pause, Resume, Settled, SingleStep, Stop
 from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.machine_index import MachineIndex
-from pnm.core.knowledge_base import Layered
+from pnm.core.knowledge_base import Layered, Readers
 from pnm.core.logic.rules import Rules
 from pnm.core.machine.machine import OnFailure
 from pnm.core.net.firing_engine import Engine
-from pnm.core.readers import Readers
 from pnm.errors import RunError
 
 

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from math import prod
 from typing import Final, TypeAlias, assert_never
 
-from pnm.core.logic.conditions import Condition, Count, choices_in, fluents, ground
-from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.conditions import Condition, Count, choices_in, evaluate, fluents, ground
 from pnm.core.logic.expressions import (
     NOTHING,
     UNKNOWN,

@@ -6,17 +6,17 @@ no name may depend on its own negation. Then the names fall into strata; a rule 
 of lower ones, and each stratum has a least fixpoint once those below it are settled. With the truth
 values ordered false < unknown < true that is so for three values as for two.
 
-Names that no rule derives are *base* names. For `pnm.core.logic.derived_facts` a rule is split into *bodies*:
+Names that no rule derives are *base* names. A rule is split into *bodies*:
 conjunctions with variables of their own, whose steps are ordered as a join: objects are looked up
 among the recorded facts before all objects of a type are tried.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, TypeAlias
+from typing import Final, TypeAlias, assert_never
 
 from pnm.core.logic.conditions import (
     All,
@@ -26,13 +26,28 @@ from pnm.core.logic.conditions import (
     Condition,
     Exists,
     Holds,
+    evaluate,
     every_part,
+    fluents,
     free_variables,
     ground,
     names,
     polarities,
 )
-from pnm.core.logic.expressions import Fluent, Variable, expression_fluents, variables_in
+from pnm.core.logic.expressions import (
+    UNKNOWN,
+    Environment,
+    Fluent,
+    State,
+    Truth,
+    Unknown,
+    Value,
+    Variable,
+    bind,
+    expression_fluents,
+    fluent_text,
+    variables_in,
+)
 from pnm.errors import PnmError
 
 
@@ -259,3 +274,260 @@ def _find(condition: Holds, unknown: dict[str, Variable]) -> FindFact:
     terms = tuple(enumerate(condition.fluent))
     known = tuple(position for position, term in terms if term not in unknown)
     return FindFact(condition, known, tuple((position, unknown[term]) for position, term in terms if term in unknown))
+
+
+# --- derived facts, computed when asked for ------------------------------------------------
+
+
+LISTED: Final = 4
+"""Reasons that an explanation names; the others are counted."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Attempt:
+    """A partial derivation of a fact: the first steps of a body have succeeded for a binding of its variables."""
+
+    fact: Fluent
+    body: Body
+    env: Environment
+    position: int = 0
+    """Number of steps that have succeeded."""
+    truth: Truth = True
+    """Unknown as soon as one step is."""
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether all steps have succeeded, as far as is known."""
+        return self.position == len(self.body.steps)
+
+    def advanced(self, env: Environment, truth: Truth = True) -> _Attempt:
+        """Return the attempt after one more step."""
+        return _Attempt(self.fact, self.body, env, self.position + 1, self.truth if truth is True else truth)
+
+
+class DerivedFacts:
+    """A state with the recorded facts and those that rules derive from them when asked, remembered until a fact below them changes.
+
+    A fact is derived backwards from the question. It is taken to be false, and attempts are made to derive
+    it: one for every body and every binding of the body's own variables, step by step. A step
+    that asks about a fact of the same stratum opens that question too; the attempt is resumed
+    whenever that fact turns out to be more than it was taken for. When no attempt can go on, every fact that
+    was asked about has its value in the least fixpoint. Facts of lower strata are settled first.
+
+    The mutable state is a cache: for every derived name the truth of its facts, the attempt that
+    proved a fact, and the unknown fluents that an unknown fact depends on; for every recorded name its facts,
+    indexed by some of their terms. `forget` must be called after recorded facts change; the objects of a type never do.
+    """
+
+    def __init__(
+        self, rules: Rules, recorded: Mapping[Fluent, Value | Unknown], objects: Callable[[tuple[str, ...]], tuple[str, ...]]
+    ) -> None:
+        self.rules = rules
+        self.objects = objects
+        self._recorded = recorded
+        self._members: dict[tuple[str, ...], frozenset[str]] = {}
+        self._truth: dict[str, dict[Fluent, Truth]] = {name: {} for name in rules.derived}
+        self._proofs: dict[str, dict[Fluent, _Attempt]] = {name: {} for name in rules.derived}
+        self._undecided: dict[str, dict[Fluent, frozenset[Fluent]]] = {name: {} for name in rules.derived}
+        self._tables: dict[str, dict[tuple[int, tuple[int, ...]], dict[Fluent, list[Fluent]]]] = {}
+
+    def forget(self, names: Iterable[str]) -> None:
+        """Invalidate the cache: recorded facts of these names have changed."""
+        for name in names:
+            self._tables.pop(name, None)
+            for derived in self.rules.above.get(name, ()):
+                self._truth[derived].clear()
+                self._proofs[derived].clear()
+                self._undecided[derived].clear()
+
+    def value(self, fluent: Fluent, /) -> Value | Unknown | None:
+        """Return the truth of a derived fact, or what is recorded for any other fluent."""
+        known = self._truth.get(fluent[0])
+        if known is None:
+            return self._recorded.get(fluent)
+        if fluent not in known:
+            _Fixpoint(self, self.rules.strata[fluent[0]]).settle(fluent)
+        return known[fluent]
+
+    def remembered(self, fluent: Fluent) -> Truth | None:
+        """Return the truth of a derived fact if it is settled."""
+        return self._truth[fluent[0]].get(fluent)
+
+    def remember(self, fluent: Fluent, truth: Truth, proof: _Attempt | None) -> None:
+        """Store the truth of a derived fact, and its proof if it is true."""
+        self._truth[fluent[0]][fluent] = truth
+        if proof:
+            self._proofs[fluent[0]][fluent] = proof
+
+    # --- why --------------------------------------------------------------------------------------
+
+    def rests_on(self, fluent: Fluent) -> frozenset[Fluent]:
+        """Return the unknown recorded fluents that decide whether a derived fact holds; none when that is known."""
+        unknown: set[Fluent] = set()
+        waiting = {fluent} if self.value(fluent) is UNKNOWN else set()
+        while waiting:
+            undecided = waiting.pop()
+            unknown.add(undecided)
+            if undecided[0] in self.rules.derived:
+                waiting |= self._waits_for(undecided) - unknown
+        return frozenset(fluent for fluent in unknown if fluent[0] not in self.rules.derived)
+
+    def _waits_for(self, fluent: Fluent) -> frozenset[Fluent]:
+        """Return the unknown fluents in the bodies that may still turn out to derive the fact."""
+        remembered = self._undecided[fluent[0]]
+        if fluent not in remembered:
+            attempts = [attempt for attempt in self._ended(fluent) if attempt.succeeded and attempt.truth is UNKNOWN]
+            parts = ((part, attempt.env) for attempt in attempts for part in attempt.body.parts)
+            asked = (below for part, env in parts if evaluate(part, self, env) is UNKNOWN for below in fluents(part, self, env))
+            remembered[fluent] = frozenset(below for below in asked if self.value(below) is UNKNOWN)
+        return remembered[fluent]
+
+    def because(self, fluent: Fluent) -> str:
+        """Return why a derived fact has its truth, in recorded facts: "because of …", or "for want of …" if it is false."""
+        truth = self.value(fluent)
+        if truth is UNKNOWN:
+            return _listed("because of", sorted(map(fluent_text, self.rests_on(fluent))))
+        derived, seen, reasons = [fluent], {fluent}, dict[str, None]()
+        for fact in derived:  # grows
+            for part, env in self._grounds(fact):
+                below = bind(part.fluent, env) if isinstance(part, Holds) else ()
+                if below[:1] and below[0] in self.rules.derived:
+                    derived += {below} - seen
+                    seen.add(below)
+                elif names(part):
+                    reasons[str(ground(part, env))] = None
+        # the last attempt explains more than the first: it usually got furthest
+        return _listed("because of", list(reasons)) if truth else _listed("for want of", list(reversed(reasons)))
+
+    def _grounds(self, fluent: Fluent) -> Iterator[tuple[Condition, Environment]]:
+        """Yield the conditions that prove the fact, or those at which every attempt failed, with their bindings."""
+        if fluent in self._proofs[fluent[0]]:
+            proof = self._proofs[fluent[0]][fluent]
+            yield from ((part, proof.env) for part in proof.body.parts)
+            return
+        for attempt in self._ended(fluent):
+            step = attempt.body.steps[attempt.position]
+            if not isinstance(step, ChooseObject):
+                yield step.condition, attempt.env
+
+    def _ended(self, fluent: Fluent) -> Iterator[_Attempt]:
+        """Yield all attempts to derive the fact, each at its last step, now that all facts are settled."""
+        waiting = list(reversed(self.attempts(fluent)))
+        while waiting:
+            attempt = waiting.pop()
+            further = [] if attempt.succeeded else self.further(attempt, self)
+            if further:
+                waiting += reversed(further)
+            else:
+                yield attempt
+
+    # --- following bodies -------------------------------------------------------------------------
+
+    def attempts(self, fluent: Fluent) -> list[_Attempt]:
+        """Return an attempt to derive the fact for every body that is about it."""
+        return [
+            _Attempt(fluent, body, dict(zip((variable.name for variable in body.head), fluent[1:], strict=True)))
+            for body in self.rules.bodies[fluent[0]]
+            if len(body.head) == len(fluent) - 1 and all(map(self._is_of, fluent[1:], (variable.types for variable in body.head)))
+        ]
+
+    def further(self, attempt: _Attempt, state: State) -> list[_Attempt]:
+        """Return the attempt after its next step, once for every binding with which that succeeds."""
+        match attempt.body.steps[attempt.position]:
+            case CheckCondition(condition):
+                truth = evaluate(condition, state, attempt.env)
+                return [] if truth is False else [attempt.advanced(attempt.env, truth)]
+            case ChooseObject(variable):
+                return [attempt.advanced({**attempt.env, variable.name: name}) for name in self.objects(variable.types)]
+            case FindFact() as find:
+                return [attempt.advanced(env, truth) for env, truth in self._matches(find, attempt.env)]
+            case other:
+                assert_never(other)
+
+    def _matches(self, find: FindFact, env: Environment) -> Iterator[tuple[Environment, Truth]]:
+        """Yield the environment extended by each recorded fact that matches, and the truth of that fact."""
+        pattern = bind(find.condition.fluent, env)
+        tables, key = self._tables.setdefault(pattern[0], {}), (len(pattern), find.known)
+        if key not in tables:  # the recorded facts that are not false, by their terms at the known positions
+            table = tables[key] = {}
+            for fact, value in self._recorded.items():
+                if fact[0] == pattern[0] and len(fact) == len(pattern) and (value is UNKNOWN or value):
+                    table.setdefault(tuple(fact[position] for position in find.known), []).append(fact)
+        for fact in tables[key].get(tuple(pattern[position] for position in find.known), ()):
+            inner = dict(env)
+            if all(self._is_of(fact[at], new.types) and inner.setdefault(new.name, fact[at]) == fact[at] for at, new in find.new):
+                yield inner, UNKNOWN if self._recorded[fact] is UNKNOWN else True
+
+    def _is_of(self, name: str, types: tuple[str, ...]) -> bool:
+        if types not in self._members:
+            self._members[types] = frozenset(self.objects(types))
+        return name in self._members[types]
+
+
+class _Fixpoint:
+    """The least fixpoint of the facts of one stratum on which a question depends: false until derived.
+
+    The mutable state is what the constructor sets besides `objects`.
+    """
+
+    def __init__(self, facts: DerivedFacts, stratum: int) -> None:
+        self.objects = facts.objects
+        self._facts = facts
+        self._stratum = stratum
+        self._truth: dict[Fluent, Truth] = {}
+        self._proofs: dict[Fluent, _Attempt] = {}
+        self._agenda: list[_Attempt] = []
+        self._dependents: dict[Fluent, dict[_Attempt, None]] = {}
+        """For every fact, the attempts to be resumed when its truth rises."""
+        self._passed: dict[_Attempt, Truth] = {}
+        """The truth of the next step of an attempt, if it went on."""
+        self._current: _Attempt
+
+    def settle(self, question: Fluent) -> None:
+        """Compute the truth of the question and of all facts that it depends on."""
+        self._open(question)
+        while self._agenda:
+            attempt = self._agenda.pop()
+            if self._truth[attempt.fact] is True:
+                continue
+            if attempt.succeeded:
+                fact = attempt.fact
+                if attempt.truth is not self._truth[fact]:
+                    self._truth[fact] = attempt.truth
+                    self._agenda += self._dependents[fact]
+                    self._dependents[fact] = {}
+                    if attempt.truth is True:
+                        self._proofs[fact] = attempt
+                continue
+            self._current = attempt
+            further = self._facts.further(attempt, self)
+            if further and further[0].truth is not self._passed.get(attempt):
+                self._passed[attempt] = further[0].truth
+                self._agenda += further
+        for fact, truth in self._truth.items():
+            self._facts.remember(fact, truth, self._proofs.get(fact))
+
+    def value(self, fluent: Fluent, /) -> Value | Unknown | None:
+        """Return the truth so far of a fact of this stratum, and note that the current attempt depends on it."""
+        if self._facts.rules.strata.get(fluent[0]) != self._stratum:
+            return self._facts.value(fluent)
+        settled = self._facts.remembered(fluent)
+        if settled is not None:
+            return settled
+        if fluent not in self._truth:
+            self._open(fluent)
+        if self._truth[fluent] is not True:
+            self._dependents[fluent][self._current] = None
+        return self._truth[fluent]
+
+    def _open(self, fluent: Fluent) -> None:
+        self._truth[fluent] = False
+        self._dependents[fluent] = {}
+        self._agenda += self._facts.attempts(fluent)
+
+
+def _listed(how: str, reasons: list[str]) -> str:
+    if not reasons:
+        return ""
+    more = f" and {len(reasons) - LISTED} more" if len(reasons) > LISTED else ""
+    return f"{how} {', '.join(reasons[:LISTED])}{more}"

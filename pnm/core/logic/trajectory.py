@@ -19,8 +19,7 @@ from dataclasses import dataclass, replace
 from math import inf
 from typing import Final
 
-from pnm.core.logic.conditions import Any, Condition, Not, conjuncts, ground, names
-from pnm.core.logic.evaluation import TOLERANCE, Witness, evaluate, observed, unmet
+from pnm.core.logic.conditions import TOLERANCE, Any, Condition, Not, Witness, conjuncts, evaluate, ground, names, observed, unmet
 from pnm.core.logic.expressions import NOTHING, Environment, State, Variable, choices
 
 

@@ -1,6 +1,7 @@
-"""Picture of a plan as SVG: a box per step in the order of time, an arrow where one waits for another, with the fact it waits for.
+"""Pictures of a plan as SVG and as Graphviz text.
 
-A box has the number of its step in `data-step`, and all looks are classes: a page that shows the picture gives it its own.
+There is a box per step in the order of time, and an arrow where one waits for another, with the fact it waits for. In the SVG, a box
+has the number of its step in `data-step`, and all looks are classes: a page that shows the picture gives it its own.
 
 Arrows to another line of columns are written as numbers, `→ #7` behind the one and `#3 →` before the other; so is what the end of a
 step waits for, below it.
@@ -9,15 +10,196 @@ step waits for, below it.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from typing import Final
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final, NamedTuple
 
-from pnm.core.logic.expressions import fluent_text
-from pnm.core.machine.plan_graph import PlanGraph
-from pnm.core.pictures.plan_layout import Arrow, Cell, PlanLayout, laid_out
-from pnm.core.pictures.step_words import cut, facts_of, held, numbers, words_of
-from pnm.core.pictures.svg import picture, xml
+from pnm.core.logic.expressions import Fluent, fluent_text
+from pnm.core.machine.plan_graph import ActionCall, Flow, Moment, PlanGraph, Step, every_step, flows, in_order
+from pnm.core.pictures.export import quoted
+from pnm.core.pictures.svg import cut, picture, xml
 from pnm.errors import counted
+
+# --- where each step stands -----------------------------------------------------------------
+#
+# In the order of time, in rows that fit on paper.
+# Steps stand in columns: a step is one column behind the last of those that its start waits for. They stand in lanes, from top to
+# bottom: a step follows one that it waits for in its lane, with as many arguments in common as possible, so that what one robot does is
+# a line. After so many columns as fit on paper the picture goes on below, as a line of text does.
+
+
+COLUMNS: Final = 5
+"""Columns beside each other, where steps are boxes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """Where a step stands."""
+
+    step: Step
+    line: int
+    """Which line of columns it is in, from 0."""
+    column: int
+    """From 0, within the line, in the order of time."""
+    row: int
+    """From 0, downwards; those of a line of columns follow those of the lines above."""
+
+
+@dataclass(frozen=True, slots=True)
+class Arrow:
+    """Steps one of which waits for the other, by their numbers."""
+
+    before: int
+    after: int
+    protects: tuple[Fluent, ...]
+    """The facts for whose sake it does."""
+    is_for_the_end: bool
+    """Whether the end of the step waits, and not its start."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlanLayout:
+    """Cells and arrows of a flow."""
+
+    cells: Mapping[int, Cell]
+    """By the number of the step."""
+    arrows: tuple[Arrow, ...]
+
+    @property
+    def rows(self) -> int:
+        """How many rows there are."""
+        return 1 + max((cell.row for cell in self.cells.values()), default=-1)
+
+    @property
+    def lines(self) -> int:
+        """How many lines of columns there are."""
+        return 1 + max((cell.line for cell in self.cells.values()), default=-1)
+
+    @property
+    def columns(self) -> int:
+        """How many columns are beside each other at most."""
+        return 1 + max((cell.column for cell in self.cells.values()), default=-1)
+
+
+def laid_out(flow: Flow, across: int = COLUMNS) -> PlanLayout:
+    """Return the layout of the steps of a flow, without what they hold, and of the orderings that do not follow from others.
+
+    Args:
+        flow: the steps.
+        across: columns beside each other, at most.
+    """
+    steps = {step.index: step for step in flow.steps}
+    order = [event.call for event in in_order(flow) if event.moment is Moment.START]
+    waits_for: dict[int, set[int]] = {index: set() for index in steps}
+    for ordering in flow.orderings:
+        if ordering.after.moment is Moment.START and ordering.after.call != ordering.before.call:
+            waits_for[ordering.after.call].add(ordering.before.call)
+    columns: dict[int, int] = {}
+    for index in order:
+        columns[index] = 1 + max((columns[before] for before in waits_for[index]), default=-1)
+    lanes = _lanes(sorted(order, key=columns.__getitem__), columns, waits_for, steps)
+    return PlanLayout(_cells(columns, lanes, steps, across), _arrows(flow, order, waits_for))
+
+
+def _lanes(order: list[int], columns: Mapping[int, int], waits_for: Mapping[int, set[int]], steps: Mapping[int, Step]) -> dict[int, int]:
+    """Return the lane of each step: no two steps of a column have the same."""
+    lanes: dict[int, int] = {}
+    last: list[int] = []
+    """By lane, the step that stands in it last."""
+    for index in order:
+        mine = _arguments(steps[index])
+        free = [lane for lane, there in enumerate(last) if columns[there] < columns[index]]
+        likeness = {lane: (last[lane] in waits_for[index], len(mine & _arguments(steps[last[lane]])), -lane) for lane in free}
+        liked = [lane for lane in free if likeness[lane][0] or likeness[lane][1]]
+        lane = max(liked, key=likeness.__getitem__) if liked else len(last)
+        last[lane : lane + 1] = [index]
+        lanes[index] = lane
+    return lanes
+
+
+def _arguments(step: Step) -> frozenset[str]:
+    return frozenset(step.action.arguments) if isinstance(step, ActionCall) else frozenset()
+
+
+def _cells(columns: Mapping[int, int], lanes: Mapping[int, int], steps: Mapping[int, Step], across: int) -> dict[int, Cell]:
+    """Return the cells: of the lanes, only those that a line of columns uses are rows of it."""
+    used: dict[int, set[int]] = {}
+    for index, column in columns.items():
+        used.setdefault(column // across, set()).add(lanes[index])
+    rows: dict[tuple[int, int], int] = {}
+    for line in sorted(used):
+        for lane in sorted(used[line]):
+            rows[line, lane] = len(rows)
+    cells: dict[int, Cell] = {}
+    for index, column in columns.items():
+        line, place = divmod(column, across)
+        cells[index] = Cell(steps[index], line, place, rows[line, lanes[index]])
+    return cells
+
+
+def _arrows(flow: Flow, order: list[int], waits_for: Mapping[int, set[int]]) -> tuple[Arrow, ...]:
+    """Return an arrow for each pair of steps one of which waits for the other, unless it waits for a third one that does."""
+    behind: dict[int, set[int]] = {}
+    """For every step, all that it waits for, directly or not."""
+    needed: set[tuple[int, int]] = set()
+    for index in order:
+        before = waits_for[index]
+        indirect = set[int]().union(*(behind[other] for other in before))
+        behind[index] = before | indirect
+        needed |= {(other, index) for other in before - indirect}
+    found: dict[tuple[int, int, bool], dict[Fluent, None]] = {}
+    for ordering in flow.orderings:
+        before_call, after_call, at_end = ordering.before.call, ordering.after.call, ordering.after.moment is Moment.END
+        if (at_end or (before_call, after_call) in needed) and before_call != after_call:
+            found.setdefault((before_call, after_call, at_end), {}).update(dict.fromkeys(ordering.protects))
+    return tuple(Arrow(before, after, tuple(facts), at_end) for (before, after, at_end), facts in found.items())
+
+
+# --- the words of a step --------------------------------------------------------------------
+
+
+class StepWords(NamedTuple):
+    """Words of a step."""
+
+    name: str
+    what: str
+    """What it is about."""
+    whole: str
+    """Both, with all else that is known."""
+
+
+def words_of(step: Step) -> StepWords:
+    """Return the words of a step."""
+    if isinstance(step, ActionCall):
+        duration = "" if step.action.duration is None else f", {step.action.duration:g} s"
+        what = str(step.action.operation) if step.action.operation is not None else ", ".join(step.action.arguments)
+        return StepWords(step.action.name, what, f"{step}, planned at {step.planned:g} s{duration}")
+    inner = [str(one) for flow in flows(step) for one in every_step(flow.steps)]
+    return StepWords(type(step).__name__.lower(), f"{len(inner)} steps", "\n".join((str(step), *inner)))
+
+
+def held(step: Step) -> Iterator[tuple[str, Flow]]:
+    """Yield what a step holds, with words for it."""
+    for one in step.held:
+        if one.flow.steps or not isinstance(step, ActionCall):
+            yield f"#{step.index} {one.when}", one.flow
+
+
+def facts_of(protects: tuple[Fluent, ...], letters: int) -> str:
+    """Return the first of the facts that an ordering protects, and how many more there are; nothing if there is none."""
+    if not protects:
+        return ""
+    more = f" +{len(protects) - 1}" if len(protects) > 1 else ""
+    return cut(fluent_text(protects[0]), letters - len(more)) + more
+
+
+def numbers(others: Iterable[int]) -> str:
+    """Return the numbers of steps."""
+    return " ".join(f"#{other}" for other in sorted(others))
+
+
+# --- as SVG ---------------------------------------------------------------------------------
+
 
 _BOX: Final = (196, 46)
 """Width and height of a box, in pixels."""
@@ -151,3 +333,43 @@ def _numbered_arrows(layout: PlanLayout) -> Iterator[str]:
             yield f'<text class="far" x="{x - 4}" y="{y + _BOX[1] - 4}" text-anchor="end">{cut(numbers(coming[index]), _NUMBERS)} →</text>'
         if index in ending:
             yield f'<text class="far" x="{x + 8}" y="{y + _BOX[1] + 12}">ends after {cut(numbers(ending[index]), _NUMBERS)}</text>'
+
+
+# --- as Graphviz text -----------------------------------------------------------------------
+#
+# What a step holds stands in a frame, to which a dotted arrow leads.
+
+
+_DOT_LETTERS: Final = 40
+
+
+def plan_dot(plan: PlanGraph) -> str:
+    """Return the picture of a plan; the same plan gives the same text."""
+    look = 'node [shape=box, style=rounded, fontname="sans-serif", fontsize=11]; edge [fontname="sans-serif", fontsize=9]'
+    lines = ["digraph plan {", f"  rankdir=LR; {look};", *_steps(plan.flow, "  ")]
+    for step in plan.every_step:
+        for number, (title, flow) in enumerate(held(step)):
+            lines.append(
+                f'  subgraph cluster_{step.index}_{number} {{ label={quoted(title)}; color=gray; fontname="sans-serif"; fontsize=10;'
+            )
+            lines += (*_steps(flow, "    "), "  }")
+            later = {arrow.after for arrow in laid_out(flow).arrows if not arrow.is_for_the_end}
+            lines += (f"  {step.index} -> {first.index} [style=dotted];" for first in flow.steps if first.index not in later)
+    return "\n".join((*lines, "}", ""))
+
+
+def _steps(flow: Flow, indent: str) -> Iterator[str]:
+    """Yield steps in the order of time, which is the order in which Graphviz places them, and their arrows."""
+    layout = laid_out(flow)
+    for cell in sorted(layout.cells.values(), key=lambda cell: (cell.line, cell.column, cell.row)):
+        words = words_of(cell.step)
+        label = f"{words.name}  #{cell.step.index}\n{cut(words.what, _DOT_LETTERS)}"
+        yield f"{indent}{cell.step.index} [label={quoted(label)}, tooltip={quoted(words.whole)}];"
+    for arrow in layout.arrows:
+        look = ", style=dashed, constraint=false" if arrow.is_for_the_end else ""
+        label = (
+            f"ends after {facts_of(arrow.protects, _DOT_LETTERS)}".rstrip()
+            if arrow.is_for_the_end
+            else facts_of(arrow.protects, _DOT_LETTERS)
+        )
+        yield f"{indent}{arrow.before} -> {arrow.after} [label={quoted(label)}{look}];"

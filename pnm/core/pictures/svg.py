@@ -1,4 +1,4 @@
-"""What all pictures are made of: the frame of an SVG text, with a white ground, so that it can be read on dark pages as well."""
+"""The frame of every picture: an SVG text with a white ground, so that it can be read on dark pages as well."""
 
 from __future__ import annotations
 
@@ -15,6 +15,11 @@ _FRAME: Final = ".tip{fill:#78909c;stroke:none}.paper{fill:#fff;stroke:none}"
 def xml(text: str) -> str:
     """Return a text as it stands in a picture: without what XML forbids, and with its marks written out."""
     return escape(printable_lines(text))
+
+
+def cut(text: str, letters: int) -> str:
+    """Return a text that has so many letters at most."""
+    return text if len(text) <= letters else f"{text[: letters - 1]}…"
 
 
 def picture(kind: str, title: str, style: str, width: float, height: float, parts: Iterable[str]) -> str:

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 from uuid import UUID, uuid5
 
-from pnm.core.logic.computed_values import MISSING, Layer, Question
-from pnm.core.logic.operators import spoken
+from pnm.core.logic.computed_values import MISSING, Layer, Question, spoken
 from pnm.knowledge.sources.source import Asker, Source, SourceError
 
 TRY_AGAIN: Final = "try again"

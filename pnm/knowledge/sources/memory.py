@@ -9,8 +9,7 @@ import json
 from math import isfinite
 from typing import Final
 
-from pnm.core.logic.computed_values import MISSING, Question
-from pnm.core.logic.operators import MAX_SIZE
+from pnm.core.logic.computed_values import MAX_SIZE, MISSING, Question
 from pnm.knowledge.sources.source import Asker, SourceError
 
 _SHOWN: Final = 60

@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 from typing import Final
 
-from pnm.core.logic.computed_values import MISSING, Layer, Question
-from pnm.core.logic.operators import spoken
+from pnm.core.logic.computed_values import MISSING, Layer, Question, spoken
 from pnm.knowledge.sources.memory import read_value
 from pnm.knowledge.sources.source import SourceError
 

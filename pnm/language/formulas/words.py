@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Final
 
-from pnm.core.logic.computed_values import LOGICAL, Layer
-from pnm.core.logic.operators import CHANGING, OPERATORS
+from pnm.core.logic.computed_values import CHANGING, LOGICAL, OPERATORS, Layer
 from pnm.errors import InputError, Position, suggestion
 from pnm.files.yaml_nodes import Node
 from pnm.language.formulas.scope import shown

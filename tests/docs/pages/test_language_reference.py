@@ -10,10 +10,9 @@ import pytest
 
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.logic.computed_values import compute
-from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.computed_values import CHANGING, OPERATORS, compute
+from pnm.core.logic.conditions import evaluate
 from pnm.core.logic.expressions import Fluent, Unknown, Value
-from pnm.core.logic.operators import CHANGING, OPERATORS
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import Node, parse_yaml
 from pnm.language import read_domain, read_plans, read_world

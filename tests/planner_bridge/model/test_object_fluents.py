@@ -16,10 +16,9 @@ from planner_bridge.tasks.replanning import PlanAgain, ResumePlan
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import Compare, Condition, Not
+from pnm.core.logic.conditions import Compare, Condition, Not, evaluate
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.effects import Set
-from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Value, ValueOf, Variable
 from pnm.core.machine.bindings import Binding, Bindings, goal_data
 from tests.support.runs.plan_graphs import shown

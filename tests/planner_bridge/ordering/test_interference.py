@@ -13,7 +13,7 @@ from planner_bridge.model.progression import NotApplicable, Progression, snapsho
 from planner_bridge.ordering.interference import ReadWriteSets, avoid_interference, interference, read_write_sets
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.planning.solve import solve
-from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.conditions import evaluate
 from pnm.core.machine.plan_graph import PlanGraph
 from tests.support.pddl.problems import rooms, tanks
 

@@ -15,7 +15,7 @@ from planner_bridge.pipeline.loading import load
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.clock import run_async
-from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.conditions import evaluate
 from pnm.errors import InputError
 from tests.support.files import SHARED
 

@@ -15,7 +15,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import NotApplicable, Progression
 from planner_bridge.planning import reduction, solve
 from planner_bridge.planning.reduction import indispensable, reduced
-from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.conditions import evaluate
 from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
 from tests.support.pddl.problems import rooms
 

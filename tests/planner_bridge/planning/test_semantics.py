@@ -35,10 +35,9 @@ from pnm.clock import run_async
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.logic.conditions import TRUE
+from pnm.core.logic.conditions import TRUE, evaluate
 from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import changes, names_written
-from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import Fluent, State, same_value
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.generate import generate

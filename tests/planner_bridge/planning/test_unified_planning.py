@@ -15,10 +15,9 @@ from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.planning.solve import solve
 from planner_bridge.planning.unified_planning.problems import to_unified_planning
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not
+from pnm.core.logic.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, evaluate
 from pnm.core.logic.domain import ActionSchema, Declaration, Preference
 from pnm.core.logic.effects import Effect, ForEach, Set, When, changes
-from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import Constant, Fluent, Value, ValueOf, Variable
 from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError

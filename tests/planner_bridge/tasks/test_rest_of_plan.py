@@ -20,8 +20,7 @@ from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange
 from pnm.clock import run_async
 from pnm.core.execution.call_results import CallResult
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import Holds, Not
-from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.conditions import Holds, Not, evaluate
 from pnm.core.logic.expressions import Variable
 from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import Binding, Bindings

@@ -13,8 +13,7 @@ from planner_bridge.view.task_timeline import timelines
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
-from pnm.core.pictures.timeline import Timeline
-from pnm.core.pictures.timeline_picture import timeline_svg
+from pnm.core.pictures.timeline import Timeline, timeline_svg
 from pnm.journal.kept import JournalError
 from pnm.journal.resume import replayed
 from tests.support.files import ROOT, written

@@ -11,7 +11,7 @@ import pytest
 from pnm.actions.bindings_file import read_bindings
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.logic.declared_names import FluentKind, Signature, Vocabulary
+from pnm.core.logic.domain import FluentKind, Signature, Vocabulary
 from pnm.core.logic.expressions import UNKNOWN
 from pnm.core.machine.bindings import Binding, Bindings, goal_data
 from pnm.core.machine.generate import generate

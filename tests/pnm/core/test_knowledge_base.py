@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import MISSING
-from pnm.core.logic.conditions import All, Exists, Holds, Not
-from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.conditions import All, Exists, Holds, Not, evaluate
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Value, Variable
 from pnm.core.logic.rules import NO_RULES, DerivationRule, Rules
 from pnm.errors import InputError

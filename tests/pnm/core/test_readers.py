@@ -5,8 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.readers import Readers
+from pnm.core.knowledge_base import KnowledgeBase, Readers
 
 FLUENTS = st.tuples(st.sampled_from("pq"), st.sampled_from("ab"))
 READS = st.one_of(st.none(), st.frozensets(st.one_of(FLUENTS, st.sampled_from("pq"))))

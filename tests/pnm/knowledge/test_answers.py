@@ -11,8 +11,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from planner_bridge.pipeline.achieve import carry_out
-from pnm.core.logic.computed_values import Layer, Question
-from pnm.core.logic.operators import Uncomputable, operate
+from pnm.core.logic.computed_values import Layer, Question, Uncomputable, operate
 from pnm.knowledge.sources import Asker, SourceError, Sources
 from pnm.knowledge.sources.scripted import ScriptedAnswers
 from pnm.knowledge.sources.terminal import TerminalSource

@@ -13,7 +13,7 @@ from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.pipeline.loading import load
 from pnm.core.knowledge_base import KnowledgeBase, parse_statement
-from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.conditions import evaluate
 from tests.support.files import ROOT, written
 from tests.support.processes import LIMIT, Program
 

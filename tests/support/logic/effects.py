@@ -5,9 +5,8 @@ from __future__ import annotations
 from hypothesis import strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import TRUE, Condition, Holds, Not
+from pnm.core.logic.conditions import TRUE, Condition, Holds, Not, evaluate
 from pnm.core.logic.effects import OPERATIONS, Effects, ForEach, Set, When
-from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import (
     UNKNOWN,
     Arithmetic,

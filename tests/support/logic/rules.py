@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Set
 from dataclasses import dataclass
 from itertools import product
 
-from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.conditions import evaluate
 from pnm.core.logic.expressions import UNKNOWN, Environment, Fluent, State, Truth, Unknown, Value
 from pnm.core.logic.rules import DerivationRule
 

@@ -14,7 +14,7 @@ from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import NotApplicable, Progression
 from planner_bridge.ordering.partial_order import NEAR, direct_orderings
-from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.conditions import evaluate
 from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
 
 Key = PlanEvent | int

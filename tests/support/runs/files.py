@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pnm.core.logic.declared_names import Vocabulary
+from pnm.core.logic.domain import Vocabulary
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError
 

@@ -11,7 +11,7 @@ from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.conditions import evaluate
 from pnm.core.machine.bindings import Bindings
 
 

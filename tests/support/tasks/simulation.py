@@ -20,8 +20,7 @@ from planner_bridge.tasks.settings import Settings
 from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import VirtualTimeLoop
-from pnm.core.logic.conditions import Condition
-from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.conditions import Condition, evaluate
 from pnm.core.machine.bindings import Bindings
 from pnm.errors import InputError
 from pnm.journal.journal import NO_JOURNAL, Journal

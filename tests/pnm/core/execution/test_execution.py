@@ -7,9 +7,8 @@ from dataclasses import replace
 import pytest
 
 from pnm.actions.faults import FaultKind
-from pnm.core.logic.conditions import All, Condition, Holds
+from pnm.core.logic.conditions import All, Condition, Holds, evaluate
 from pnm.core.logic.effects import Set
-from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import Constant
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.machine import OnFailure

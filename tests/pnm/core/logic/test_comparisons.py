@@ -6,9 +6,25 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from pnm.core.logic.computed_values import Literal, Parameter
-from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, fluents, ground
-from pnm.core.logic.evaluation import evaluate, explanation, observed
+from pnm.core.logic.computed_values import Literal, Parameter, Uncomputable, operate
+from pnm.core.logic.conditions import (
+    TRUE,
+    All,
+    Any,
+    Compare,
+    Computed,
+    Condition,
+    Exists,
+    ForAll,
+    Holds,
+    Implies,
+    Not,
+    evaluate,
+    explanation,
+    fluents,
+    ground,
+    observed,
+)
 from pnm.core.logic.expressions import (
     DURATION,
     UNDEFINED,
@@ -25,7 +41,6 @@ from pnm.core.logic.expressions import (
     same_value,
     value_of,
 )
-from pnm.core.logic.operators import Uncomputable, operate
 from tests.support.logic.conditions import GivenState
 
 U = UNKNOWN

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pnm.core.logic.compiled_condition import compiled
 from pnm.core.logic.conditions import (
     TRUE,
     All,
@@ -21,12 +20,14 @@ from pnm.core.logic.conditions import (
     Holds,
     Implies,
     Not,
+    compiled,
     conjuncts,
+    evaluate,
     fluents,
     ground,
     names,
+    unmet,
 )
-from pnm.core.logic.evaluation import evaluate, unmet
 from pnm.core.logic.expressions import (
     UNKNOWN,
     Arithmetic,

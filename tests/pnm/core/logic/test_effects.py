@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import TRUE, Holds, Not
+from pnm.core.logic.conditions import TRUE, Holds, Not, evaluate
 from pnm.core.logic.effects import (
     OPERATIONS,
     Changes,
@@ -31,7 +31,6 @@ from pnm.core.logic.effects import (
     read,
     written,
 )
-from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNKNOWN, Constant, Environment, Fluent, Unknown, Value, ValueOf, Variable, bind
 from tests.support.logic.effects import (
     ALL_FACTS,

@@ -11,8 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import All, Holds, Not
-from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.conditions import All, Holds, Not, evaluate
 from pnm.core.logic.expressions import UNKNOWN, Variable
 from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, moments, names_in, observed_of, progressed, shifted
 from tests.support.logic.trajectories import (

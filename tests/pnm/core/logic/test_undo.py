@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import Holds
+from pnm.core.logic.conditions import Holds, evaluate
 from pnm.core.logic.effects import (
     Changes,
     Effect,
@@ -29,7 +29,6 @@ from pnm.core.logic.effects import (
     values_before,
     written,
 )
-from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Unknown, Value, ValueOf, Variable, value_of
 from tests.support.logic.effects import (
     ALL_FACTS,

@@ -19,8 +19,7 @@ from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import PlanGraph
-from pnm.core.pictures.net_layout import Crossing, Standing, block_layouts
-from pnm.core.pictures.net_picture import net_svg
+from pnm.core.pictures.net_picture import Crossing, Standing, block_layouts, net_svg
 from tests.support.runs.control_flow import LARGE, SHAPES
 from tests.support.runs.plan_graphs import nested_plan, plan, plans, two_robots
 

@@ -9,7 +9,7 @@ import pytest
 from pnm.core.machine.generate import generate
 from pnm.core.pictures.net_picture import net_svg
 from pnm.core.pictures.plan_picture import plan_svg
-from pnm.core.pictures.timeline_picture import timeline_svg
+from pnm.core.pictures.timeline import timeline_svg
 from tests.support.runs.plan_graphs import plan, two_robots
 
 

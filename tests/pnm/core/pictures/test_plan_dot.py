@@ -12,8 +12,7 @@ from pathlib import Path
 from hypothesis import given
 
 from pnm.core.machine.plan_graph import PlanGraph
-from pnm.core.pictures.plan_dot import plan_dot
-from pnm.core.pictures.plan_layout import laid_out
+from pnm.core.pictures.plan_picture import laid_out, plan_dot
 from tests.support.runs.plan_graphs import nested_plan, plan, plans, two_robots
 
 GOLDEN = Path(__file__).parent / "golden" / "plan.dot"

@@ -14,8 +14,7 @@ from xml.etree import ElementTree
 from hypothesis import example, given
 
 from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
-from pnm.core.pictures.plan_layout import COLUMNS, laid_out
-from pnm.core.pictures.plan_picture import plan_svg
+from pnm.core.pictures.plan_picture import COLUMNS, laid_out, plan_svg
 from tests.support.runs.plan_graphs import nested_plan, plan, plans, two_robots
 
 GOLDEN = Path(__file__).parent / "golden" / "plan.svg"

@@ -18,8 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.core.machine.requests import OutcomeKind
-from pnm.core.pictures.timeline import Replan, TimedAttempt, TimedCall, TimedPlan, Timeline, replan
-from pnm.core.pictures.timeline_picture import timeline_svg
+from pnm.core.pictures.timeline import Replan, TimedAttempt, TimedCall, TimedPlan, Timeline, replan, timeline_svg
 
 GOLDEN = Path(__file__).parent / "golden" / "timeline.svg"
 SVG = "{http://www.w3.org/2000/svg}"

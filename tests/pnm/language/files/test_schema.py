@@ -17,7 +17,7 @@ from planner_bridge.cli.commands import app
 from planner_bridge.yaml import read_constraints
 from planner_bridge.yaml.convert import exported
 from pnm.core import message_fields
-from pnm.core.logic.operators import OPERATORS
+from pnm.core.logic.computed_values import OPERATORS
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.machine import OnFailure
 from pnm.errors import InputError

@@ -16,8 +16,7 @@ from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.tasks.settings import OnChange
 from pnm.core.execution.machine_index import prepare
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import Compare
-from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.conditions import Compare, evaluate
 from pnm.core.logic.expressions import Constant, ValueOf
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.generate import generate

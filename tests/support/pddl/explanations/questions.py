@@ -19,8 +19,7 @@ from planner_bridge.model.grounding import dynamic_names, ground_action, initial
 from planner_bridge.model.plan import PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.pipeline.loading import load
-from pnm.core.logic.conditions import conjunction, conjuncts, names
-from pnm.core.logic.evaluation import unmet
+from pnm.core.logic.conditions import conjunction, conjuncts, names, unmet
 from tests.support.files import ROOT
 
 

@@ -15,7 +15,7 @@ from uuid import UUID
 from planner_bridge.model.simulation import robots_of
 from planner_bridge.tasks.result import TASKS
 from pnm.actions.simulated_robots import RobotLog, SimulatedRobots
-from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.conditions import evaluate
 from pnm.core.machine.requests import Ended, OutcomeKind, Report, Request
 from pnm.journal.records import Happened, TaskOver
 from pnm.journal.replay import Replay
