@@ -77,19 +77,20 @@ def parse(text: str, file: str) -> Contents:
 
 def _domain(model: ProblemModel, top: Mapped) -> Domain:
     scope = FormulaScope(model, {}, strict=True, borrows=top.filled("problem") is None)
+    entries = top.mapping("actions")
     actions: dict[str, ActionSchema] = {}
     for name, schema in model.domain.actions.items():
         timed = schema.duration is not None
         inner = scope.inside((*schema.parameters, *((Variable(DURATION[0]),) if timed else ())))
         soft: list[Preference] = []
-        for node in top.mapping("actions")[name].listed("preferences"):
+        for node in entries[name].listed("preferences"):
             node.mapped().needed("condition")
             soft.append(read_preference(node, inner, timed=timed))
         actions[name] = replace(schema, preferences=tuple(soft))
     for preference in top.listed("preferences"):
         preference.mapped().needed("constraints")  # no state that could be preferred is known here
     left_out = [(f"{key!r}", top.nodes[key][0]) for key in (*_LEFT_OUT, *_recipes(top)) if key in top.nodes]
-    for name, entry in top.mapping("actions").items():
+    for name, entry in entries.items():
         left_out += [(f"{key!r} of {name}", position) for key, (position, _) in entry.nodes.items() if key not in _KEPT]
     left_out.sort(key=lambda item: (item[1].line, item[1].column))
     return Domain(

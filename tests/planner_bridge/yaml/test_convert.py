@@ -25,6 +25,7 @@ from pnm.core.logic.effects import TimedChange
 from pnm.core.logic.expressions import Constant, Fluent, ValueOf
 from pnm.core.logic.rules import DerivationRule, Rules
 from pnm.core.logic.trajectory import Constraint
+from pnm.files.yaml_nodes import Mapped
 from tests.support.files import ROOT, SHARED
 from tests.support.pddl import models as pddl
 from tests.support.pddl import random_problems as generated
@@ -201,3 +202,21 @@ def test_names_that_yaml_takes_for_something_else_are_quoted(name: str) -> None:
     plain = yaml.safe_load(problem_as_yaml(problem))
     assert (plain["name"], list(plain["actions"]), plain["requirements"]) == (name, [name], ["typing", name.lower()])
     assert plain["problem"]["init"] == [f"({name} {name})"]
+
+
+def test_twice_the_actions_take_twice_the_reading(monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[object] = []
+    of = Mapped.of
+
+    def noted(node: yaml.Node, file: str) -> Mapped:
+        read.append(node)
+        return of(node, file)
+
+    monkeypatch.setattr(Mapped, "of", staticmethod(noted))
+
+    def mappings(actions: int) -> int:
+        read.clear()
+        parse("predicates: [(p)]\nactions:\n" + "".join([f"  a{number}: {{effects: [(p)]}}\n" for number in range(actions)]), "domain.yaml")
+        return len(read)
+
+    assert mappings(150) - mappings(100) == mappings(100) - mappings(50)
