@@ -6,6 +6,7 @@ import asyncio
 import threading
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager, suppress
+from math import ulp
 from typing import Final, Protocol, TypeVar
 
 from planner_bridge.ordering.forecast import Forecast
@@ -306,6 +307,8 @@ class TaskControl:
 
 STILL: Final = 60.0
 """Seconds after which a task that stands still is ended."""
+_LATER: Final = 0.1
+"""The part of a long wait after which it is looked at again whether something is still to come."""
 
 
 class Watchdog:
@@ -348,4 +351,5 @@ class Watchdog:
         elif not self._control.awaits_people:  # of which is heard when it is over
             if not self._control.awaits:
                 self._end()
-            self._look_at(now + STILL)
+            # later and later: a rehearsal jumps over years in which nothing happens, and would look at each minute of them
+            self._look_at(now + max(STILL, (now - self._last) * _LATER, ulp(now)))

@@ -15,6 +15,7 @@ from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.achieve import achieve, carry_out
 from planner_bridge.pipeline.loading import load
 from planner_bridge.planning.solve import solve
+from planner_bridge.tasks.control import Watchdog
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import Fault, FaultKind, Faults
@@ -109,6 +110,15 @@ def test_an_action_without_a_duration_takes_a_second_whatever_others_take(tmp_pa
     (tmp_path / "p.yaml").write_text(f"actions: {{unknown: {{}}, other: {other}}}\nplan: [unknown:, other:]\n")
     first = carry_out(tmp_path / "p.yaml").calls[0]
     assert (first.started, first.ended) == (0.0, 1.0)
+
+
+def test_a_rehearsal_jumps_over_years_in_which_nothing_happens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    looks: list[Watchdog] = []
+    look = Watchdog._look
+    monkeypatch.setattr(Watchdog, "_look", lambda watchdog: [looks.append(watchdog), look(watchdog)])
+    (tmp_path / "p.yaml").write_text("actions: {grow: {duration: 1.0e+7}}\nplan: [grow:, grow:]\n")
+    assert carry_out(tmp_path / "p.yaml").goal_reached
+    assert len(looks) < 500
 
 
 @pytest.mark.parametrize(
