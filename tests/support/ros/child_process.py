@@ -10,11 +10,20 @@ from collections.abc import Callable, Coroutine
 from functools import wraps
 from typing import Any, Final
 
+import pytest
+
 from tests.support.files import ROOT
 from tests.support.processes import LIMIT
 
 ORDERLY: Final = 15.0
 """Seconds for a process to end in order."""
+
+
+async def until_logged(caplog: pytest.LogCaptureFixture, text: str) -> None:
+    """Wait until a text is in the log."""
+    async with asyncio.timeout(LIMIT):
+        while text not in caplog.text:  # noqa: ASYNC110 - a log has no event
+            await asyncio.sleep(0.02)
 
 
 class ChildProcess:

@@ -2,7 +2,7 @@
 
 knowledge NAME      keeps variables; the one called "slow" is never answered, "broken" is no JSON, "no" is refused;
                     with "deaf", the first request of each service is never answered either
-person NAME WAY     answers questions: "reversed" two at a time, the second first; "never"; "late" only once withdrawn;
+person NAME WAY     answers questions: "reversed" two at a time, the second first; "never"; "late" once withdrawn, again and again;
                     "deaf" what is asked twice; "wrong" with what is no JSON, with answers to nothing, and then as it should;
                     "helpless" with a question, and when it is asked once more with "give up"
 """
@@ -12,6 +12,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import rclpy
@@ -65,6 +66,7 @@ class RemotePerson:
     def __init__(self, node: Any, name: str, way: str) -> None:
         self.way: Callable[[Any], None] = getattr(self, way)
         self.waiting: list[Any] = []
+        self.node = node
         self.answers = node.create_publisher(Answer, f"{name}/answers", 100)
         latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         node.create_subscription(Question, f"{name}/questions", self.hear, latched)
@@ -87,8 +89,8 @@ class RemotePerson:
 
     def late(self, question: Any) -> None:
         self.waiting.append(question)
-        if question.kind == Question.WITHDRAW:
-            self.answer(question.id, "1")
+        if question.kind == Question.WITHDRAW:  # whoever is to hear of it may not have discovered us yet
+            self.node.create_timer(0.1, partial(self.answer, question.id, "1"))
 
     def deaf(self, question: Any) -> None:
         if any(one.id == question.id for one in self.waiting):

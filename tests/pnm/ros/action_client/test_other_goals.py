@@ -17,7 +17,7 @@ from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Req
 from pnm.ros.action_client.action_services import ros_uuid
 from pnm.ros.action_client.other_goals import OtherGoals, statuses
 from tests.support.processes import LIMIT
-from tests.support.ros.child_process import bounded
+from tests.support.ros.child_process import bounded, until_logged
 from tests.support.ros.recording_client import RecordingClient, Sent
 
 PREFIX = b"node"
@@ -32,15 +32,9 @@ def test_the_status_of_goals_is_read_as_rclpy_does(known, padding):
     assert statuses(serialize_message(GoalStatusArray(status_list=listed)) + bytes(padding)) == known
 
 
-async def until_logged(caplog, text: str) -> None:
-    async with asyncio.timeout(LIMIT):
-        while text not in caplog.text:  # noqa: ASYNC110 - a log has no event
-            await asyncio.sleep(0.02)
-
-
 async def until_busy(ros, others: OtherGoals, server: str, *, busy: bool = True) -> None:
     async with asyncio.timeout(LIMIT):
-        while bool(await ros.ask(lambda: others.others(server))) is not busy:  # noqa: ASYNC110 - nor has what is heard
+        while bool(await ros.ask(lambda: others.others(server))) is not busy:  # noqa: ASYNC110 - what is heard has no event
             await asyncio.sleep(0.02)
 
 

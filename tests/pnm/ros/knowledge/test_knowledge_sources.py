@@ -15,7 +15,7 @@ from pnm.ros.knowledge.person_source import Ros2Person
 from pnm.ros.node.service_client import ServiceClient
 from tests.support.logic.people import about
 from tests.support.processes import LIMIT
-from tests.support.ros.child_process import ChildProcess, bounded
+from tests.support.ros.child_process import ChildProcess, bounded, until_logged
 
 ME = Asker(UUID(int=7), "tour")
 
@@ -199,8 +199,7 @@ async def test_a_question_that_is_cancelled_is_withdrawn_and_its_late_answer_ign
     assert (await next_line(process))[:2] == ["ask", "shop"]
     asking.cancel()
     assert (await next_line(process))[:2] == ["withdraw", "shop"]
-    while "comes too late, or is for others" not in caplog.text:
-        await ros.ask(lambda: None)
+    await until_logged(caplog, "comes too late, or is for others")
     assert asking.cancelled()
     await person.close()
 
