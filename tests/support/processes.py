@@ -174,16 +174,6 @@ def overlaps(events: Sequence[Mapping[str, Any]]) -> set[tuple[str, str]]:
     return found
 
 
-def pnm(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run([sys.executable, "-m", "planner_bridge", *arguments], capture_output=True, text=True, cwd=cwd, timeout=120)
-    assert "Traceback" not in done.stdout + done.stderr
-    return done
-
-
-def result(done: subprocess.CompletedProcess[str]) -> dict[str, object]:
-    return json.loads(done.stdout.splitlines()[-1])
-
-
 def say(line: str) -> None:
     """Print a line that a test is waiting for."""
     sys.stdout.write(f"{line}\n")

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tests.support.e2e.mistakes import Mistake, mistakes
+from tests.support.e2e.command_line import Mistake, mistakes
 
 
 def bindings(text: str, *says: str) -> Mistake:

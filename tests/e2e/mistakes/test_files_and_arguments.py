@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tests.support.e2e.mistakes import Mistake, mistakes
+from tests.support.e2e.command_line import Mistake, mistakes
 
 BOTH = "robots/domain.pddl robots/problem.pddl"
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tests.support.e2e.mistakes import Mistake, mistakes
-from tests.support.processes import pnm
+from tests.support.e2e.command_line import Mistake, mistakes, pnm
 
 HEAD = """\
 actions:

@@ -9,9 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from pnm.journal.store import Durability, JournalFile
+from tests.support.e2e.command_line import pnm, result
 from tests.support.e2e.deployment import ProblemDeployment
 from tests.support.files import written
-from tests.support.processes import LIMIT, Program, pnm, result
+from tests.support.processes import LIMIT, Program
 
 
 def history(journal: Path) -> list[dict[str, object]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-import subprocess
+from contextlib import closing
 from pathlib import Path
 from urllib.parse import quote
 from uuid import UUID
@@ -25,10 +25,11 @@ from pnm.core.pictures.export import quoted
 from pnm.core.pictures.svg import picture, xml
 from pnm.errors import printable, printable_lines
 from pnm.tasks import TraceKind
+from tests.support.e2e.command_line import Done, pnm
 from tests.support.e2e.page.hostile import HOSTILE, hostile_journal, is_safe
 from tests.support.e2e.page.serving import asked, page_of
 from tests.support.files import ROOT
-from tests.support.processes import pnm
+from tests.support.processes import Program
 
 DOMAIN, PROBLEMS = str(ROOT / "domains/delivery/domain.pddl"), ROOT / "problems/delivery"
 FILES = (DOMAIN, str(PROBLEMS / "p01.pddl"))
@@ -100,7 +101,7 @@ def test_what_a_node_says_is_printed_as_it_is(text: str) -> None:
 # --- commands ---
 
 
-def safe(done: subprocess.CompletedProcess[str], *, attacks: bool = True) -> str:
+def safe(done: Done, *, attacks: bool = True) -> str:
     """What a command has printed, which must attack nobody; by default something of it tried to."""
     printed = done.stdout + done.stderr
     assert is_safe(printed), ascii(printed)
@@ -193,3 +194,10 @@ def test_an_error_attacks_no_terminal(arguments: tuple[str, ...]) -> None:
     assert done.returncode in (1, 2)
     safe(done, attacks=False)
     assert done.stderr
+
+
+def test_a_process_attacks_no_terminal() -> None:
+    with closing(Program(["-m", "planner_bridge", "run", "--plan", f"no{HOSTILE.replace(chr(0), '')}.yaml"], {})) as program:
+        assert program.ended() == 2
+        assert is_safe("\n".join((*program.out, *program.err)))
+        assert program.err

@@ -22,8 +22,9 @@ from planner_bridge.cli.options import announce
 from pnm.errors import InputError
 from pnm.files.database.place import ServerUrl, without_password
 from pnm.files.private import private_folder, secret_in
+from tests.support.e2e.command_line import pnm
 from tests.support.files import ROOT
-from tests.support.processes import LIMIT, Program, pnm
+from tests.support.processes import LIMIT, Program
 
 PRECIOUS = "precious\nIs that what you want? y"
 """The name of a file, which looks like an answer where its line break is printed."""

@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 
 from pnm.core.machine.verification.part import Unsound
+from tests.support.e2e.command_line import pnm, result
 from tests.support.files import ROOT
-from tests.support.processes import LIMIT, pnm, result
+from tests.support.processes import LIMIT
 
 DELIVERY = (str(ROOT / "domains/delivery/domain.pddl"), str(ROOT / "problems/delivery/p01.pddl"))
 FAULTS = str(ROOT / "problems/delivery/faults.yaml")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.processes import pnm
+from tests.support.e2e.command_line import pnm
 
 SHOP = "(define (domain shop) (:requirements :typing :durative-actions :timed-initial-literals) (:predicates (open) (bought))\n"
 BUY = " (:durative-action buy :parameters () :duration (= ?duration 3) :condition (over all (open)) :effect (at end (bought))))"

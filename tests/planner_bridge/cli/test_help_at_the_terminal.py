@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.e2e.command_line import pnm
 from tests.support.files import ROOT
-from tests.support.processes import LIMIT, pnm
+from tests.support.processes import LIMIT
 
 DOMAIN = "(define (domain d) (:predicates (open) (in)) (:action enter :precondition (open) :effect (in)))"
 PROBLEM = "(define (problem p) (:domain d) (:init) (:goal (in)))"

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.e2e.command_line import pnm
 from tests.support.files import ROOT
-from tests.support.processes import pnm
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.e2e.command_line import pnm, result
 from tests.support.files import ROOT
-from tests.support.processes import pnm, result
 
 DELIVERY = (str(ROOT / "domains/delivery/domain.pddl"), str(ROOT / "problems/delivery/p01.pddl"))
 FAULTS = str(ROOT / "problems/delivery/faults.yaml")

@@ -13,9 +13,9 @@ from planner_bridge.pipeline.loading import load
 from planner_bridge.tasks.result import TASKS
 from pnm.journal.replay import Replay
 from pnm.journal.resume import replay_steps
+from tests.support.e2e.command_line import pnm
 from tests.support.files import ROOT
 from tests.support.pddl.explanations.doors import house
-from tests.support.processes import pnm
 from tests.support.tasks.scenarios.late_reports import reach_with_late_sensors
 
 DELIVERY = (str(ROOT / "domains/delivery/domain.pddl"), str(ROOT / "problems/delivery/p01.pddl"))

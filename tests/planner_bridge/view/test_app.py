@@ -13,8 +13,9 @@ from xml.etree import ElementTree
 import pytest
 
 from planner_bridge.view.app import PAGE, WATCHING
+from tests.support.e2e.command_line import pnm
 from tests.support.e2e.page.serving import Stream, asked, page_of
-from tests.support.processes import pnm, until
+from tests.support.processes import until
 
 
 @pytest.fixture(scope="module")

@@ -13,9 +13,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.e2e.command_line import pnm
 from tests.support.e2e.page.serving import Stream, asked
 from tests.support.files import ROOT
-from tests.support.processes import Program, parent, pnm, until
+from tests.support.processes import Program, parent, until
 
 FILES = ("domains/delivery/domain.pddl", "problems/delivery/p01.pddl")
 

@@ -13,8 +13,8 @@ from pnm.core.machine.bindings import DEFAULT, Binding, Bindings, Foreign, Table
 from pnm.core.message_fields import Comparison, Every, FieldValue, Flag, Negation, Some, parse_field
 from pnm.errors import InputError
 from pnm.language.plan import read_plans
+from tests.support.e2e.command_line import pnm
 from tests.support.files import ROOT
-from tests.support.processes import pnm
 
 DELIVERY = ROOT / "domains/delivery/domain.pddl", ROOT / "problems/delivery/p01.pddl"
 STATUS = parse_field("result.status")

@@ -19,8 +19,9 @@ from pnm.errors import InputError
 from pnm.journal.kept import JournalChoice
 from pnm.journal.resume import summaries, take_up
 from pnm.tasks import Wanted
+from tests.support.e2e.command_line import pnm
 from tests.support.pddl.problems import fleet
-from tests.support.processes import Program, pnm
+from tests.support.processes import Program
 from tests.support.tasks.scenarios.crash import survive
 from tests.support.tasks.scenarios.forged_journal import forged
 

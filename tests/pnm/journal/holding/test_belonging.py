@@ -25,7 +25,8 @@ from pnm.journal.resume import replayed
 from pnm.journal.store import JournalFile, KeptJournal
 from pnm.journal.written_journal import WrittenJournal
 from pnm.tasks import Wanted
-from tests.support.processes import LIMIT, Program, pnm
+from tests.support.e2e.command_line import pnm
+from tests.support.processes import LIMIT, Program
 
 RECORDS_KEPT = 5
 WRITER = """

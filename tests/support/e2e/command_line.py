@@ -1,7 +1,12 @@
-"""Mistakes that people make at the command line: what they did, the exit status, and the message that they get."""
+"""The command line in this process, where a command begins at once, and mistakes that people make there.
+
+How processes begin and end is for `tests.support.processes`.
+"""
 
 from __future__ import annotations
 
+import json
+import logging
 import os
 import shlex
 from collections.abc import Iterator, Mapping
@@ -10,10 +15,72 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+import click
 import pytest
 from click.testing import CliRunner
 
-from planner_bridge.cli.commands import app
+from planner_bridge.cli.commands import _Warnings, app
+from pnm.files.safe_stream import make_streams_safe
+from tests.support.files import ROOT
+
+
+@dataclass(frozen=True)
+class Done:
+    """What came of a command."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+    output: str
+    """Both, as they were printed."""
+
+
+def pnm(*arguments: str, cwd: Path = ROOT) -> Done:
+    """Give a command, in a folder; all that is printed is as safe as by `planner_bridge.cli.commands.main`."""
+    with _inside(cwd):
+        done = CliRunner().invoke(_Main(), arguments, prog_name="pnm")
+    if done.exception is not None and not isinstance(done.exception, SystemExit):
+        raise done.exception
+    assert "Traceback" not in done.output
+    assert "internal error" not in done.output
+    return Done(done.exit_code, done.stdout, done.stderr, done.output)
+
+
+def result(done: Done) -> dict[str, Any]:
+    """Return the JSON object on the last line that a command has printed."""
+    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+@contextmanager
+def _inside(folder: Path) -> Iterator[None]:
+    before = Path.cwd()
+    os.chdir(folder)
+    try:
+        yield
+    finally:
+        os.chdir(before)
+
+
+class _Main(click.Command):
+    """The commands, with warnings and streams as in a process of their own."""
+
+    def __init__(self) -> None:
+        super().__init__("pnm")
+
+    def main(self, *arguments: Any, **options: Any) -> Any:
+        """Run a command."""
+        make_streams_safe()
+        warnings = _Warnings(logging.WARNING)
+        logging.getLogger().addHandler(warnings)
+        try:
+            return app.main(*arguments, **options)
+        finally:
+            logging.getLogger().removeHandler(warnings)
+
+
+# --- mistakes ---
+
 
 WIDEST: Final = 200
 """Characters of a line that a person reads."""
@@ -94,16 +161,14 @@ class Mistake:
             (folder / name).parent.mkdir(exist_ok=True)
             (folder / name).write_text(text, encoding="utf-8")
         before_it = _contents(folder)
-        with _inside(folder):
-            done = CliRunner().invoke(app, shlex.split(self.command), prog_name="pnm")
-        shown = f"{done.output}\n{done.exception!r}"
-        assert done.exit_code == self.status, shown
+        done = pnm(*shlex.split(self.command), cwd=folder)
+        shown = done.output
+        assert done.returncode == self.status, shown
         position = 0
         for part in self.says:
             assert part in done.output[position:], f"{part!r} is not in\n{shown}"
             position = done.output.index(part, position) + len(part)
         assert all(len(line) <= WIDEST for line in done.output.splitlines()), shown
-        assert "internal error" not in done.output
         if self.status == 2:
             assert done.stdout == "", shown
             assert _contents(folder) == before_it
@@ -121,13 +186,3 @@ def plan(command: str = "run --plan tea.yaml --set guest=Ada", *, status: int = 
 
 def _contents(folder: Path) -> dict[Path, bytes]:
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-
-
-@contextmanager
-def _inside(folder: Path) -> Iterator[None]:
-    before = Path.cwd()
-    os.chdir(folder)
-    try:
-        yield
-    finally:
-        os.chdir(before)
