@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -48,6 +49,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for place, file in reversed(places):
         others.insert(place, file)
     items[:] = [item for file in others for item in files[file]]
+
+
+def pytest_collection_finish() -> None:
+    """Take what is loaded by now for what it is: no garbage. Hundreds of tests look for garbage, and would look through all of it."""
+    gc.freeze()
 
 
 @pytest.fixture
