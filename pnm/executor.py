@@ -52,8 +52,8 @@ from pnm.core.machine.requests import (
 )
 from pnm.errors import RunError
 from pnm.journal.journal import NO_JOURNAL, Journal
-from pnm.knowledge.sources import Asker, Source, SourceError
-from pnm.knowledge.sources.help import HelpAsked, HelpEnded, note_nothing, was_carried_out
+from pnm.knowledge.people import HelpAsked, HelpEnded, note_nothing, was_carried_out
+from pnm.knowledge.source import Asker, Source, SourceError
 
 _log = logging.getLogger(__name__)
 

@@ -36,7 +36,7 @@ from planner_bridge.cli.options import (
 from pnm.errors import InputError
 from pnm.files.database.place import without_password
 from pnm.files.private import hide_arguments
-from pnm.files.safe_stream import make_streams_safe
+from pnm.files.process import make_streams_safe
 
 if TYPE_CHECKING:
     pass

@@ -31,7 +31,7 @@ from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import read_faults
 from pnm.clock import run_async
 from pnm.core.logic.conditions import conjuncts
-from pnm.files.own_python import own_environment, own_python
+from pnm.files.process import own_environment, own_python
 
 _PACKAGE: Final = Path(__file__).parents[1]
 

@@ -41,10 +41,9 @@ from pnm.journal.codec import Undecodable
 from pnm.journal.kept import DAY, KEPT, LISTED, JournalChoice, JournalError
 from pnm.journal.lease import take
 from pnm.journal.records import Happened, RunMade, TaskAccepted, TaskSummary
-from pnm.journal.replay import Replay, ReplayStep
+from pnm.journal.replay import Replay, ReplayStep, words
 from pnm.journal.resume import command_of, replay_steps, summaries
 from pnm.journal.store import KeptJournal, copy_journal, move_journal
-from pnm.journal.text import words
 from pnm.tasks import Code
 
 journal_argument = click.argument("journal", required=False)

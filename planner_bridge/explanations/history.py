@@ -55,7 +55,7 @@ from pnm.journal.records import (
 from pnm.journal.replay import Replay, ReplayedRun
 from pnm.journal.resume import damage, steps_after
 from pnm.journal.store import KeptJournal
-from pnm.knowledge.sources.help import HelpAsked, HelpEnded
+from pnm.knowledge.people import HelpAsked, HelpEnded
 from pnm.tasks import TaskEnding, TaskState
 
 _FREES: Final = (Happened, EndConfirmed, RunRetired, RunSucceeded)

@@ -8,8 +8,7 @@ from planner_bridge.model.grounding import dynamic_names, initial_knowledge
 from planner_bridge.model.problem import Problem
 from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import NO_FAULTS, Faults
-from pnm.actions.simulated_robots import SimulatedRobots
-from pnm.actions.simulated_world import SimulatedWorld
+from pnm.actions.simulated_robots import SimulatedRobots, SimulatedWorld
 from pnm.core.logic.effects import names_written
 from pnm.core.machine.bindings import Bindings
 

@@ -14,8 +14,8 @@ from pnm.errors import InputError, PnmError
 from pnm.files.database.place import Place, place_of
 from pnm.files.private import private_folder
 from pnm.journal.resume import summaries
-from pnm.knowledge.sources.database import default_path
-from pnm.knowledge.sources.source import SourceError
+from pnm.knowledge.database import default_path
+from pnm.knowledge.source import SourceError
 
 NONE: Final = "none"
 """In place of a file: nothing is kept."""

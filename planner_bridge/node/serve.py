@@ -46,9 +46,8 @@ from pnm.journal.kept import DAY, Fenced, JournalChoice
 from pnm.journal.lease import is_locked
 from pnm.journal.replay import Replay
 from pnm.journal.resume import stand_by
-from pnm.knowledge.sources.registry import Surroundings, open_sources
-from pnm.knowledge.sources.router import Sources
-from pnm.knowledge.sources.source import Asker
+from pnm.knowledge.source import Asker
+from pnm.knowledge.sources import Sources, Surroundings, open_sources
 from pnm.language.plan import merge_bindings, read_world, sources_of
 from pnm.language.runner import PlanRunner, Program
 from pnm.ros.backend import Ros2Backend

@@ -36,8 +36,7 @@ from pnm.errors import InputError, Tolerated, check_kinds, suggestion
 from pnm.files.database.place import place_of
 from pnm.journal.kept import JournalChoice
 from pnm.knowledge.sensor_model import NO_SENSING
-from pnm.knowledge.sources.registry import Surroundings, open_sources
-from pnm.knowledge.sources.router import Sources
+from pnm.knowledge.sources import Sources, Surroundings, open_sources
 from pnm.language.plan import HandWrittenPlan, called_plans, chosen_plan, merge_bindings, read_plans, sources_of
 from pnm.language.runner import PlanRunner, Program
 from pnm.ros.backend import Ros2Backend

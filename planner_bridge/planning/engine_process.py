@@ -27,7 +27,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.pddl.write.writer import write_domain, write_problem
 from planner_bridge.planning.engines import ENGINES, require_installed
 from pnm.errors import InputError
-from pnm.files.own_python import own_environment, own_python
+from pnm.files.process import own_environment, own_python
 
 START_LIMIT: Final = 30.0
 """Seconds that a process may take to begin: it loads unified-planning first."""

@@ -33,7 +33,7 @@ from planner_bridge.planning.kairos import DEFAULT_PLANNER
 from planner_bridge.planning.search import search
 from planner_bridge.planning.validate import validated
 from pnm.errors import InputError, suggestion
-from pnm.files.own_python import forget_safe_path, safe_path
+from pnm.files.process import forget_safe_path, safe_path
 
 _GRACE: Final = 2.0
 """Seconds that a process gets to end by itself once the stop file is there."""

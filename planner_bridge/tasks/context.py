@@ -26,7 +26,7 @@ from pnm.core.machine.bindings import goal_data
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.resources import Resources
 from pnm.journal.journal import Journal
-from pnm.knowledge.sources.source import Source
+from pnm.knowledge.source import Source
 from pnm.tasks import OnConflict
 
 

@@ -51,8 +51,8 @@ from pnm.core.machine.plan_graph import PlanGraph, PlanGraphError
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.resources import who_keeps
 from pnm.journal.replay import ReplayedRun
-from pnm.knowledge.sources.help import Advice, HelpEnded, ask_for_help
-from pnm.knowledge.sources.source import Asker, Source
+from pnm.knowledge.people import Advice, HelpEnded, ask_for_help
+from pnm.knowledge.source import Asker, Source
 from pnm.tasks import Code, TaskState
 
 

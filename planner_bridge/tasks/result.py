@@ -25,7 +25,7 @@ from pnm.errors import counted
 from pnm.journal.codec import value_classes
 from pnm.journal.format import RECORDS
 from pnm.journal.replay import ReplayedRun, ReplayedTask
-from pnm.knowledge.sources.help import HelpAsked, HelpEnded
+from pnm.knowledge.people import HelpAsked, HelpEnded
 from pnm.tasks import Code, TaskEnding
 
 _PLANNING: Final = {

@@ -16,7 +16,7 @@ from planner_bridge.view.control.commands import Controlled
 from planner_bridge.view.serving import listening, serve_page, url_of
 from pnm.errors import InputError
 from pnm.files.database.place import place_of
-from pnm.files.safe_stream import make_streams_safe
+from pnm.files.process import make_streams_safe
 
 _NICE: Final = 10
 """How much this process makes way for others: what drives robots comes first on a busy machine."""

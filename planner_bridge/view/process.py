@@ -14,7 +14,7 @@ from typing import Any, Final
 from planner_bridge.view.control.commands import Controlled, Reply
 from planner_bridge.view.control.operator import Operator
 from pnm.errors import InputError
-from pnm.files.own_python import own_environment, own_python
+from pnm.files.process import own_environment, own_python
 
 _READY: Final = 60.0
 """Seconds in which the process has to say where the page is."""

@@ -31,7 +31,7 @@ from pnm.journal.records import (
     TaskAccepted,
     TaskOver,
 )
-from pnm.journal.text import words
+from pnm.journal.replay import words
 
 EVENTS: Final = 200
 """Records that are shown in words, besides those that are marked."""

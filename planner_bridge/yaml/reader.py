@@ -24,8 +24,7 @@ from pnm.core.logic.expressions import DURATION, Variable
 from pnm.core.machine.bindings import Bindings
 from pnm.errors import InputError, Position, Tolerated
 from pnm.files.text import read_text
-from pnm.files.yaml_loader import compose
-from pnm.files.yaml_nodes import MAX_BYTES, Mapped, Node
+from pnm.files.yaml_nodes import MAX_BYTES, Mapped, Node, compose
 from pnm.language.actions import BINDING_KEYS, read_own_binding
 from pnm.language.domain import DOMAIN_KEYS, read_model
 from pnm.language.files import ANCHORS, PLAN_KEYS, domain_document

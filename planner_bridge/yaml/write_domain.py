@@ -21,7 +21,7 @@ from pnm.core.logic.domain import ActionSchema, Declaration
 from pnm.core.logic.rules import DerivationRule
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings
 from pnm.errors import InputError
-from pnm.files.yaml_loader import MAX_DEPTH
+from pnm.files.yaml_nodes import MAX_DEPTH
 from pnm.language.actions import RESERVED
 
 SCHEMA_MARK: Final = "# yaml-language-server:"

@@ -11,15 +11,14 @@ from collections.abc import Callable, Iterable
 from math import inf
 from typing import Final, Protocol
 
-from pnm.actions.simulated_robots import SimulatedRobots
-from pnm.actions.simulated_world import report_changes
+from pnm.actions.simulated_robots import SimulatedRobots, report_changes
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.domain import Vocabulary
 from pnm.core.logic.effects import TimedChange
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import ActionClient
 from pnm.core.readiness import Readiness, ReadyState, refuse_unfit
-from pnm.knowledge.sources.source import FindKnowledge, Source
+from pnm.knowledge.source import FindKnowledge, Source
 
 _log = logging.getLogger(__name__)
 _EACH: Final = 3

@@ -1,23 +1,56 @@
-"""The journal of runs, as they use it; this one keeps nothing. `pnm.journal.written_journal` writes a file or a database."""
+"""The journal of runs, as they use it; `Journal` keeps nothing, `WrittenJournal` writes a file or a database."""
 
 from __future__ import annotations
 
+import asyncio
+import hashlib
+import logging
+from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
+from math import inf, isfinite
+from time import time
 from typing import Final, NotRequired, TypeAlias, TypedDict, Unpack
 from uuid import UUID
 
 from pnm.clock import TimeUsed
 from pnm.core.execution.call_data import GoalFields
-from pnm.core.execution.events import Command, Event, Observer
+from pnm.core.execution.events import Cancel, Command, Event, Observer, Send, Wake
 from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.resources import Resources
-from pnm.journal.kept import StandBys
-from pnm.journal.replay import ReplayedRun
-from pnm.tasks import TaskEnding, TaskState, Wanted
+from pnm.journal.codec import Codec
+from pnm.journal.kept import DAY, KEPT, LISTED, UNSHARED, Fenced, Hold, JournalError, Row, StandBys, TaskRow, log_end
+from pnm.journal.records import (
+    HEARD,
+    WORLD,
+    EndConfirmed,
+    Happened,
+    KnowledgeDelta,
+    MachineSource,
+    Record,
+    RunMade,
+    RunRetired,
+    RunSucceeded,
+    SharedBegan,
+    TaskAccepted,
+    TaskEntered,
+    TaskHeld,
+    TaskNoted,
+    TaskOver,
+    TaskSummary,
+    TimeCounted,
+    became,
+    follow,
+    intents_of,
+    knowledge_now,
+)
+from pnm.journal.replay import Replay, ReplayedRun
+from pnm.journal.store import JournalFile
+from pnm.tasks import REMEMBERED, TaskEnding, TaskState, Wanted
 
 Perform: TypeAlias = Callable[[Sequence[Command]], None]
 """Carries out commands."""
@@ -127,3 +160,388 @@ class Journal:
 
 
 NO_JOURNAL: Final = Journal()
+
+
+# --- a journal that is written ahead -------------------------------------------------------
+# The write-ahead journal of runs: an event, and what follows from it, is kept before anything is done about it.
+#
+# When it cannot be written, as on a full disk, nothing new is sent: requests wait until the records before them are kept, which is tried
+# again and again. What ends work, cancelling and timers, does not wait.
+
+
+_RETRY: Final = 1.0
+"""Seconds until it is tried again to write."""
+_OFTEN: Final = 1 / 7
+"""The part of the time for which records are kept after which it is looked what is old, at least once a day."""
+_LONG: Final = 1000
+"""Records of a segment after which another one begins as soon as nothing is under way."""
+
+_log = logging.getLogger(__name__)
+
+
+class WrittenJournal(Journal):
+    """The journal of runs that is kept in a file, or in PostgreSQL.
+
+    Args:
+        file: where records are kept.
+        codec: writes them.
+        replay: of what is in the file already, if what it has brought about goes on.
+        hold: the right to write it; without it, only timers are set.
+        fenced: called when another process has taken the journal over. Nothing is done any more then.
+        kept: seconds for which records are kept that nothing under way needs.
+        wall: returns the time of day in seconds; the clock of the computer if None.
+
+    The mutable state is what the constructor sets under "state".
+    """
+
+    def __init__(
+        self,
+        file: JournalFile,
+        codec: Codec,
+        replay: Replay | None = None,
+        kept: float = KEPT,
+        hold: Hold = UNSHARED,
+        fenced: Callable[[Fenced], None] = log_end,
+        wall: Callable[[], float] | None = None,
+    ) -> None:
+        self._file = file
+        self._codec = codec
+        self._kept = kept
+        self._period = min(DAY, kept * _OFTEN)
+        self._hold = hold
+        self._fenced = fenced
+        self._wall = wall or (lambda: time())
+        self._loop = asyncio.get_running_loop()
+        # state
+        self._rows: list[Row] = []
+        """Records that are not kept yet."""
+        self._parts: dict[str, str] = {}
+        self._known_parts: set[str] = set()
+        self._waiting: deque[tuple[Perform, tuple[Command, ...]]] = deque()
+        """What waits for these records to be kept."""
+        self._bases = dict(replay.bases) if replay else {}
+        """The knowledge bases that are followed, by number."""
+        self._numbers = max(replay.bases, default=WORLD) if replay else WORLD
+        """The last number of a knowledge base; none is used twice."""
+        self._fields: dict[str, tuple[str, ...] | None] = replay.fields if replay else {}
+        self._news: dict[str, tuple[str, ...] | None] = {}
+        """Goal fields that the event being handled has found out."""
+        self._handling = False
+        self._deltas: list[KnowledgeDelta] = []
+        self._is_replaced = False
+        """Whether another world takes the place of the one that is followed."""
+        self._due: asyncio.Handle | None = None
+        """What writes in a moment, or tries it again."""
+        self.blocked = ""
+        self._is_astray = False
+        """Whether its file was not found when nothing was to be written."""
+        self._is_lost = False
+        """Whether another process has the journal."""
+        self._is_closed = False
+        self._resources = replay.resources if replay else Resources()
+        self._shared = replay.shared if replay else None
+        self._segment_began, self._length = (replay.segment_began, replay.length) if replay else (0.0, 0)
+        """When the segment has begun, and its records."""
+        self._segment_wall = file.segment_wall
+        """The time of day when it has."""
+        self._fresh = 0
+        """The records with which it has begun, as far as that is known."""
+        self._dropped = -inf
+        """The time of day when old records were dropped."""
+        self._is_held = bool(replay and replay.is_held)
+        self._unfinished = {task.accepted.wanted.id: (task.accepted, task.time) for task in replay.unfinished} if replay else {}
+        """The tasks that are not over, with the times when they were accepted."""
+        tasks = replay.tasks if replay else {}
+        self._runs = Counter({id: sum(one.run.begun and one.made.caller is None for one in task.runs) for id, task in tasks.items()})
+        """The machines that each task has had, one after the other."""
+        over = ((task.accepted, TaskOver(id, task.ending)) for id, task in (replay.tasks if replay else {}).items() if task.ending)
+        self._recent = deque(over, REMEMBERED)
+        self._number_of = {id(base): number for number, base in self._bases.items()}
+        for number, base in self._bases.items():
+            follow(number, base, self._changed)
+        hold.keep(self._look, self._lose)
+
+    def may_act(self) -> bool:
+        """Return whether something may leave this process; asked by any thread, right before that."""
+        return not self._is_lost and self._hold.is_mine()
+
+    def stand_bys(self) -> StandBys:
+        """Return the processes that stand by to go on with it, as far as they can be seen."""
+        return self._hold.stand_bys()
+
+    def begin(
+        self, knowledge: KnowledgeBase, resources: Resources, anew: Callable[[], None] = lambda: None, **world: Unpack[WorldOptions]
+    ) -> None:
+        """Record what runs share: the knowledge as `anew` leaves it, what changes in it from then on, and the capacities of resources."""
+        self._is_replaced = True
+        anew()
+        self._is_replaced = False
+        self._resources = resources
+        self._shared = SharedBegan(resources.capacities, began=self._loop.time(), **world)
+        self._begin_segment(knowledge, self._shared)
+
+    def make_run(
+        self,
+        machine: PetriNetMachine,
+        knowledge: Layered,
+        *,
+        name: str = "",
+        caller: UUID | None = None,
+        **options: Unpack[RunOptions],
+    ) -> Run:
+        """Return a run, and record what it was made from."""
+        asks, adopted = options.get("asks", False), options.get("adopted", {})
+        options["goal_fields"] = self._remembering(options["goal_fields"])
+        run = super().make_run(machine, knowledge, **options)
+        source = MachineSource(machine.plan, options["bindings"], machine.on_failure, machine.capacities)
+        local = self._number(knowledge.local)
+        self._runs[run.task] += caller is None
+        priority, origin = options.get("priority", 0), options.get("origin")
+        accepted, _ = self._unfinished.get(run.task, (None, 0.0))
+        row = self._task_row(TaskSummary(accepted, self._runs[run.task])) if accepted and caller is None else None
+        self._record(RunMade(run.id, run.task, name, self._part(source), local, caller, priority, origin, asks, adopted), task=row)
+        return run
+
+    def handle(self, run: Run, event: Event, now: float, perform: Perform) -> None:
+        """Have the run handle an event, and keep both; perform the commands then."""
+        self._handling = True
+        try:
+            commands = run.handle(event, now)
+        finally:
+            self._handling = False
+        deltas, news, self._deltas, self._news = self._deltas, self._news, [], {}
+        self._record(Happened(run.id, event, news, run.fired, tuple(deltas), intents_of(commands), run.told), now)
+        self._waiting.append((perform, tuple(commands)))
+        # What is only heard, and leads to nothing outside, is committed with what comes next, or a moment later: if it were lost
+        # before that, it would be heard again, as if it had come after the death of this process.
+        leads_outside = any(type(command) is not Wake for command in commands)
+        if leads_outside or run.over or self.blocked or not isinstance(event, HEARD):
+            self._write()
+
+    def go_on(self, replayed: ReplayedRun, observer: Observer | None, goal_fields: GoalFields) -> Run:
+        """Return a run that was replayed, connected to what it is to go on with."""
+        return super().go_on(replayed, observer, self._remembering(goal_fields))
+
+    def succeeded(self, run: Run, successor: Run) -> None:
+        """Record that a run has taken the place of another."""
+        self._record(RunSucceeded(run.id, successor.id, became(run.result_so_far(), run.machine.plan)))
+
+    def retired(self, run: Run) -> None:
+        """Record that a run is not carried on."""
+        self._record(RunRetired(run.id, became(run.result_so_far(), run.machine.plan)))
+
+    def confirmed(self, request: UUID, resources: Resources) -> None:
+        """Record that the server of a request that was given up has confirmed its end, and free what it has kept."""
+        self._record(EndConfirmed(request))
+        super().confirmed(request, resources)
+
+    def accepted(self, wanted: Wanted, order: int) -> None:
+        """Keep a task that is about to be accepted.
+
+        Raises:
+            JournalError: it cannot be kept.
+        """
+        task = TaskAccepted(wanted, order, self._wall())
+        self._record(task, task=self._task_row(TaskSummary(task, self._runs[wanted.id])))
+        self._write(looks=True)
+        if self.blocked:
+            del self._rows[-1]  # it is refused, and must not come up when the journal can be written again
+            raise JournalError(self.blocked)
+        self._unfinished[wanted.id] = task, self._loop.time()
+
+    def held(self, task: UUID | None, *, is_held: bool) -> None:
+        """Record that an operator has paused a task, or those that are still to come, or has let them go on."""
+        self._is_held = is_held if task is None else self._is_held
+        self._record(TaskHeld(task, is_held))
+
+    def entered(self, task: UUID, state: TaskState, reason: str) -> None:
+        """Record that a task is in another state; how it ends is recorded by `over`."""
+        if task in self._unfinished:
+            self._record(TaskEntered(task, state, reason))
+
+    def noted(self, task: UUID, note: object) -> None:
+        """Record what a task needs to know when it goes on in another process."""
+        if task in self._unfinished:
+            self._record(TaskNoted(task, note))
+
+    def counted(self, of: UUID, used: TimeUsed) -> None:
+        """Record how much of its limit a task has used, or a run of a plan."""
+        if isfinite(used.limit):
+            self._record(TimeCounted(of, used))
+
+    def over(self, task: UUID, ending: TaskEnding, then: Callable[[], None] = lambda: None) -> None:
+        """Keep how a task has ended, and do something then. A segment begins, if nothing else is under way and this one is long."""
+        (accepted, began), over = self._unfinished.pop(task), TaskOver(task, ending)
+        summary = TaskSummary(accepted, self._runs.pop(task, 0), ending, self._wall(), self._loop.time() - began)
+        self._record(over, task=self._task_row(summary))
+        self._recent.append((accepted, over))
+        if self._is_lost:  # another process keeps it
+            then()
+            return
+        self._waiting.append((lambda _: then(), ()))
+        self._write()
+        self._begin_segment_if_due()
+
+    def close(self) -> None:
+        """Write what is not kept yet, and close the file."""
+        self._write()
+        if self._due is not None:
+            self._due.cancel()
+        self._is_closed = True
+        self._hold.release()
+        self._file.close()
+
+    def _begin_segment(self, world: KnowledgeBase, shared: SharedBegan) -> None:
+        """Begin a segment, with all that is to be known without those before it; and drop what is old."""
+        if self._bases.get(WORLD) is not world:
+            follow(WORLD, world, self._changed)
+        self._bases, self._number_of = {WORLD: world}, {id(world): WORLD}
+        self._fields.clear()
+        self._known_parts.clear()
+        self._runs.clear()
+        self._segment_began, self._length = self._loop.time(), 0
+        self._record(shared, begins=self._wall())
+        self._segment_wall = self._wall()
+        self._record(knowledge_now(WORLD, world))
+        if self._is_held:
+            self._record(TaskHeld(None, is_held=True))
+        for accepted, over in self._recent:
+            self._record(accepted)
+            self._record(over)
+        self._fresh = self._length
+        self._write()
+        self._drop()
+
+    def _begin_segment_if_due(self) -> None:
+        """Begin a segment if nothing is under way, and this one is long, or has records that are old enough to be dropped some day."""
+        age = max(self._loop.time() - self._segment_began, self._wall() - self._segment_wall)
+        is_due = self._length >= _LONG or (age >= self._period and self._length > self._fresh)
+        if is_due and self._shared and not (self._unfinished or self._resources.held or self.blocked):
+            self._begin_segment(self._bases[WORLD], self._shared)
+
+    def _drop(self) -> None:
+        """Drop what is old."""
+        self._dropped = self._wall()
+        try:
+            self._file.drop(self._dropped - self._kept, self._dropped - LISTED * self._kept)
+        except JournalError as error:
+            _log.warning("old records are not dropped: %s", error)
+
+    def _look(self) -> None:
+        """Write what is not kept yet, see that what is kept can be found, and drop what is old, also while there is nothing to do."""
+        self._write(looks=True)
+        if self._is_lost or self.blocked:
+            return
+        self._begin_segment_if_due()
+        if not self._dropped <= self._wall() < self._dropped + self._period:
+            self._drop()
+
+    def _task_row(self, summary: TaskSummary) -> TaskRow:
+        """Return the row of a task, as it is listed."""
+        accepted, ended = summary.accepted, summary.ended
+        wall = accepted.wall if ended is None else ended
+        return TaskRow(accepted.wanted.id.hex, wall, ended is not None, self._codec.text(summary))
+
+    # --- knowledge ------------------------------------------------------------------------------
+
+    def _number(self, base: KnowledgeBase) -> int:
+        """Return the number of a knowledge base; one that is new is recorded and listened to."""
+        if id(base) not in self._number_of:
+            self._numbers += 1
+            self._number_of[id(base)], self._bases[self._numbers] = self._numbers, base  # which keeps it: its identity is not used again
+            self._record(follow(self._numbers, base, self._changed))
+        return self._number_of[id(base)]
+
+    def _changed(self, delta: KnowledgeDelta) -> None:
+        if delta.base not in self._bases or self._is_replaced:
+            return  # of a run that has ended in an earlier segment, or no change of the world that is followed
+        if self._handling:
+            self._deltas.append(delta)
+        else:
+            self._record(delta)
+
+    def _remembering(self, goal_fields: GoalFields) -> GoalFields:
+        """Return goal fields that are noted when they are news: a replay cannot ask servers."""
+
+        def remember(action: GroundAction) -> tuple[str, ...] | None:
+            known, fields = str(action), goal_fields(action)
+            if known not in self._fields or self._fields[known] != fields:
+                self._fields[known] = self._news[known] = fields
+            return fields
+
+        return remember
+
+    # --- writing ----------------------------------------------------------------------------------
+
+    def _part(self, source: object) -> str:
+        """Return the key of a part that several records may name."""
+        text = self._codec.text(source)
+        key = hashlib.sha256(text.encode()).hexdigest()
+        if key not in self._known_parts:
+            self._known_parts.add(key)
+            self._parts[key] = text
+        return key
+
+    def _record(self, record: Record, now: float | None = None, begins: float | None = None, task: TaskRow | None = None) -> None:
+        """Note a record; it is written with the next event, or a moment later. What is heard after the end is another process's to keep."""
+        if self._is_closed:
+            return
+        self._rows.append(Row(self._loop.time() if now is None else now, self._codec.text(record), begins, task))
+        self._length += 1
+        if self._due is None:
+            self._due = self._loop.call_soon(self._write)
+
+    def _write(self, *, looks: bool = False) -> None:
+        """Keep what was recorded, and do what has waited for that.
+
+        Args:
+            looks: whether it is looked first that the file is where others find it, as always when the journal is blocked.
+        """
+        if self._due is not None:
+            self._due.cancel()
+            self._due = None
+        if self._is_lost:
+            return
+        try:
+            if looks or self.blocked:
+                self._file.look()
+            if self._rows:
+                self._file.append(self._rows, self._parts)
+        except Fenced as error:
+            self._lose(error)
+            return
+        except JournalError as error:
+            self._is_astray = self._is_astray or not self._rows
+            self._block(str(error))
+            return
+        if self.blocked and (self._rows or self._is_astray):
+            _log.warning("the journal can be written again")
+            self.blocked, self._is_astray = "", False
+        self._rows, self._parts = [], {}
+        while self._waiting and self._hold.is_mine():  # otherwise when it has been renewed
+            perform, commands = self._waiting.popleft()
+            perform(commands)
+
+    def _lose(self, why: Fenced) -> None:
+        """Do nothing any more: another process goes on with everything, and watches what runs."""
+        if not self._is_lost:
+            self._is_lost, self.blocked = True, str(why)
+            self._waiting.clear()
+            self._fenced(why)
+
+    def _block(self, why: str) -> None:
+        """Let requests wait; what only ends work, or tells the time, is done at once."""
+        if not self.blocked:
+            _log.error("%s; nothing new is sent until it can", why)
+        self.blocked = why
+        held = {command.request.id for _, commands in self._waiting for command in commands if isinstance(command, Send)}
+        for position, (perform, commands) in enumerate(self._waiting):
+            at_once = tuple(command for command in commands if self._needs_no_record(command, held))
+            self._waiting[position] = perform, tuple(command for command in commands if command not in at_once)
+            if at_once:
+                perform(at_once)
+        if self._due is None:
+            self._due = self._loop.call_later(_RETRY, self._write)
+
+    def _needs_no_record(self, command: Command, held: set[UUID]) -> bool:
+        return isinstance(command, Wake) or (isinstance(command, Cancel) and command.request not in held and self._hold.is_mine())

@@ -18,12 +18,12 @@ from pnm.core.net.no_collection import no_collection
 from pnm.errors import InputError, PnmError
 from pnm.files.database.place import Place
 from pnm.journal.codec import Codec, Undecodable
+from pnm.journal.journal import WrittenJournal
 from pnm.journal.kept import Damaged, Fenced, HeldByAnother, Hold, JournalChoice, JournalError, Rewritten, log_end
 from pnm.journal.lease import take
 from pnm.journal.records import Record, SharedBegan, TaskSummary
 from pnm.journal.replay import Replay, ReplayDiffers, ReplayStep
 from pnm.journal.store import JournalFile, KeptJournal
-from pnm.journal.written_journal import WrittenJournal
 
 _LOOK: Final = 1.0
 """Seconds at most until a node that stands by looks again."""

@@ -28,9 +28,8 @@ from threading import Lock
 from typing import Final, NamedTuple
 
 from pnm.errors import InputError
-from pnm.files.database.database import Database
+from pnm.files.database.database import Database, copy_file, move_file
 from pnm.files.database.driver import DatabaseError, Rows, SqlQuery
-from pnm.files.database.keeping import copy_file, move_file
 from pnm.files.database.lock import FileLock, Mark, mark_of, this_host, this_process
 from pnm.files.database.place import Place
 from pnm.files.database.sqlite import has_log

@@ -10,7 +10,7 @@ from pnm.core.logic.conditions import TRUE, Condition
 from pnm.core.logic.domain import ProblemModel
 from pnm.errors import Tolerated
 from pnm.files.yaml_nodes import Mapped
-from pnm.knowledge.sources.registry import SourceChoice, check_source
+from pnm.knowledge.sources import SourceChoice, check_source
 from pnm.language.actions import ACTION_KEYS, LanguageAction, read_action, read_class, read_schema
 from pnm.language.declarations import read_declarations, read_derived, read_initial
 from pnm.language.formulas.conditions import read_condition

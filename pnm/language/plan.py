@@ -22,7 +22,7 @@ from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import PlanGraph
 from pnm.errors import InputError, Tolerated
 from pnm.files.yaml_nodes import Mapped
-from pnm.knowledge.sources.registry import SourceChoice
+from pnm.knowledge.sources import SourceChoice
 from pnm.language.actions import LanguageAction
 from pnm.language.declarations import read_facts
 from pnm.language.domain import LanguageDomain, read_goal

@@ -44,7 +44,7 @@ from pnm.errors import InputError, suggestion
 from pnm.executor import Executor
 from pnm.journal.journal import NO_JOURNAL, Journal
 from pnm.journal.replay import ReplayedRun
-from pnm.knowledge.sources.source import Asker, Source
+from pnm.knowledge.source import Asker, Source
 from pnm.language.plan import HandWrittenPlan
 
 

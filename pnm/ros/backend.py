@@ -17,7 +17,7 @@ from pnm.core.machine.requests import ActionClient
 from pnm.core.readiness import Readiness, ReadyState
 from pnm.errors import InputError
 from pnm.knowledge.sensor_model import NO_SENSING, Objects, Sensing, instances, unknown
-from pnm.knowledge.sources.source import FindKnowledge, Source
+from pnm.knowledge.source import FindKnowledge, Source
 from pnm.knowledge.state_reports import StateReports
 from pnm.ros.action_client.client import Ros2ActionClient
 from pnm.ros.knowledge.goal_ids import service_prefix

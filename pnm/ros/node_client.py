@@ -16,7 +16,7 @@ from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Ended, Outcome, Report, Request
 from pnm.errors import InputError, RosError
-from pnm.knowledge.sources.source import SourceError
+from pnm.knowledge.source import SourceError
 from pnm.ros.action_client.client import Ros2ActionClient
 from pnm.ros.knowledge.knowledge_source import uuid_field
 from pnm.ros.node.messages import import_type

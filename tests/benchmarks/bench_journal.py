@@ -49,11 +49,10 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Reporter, Request
-from pnm.journal.journal import NO_JOURNAL, Journal
+from pnm.journal.journal import NO_JOURNAL, Journal, WrittenJournal
 from pnm.journal.kept import Durability, JournalChoice
 from pnm.journal.resume import replayed, take_up
 from pnm.journal.store import JournalFile
-from pnm.journal.written_journal import WrittenJournal
 from pnm.language.runner import PlanRunner
 from pnm.tasks import Wanted
 from tests.support.e2e.page.busy_run import answered, executed, kept, rounds, with_journal, without_journal

@@ -11,8 +11,8 @@ from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.logic.computed_values import Layer
 from pnm.core.machine.bindings import Binding, Bindings, WhenLost
 from pnm.journal.records import TaskNoted
-from pnm.knowledge.sources.help import HelpAsked, HelpEnded
-from pnm.knowledge.sources.source import SourceError
+from pnm.knowledge.people import HelpAsked, HelpEnded
+from pnm.knowledge.source import SourceError
 from pnm.tasks import Code
 from tests.support.e2e.page.journals import steps
 from tests.support.logic.people import DelayedSource, Person

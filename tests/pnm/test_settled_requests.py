@@ -21,11 +21,10 @@ from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Report, Request
 from pnm.core.resources import Resources
 from pnm.executor import Executor
-from pnm.journal.journal import NO_JOURNAL, Journal
+from pnm.journal.journal import NO_JOURNAL, Journal, WrittenJournal
 from pnm.journal.kept import Durability
 from pnm.journal.resume import replayed
 from pnm.journal.store import JournalFile
-from pnm.journal.written_journal import WrittenJournal
 
 BINDINGS = Bindings({"look": Binding(store={"place": "seen"}, retries=0)})
 LOOK = PlanGraph((ActionCall(0, GroundAction("look")),), (), goal=TRUE)

@@ -16,8 +16,7 @@ from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.actions.backend import Backend, check_ready
 from pnm.errors import InputError
 from pnm.journal.journal import Journal
-from pnm.knowledge.sources.registry import SourceChoice, Surroundings, make_source
-from pnm.knowledge.sources.router import Sources
+from pnm.knowledge.sources import SourceChoice, Sources, Surroundings, make_source
 from pnm.tasks import Code, TaskState, Wanted
 
 

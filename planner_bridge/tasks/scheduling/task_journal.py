@@ -17,7 +17,7 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.journal.journal import NO_JOURNAL, Journal
 from pnm.journal.kept import Fenced, JournalChoice
 from pnm.journal.replay import Replay
-from pnm.knowledge.sources.source import Source
+from pnm.knowledge.source import Source
 from pnm.language.runner import PlanRunner, Program
 from pnm.tasks import Wanted
 

@@ -7,7 +7,7 @@ from uuid import UUID
 from planner_bridge.tasks.control import Execution
 from planner_bridge.tasks.task import Task
 from pnm.core.knowledge_base import Layered
-from pnm.knowledge.sources.source import Asker
+from pnm.knowledge.source import Asker
 from pnm.tasks import REMEMBERED, TaskRefused, TaskStatus
 
 

@@ -36,8 +36,8 @@ from pnm.core.resources import who_keeps
 from pnm.errors import InputError
 from pnm.journal.kept import JournalError
 from pnm.journal.replay import Replay, ReplayedTask
-from pnm.knowledge.sources.router import Sources
-from pnm.knowledge.sources.source import Asker, Source
+from pnm.knowledge.source import Asker, Source
+from pnm.knowledge.sources import Sources
 from pnm.language.runner import PlanRunner
 from pnm.tasks import SHORT, Code, TaskEnding, TaskListener, TaskRefused, TaskState, TaskStatus, TaskStep, TraceKind, Wanted
 

@@ -23,7 +23,7 @@ from pnm.core.knowledge_base import Layered
 from pnm.core.logic.conditions import TRUE, Condition
 from pnm.core.machine.requests import NOT_REATTACHED, Ended, ReattachingClient, Report, Request
 from pnm.journal.replay import ReplayedTask
-from pnm.knowledge.sources.source import Source
+from pnm.knowledge.source import Source
 from pnm.language.runner import PlanRunner
 from pnm.tasks import OnConflict
 

@@ -15,8 +15,7 @@ from contextlib import suppress
 from typing import Any, Final
 
 from pnm.errors import InputError
-from pnm.files.database.driver import DatabaseError, Driver, Layout, Rows, check_version
-from pnm.files.database.limit import OperationLimit
+from pnm.files.database.driver import DatabaseError, Driver, Layout, OperationLimit, Rows, check_version
 from pnm.files.database.place import ServerUrl
 
 LIMIT: Final = 1.0

@@ -12,8 +12,7 @@ from pathlib import Path
 from time import monotonic, sleep
 from typing import Final, TypeVar
 
-from pnm.files.database.driver import NOW, DamagedDatabase, DatabaseError, Driver, Layout, Rows, check_version
-from pnm.files.database.limit import SIZE, OperationLimit
+from pnm.files.database.driver import NOW, SIZE, DamagedDatabase, DatabaseError, Driver, Layout, OperationLimit, Rows, check_version
 from pnm.files.database.lock import lock_of
 from pnm.files.private import private_file
 

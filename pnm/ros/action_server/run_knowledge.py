@@ -19,8 +19,7 @@ from rclpy.qos import QoSProfile
 
 from pnm.core.logic.computed_values import MISSING, Layer
 from pnm.errors import PnmError
-from pnm.knowledge.sources.memory import read_value, write_value
-from pnm.knowledge.sources.source import SourceError
+from pnm.knowledge.source import SourceError, read_value, write_value
 from pnm.ros.knowledge.goal_ids import may_be_ours, service_prefix
 from pnm.ros.knowledge.knowledge_services import LAYERS
 from pnm.ros.node.messages import import_type

@@ -16,7 +16,7 @@ from itertools import count
 from typing import Any, Final
 from uuid import UUID
 
-from pnm.actions.simulated_world import SimulatedWorld
+from pnm.actions.simulated_robots import SimulatedWorld
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Report, Request
 from pnm.errors import InputError

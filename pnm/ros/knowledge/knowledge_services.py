@@ -16,8 +16,7 @@ from uuid import UUID
 
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import MISSING, Layer, Question
-from pnm.knowledge.sources.memory import read_value, write_value
-from pnm.knowledge.sources.source import Asker, FindKnowledge, Source, SourceError
+from pnm.knowledge.source import Asker, FindKnowledge, Source, SourceError, read_value, write_value
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.node.service_server import Fields, Handler, RequestServices
 

@@ -8,9 +8,8 @@ from uuid import UUID
 
 from pnm.core.logic.computed_values import MISSING, Layer, Question
 from pnm.errors import InputError
-from pnm.knowledge.sources.memory import read_value, write_value
-from pnm.knowledge.sources.registry import Surroundings, only, seconds, text
-from pnm.knowledge.sources.source import Asker, Source, SourceError
+from pnm.knowledge.source import Asker, Source, SourceError, read_value, write_value
+from pnm.knowledge.sources import Surroundings, only, seconds, text
 from pnm.ros.knowledge.knowledge_services import LAYERS
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.node.service_client import ServiceClient

@@ -16,10 +16,9 @@ from uuid import uuid4
 
 from pnm.core.logic.computed_values import MISSING, Question
 from pnm.errors import printable
-from pnm.knowledge.sources.memory import write_value
-from pnm.knowledge.sources.person_text import LIMIT, message_text, question_text, read_answer
-from pnm.knowledge.sources.registry import Surroundings, only, seconds, text
-from pnm.knowledge.sources.source import Asker, Source, SourceError
+from pnm.knowledge.people import ANSWER_LIMIT, message_text, question_text, read_answer
+from pnm.knowledge.source import Asker, Source, SourceError, write_value
+from pnm.knowledge.sources import Surroundings, only, seconds, text
 from pnm.ros.knowledge.knowledge_source import NAME, thread, uuid_field
 from pnm.ros.node.messages import import_type, to_message
 from pnm.ros.node.ros_thread import RosThread, call_on_loop
@@ -56,7 +55,7 @@ class Ros2Person:
     The mutable state is the open questions by id, on the event loop's thread, and publisher and subscription.
     """
 
-    def __init__(self, ros: RosThread, name: str = NAME, *, limit: float = LIMIT) -> None:
+    def __init__(self, ros: RosThread, name: str = NAME, *, limit: float = ANSWER_LIMIT) -> None:
         self._ros = ros
         self._name = name
         self._limit = limit
@@ -180,4 +179,4 @@ class Ros2Person:
 def topics(options: Mapping[str, object], surroundings: Surroundings) -> Source:
     """Make the source ``topics``: ``name`` is what the names of the topics begin with, ``limit`` the seconds for an answer."""
     only(options, "name", "limit")
-    return Ros2Person(thread(surroundings), text(options, "name", NAME), limit=seconds(options, "limit", LIMIT))
+    return Ros2Person(thread(surroundings), text(options, "name", NAME), limit=seconds(options, "limit", ANSWER_LIMIT))

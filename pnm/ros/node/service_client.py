@@ -13,7 +13,7 @@ from difflib import get_close_matches
 from functools import partial
 from typing import Any, Final
 
-from pnm.knowledge.sources.source import SourceError
+from pnm.knowledge.source import SourceError
 from pnm.ros.node.messages import FieldError, import_type, to_message
 from pnm.ros.node.ros_thread import RosThread, call_on_loop
 

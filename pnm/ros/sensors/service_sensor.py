@@ -11,7 +11,7 @@ from typing import Final
 
 from pnm.errors import InputError
 from pnm.knowledge.sensor_model import ByService
-from pnm.knowledge.sources.source import SourceError
+from pnm.knowledge.source import SourceError
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.node.service_client import ServiceClient
 from pnm.ros.node.typed_fields import value_at

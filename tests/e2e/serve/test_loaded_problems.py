@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from pnm.errors import RosError
-from pnm.knowledge.sources.source import SourceError
+from pnm.knowledge.source import SourceError
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.node.service_client import ServiceClient
 from tests.support.e2e.deployment import SimulationProgram

@@ -80,7 +80,7 @@ def test_python_is_started_in_one_place_alone() -> None:
         for file in (ROOT / package).rglob("*.py")
         if "sys.executable" in file.read_text(encoding="utf-8")
     ]
-    assert users == ["pnm/files/own_python.py"]
+    assert users == ["pnm/files/process.py"]
 
 
 def test_our_packages_are_found_where_none_is_installed(tmp_path: Path) -> None:

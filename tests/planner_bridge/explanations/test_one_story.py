@@ -24,7 +24,7 @@ from planner_bridge.view.follow import Reader
 from planner_bridge.view.shown import View
 from planner_bridge.view.task_timeline import timelines
 from pnm.core.pictures.timeline import Timeline
-from pnm.journal import written_journal
+from pnm.journal import journal as journal_module
 from pnm.journal.kept import DAY
 from pnm.journal.records import TaskAccepted
 from pnm.journal.replay import Replay
@@ -116,7 +116,7 @@ def check_one_story(journal: Path) -> int:
 def test_all_readers_tell_one_story_of_tasks_that_people_interfere_with(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(written_journal, "_LONG", random.Random(number).choice(LENGTHS))
+    monkeypatch.setattr(journal_module, "_LONG", random.Random(number).choice(LENGTHS))
     live: dict[str, tuple[str, int]] = {}
 
     def note(simulation: TaskSimulation) -> None:
@@ -135,7 +135,7 @@ def test_all_readers_tell_one_story_of_tasks_that_people_interfere_with(
 
 @pytest.mark.parametrize("number", range(20))
 def test_all_readers_tell_one_story_of_tasks_whose_processes_die(number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(written_journal, "_LONG", random.Random(number).choice(LENGTHS))
+    monkeypatch.setattr(journal_module, "_LONG", random.Random(number).choice(LENGTHS))
     run_deaths(number, tmp_path)
     check_one_story(tmp_path / "journal")
 
@@ -160,7 +160,7 @@ def test_a_plan_that_is_a_call_of_another_is_no_replan(tmp_path: Path) -> None:
 
 
 def test_of_a_task_whose_records_are_dropped_nothing_is_claimed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(written_journal, "_LONG", 1)
+    monkeypatch.setattr(journal_module, "_LONG", 1)
     days = count()
     tasks = [Wanted(UUID(int=number + 1), f"(at r1 a{2 + number % 2})") for number in range(12)]
     survive(fleet(), tasks, Settings(improve=0.0), tmp_path / "journal", [], in_turn=True, wall=lambda: next(days) * DAY)

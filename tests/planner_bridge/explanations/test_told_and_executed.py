@@ -22,7 +22,7 @@ from pnm.core.execution.events import Command, Event, Observer
 from pnm.core.execution.run import Run
 from pnm.core.machine.plan_graph import ActionCall, PlanGraph, Step
 from pnm.core.machine.requests import Request
-from pnm.journal import written_journal
+from pnm.journal import journal as journal_module
 from pnm.journal.records import Happened, Record, RunMade
 from pnm.journal.replay import ReplayDiffers
 from pnm.journal.replay import ReplayStep as Replayed
@@ -137,7 +137,7 @@ def check(journal: Path) -> Counter[str]:
 def test_what_is_told_of_tasks_that_people_interfere_with_is_what_executing_shows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     checked = Counter[str]()
     for number in range(40):
-        monkeypatch.setattr(written_journal, "_LONG", random.Random(number).choice(LENGTHS))
+        monkeypatch.setattr(journal_module, "_LONG", random.Random(number).choice(LENGTHS))
         run_scenario(number, journal=tmp_path / str(number))
         checked += check(tmp_path / str(number))
     assert checked["results"] > 100
@@ -148,7 +148,7 @@ def test_what_is_told_of_tasks_that_people_interfere_with_is_what_executing_show
 def test_what_is_told_of_tasks_whose_processes_die_is_what_executing_shows(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(written_journal, "_LONG", random.Random(number).choice(LENGTHS))
+    monkeypatch.setattr(journal_module, "_LONG", random.Random(number).choice(LENGTHS))
     run_deaths(number, tmp_path)
     check(tmp_path / "journal")
 

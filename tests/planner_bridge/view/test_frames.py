@@ -14,7 +14,7 @@ from planner_bridge.view.follow import Reader
 from planner_bridge.view.frames import frame
 from planner_bridge.view.shown import View
 from planner_bridge.view.view import view_of
-from pnm.journal import written_journal
+from pnm.journal import journal as journal_module
 from tests.support.tasks.scenarios.random_scenarios import run_scenario
 
 
@@ -36,7 +36,7 @@ def views(journal: Path) -> list[View]:
 
 @pytest.mark.parametrize("number", [*range(8), 34, 40, 51, 78])
 def test_frames_one_by_one_are_the_whole_state_after_every_record(number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(written_journal, "_LONG", 60)  # so that segments begin now and then
+    monkeypatch.setattr(journal_module, "_LONG", 60)  # so that segments begin now and then
     run_scenario(number, journal=tmp_path / "journal")
     shown = views(tmp_path / "journal")
     assert len(shown) > 10
@@ -57,7 +57,7 @@ def test_frames_one_by_one_are_the_whole_state_after_every_record(number: int, t
 def test_what_is_shown_after_a_record_does_not_depend_on_what_was_read_before(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(written_journal, "_LONG", 40)
+    monkeypatch.setattr(journal_module, "_LONG", 40)
     run_scenario(number, journal=tmp_path / "journal")
     shown = views(tmp_path / "journal")
     assert Reader(tmp_path / "journal").newest() == shown[-1]

@@ -13,7 +13,7 @@ from planner_bridge.view.story import Story
 from planner_bridge.view.view import view_of
 from pnm.core.logic.expressions import UNKNOWN
 from pnm.journal.records import WORLD, KnowledgeBegan, KnowledgeDelta, SharedBegan, TaskAccepted, TaskNoted
-from pnm.knowledge.sources.help import HelpAsked, HelpEnded
+from pnm.knowledge.people import HelpAsked, HelpEnded
 from pnm.tasks import Wanted
 from tests.support.e2e.page.journals import steps
 from tests.support.files import ROOT, written

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pnm.actions.simulated_robots import SimulatedRobots
-from pnm.actions.simulated_world import SimulatedWorld
+from pnm.actions.simulated_robots import SimulatedRobots, SimulatedWorld
 from pnm.clock import run_async
 from pnm.core.execution.events import Begin, Cancel, Event, KnowledgeChanged, Pause, Resume, Tick
 from pnm.core.execution.run import Run

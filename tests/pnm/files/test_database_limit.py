@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from pnm.files.database import limit
+from pnm.files.database import driver
 from pnm.files.database.database import Database
 from pnm.files.database.driver import DatabaseError, Layout
 from pnm.files.database.place import place_of
@@ -31,8 +31,8 @@ ENDLESS = "WITH RECURSIVE endless(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM en
 @pytest.fixture
 def hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have operations end early."""
-    monkeypatch.setattr(limit, "SECONDS", 1.5)
-    monkeypatch.setattr(limit, "SIZE", 1_000_000)
+    monkeypatch.setattr(driver, "SECONDS", 1.5)
+    monkeypatch.setattr(driver, "SIZE", 1_000_000)
 
 
 @pytest.fixture
@@ -91,7 +91,7 @@ def test_ctrl_c_ends_a_query(file: Path) -> None:
     try:
         program.until(lambda: "begun" in program.out)
         program.process.send_signal(signal.SIGINT)
-        assert program.ended(limit.SECONDS / 2) == 0
+        assert program.ended(driver.SECONDS / 2) == 0
         assert program.out == ["begun", "interrupted"]
     finally:
         program.close()

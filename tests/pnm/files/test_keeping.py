@@ -12,11 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from pnm.files.database import limit, sqlite
-from pnm.files.database.database import Database
-from pnm.files.database.driver import DatabaseError
-from pnm.files.database.keeping import copy_file, move_file
-from pnm.files.database.limit import OperationLimit
+from pnm.files.database import driver, sqlite
+from pnm.files.database.database import Database, copy_file, move_file
+from pnm.files.database.driver import DatabaseError, OperationLimit
 from pnm.journal.kept import Damaged, Durability, JournalError, Row
 from pnm.journal.store import JournalFile, KeptJournal
 from pnm.journal.tables import LAYOUT
@@ -42,7 +40,7 @@ def slow(journal: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     The journal was written before.
     """
     clock = count()
-    monkeypatch.setattr(limit, "monotonic", lambda: float(next(clock)))
+    monkeypatch.setattr(driver, "monotonic", lambda: float(next(clock)))
     monkeypatch.setattr(sqlite, "_STEPS", 100)
 
 

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from pnm.errors import InputError, Position
 from pnm.files.text import read_text
-from pnm.files.yaml_loader import MAX_DEPTH, MAX_NODES
-from pnm.files.yaml_nodes import MAX_BYTES, load_yaml
+from pnm.files.yaml_nodes import MAX_BYTES, MAX_DEPTH, MAX_NODES, load_yaml
 from tests.support.files import refused, written
 from tests.support.runs.files import error
 

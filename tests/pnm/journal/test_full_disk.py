@@ -19,11 +19,11 @@ from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Orderi
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.core.resources import Resources
 from pnm.journal.format import RECORDS
+from pnm.journal.journal import WrittenJournal
 from pnm.journal.records import Happened
 from pnm.journal.replay import Replay
 from pnm.journal.resume import replay_steps, replayed
 from pnm.journal.store import Durability, JournalError, JournalFile, Row
-from pnm.journal.written_journal import WrittenJournal
 from pnm.tasks import Code, TaskEnding, Wanted
 
 

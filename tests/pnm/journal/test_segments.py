@@ -21,13 +21,13 @@ from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.core.resources import Resources
-from pnm.journal import written_journal
+from pnm.journal import journal as journal_module
+from pnm.journal.journal import WrittenJournal
 from pnm.journal.kept import DAY, Fenced, Unshared
 from pnm.journal.records import KnowledgeDelta, SharedBegan
 from pnm.journal.replay import Replay
 from pnm.journal.resume import Follower, replay_steps, replayed, summaries
 from pnm.journal.store import Durability, JournalFile, KeptJournal
-from pnm.journal.written_journal import WrittenJournal
 from pnm.tasks import Code, TaskEnding, Wanted
 from tests.support.pddl.problems import fleet
 from tests.support.tasks.scenarios.crash import survive
@@ -40,7 +40,7 @@ QUICK = Settings(improve=0.0)
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have a segment begin whenever nothing is under way."""
-    monkeypatch.setattr(written_journal, "_LONG", 1)
+    monkeypatch.setattr(journal_module, "_LONG", 1)
 
 
 @pytest.mark.usefixtures("short")

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from planner_bridge.pipeline.achieve import carry_out
 from pnm.core.logic.computed_values import Layer, Question, Uncomputable, operate
-from pnm.knowledge.sources import Asker, SourceError, Sources
-from pnm.knowledge.sources.scripted import ScriptedAnswers
-from pnm.knowledge.sources.terminal import TerminalSource
+from pnm.knowledge.people import ScriptedAnswers, TerminalSource
+from pnm.knowledge.source import Asker, SourceError
+from pnm.knowledge.sources import Sources
 from tests.support.files import written
 from tests.support.logic.people import DelayedSource, Person, TerminalUser, about, run_questions
 

@@ -9,17 +9,8 @@ import pytest
 
 from pnm.core.logic.computed_values import Layer
 from pnm.errors import InputError, Position
-from pnm.knowledge.sources import (
-    Asker,
-    SourceChoice,
-    SourceError,
-    Surroundings,
-    check_source,
-    open_sources,
-    register_source,
-    registry,
-    source_names,
-)
+from pnm.knowledge.source import Asker, SourceError
+from pnm.knowledge.sources import SourceChoice, Surroundings, check_source, open_sources, register_source, registry, source_names
 from tests.support.logic.people import DelayedSource, about, run_questions
 
 ME = Asker(UUID(int=7), "tour")
@@ -71,10 +62,10 @@ def test_a_source_of_a_package(registered: None, tmp_path: Path, monkeypatch: py
     (package / "METADATA").write_text("Name: shop_kb\nVersion: 1.0\n")
     points = (
         "[pnm.knowledge.sources]",
-        "shops = pnm.knowledge.sources.registry:memory",
+        "shops = pnm.knowledge.sources:memory",
         "broken = gone:make",
         "[pnm.people]",
-        "screen = pnm.knowledge.sources.registry:memory",
+        "screen = pnm.knowledge.sources:memory",
     )
     (package / "entry_points.txt").write_text("\n".join(points))
     monkeypatch.syspath_prepend(str(tmp_path))

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from pnm.core.logic.computed_values import MISSING, Layer, Question
 from pnm.errors import InputError
-from pnm.knowledge.sources import Asker, SourceError, Sources
-from pnm.knowledge.sources.memory import MemoryKnowledge, read_value, write_value
+from pnm.knowledge.source import Asker, MemoryKnowledge, SourceError, read_value, write_value
+from pnm.knowledge.sources import Sources
 from tests.support.logic.people import DelayedSource, about, run_questions
 
 ME = Asker(UUID(int=7), "tour")

@@ -11,9 +11,9 @@ import pytest
 
 from pnm.core.logic.computed_values import MISSING, Layer, Question
 from pnm.errors import printable
-from pnm.knowledge.sources import Asker, SourceError, Sources
-from pnm.knowledge.sources.person_text import message_text, question_text, read_answer
-from pnm.knowledge.sources.terminal import TerminalSource
+from pnm.knowledge.people import TerminalSource, message_text, question_text, read_answer
+from pnm.knowledge.source import Asker, SourceError
+from pnm.knowledge.sources import Sources
 from tests.support.logic.people import TerminalUser, about, run_questions
 
 ME = Asker(UUID(int=7), "tour")
@@ -171,8 +171,8 @@ NO_TERMINAL = """
 import asyncio, sys
 from uuid import UUID
 from pnm.core.logic.computed_values import Layer, Question
-from pnm.knowledge.sources import Asker, SourceError
-from pnm.knowledge.sources.terminal import TerminalSource
+from pnm.knowledge.source import Asker, SourceError
+from pnm.knowledge.people import TerminalSource
 question = Question("USER", Layer.PERSON, "null")
 for asking in (TerminalSource().query(question, Asker(UUID(int=1))), TerminalSource().update(question, 1, Asker(UUID(int=1)))):
     try:

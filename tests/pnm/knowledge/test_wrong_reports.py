@@ -11,8 +11,7 @@ import pytest
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.expressions import UNKNOWN
-from pnm.knowledge.complaints import PERIOD, Complaints
-from pnm.knowledge.state_reports import StateReports
+from pnm.knowledge.state_reports import PERIOD, Complaints, StateReports
 from tests.support.pddl.sensed_world import KNOWN, PROBLEM
 
 WRONG = {

@@ -12,7 +12,7 @@ from typing import Any
 
 from pnm.clock import run_async
 from pnm.core.logic.computed_values import MISSING, Layer, Question
-from pnm.knowledge.sources import Asker
+from pnm.knowledge.source import Asker
 
 
 def about(name: str, layer: Layer = Layer.GLOBAL, meta: object = None) -> Question:

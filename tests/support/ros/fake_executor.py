@@ -17,8 +17,8 @@ from pnm.core.logic.computed_values import Question
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Report, Request
-from pnm.knowledge.sources import Asker, Source, Sources
-from pnm.knowledge.sources.memory import MemoryKnowledge
+from pnm.knowledge.source import Asker, MemoryKnowledge, Source
+from pnm.knowledge.sources import Sources
 from pnm.ros.action_client.client import Ros2ActionClient
 from pnm.ros.knowledge.goal_ids import service_prefix
 from pnm.ros.knowledge.knowledge_services import KnowledgeServices

@@ -16,7 +16,7 @@ from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
 from pnm.core.machine.verification.verify import verify
 from pnm.executor import Executor
-from pnm.knowledge.sources.source import Source
+from pnm.knowledge.source import Source
 from tests.support.runs.commands import RUN, accepted
 from tests.support.runs.plan_graphs import plan_of, plan_of_steps
 from tests.support.runs.simulated import FiringLog

@@ -10,8 +10,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.model.simulation import robots_of
 from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
-from pnm.actions.simulated_robots import SimulatedRobots
-from pnm.actions.simulated_world import SimulatedWorld, report_changes
+from pnm.actions.simulated_robots import SimulatedRobots, SimulatedWorld, report_changes
 from pnm.clock import run_async
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.events import Observer

@@ -23,7 +23,7 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.net.net import Marking
 from pnm.errors import InputError, Position
-from pnm.knowledge.sources.person_text import read_answer
+from pnm.knowledge.people import read_answer
 from pnm.tasks import (
     Code,
     MadePlan,

@@ -18,7 +18,7 @@ from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.core.logic.computed_values import MISSING, Layer, Question
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.machine import OnFailure
-from pnm.knowledge.sources.source import Asker, Source
+from pnm.knowledge.source import Asker, Source
 from tests.support.tasks.simulation import TaskSimulation, simulate_tasks
 
 P = ParamSpec("P")

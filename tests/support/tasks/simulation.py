@@ -23,10 +23,9 @@ from pnm.clock import VirtualTimeLoop
 from pnm.core.logic.conditions import Condition, evaluate
 from pnm.core.machine.bindings import Bindings
 from pnm.errors import InputError
-from pnm.journal.journal import NO_JOURNAL, Journal
+from pnm.journal.journal import NO_JOURNAL, Journal, WrittenJournal
 from pnm.journal.store import Durability, JournalFile
-from pnm.journal.written_journal import WrittenJournal
-from pnm.knowledge.sources.source import Source
+from pnm.knowledge.source import Source
 from pnm.language.runner import PlanRunner, Program
 from pnm.tasks import Code, TaskEnding, TaskListener, TaskState, TraceEvent, TraceKind, Wanted
 from tests.support.pddl.problems import fleet

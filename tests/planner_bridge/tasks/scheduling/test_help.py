@@ -14,7 +14,7 @@ from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.logic.computed_values import MISSING
 from pnm.core.logic.expressions import Fluent, Value
 from pnm.core.machine.bindings import Binding, Bindings
-from pnm.knowledge.sources.source import SourceError
+from pnm.knowledge.source import SourceError
 from pnm.tasks import Code, TaskState
 from tests.support.logic.people import Person
 from tests.support.pddl.problems import fleet, rooms

@@ -29,9 +29,8 @@ from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Request
 from pnm.executor import Executor
 from pnm.journal.records import TaskEntered, TaskOver
-from pnm.journal.replay import Replay
+from pnm.journal.replay import Replay, words
 from pnm.journal.resume import replay_steps
-from pnm.journal.text import words
 from pnm.tasks import Code, TaskRefused, TaskState, TraceKind
 from tests.support.pddl.problems import fleet
 from tests.support.tasks.node import EAGER, simulated

@@ -11,8 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pnm.actions.simulated_robots import SimulatedRobots
-from pnm.actions.simulated_world import SimulatedWorld, report_changes
+from pnm.actions.simulated_robots import SimulatedRobots, SimulatedWorld, report_changes
 from pnm.clock import run_async
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.events import Begin, Event, KnowledgeChanged, Pause, Resume, SingleStep

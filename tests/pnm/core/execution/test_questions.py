@@ -21,8 +21,8 @@ from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.core.machine.verification.verify import verify
 from pnm.errors import InputError
 from pnm.executor import Executor
+from pnm.knowledge.people import question_text
 from pnm.knowledge.sources import SourceChoice, Surroundings, open_sources
-from pnm.knowledge.sources.person_text import question_text
 from tests.support.logic.people import Person
 from tests.support.runs.direct import RUN
 from tests.support.runs.handover import ManualClient, carried, successor

@@ -14,8 +14,7 @@ import pytest
 
 from planner_bridge.model.simulation import simulated_backend
 from planner_bridge.node.simulate import LoggedRobots
-from pnm.actions.simulated_robots import SimulatedRobots
-from pnm.actions.simulated_world import SimulatedWorld
+from pnm.actions.simulated_robots import SimulatedRobots, SimulatedWorld
 from pnm.clock import run_async
 from pnm.core.execution.events import Answered, Ask, Begin, Command, KnowledgeChanged, ResourcesChanged, Send, Stop, Tick
 from pnm.core.execution.run import Run

@@ -25,7 +25,7 @@ from pnm.core.machine.requests import Accepted
 from pnm.journal.records import TaskNoted
 from pnm.journal.replay import Replay
 from pnm.journal.resume import replay_steps
-from pnm.knowledge.sources.source import Asker
+from pnm.knowledge.source import Asker
 from pnm.language.plan import parse_plans
 from pnm.language.runner import Program
 from pnm.tasks import Code, Wanted

@@ -19,10 +19,10 @@ from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.resources import Resources
 from pnm.errors import InputError
 from pnm.journal.format import RECORDS
+from pnm.journal.journal import WrittenJournal
 from pnm.journal.replay import Replay
 from pnm.journal.resume import replayed
 from pnm.journal.store import Durability, JournalFile
-from pnm.journal.written_journal import WrittenJournal
 from pnm.language.plan import parse_plans
 from pnm.language.runner import Program
 from pnm.tasks import Code, TaskEnding, TaskListener, TaskRefused, TaskState, TraceEvent, TraceKind, Wanted

@@ -19,11 +19,11 @@ from pnm.errors import InputError, PnmError
 from pnm.files.database.place import Place
 from pnm.files.database.sqlite import files_of, log_of
 from pnm.journal.format import RECORDS
+from pnm.journal.journal import WrittenJournal
 from pnm.journal.kept import Durability, Fenced, JournalChoice, JournalError, Row, Unshared
 from pnm.journal.lease import Watch, take
 from pnm.journal.resume import replayed
 from pnm.journal.store import JournalFile, KeptJournal
-from pnm.journal.written_journal import WrittenJournal
 from pnm.tasks import Wanted
 from tests.support.e2e.command_line import pnm
 from tests.support.processes import LIMIT, Program

@@ -18,10 +18,10 @@ from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.core.resources import Resources
 from pnm.journal.format import RECORDS
+from pnm.journal.journal import WrittenJournal
 from pnm.journal.kept import Durability, Fenced, JournalError, Unshared
 from pnm.journal.resume import replayed
 from pnm.journal.store import JournalFile
-from pnm.journal.written_journal import WrittenJournal
 from pnm.tasks import Wanted
 
 

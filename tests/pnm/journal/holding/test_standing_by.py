@@ -17,11 +17,11 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.resources import Resources
 from pnm.errors import InputError
 from pnm.files.database.place import Place, place_of
+from pnm.journal.journal import WrittenJournal
 from pnm.journal.kept import Durability, JournalChoice, JournalError, Row
 from pnm.journal.records import KnowledgeDelta, SharedBegan, TaskAccepted, knowledge_now
 from pnm.journal.resume import Follower, Taken, stand_by, take_up
 from pnm.journal.store import JournalFile
-from pnm.journal.written_journal import WrittenJournal
 from pnm.tasks import Wanted
 from tests.support.e2e.hosts.postgres import PostgresServer
 from tests.support.processes import until

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from pnm.errors import InputError
-from pnm.files.yaml_loader import MAX_DOCUMENTS, MAX_NODES
-from pnm.files.yaml_nodes import Mapped, load_yaml, parse_yaml
+from pnm.files.yaml_nodes import MAX_DOCUMENTS, MAX_NODES, Mapped, load_yaml, parse_yaml
 from pnm.language.files import parse_documents, read_documents
 from tests.support.files import refused
 
@@ -154,7 +153,7 @@ def test_evil_files_are_refused(text: str, message: str) -> None:
 
 
 def test_a_file_is_not_read_further_than_its_values_may_be_many(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pnm.files.yaml_loader.MAX_NODES", 10)
+    monkeypatch.setattr("pnm.files.yaml_nodes.MAX_NODES", 10)
     assert refusal("a: [" + "1, " * 20 + "}").endswith("not YAML: more than 10 values")
 
 

@@ -24,8 +24,8 @@ from pnm.core.logic.computed_values import Question
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import OnFailure
 from pnm.errors import InputError
-from pnm.knowledge.sources.router import Sources
-from pnm.knowledge.sources.source import Asker
+from pnm.knowledge.source import Asker
+from pnm.knowledge.sources import Sources
 from pnm.language.plan import read_plans
 from pnm.language.runner import PlanRunner, Program
 from pnm.tasks import Code

@@ -17,8 +17,7 @@ from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import Layer, Question
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.errors import InputError
-from pnm.knowledge.sources.memory import MemoryKnowledge
-from pnm.knowledge.sources.source import Asker
+from pnm.knowledge.source import Asker, MemoryKnowledge
 from pnm.language.plan import chosen_plan, merge_bindings, read_plans
 from pnm.language.runner import PlanRunner, Program, check_values
 from tests.support.files import ROOT, written

@@ -13,8 +13,8 @@ from rclpy.task import Future
 
 from pnm.core.logic.computed_values import MISSING, Layer, Question
 from pnm.core.machine.requests import OutcomeKind
-from pnm.knowledge.sources import Asker, SourceError, Sources
-from pnm.knowledge.sources.memory import MemoryKnowledge
+from pnm.knowledge.source import Asker, MemoryKnowledge, SourceError
+from pnm.knowledge.sources import Sources
 from pnm.ros.node.service_client import until_true
 from tests.support.logic.people import Person
 from tests.support.processes import LIMIT

@@ -9,7 +9,8 @@ from uuid import UUID
 import pytest
 
 from pnm.core.logic.computed_values import MISSING, Layer
-from pnm.knowledge.sources import Asker, SourceChoice, SourceError, Surroundings, open_sources
+from pnm.knowledge.source import Asker, SourceError
+from pnm.knowledge.sources import SourceChoice, Surroundings, open_sources
 from pnm.ros.knowledge.knowledge_source import Ros2Knowledge
 from pnm.ros.knowledge.person_source import Ros2Person
 from pnm.ros.node.service_client import ServiceClient

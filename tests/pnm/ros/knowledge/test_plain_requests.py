@@ -9,8 +9,8 @@ import pytest
 from pnm_interfaces.srv import QueryKnowledge, UpdateKnowledge
 
 from pnm.core.logic.computed_values import Layer
+from pnm.knowledge.source import MemoryKnowledge
 from pnm.knowledge.sources import Sources
-from pnm.knowledge.sources.memory import MemoryKnowledge
 from pnm.ros.knowledge.goal_ids import may_be_ours, service_prefix
 from pnm.ros.knowledge.knowledge_services import KnowledgeServices
 from pnm.ros.knowledge.knowledge_source import uuid_field

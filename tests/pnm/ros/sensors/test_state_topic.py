@@ -11,7 +11,7 @@ import pytest
 from pnm_interfaces.msg import State
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from pnm.actions.simulated_world import SimulatedWorld
+from pnm.actions.simulated_robots import SimulatedWorld
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN
 from pnm.errors import InputError

@@ -18,10 +18,9 @@ from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, PlanEvent,
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Report, Request
 from pnm.core.resources import Resources
 from pnm.executor import Executor
-from pnm.journal.journal import NO_JOURNAL, Journal, RunOptions
+from pnm.journal.journal import NO_JOURNAL, Journal, RunOptions, WrittenJournal
 from pnm.journal.kept import Durability
 from pnm.journal.store import JournalFile
-from pnm.journal.written_journal import WrittenJournal
 from tests.support.runs.simulated import move
 
 

@@ -12,8 +12,7 @@ from typing import Final
 from uuid import UUID
 
 from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange
-from pnm.actions.simulated_robots import RobotLog, SimulatedRobots
-from pnm.actions.simulated_world import SimulatedWorld
+from pnm.actions.simulated_robots import RobotLog, SimulatedRobots, SimulatedWorld
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Report, Reporter, Request

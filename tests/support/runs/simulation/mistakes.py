@@ -53,7 +53,7 @@ class Mistake:
             file.write_text(text.replace(change.right, change.wrong), encoding="utf-8")
 
 
-_JOURNAL: Final = "pnm/journal/written_journal.py"
+_JOURNAL: Final = "pnm/journal/journal.py"
 _RUN: Final = "pnm/core/execution/run.py"
 MISTAKES: Final = (
     Mistake(

@@ -17,10 +17,10 @@ from pnm.core.resources import Resources
 from pnm.errors import InputError
 from pnm.executor import Executor
 from pnm.journal.format import RECORDS
+from pnm.journal.journal import WrittenJournal
 from pnm.journal.kept import Fenced, HeldByAnother, Hold, JournalChoice, JournalError
 from pnm.journal.replay import Replay, ReplayedTask
 from pnm.journal.resume import take_up
-from pnm.journal.written_journal import WrittenJournal
 from pnm.tasks import Code, TaskEnding, Wanted
 from tests.support.runs.simulation.disk import Disk, DiskPlan, Folder
 from tests.support.runs.simulation.fleet import LAG, Connection, Fleet

@@ -22,7 +22,7 @@ from planner_bridge.tasks.scheduling.task_manager import TaskManager
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.backend import ClientBackend
 from pnm.actions.faults import NO_FAULTS, Faults
-from pnm.actions.simulated_world import LAG
+from pnm.actions.simulated_robots import LAG
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition
 from pnm.core.logic.expressions import Fluent, Unknown, Value
@@ -30,7 +30,7 @@ from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.journal.kept import UNSHARED, Hold, JournalChoice
 from pnm.journal.resume import take_up
-from pnm.knowledge.sources.source import Source
+from pnm.knowledge.source import Source
 from pnm.language.runner import PlanRunner, Program
 from pnm.tasks import TaskEnding, TaskListener, Wanted
 from tests.support.runs.simulation.course import quiet

@@ -24,7 +24,7 @@ from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange
 from pnm.core.logic.computed_values import MISSING, Question
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.machine import OnFailure
-from pnm.knowledge.sources.source import Asker, SourceError
+from pnm.knowledge.source import Asker, SourceError
 from pnm.language.plan import HandWrittenPlan
 from pnm.language.runner import Program
 from pnm.tasks import Code, OnConflict, TaskRefused, TaskState

@@ -20,10 +20,10 @@ from pnm.core.logic.conditions import Condition, Holds
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Reporter, Request
 from pnm.errors import InputError
+from pnm.journal.journal import WrittenJournal
 from pnm.journal.replay import Replay
 from pnm.journal.resume import replayed
 from pnm.journal.store import Durability, JournalFile
-from pnm.journal.written_journal import WrittenJournal
 from pnm.language.runner import PlanRunner, Program
 
 

@@ -1,16 +1,64 @@
-"""Global knowledge in the memory of this process: shared by its runs, gone with it.
-
-Values on their way out of the process and back: JSON, bounded.
-"""
+"""Sources of knowledge outside of runs: global knowledge bases and people, and one that is in the memory of this process."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from dataclasses import dataclass
 from math import isfinite
-from typing import Final
+from typing import Final, Protocol, TypeAlias
+from uuid import UUID
 
+from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import MAX_SIZE, MISSING, Question
-from pnm.knowledge.sources.source import Asker, SourceError
+from pnm.errors import PnmError
+
+
+class SourceError(PnmError):
+    """A source could not be reached, has refused, or did not answer in time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Asker:
+    """The run that sends a query or update."""
+
+    run: UUID
+    plan: str = ""
+    """Its plan, as shown to a person."""
+    question: UUID | None = None
+    """What a question is known by, also when it is asked again by another process."""
+
+
+class Source(Protocol):
+    """A knowledge base outside of runs, or a person. Every method is called on the event loop, by many runs at once."""
+
+    async def query(self, question: Question, asker: Asker, /) -> object:
+        """Return the answer to the question, or `MISSING`; cancelled when the answer is no longer needed.
+
+        Raises:
+            SourceError: the source could not be reached.
+        """
+
+    async def update(self, question: Question, value: object, asker: Asker, /) -> None:
+        """Store the value, or forget it if it is None; when this returns, every later query finds it so.
+
+        A person is shown the value, and stores nothing.
+
+        Raises:
+            SourceError: the value could not be stored; one that is not JSON never is.
+        """
+
+    async def close(self) -> None:
+        """Close files and connections; open questions end with a `SourceError`."""
+
+
+FindKnowledge: TypeAlias = Callable[[UUID], tuple[Layered, Asker] | None]
+"""Returns the knowledge of the run that sent the request, and the asker for it; None if there is no such request, or no longer."""
+
+
+# --- in the memory of this process ---------------------------------------------------------
+# Values on their way out of the process and back: JSON, bounded.
+
 
 _SHOWN: Final = 60
 

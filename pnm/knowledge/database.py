@@ -20,8 +20,7 @@ from pnm.files.database.database import Database
 from pnm.files.database.driver import DatabaseError, Layout, SqlQuery
 from pnm.files.database.place import Place
 from pnm.files.private import private_folder
-from pnm.knowledge.sources.memory import read_value, write_value
-from pnm.knowledge.sources.source import Asker, SourceError
+from pnm.knowledge.source import Asker, SourceError, read_value, write_value
 
 LAYOUT: Final = Layout(
     "knowledge",

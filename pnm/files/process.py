@@ -1,4 +1,6 @@
-"""Python processes of ours: they import what this process would, and nothing that lies in the folder in which it was started.
+"""Processes of ours: what those that we start may import, and what this one may write to its terminal.
+
+A Python process of ours imports what this one would, and nothing that lies in the folder in which it was started.
 
 Python puts the current folder first on the path of ``python -m`` and ``python -c``: a ``json.py`` in a folder that somebody has unpacked
 would be executed. Packages that are found otherwise (installed, editable, in `PYTHONPATH`) are still found.
@@ -8,10 +10,12 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, TextIO, cast
+
+from pnm.errors import printable_lines
 
 _SAFE: Final = "PYTHONSAFEPATH"
 _OURS: Final = "of pnm"
@@ -48,3 +52,36 @@ def forget_safe_path() -> None:
     """Have processes that are started here import as usual again: programs of others may need the folder of their script."""
     if os.environ.get(_SAFE) == _OURS:
         del os.environ[_SAFE]
+
+
+# --- standard output and standard error without control characters, whoever writes ---------
+
+
+class SafeStream:
+    """A stream of lines, each of them printable. A terminal's library writes its own control sequences past it.
+
+    Args:
+        rich_proxied_file: the stream behind it; named as `rich` looks for it.
+    """
+
+    def __init__(self, rich_proxied_file: TextIO) -> None:
+        self.rich_proxied_file = rich_proxied_file
+
+    def write(self, text: str) -> int:
+        """Write a text as it may be shown; return its length."""
+        self.rich_proxied_file.write(printable_lines(text))
+        return len(text)
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        """Write texts."""
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.rich_proxied_file, name)
+
+
+def make_streams_safe() -> None:
+    """Have everything that this process writes to its standard streams be safe; to be called once, at its beginning."""
+    sys.stdout = cast(TextIO, SafeStream(sys.stdout))
+    sys.stderr = cast(TextIO, SafeStream(sys.stderr))
