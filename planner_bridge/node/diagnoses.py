@@ -15,7 +15,7 @@ from pnm.tasks import EVENTS, Tasks
 
 if TYPE_CHECKING:
     from pnm.ros.sim_time import SimClock
-    from pnm.ros.tasks.diagnostics import Diagnosis
+    from pnm.ros.tasks.executor_topics import Diagnosis
 
 
 async def open_diagnoses(
@@ -36,7 +36,13 @@ async def open_diagnoses(
         clock: that of the simulation whose time is followed, if one is.
         journal: of the tasks.
     """
-    from pnm.ros.tasks.diagnostics import Diagnosis, Diagnostics, Level, diagnosis_of, diagnosis_of_tasks  # here, because rclpy is an extra
+    from pnm.ros.tasks.executor_topics import (  # here, because rclpy is an extra
+        Diagnosis,
+        Diagnostics,
+        Level,
+        diagnosis_of,
+        diagnosis_of_tasks,
+    )
 
     served = {name: getattr(options, name) or "" for name in ("domain", "problem", "world", "planner")}
 

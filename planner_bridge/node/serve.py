@@ -325,7 +325,7 @@ class ServingNode:
 
         Who holds the journal has the names, and this node stands by for it. In a fleet there are others that stand by as well.
         """
-        from pnm.ros.node.alone import check_alone  # here, because rclpy is an extra
+        from pnm.ros.node.lifecycle import check_alone  # here, because rclpy is an extra
         from pnm.ros.tasks.task_node import action_names
 
         plan_actions: Mapping[str, str]

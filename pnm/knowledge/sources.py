@@ -182,10 +182,10 @@ _OWN: Final = {
     "sqlite": ("pnm.knowledge.sources:sqlite", Layer.GLOBAL),
     "postgres": ("pnm.knowledge.sources:postgres", Layer.GLOBAL),
     "memory": ("pnm.knowledge.sources:memory", Layer.GLOBAL),
-    "ros2": ("pnm.ros.knowledge.knowledge_source:ros2", Layer.GLOBAL),
+    "ros2": ("pnm.ros.knowledge:ros2", Layer.GLOBAL),
     "person": ("pnm.knowledge.sources:person", Layer.PERSON),
     "terminal": ("pnm.knowledge.sources:terminal", Layer.PERSON),
-    "topics": ("pnm.ros.knowledge.person_source:topics", Layer.PERSON),
+    "topics": ("pnm.ros.knowledge:topics", Layer.PERSON),
 }
 """The built-in sources, loaded like those of other packages, so that nothing here imports ROS 2."""
 _DEFAULTS: Final = {Layer.GLOBAL: SourceChoice("sqlite"), Layer.PERSON: SourceChoice("person")}

@@ -20,15 +20,13 @@ from pnm.knowledge.sensor_model import NO_SENSING, Objects, Sensing, instances, 
 from pnm.knowledge.source import FindKnowledge, Source
 from pnm.knowledge.state_reports import StateReports
 from pnm.ros.action_client.client import Ros2ActionClient
-from pnm.ros.knowledge.goal_ids import service_prefix
-from pnm.ros.knowledge.knowledge_services import KnowledgeServices
+from pnm.ros.knowledge import KnowledgeServices, service_prefix
 from pnm.ros.node.graph import server_name, snapshot
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.readiness import action_readiness, open_readiness, sensor_readiness, server_calls
-from pnm.ros.sensors.sensor import resolved
-from pnm.ros.sensors.sensors import Sensors
-from pnm.ros.sensors.state_topic import TOPIC, SensedReports
+from pnm.ros.sensors import Sensors, resolved
 from pnm.ros.sim_time import USE_SIM_TIME, follow_sim_time
+from pnm.ros.state_topic import TOPIC, SensedReports
 
 DISCOVERY: Final = 10.0
 """Seconds to wait for servers and reports of robots that are started together with this node."""

@@ -18,10 +18,10 @@ from pnm.core.machine.requests import Ended, Outcome, Report, Request
 from pnm.errors import InputError, RosError
 from pnm.knowledge.source import SourceError
 from pnm.ros.action_client.client import Ros2ActionClient
-from pnm.ros.knowledge.knowledge_source import uuid_field
+from pnm.ros.knowledge import uuid_field
 from pnm.ros.node.messages import import_type
 from pnm.ros.node.ros_thread import RosThread, call_on_loop
-from pnm.ros.node.service_client import ServiceClient
+from pnm.ros.node.services import ServiceClient
 
 LIMIT: Final = 10.0
 """Seconds for the node to be found, and to answer what takes it no time."""

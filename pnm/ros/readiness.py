@@ -22,10 +22,10 @@ from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.readiness import Readiness, ReadyState
 from pnm.errors import InputError, suggestion
 from pnm.knowledge.sensor_model import ByTopic, Stored
-from pnm.ros.action_client.fitted_binding import fitted_binding
 from pnm.ros.node.graph import GraphSnapshot, absence, similar
 from pnm.ros.node.messages import fields, import_type
-from pnm.ros.sensors.sensor import SensorUse, checked
+from pnm.ros.node.typed_fields import fitted_binding
+from pnm.ros.sensors import SensorUse, checked
 
 _EXAMPLES: dict[FluentKind, object] = {FluentKind.FACT: True, FluentKind.NUMBER: 1.0, FluentKind.OBJECT: "object"}
 

@@ -19,11 +19,11 @@ from uuid import UUID
 
 from action_msgs.msg import GoalInfo
 from action_msgs.srv import CancelGoal
+from rclpy.callback_groups import CallbackGroup
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile
 from rclpy.waitable import NumberOfEntities, Waitable
 from unique_identifier_msgs import msg
-
-from pnm.ros.action_client.unheard_topic import Unheard
 
 _QOS: Final = QoSProfile(depth=1000)
 """Unread answers that are kept; by default it is ten, and more goals than that may end between two turns of the executor."""
@@ -94,7 +94,7 @@ class ActionServices(Waitable):  # type: ignore[misc]
 
         self._goals = connect(action_type.Impl.SendGoalService, "send_goal")
         self._cancels = connect(CancelGoal, "cancel_goal")
-        self._results = connect(action_type.Impl.GetResultService, "get_result")  # last, see `pnm.ros.action_client.handshake`
+        self._results = connect(action_type.Impl.GetResultService, "get_result")  # last, see `pnm.ros.action_client.connection`
         self._services = (self._goals, self._cancels, self._results)
         node.add_waitable(self)
 
@@ -173,3 +173,49 @@ class ActionServices(Waitable):  # type: ignore[misc]
 def ros_uuid(uuid: UUID) -> msg.UUID:
     """Return the id as a message."""
     return msg.UUID(uuid=list(uuid.bytes))
+
+
+# --- a topic that is looked at when somebody asks ------------------------------------------
+# A subscription that wakes nobody: its messages wait in the middleware until they are taken.
+#
+# Action servers report what they are at work on more often than anybody can look at it.
+
+
+class Unheard(CallbackGroup):  # type: ignore[misc]
+    """A callback group of which the executor executes nothing, and waits for nothing."""
+
+    def can_execute(self, entity: object) -> bool:
+        """Return False."""
+        return False
+
+    def beginning_execution(self, entity: object) -> bool:
+        """Return False."""
+        return False
+
+
+class UnheardTopic:
+    """A subscription without a callback, only to be used on the ROS thread.
+
+    Args:
+        raw: whether messages are taken as the bytes that have arrived.
+    """
+
+    def __init__(self, node: Any, kind: Any, topic: str, qos: Any, *, raw: bool = False) -> None:
+        self._node = node
+        quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
+        self._subscription = node.create_subscription(
+            kind, topic, lambda message: None, qos, raw=raw, callback_group=Unheard(), event_callbacks=quiet
+        )
+
+    def __repr__(self) -> str:
+        return f"<UnheardTopic {self._subscription.topic_name}>"
+
+    def take(self) -> Iterator[Any]:
+        """Yield the messages that have arrived since the last time."""
+        with self._subscription.handle:
+            while (taken := self._subscription.handle.take_message(self._subscription.msg_type, self._subscription.raw)) is not None:
+                yield taken[0]
+
+    def destroy(self) -> None:
+        """Unsubscribe."""
+        self._node.destroy_subscription(self._subscription)

@@ -7,7 +7,7 @@ Everything here runs on the ROS thread, which also spins: the number of a reques
 another thread reads meanwhile would be lost (as in ros2/rclpy#1123).
 
 At most `IN_FLIGHT` goals are unanswered at a time: a server keeps the last 10 requests it has not yet read and silently
-drops older ones, for which no answer ever comes. Goals are sent only after the handshake, see `pnm.ros.action_client.handshake`.
+drops older ones, for which no answer ever comes. Goals are sent only after the handshake, see `pnm.ros.action_client.connection`.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from pnm.core.machine.bindings import Foreign
 from pnm.core.machine.requests import Accepted, OutcomeKind
 from pnm.errors import PnmError
 from pnm.ros.action_client.connection import Connection
-from pnm.ros.action_client.fitted_binding import fitted_binding
 from pnm.ros.action_client.goal import OVER, UNKNOWN, Goal
 from pnm.ros.action_client.liveness import AGAIN, ASKS, GRACE, Liveness, Verdict
 from pnm.ros.node.messages import fields, to_data, to_message
+from pnm.ros.node.typed_fields import fitted_binding
 
 if TYPE_CHECKING:
     from pnm.ros.action_client.other_goals import OtherGoals  # which needs rclpy, an extra

@@ -28,8 +28,7 @@ from unique_identifier_msgs import msg as identifiers
 from pnm.errors import PnmError
 from pnm.ros.node.messages import import_type, to_message
 from pnm.ros.node.ros_thread import RosThread, call_on_loop
-from pnm.ros.node.service_client import until_true
-from pnm.ros.node.service_server import arrived
+from pnm.ros.node.services import arrived, until_true
 
 DEPTH: Final = 1000
 """Requests that may wait unread; beyond the default of 10 goals are lost silently."""

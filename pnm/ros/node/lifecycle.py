@@ -1,4 +1,4 @@
-"""The life cycle of a managed ROS 2 node, with transitions that take their time.
+"""The life cycle of a managed ROS 2 node, with transitions that take their time, and whether it is the only one of its name.
 
 `rclpy` makes a transition within one callback. Ours wait for action servers, which are reached through the same thread; so a
 transition begins on the ROS thread, is carried out on the event loop, and ends on the ROS thread again.
@@ -9,12 +9,13 @@ from __future__ import annotations
 import asyncio
 import logging
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
-from pnm.errors import PnmError
-from pnm.ros.node.managed_node import refuse_transition
+from pnm.errors import PnmError, RosError
+from pnm.ros.node.graph import processes
+from pnm.ros.node.managed_node import STARTED, refuse_transition
 from pnm.ros.node.ros_thread import RosThread
-from pnm.ros.node.service_server import Fields, RequestServices
+from pnm.ros.node.services import Fields, RequestServices
 
 _log = logging.getLogger(__name__)
 
@@ -88,3 +89,36 @@ class Lifecycle:
             _log.error("the transition %s has failed: %s", wanted, error)
             raise
         return {}
+
+
+# --- the only node of its name -------------------------------------------------------------
+# Whether a managed node is the only one of its name. Of several that start at the same time the one that was started first goes on.
+
+
+_ADVICE: Final = "(one that was killed is remembered for up to 20 s)"
+
+
+async def check_alone(ros: RosThread, servers: tuple[str, ...]) -> None:
+    """Check that no other process has the name of the node, or of one of these action servers, or that it was started later.
+
+    Raises:
+        RosError: there is one.
+    """
+
+    def is_first() -> bool:
+        """Return whether all other nodes of the name, if there are any, show that they were started later."""
+        for name in servers:
+            if processes(ros.node, name):
+                raise RosError(f"there is an action server {name} already; another process offers it {_ADVICE}")
+        own = (ros.node.get_name(), ros.node.get_namespace())
+        prefix = ros.node.resolve_topic_name(STARTED)
+        starts = [topic for topic, _ in ros.node.get_topic_names_and_types() if topic.startswith(prefix)]
+        rivals = ros.node.get_node_names_and_namespaces().count(own) - 1
+        return rivals < 1 or bool(len(starts) > rivals and min(starts) == prefix + ros.node.start)
+
+    for _ in range(2):  # of a node that is being started, its name may be seen before its start
+        await ros.settled()
+        if await ros.ask(is_first):
+            return
+    name = await ros.ask(ros.node.get_fully_qualified_name)
+    raise RosError(f"there is a node {name} already; is this being served? {_ADVICE}")

@@ -15,7 +15,7 @@ from pnm.core.pictures.export import as_data
 from pnm.errors import InputError, printable
 from pnm.files.yaml_nodes import parse_value
 from pnm.knowledge.source import SourceError, read_value, write_value
-from pnm.ros.knowledge.knowledge_source import uuid_field
+from pnm.ros.knowledge import uuid_field
 from pnm.tasks import Code, MadePlan, OnConflict, StepState, TaskEnding, TaskStatus, TaskStep, TraceEvent, Wanted
 
 TRACE: Final = 200

@@ -11,11 +11,10 @@ from uuid import UUID
 from pnm.errors import InputError
 from pnm.ros.node.graph import server_name
 from pnm.ros.node.ros_thread import RosThread
-from pnm.ros.node.service_server import Fields, RequestServices
+from pnm.ros.node.services import Fields, RequestServices
 from pnm.ros.tasks.executor_topics import TaskTopics
-from pnm.ros.tasks.goal_actions import NAMES, TaskServers
-from pnm.ros.tasks.plan_action import NAME as PLAN
-from pnm.ros.tasks.plan_action import PlanningServer
+from pnm.ros.tasks.goal_actions import NAME as PLAN
+from pnm.ros.tasks.goal_actions import NAMES, PlanningServer, TaskServers
 from pnm.tasks import KeptTasks, Make, ServedWorld, TaskRefused, Tasks, TaskState, Wanted
 
 ACTIONS: Final = (*NAMES, PLAN)

@@ -14,7 +14,7 @@ import pytest
 from pnm.errors import RosError
 from pnm.knowledge.source import SourceError
 from pnm.ros.node.ros_thread import RosThread
-from pnm.ros.node.service_client import ServiceClient
+from pnm.ros.node.services import ServiceClient
 from tests.support.e2e.deployment import SimulationProgram
 from tests.support.e2e.plan_deployment import PlanDeployment, Serving
 from tests.support.e2e.task_node import DOMAIN as DELIVERY

@@ -11,7 +11,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import Log
 
-from pnm.ros.tasks.diagnostics import Level
+from pnm.ros.tasks.executor_topics import Level
 from tests.support.e2e.deployment import SimulationProgram
 from tests.support.e2e.plan_deployment import ClientProgram, PlanDeployment, Serving
 from tests.support.e2e.task_node import DOMAIN, PROBLEM

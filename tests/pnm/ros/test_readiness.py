@@ -15,7 +15,7 @@ from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import instances
 from pnm.ros.node.graph import GraphSnapshot
 from pnm.ros.readiness import action_readiness, sensor_readiness, server_calls
-from pnm.ros.sensors.sensor import SensorUse
+from pnm.ros.sensors import SensorUse
 from tests.support.files import written
 
 DOMAIN = parse_domain("""

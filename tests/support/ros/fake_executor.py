@@ -20,8 +20,7 @@ from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Report, Reque
 from pnm.knowledge.source import Asker, MemoryKnowledge, Source
 from pnm.knowledge.sources import Sources
 from pnm.ros.action_client.client import Ros2ActionClient
-from pnm.ros.knowledge.goal_ids import service_prefix
-from pnm.ros.knowledge.knowledge_services import KnowledgeServices
+from pnm.ros.knowledge import KnowledgeServices, service_prefix
 from pnm.ros.node.ros_thread import RosThread
 from tests.support.processes import say
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.ros.node import service_server as request_services
+from pnm.ros.node import services as request_services
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.tasks.task_node import TaskNode
 from tests.support.ros.task_client import SentGoal, TaskClient

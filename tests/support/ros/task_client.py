@@ -17,7 +17,7 @@ from unique_identifier_msgs import msg
 
 from pnm.ros.node.messages import import_type, to_data, to_message
 from pnm.ros.node.ros_thread import RosThread
-from pnm.ros.node.service_client import ServiceClient, until_true
+from pnm.ros.node.services import ServiceClient, until_true
 from tests.support.processes import LIMIT
 
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6

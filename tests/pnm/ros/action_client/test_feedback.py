@@ -13,7 +13,7 @@ from test_msgs.msg import Arrays, BasicTypes, Nested
 
 from pnm.core.machine.bindings import Binding
 from pnm.core.machine.requests import Feedback
-from pnm.ros.action_client.feedback_line import LENGTH, feedback_line
+from pnm.ros.action_client.goal import LENGTH, feedback_line
 
 
 def pose(x: float) -> PoseStamped:

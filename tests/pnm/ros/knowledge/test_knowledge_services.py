@@ -15,7 +15,7 @@ from pnm.core.logic.computed_values import MISSING, Layer, Question
 from pnm.core.machine.requests import OutcomeKind
 from pnm.knowledge.source import Asker, MemoryKnowledge, SourceError
 from pnm.knowledge.sources import Sources
-from pnm.ros.node.service_client import until_true
+from pnm.ros.node.services import until_true
 from tests.support.logic.people import Person
 from tests.support.processes import LIMIT
 from tests.support.ros.child_process import bounded, run_bounded

@@ -11,9 +11,8 @@ import pytest
 from pnm.core.logic.computed_values import MISSING, Layer
 from pnm.knowledge.source import Asker, SourceError
 from pnm.knowledge.sources import SourceChoice, Surroundings, open_sources
-from pnm.ros.knowledge.knowledge_source import Ros2Knowledge
-from pnm.ros.knowledge.person_source import Ros2Person
-from pnm.ros.node.service_client import ServiceClient
+from pnm.ros.knowledge import Ros2Knowledge, Ros2Person
+from pnm.ros.node.services import ServiceClient
 from tests.support.logic.people import about
 from tests.support.processes import LIMIT
 from tests.support.ros.child_process import ChildProcess, bounded, until_logged
@@ -218,7 +217,7 @@ async def test_answers_that_are_none_leave_the_question_open(ros, names, begin, 
 
 @bounded
 async def test_telling_nobody_is_an_error(ros, names, monkeypatch):
-    monkeypatch.setattr("pnm.ros.knowledge.person_source.LISTENER", 0.3)
+    monkeypatch.setattr("pnm.ros.knowledge.LISTENER", 0.3)
 
     person = Ros2Person(ros, name := names())
     with pytest.raises(SourceError, match=f"nobody listens on {name}/questions to be told 'Bye!'"):

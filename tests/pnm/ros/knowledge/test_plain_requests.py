@@ -11,10 +11,8 @@ from pnm_interfaces.srv import QueryKnowledge, UpdateKnowledge
 from pnm.core.logic.computed_values import Layer
 from pnm.knowledge.source import MemoryKnowledge
 from pnm.knowledge.sources import Sources
-from pnm.ros.knowledge.goal_ids import may_be_ours, service_prefix
-from pnm.ros.knowledge.knowledge_services import KnowledgeServices
-from pnm.ros.knowledge.knowledge_source import uuid_field
-from pnm.ros.node.service_client import ServiceClient
+from pnm.ros.knowledge import KnowledgeServices, may_be_ours, service_prefix, uuid_field
+from pnm.ros.node.services import ServiceClient
 from tests.support.logic.people import Person
 from tests.support.processes import LIMIT
 from tests.support.ros.child_process import bounded, run_bounded
@@ -149,7 +147,7 @@ def test_ids_say_where_to_ask():
 
 
 def test_the_layers_of_the_interfaces_are_those_of_queries():
-    from pnm.ros.knowledge.knowledge_services import LAYERS
+    from pnm.ros.knowledge import LAYERS
 
     for kind in (QueryKnowledge.Request, UpdateKnowledge.Request):
         assert [LAYERS[getattr(kind, layer.name)] for layer in Layer] == list(Layer)

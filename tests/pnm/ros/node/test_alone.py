@@ -8,7 +8,7 @@ from contextlib import ExitStack
 import pytest
 
 from pnm.errors import RosError
-from pnm.ros.node.alone import check_alone
+from pnm.ros.node.lifecycle import check_alone
 from pnm.ros.node.ros_thread import RosThread
 
 

@@ -6,7 +6,7 @@ import asyncio
 
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.expressions import UNKNOWN
-from pnm.ros.sensors.sensors import Sensors
+from pnm.ros.sensors import Sensors
 from tests.support.pddl.sensed_world import PROBLEM
 from tests.support.ros.child_process import bounded
 from tests.support.ros.listening import becomes

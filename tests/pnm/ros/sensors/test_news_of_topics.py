@@ -11,7 +11,7 @@ import pytest
 
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.ros.node.messages import import_type, to_message
-from pnm.ros.sensors.sensors import Sensors
+from pnm.ros.sensors import Sensors
 from tests.support.pddl.sensed_world import PROBLEM
 from tests.support.ros.child_process import bounded
 from tests.support.ros.listening import becomes

@@ -13,7 +13,7 @@ import pytest
 from pnm.core.logic.expressions import UNKNOWN
 from pnm.errors import InputError
 from pnm.ros.node.messages import import_type
-from pnm.ros.node.service_client import until_true
+from pnm.ros.node.services import until_true
 from tests.support.ros.child_process import bounded, run_bounded
 from tests.support.ros.listening import becomes, listening
 

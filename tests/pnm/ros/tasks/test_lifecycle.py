@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from pnm.errors import InputError, RosError
-from pnm.ros.node import service_server as request_services
+from pnm.ros.node import services as request_services
 from pnm.ros.node.lifecycle import Lifecycle
 from pnm.ros.node.parameters import NodeParameter, declare
 from pnm.ros.node.ros_thread import RosThread

@@ -9,7 +9,7 @@ from pnm_interfaces.action import AchieveGoal
 from pnm_interfaces.msg import PlanStep, TaskStatus, TraceEvent
 from pnm_interfaces.srv import QueryKnowledge, UpdateKnowledge
 
-from pnm.ros.knowledge.knowledge_services import LAYERS
+from pnm.ros.knowledge import LAYERS
 from pnm.ros.tasks.task_messages import CAUSES
 from pnm.tasks import Code, OnConflict, StepState, TaskState, TraceKind
 

@@ -7,7 +7,7 @@ from uuid import UUID
 import pytest
 
 from planner_bridge.pipeline.loading import load
-from pnm.ros.node.service_client import ServiceClient
+from pnm.ros.node.services import ServiceClient
 from tests.support.files import ROOT
 from tests.support.processes import LIMIT, Program
 from tests.support.ros.child_process import run_bounded

@@ -1,0 +1,467 @@
+"""The sensors of a file: messages of topics and answers of services are checked, interpreted and recorded as facts."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Final
+
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.computed_values import MISSING
+from pnm.core.logic.expressions import fluent_text
+from pnm.core.message_fields import Look
+from pnm.errors import InputError
+from pnm.knowledge.sensor_model import ByService, ByTopic, Instance, Reading, Sensing, instances, read, unknown
+from pnm.knowledge.source import SourceError
+from pnm.knowledge.state_reports import StalenessWatchdog
+from pnm.ros.node.messages import FieldError, import_type, to_message
+from pnm.ros.node.ros_thread import RosThread, call_on_loop
+from pnm.ros.node.services import ServiceClient
+from pnm.ros.node.typed_fields import fitted, value_at
+
+_log = logging.getLogger(__name__)
+
+
+class SensorRecorder:
+    """Records what one sensor, for one choice of objects, reports.
+
+    The mutable state is the instance, whose constants are resolved once its type is known, its watchdog, the statements that
+    the last message did not fit, why the sensor cannot be used, whether all sensors are open, whether it has fallen silent, and whether it
+    is closed.
+    """
+
+    def __init__(self, instance: Instance, knowledge: KnowledgeBase) -> None:
+        self.instance = instance
+        self.heard = asyncio.Event()
+        self.refused: InputError | None = None
+        self.is_open = False
+        self.is_stale = False
+        self.loop = asyncio.get_running_loop()
+        self._knowledge = knowledge
+        self._unread: frozenset[int] = frozenset()
+        self._closed = False
+        self._watchdog = StalenessWatchdog(instance.sensor.stale, self._forget)
+
+    def record(self, look: Look) -> None:
+        """Record the facts and variables of a message, given how to read its fields."""
+        if self._closed:
+            return
+        reading = read(self.instance, look, self._knowledge.objects)
+        for number, reason in reading.unread.items():
+            if number not in self._unread:
+                statement = self.instance.sensor.statements[number]
+                fluent = statement.name if hasattr(statement, "name") else fluent_text(statement.fluent)
+                _log.warning("%s: %s; %s is unknown", self.instance.name, reason, fluent)
+        self._unread = frozenset(reading.unread)
+        self._store(reading)
+        self.is_stale = False
+        self._watchdog.reset()
+        if isinstance(self.instance.sensor.way, ByService):
+            self._watchdog.rest()
+        self.heard.set()
+
+    def expect(self) -> None:
+        """Note that an answer is expected from now on; topics are always expected to say something."""
+        if not self._closed:
+            self._watchdog.expect()
+
+    def refuse(self, error: InputError) -> None:
+        """Note that the sensor cannot be used: what it reports is unknown. While sensors are opened, this is raised, not logged."""
+        if self.refused is None:
+            if self.is_open:
+                _log.error("%s", error)
+            self.refused = error
+            self._watchdog.close()
+            self._knowledge.forget((refused := self._unknown()).facts, str(error))
+            self._store(refused)
+            self.heard.set()
+
+    def close(self) -> None:
+        """Record nothing more."""
+        self._closed = True
+        self._watchdog.close()
+
+    def _forget(self) -> None:
+        self.is_stale = True
+        why, silent = f"nothing was heard on {self.instance.name} for {self.instance.sensor.stale:g} s", self._unknown()
+        _log.warning("%s; what it reports is unknown", why)
+        self._knowledge.forget(silent.facts, why)
+        self._store(silent)
+
+    def _unknown(self) -> Reading:
+        return unknown(self.instance, self._knowledge.objects)
+
+    def _store(self, reading: Reading) -> None:
+        self._knowledge.update(reading.facts)
+        known = {name: self._knowledge.variable(name) for name in reading.variables}
+        changed = {name: value for name, value in reading.variables.items() if value != (None if known[name] is MISSING else known[name])}
+        if changed:
+            self._knowledge.store(changed)
+
+
+@dataclass(frozen=True, slots=True)
+class SensorUse:
+    """How one sensor is doing."""
+
+    instance: Instance
+    name: str
+    """The full name of its topic or service."""
+    is_heard: bool
+    refused: InputError | None
+    """Why it cannot be used."""
+    is_stale: bool = False
+    """Whether it has fallen silent."""
+
+
+def checked(instance: Instance, name: str) -> tuple[Any, Instance]:
+    """Return the type, and the sensor with the values of its constants; raise an `InputError` if the type does not fit it."""
+    sensor = instance.sensor
+    try:
+        kind = import_type(name)
+        if isinstance(sensor.way, ByService):
+            to_message(kind.Request, instance.request(sensor.way))
+    except (InputError, FieldError) as error:
+        raise InputError(str(error), sensor.position) from error
+    return kind, replace(instance, sensor=fitted(sensor, kind.Response if isinstance(sensor.way, ByService) else kind))
+
+
+def resolved(resolve: Callable[[str], object], instance: Instance, what: str) -> str:
+    """Return the full name of the sensor's topic or service; raise an `InputError` if it is not valid in ROS."""
+    try:
+        return str(resolve(instance.name))
+    except Exception as error:
+        reason = (str(error).strip().splitlines() or [repr(error)])[0]
+        raise InputError(f"not a name for a {what}: {instance.name!r} ({reason})", instance.sensor.position) from error
+
+
+# --- from a topic --------------------------------------------------------------------------
+# A sensor whose messages come on a topic, with the QoS of each of its publishers: reliable or not, latched or not.
+
+
+DEPTH: Final = 10
+"""Unread messages that are kept."""
+
+
+class TopicSensor:
+    """A sensor that subscribes to one topic, once for every QoS of its publishers.
+
+    The mutable state is, on the ROS thread, the type and the subscriptions; the latest message, until the event loop has
+    taken it: of messages that come faster than that, only the last one counts; and for when the last one speaks.
+    """
+
+    def __init__(self, ros: RosThread, recorder: SensorRecorder) -> None:
+        self.recorder = recorder
+        self._ros = ros
+        self._kind: Any = None
+        self._subscriptions: dict[tuple[bool, bool], Any] = {}
+        self._waiting = False
+        self._latest: Any = None
+        self._spoken = 0
+        self._news = asyncio.Event()
+        self._foreign: set[str] = set()
+
+    # on the event loop's thread
+
+    async def is_there(self) -> bool:
+        """Return True if the topic has publishers of the right type."""
+        return bool(await self._ros.ask(lambda: self._subscriptions))
+
+    async def refresh(self, since: int, until: float) -> None:
+        """Wait until the topic speaks for a time after this one, in nanoseconds of ROS; until then on the loop's clock at most.
+
+        What has said nothing yet has no publisher, and what is latched only speaks when something changes: neither is waited for.
+        """
+        with suppress(TimeoutError):
+            async with asyncio.timeout_at(until):
+                while self._spoken <= since and self.recorder.heard.is_set() and not all(latched for _, latched in self._subscriptions):
+                    self._news.clear()
+                    await self._news.wait()
+
+    def _take(self) -> None:
+        self._waiting = False
+        message, received = self._latest
+        self.recorder.record(partial(value_at, message))
+        self._spoken = max(self._spoken, spoken(message, received))
+        self._news.set()
+
+    # on the ROS thread
+
+    def resolve(self) -> None:
+        """Resolve the full name; raise an `InputError` if it is not valid in ROS."""
+        self.name = resolved(self._ros.node.resolve_topic_name, self.recorder.instance, "topic")
+
+    def look(self) -> None:
+        """Subscribe to new publishers."""
+        from rclpy.qos import DurabilityPolicy, ReliabilityPolicy  # here, because rclpy is an extra
+
+        for info in self._ros.node.get_publishers_info_by_topic(self.name):
+            if self._fits(info.topic_type):
+                profile = info.qos_profile
+                reliable = profile.reliability == ReliabilityPolicy.RELIABLE
+                self._subscribe(reliable, reliable and profile.durability == DurabilityPolicy.TRANSIENT_LOCAL)
+
+    def destroy(self) -> None:
+        """Unsubscribe."""
+        for subscription in self._subscriptions.values():
+            self._ros.node.destroy_subscription(subscription)
+        self._subscriptions.clear()
+
+    def _fits(self, type_name: str) -> bool:
+        """Return True for the type of the sensor: that in the file, or else the first one that is found."""
+        wanted = self.recorder.instance.sensor.type
+        if self._kind is None and not self.recorder.refused:
+            try:
+                self._kind, self.recorder.instance = checked(self.recorder.instance, wanted or type_name)
+                self._type_name = wanted or type_name
+            except InputError as error:
+                call_on_loop(self.recorder.loop, self.recorder.refuse, error)
+        if self._kind is None or type_name == self._type_name:
+            return self._kind is not None
+        if type_name not in self._foreign:
+            self._foreign.add(type_name)
+            _log.warning("%s is ignored where it has the type %s; expected %s", self.recorder.instance.name, type_name, self._type_name)
+        return False
+
+    def _subscribe(self, reliable: bool, latched: bool) -> None:
+        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # here, because rclpy is an extra
+
+        if (reliable, latched) not in self._subscriptions:
+            profile = QoSProfile(
+                depth=DEPTH,
+                reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+                durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+            )
+            instance = self.recorder.instance
+            create = self._ros.node.create_subscription
+            try:
+                self._subscriptions[reliable, latched] = create(self._kind, instance.name, self._receive, profile)
+            except Exception as error:  # this process uses the topic with another type, for example
+                reason = f"{instance.name} cannot be listened to: {error}"
+                call_on_loop(self.recorder.loop, self.recorder.refuse, InputError(reason, instance.sensor.position))
+
+    def _receive(self, message: Any) -> None:
+        self._latest = message, self._ros.node.get_clock().now().nanoseconds
+        if not self._waiting:
+            self._waiting = True
+            call_on_loop(self.recorder.loop, self._take)
+
+
+def spoken(message: Any, received: int) -> int:
+    """Return the time, in nanoseconds, for which a message speaks: that of its stamp if it has one, and else when it was received."""
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    stamped = 0 if stamp is None else stamp.sec * 10**9 + stamp.nanosec
+    return min(stamped or received, received)
+
+
+# --- from a service ------------------------------------------------------------------------
+# A sensor whose messages are the answers of a service that is asked.
+
+
+RETRY: Final = 1.0
+"""Seconds after which a service that has not answered is asked again."""
+
+
+class ServiceSensor:
+    """A sensor that asks one service.
+
+    The mutable state is its client, once its type is known, whether there is a reason to ask, who waits for an answer to a request
+    that is still to be sent, and whether nothing is asked any more.
+    """
+
+    def __init__(self, ros: RosThread, recorder: SensorRecorder, way: ByService) -> None:
+        self.recorder = recorder
+        self._ros = ros
+        self._way = way
+        self._client: ServiceClient | None = None
+        self._is_wanted = asyncio.Event()
+        self._waiting: list[asyncio.Future[None]] = []
+        self._is_over = False
+
+    async def is_there(self) -> bool:
+        """Return True if there is such a service."""
+        return bool(await self._ros.ask(self._types))
+
+    async def refresh(self) -> None:
+        """Ask at once, and wait for the answer; for twice the limit at most, since a request may be under way."""
+        if not self._is_over:
+            answered = asyncio.get_running_loop().create_future()
+            self._waiting.append(answered)
+            self._is_wanted.set()
+            await answered
+
+    async def poll(self) -> None:
+        """Ask until cancelled, or until the service's type turns out not to fit the sensor. New errors are logged once."""
+        last_error, waiting = "", self._waiting
+        try:
+            while True:
+                self._is_wanted.clear()
+                waiting, self._waiting = self._waiting, []
+                error = await self._ask()
+                _release(waiting)
+                if error and error != last_error and self.recorder.is_open:  # before, the look at all sensors says it
+                    _log.warning("%s", error)
+                    last_error = error
+                last_error = error and last_error
+                pause = RETRY if error and self._way.every is None else self._way.every
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(self._is_wanted.wait(), pause)
+        except InputError as error:
+            self.recorder.refuse(error)
+        finally:
+            self._is_over = True
+            _release((*waiting, *self._waiting))
+            if self._client is not None:
+                await self._client.close()
+
+    async def _ask(self) -> str:
+        """Ask once, and record the answer; return why there is none."""
+        self.recorder.expect()
+        instance = self.recorder.instance
+        if self._client is None:
+            kind = instance.sensor.type or next(iter(await self._ros.ask(self._types)), None)
+            if kind is None:
+                return f"there is no service {instance.name} yet"
+            _, self.recorder.instance = checked(instance, kind)
+            self._client = ServiceClient(self._ros, kind, instance.name)
+        try:
+            answer = await self._client.call(instance.request(self._way), self._way.limit)
+        except SourceError as error:
+            return str(error)
+        self.recorder.record(partial(value_at, answer))
+        return ""
+
+    # on the ROS thread
+
+    def resolve(self) -> None:
+        """Resolve the full name; raise an `InputError` if it is not valid in ROS."""
+        self.name = resolved(self._ros.node.resolve_service_name, self.recorder.instance, "service")
+
+    def _types(self) -> list[str]:
+        return [kind for name, kinds in self._ros.node.get_service_names_and_types() if name == self.name for kind in kinds]
+
+
+def _release(waiting: Iterable[asyncio.Future[None]]) -> None:
+    for answered in waiting:
+        if not answered.done():
+            answered.set_result(None)
+
+
+# --- the sensors of a file -----------------------------------------------------------------
+# The sensors of a file: topics that are subscribed to, and services that are asked.
+#
+# Publishers and their types are looked up in the ROS graph periodically.
+
+
+LOOK: Final = 0.5
+"""Seconds between two looks for new publishers."""
+FIRST: Final = 3.0
+"""Seconds to wait for the first message of publishers and services that are there."""
+
+
+class Sensors:
+    """The sensors of a file, for every choice of their objects. To be used on the event loop's thread.
+
+    The mutable state is the recorders, the tasks that ask services, and when the last action has ended.
+    `lag` is that of sensors that do not specify it, in seconds.
+    Raises `InputError` if two sensors report the same facts, or one reports derived facts. A sensor whose type is not installed, or
+    lacks a field, is refused: its use says why.
+    """
+
+    def __init__(self, ros: RosThread, sensing: Sensing, knowledge: KnowledgeBase, lag: float) -> None:
+        self._ros = ros
+        self.instances = instances(sensing, knowledge.objects)
+        """The sensors for every choice of their objects, as the file has them."""
+        for name in sorted(sensing.names & knowledge.rules.derived):
+            raise InputError(f"facts of {name} follow from rules; they are neither set nor sensed")
+        self._recorders = [SensorRecorder(instance, knowledge) for instance in self.instances]
+        self._topics: list[TopicSensor] = []
+        self._polls: list[ServiceSensor] = []
+        for recorder in self._recorders:
+            match recorder.instance.sensor.way:
+                case ByService() as way:
+                    self._polls.append(ServiceSensor(ros, recorder, way))
+                case ByTopic():
+                    self._topics.append(TopicSensor(ros, recorder))
+        self._sensors: tuple[TopicSensor | ServiceSensor, ...] = (*self._topics, *self._polls)
+        self._tasks: list[asyncio.Task[None]] = []
+        self._lag = lag
+        self._ended = (0, 0.0)
+        self._timer: Any = None
+        for name, late in sensing.lags(lag).items():
+            knowledge.sense((name,), lag=late)
+
+    def __repr__(self) -> str:
+        return f"<Sensors: {len(self._topics)} topics, {len(self._polls)} services>"
+
+    async def open(self) -> None:
+        """Subscribe and ask, and wait for the first message of all publishers and services that are there."""
+        for sensor in self._sensors:
+            await self._ros.ask(sensor.resolve)
+        if self._topics:
+            self._timer = await self._ros.ask(lambda: self._ros.timer(LOOK, self._look))
+        self._tasks = [asyncio.create_task(poll.poll()) for poll in self._polls]
+        if self._recorders:
+            await self._wait_for_first()
+        for recorder in self._recorders:
+            recorder.is_open = True
+
+    def uses(self) -> tuple[SensorUse, ...]:
+        """Return how the sensors, once they are open, are doing."""
+        return tuple(
+            SensorUse(one.recorder.instance, one.name, one.recorder.heard.is_set(), one.recorder.refused, one.recorder.is_stale)
+            for one in self._sensors
+        )
+
+    def expect_news(self) -> None:
+        """Note that an action has ended: what topics have said before may not be so any more."""
+        self._ended = self._ros.node.get_clock().now().nanoseconds, asyncio.get_running_loop().time()
+
+    async def refresh(self) -> None:
+        """Have all services asked at once, and wait for their answers, each for twice its limit at most.
+
+        Topics are waited for that have said nothing since the last action has ended, each until its lag after that is over.
+        """
+        since, ended = self._ended
+        topics = (topic.refresh(since, ended + topic.recorder.instance.sensor.lag_or(self._lag)) for topic in self._topics)
+        await asyncio.gather(*topics, *(poll.refresh() for poll in self._polls))
+
+    async def close(self) -> None:
+        """Unsubscribe, and stop asking."""
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        for recorder in self._recorders:
+            recorder.close()
+        await self._ros.ask(self._destroy)
+
+    async def _wait_for_first(self) -> None:
+        async def hear_all() -> None:
+            for recorder in self._recorders:
+                await recorder.heard.wait()
+
+        all_heard = asyncio.ensure_future(hear_all())
+        settled = asyncio.ensure_future(self._ros.settled())
+        try:
+            await asyncio.wait((all_heard, settled), return_when=asyncio.FIRST_COMPLETED)
+            await self._ros.ask(self._look)  # the timer's last look may be older than the publishers that are there
+            if [sensor for sensor in self._sensors if not sensor.recorder.heard.is_set() and await sensor.is_there()]:
+                await asyncio.wait((all_heard,), timeout=FIRST)
+        finally:
+            all_heard.cancel()
+            settled.cancel()
+
+    # on the ROS thread
+
+    def _look(self) -> None:
+        for topic in self._topics:
+            topic.look()
+
+    def _destroy(self) -> None:
+        if self._timer is not None:
+            self._ros.node.destroy_timer(self._timer)
+        for topic in self._topics:
+            topic.destroy()

@@ -1,1 +1,0 @@
-"""ROS 2 sensors: topics and services that report facts, and the state topic."""
