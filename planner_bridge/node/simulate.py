@@ -21,8 +21,7 @@ from planner_bridge.model.grounding import ground_action, initial_knowledge, mod
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.simulation import robots_of
 from pnm.actions.faults import Faults
-from pnm.actions.played_bindings import arguments_of, result_of
-from pnm.actions.simulated_robots import SimulatedRobots
+from pnm.actions.simulated_robots import SimulatedRobots, arguments_of, result_of
 from pnm.clock import run_async
 from pnm.core.knowledge_base import statement_text
 from pnm.core.logic.conditions import Condition

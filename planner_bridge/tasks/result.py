@@ -22,8 +22,7 @@ from pnm.core.machine.failure_causes import FailureKind
 from pnm.core.machine.machine import CallOutcome, PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.errors import counted
-from pnm.journal.codec import value_classes
-from pnm.journal.format import RECORDS
+from pnm.journal.codec import RECORDS, value_classes
 from pnm.journal.replay import ReplayedRun, ReplayedTask
 from pnm.knowledge.people import HelpAsked, HelpEnded
 from pnm.tasks import Code, TaskEnding

@@ -10,7 +10,8 @@ import asyncio
 import random
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Final
+from math import isclose
+from typing import Final, assert_never
 from uuid import UUID
 
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
@@ -19,10 +20,12 @@ from pnm.core.logic.computed_values import MISSING, Question, Uncomputable, comp
 from pnm.core.logic.conditions import TOLERANCE, TRUE, Condition, data_in, evaluate, unmet
 from pnm.core.logic.effects import Changes, TimedChange, changes, decided, undo, values_before
 from pnm.core.logic.expressions import Fluent, Unknown, Value, bind
-from pnm.core.machine.bindings import Bindings, WhenLost
+from pnm.core.machine.bindings import Binding, Bindings, Table, WhenLost
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
+from pnm.core.message_fields import Comparison, Every, Field, Flag, Negation, Some, Test
 from pnm.errors import InputError
+from pnm.files.yaml_nodes import parse_value
 
 # --- the true state, apart from the knowledge that any run has of it -----------------------
 # Actions begin and finish in it by their real conditions and effects; the effects of an action that does not
@@ -407,3 +410,87 @@ def returned(request: Request, world: SimulatedWorld) -> dict[str, object]:
     """Return the result of a simulated server, without fields that have no value; raises `Uncomputable` as `compute` does."""
     values = {name: compute(data, _Server(request.goal, world)) for name, data in request.action.returns}
     return {name: value for name, value in values.items() if value is not MISSING}
+
+
+# --- bindings read backwards, for simulated servers ----------------------------------------
+# The arguments that a goal means, and the result that says how it ended.
+
+
+_CLOSE = 1e-6
+"""How much numbers may differ: a float32 keeps seven digits."""
+
+
+def arguments_of(goal: Mapping[str, object], message: Mapping[str, object]) -> dict[str, str] | None:
+    """Return the arguments by parameter that a message means which was filled by these goal fields; None if it was not.
+
+    What variables and functions have filled says nothing.
+    """
+    arguments: dict[str, str] = {}
+    return arguments if _fits(goal, message, arguments) else None
+
+
+def _fits(source: object, value: object, arguments: dict[str, str]) -> bool:
+    match source:
+        case Table(of, rows):
+            fitting = [key for key, row in rows.items() if _fits(row, value, {})]
+            return bool(fitting) and _fits(of, fitting[0], arguments)
+        case Mapping():
+            parts = [(part, value[name]) for name, part in source.items() if name in value] if isinstance(value, Mapping) else []
+            return len(parts) == len(source) and all(_fits(part, its, arguments) for part, its in parts)
+        case list() | tuple():
+            items = value if isinstance(value, list) else []
+            return len(items) == len(source) and all(_fits(part, its, arguments) for part, its in zip(source, items, strict=True))
+        case str() if source.startswith("?"):
+            return arguments.setdefault(source[1:], str(value)) == str(value)
+        case str() if source.startswith(("$", "(")):
+            return True
+        case bool() | str():
+            return source == value
+        case int() | float():
+            return isinstance(value, int | float) and isclose(source, value, rel_tol=_CLOSE, abs_tol=_CLOSE)
+        case _:
+            return source == value
+
+
+def result_of(binding: Binding, outcome: Outcome) -> dict[str, object]:
+    """Return the result fields by which the binding finds that an action has succeeded, or why it has failed.
+
+    Fields of items in lists are left alone, and so are negations: their defaults have to do. Where numbers stand for reasons, it is the
+    one that has the outcome's message for a word, or the first.
+    """
+    result: dict[str, object] = {}
+    if outcome.kind is OutcomeKind.SUCCEEDED:
+        if binding.success is not None:
+            _satisfy(binding.success, result)
+    elif binding.reason is not None and binding.reason.table is None:
+        _put(result, binding.reason.field, outcome.message)
+    elif binding.reason is not None and binding.reason.table and outcome.kind is OutcomeKind.ABORTED:
+        words = {str(word): key for key, word in binding.reason.table.items()}
+        _put(result, binding.reason.field, parse_value(words.get(outcome.message, next(iter(words.values()))), "reason"))
+    return result
+
+
+def _satisfy(test: Test, result: dict[str, object]) -> None:
+    match test:
+        case Flag(where):
+            _put(result, where, True)
+        case Comparison(where, "eq", constant):
+            _put(result, where, constant)
+        case Every(tests) | Some(tests):
+            for part in tests:
+                _satisfy(part, result)
+        case Comparison() | Negation():
+            pass
+        case _:
+            assert_never(test)
+
+
+def _put(result: dict[str, object], where: Field, value: object) -> None:
+    *path, last = where.steps
+    for step in path:
+        inner = result.setdefault(step, {}) if isinstance(step, str) else None
+        if not isinstance(inner, dict):
+            return
+        result = inner
+    if isinstance(last, str):
+        result[last] = value

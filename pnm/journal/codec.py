@@ -21,8 +21,14 @@ from types import ModuleType
 from typing import Any, Final, NamedTuple
 from uuid import UUID
 
+from pnm import clock, errors, tasks
+from pnm.core import message_fields
+from pnm.core.execution import call_data, call_results, events, handover
+from pnm.core.logic import computed_values, conditions, effects, expressions, rules
 from pnm.core.logic.computed_values import MISSING
+from pnm.core.machine import bindings, failure_causes, machine, plan_graph, requests
 from pnm.errors import PnmError
+from pnm.journal import records
 
 _TAG: Final = "@"
 _SURROGATE: Final = re.compile("[\ud800-\udfff]")
@@ -292,3 +298,14 @@ def _default(field: Field[Any]) -> tuple[object, type | None]:
 
 
 _NONE_SUCH: Final = object()
+
+
+# --- the values that records are made of -----------------------------------------------
+
+RECORDS: Final = Codec(
+    value_classes(
+        *(clock, errors, message_fields, computed_values, conditions, effects, expressions, rules),
+        *(bindings, failure_causes, machine, plan_graph, requests, call_data, call_results, events, handover, tasks, records),
+    )
+)
+"""The codec of what reaches runs, and of what they are made from."""

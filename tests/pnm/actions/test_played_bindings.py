@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.actions.bindings_file import read_bindings
-from pnm.actions.played_bindings import arguments_of, result_of
+from pnm.actions.simulated_robots import arguments_of, result_of
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Binding, Table, goal_data
 from pnm.core.machine.plan_graph import GroundAction

@@ -16,8 +16,7 @@ from pnm.core.logic.expressions import UNKNOWN
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
 from pnm.core.machine.requests import Accepted
-from pnm.journal.codec import Undecodable
-from pnm.journal.format import RECORDS
+from pnm.journal.codec import RECORDS, Undecodable
 from pnm.journal.records import Happened
 
 PLAIN = some.none() | some.booleans() | some.integers() | some.floats(allow_nan=False) | some.text() | some.uuids() | some.binary()

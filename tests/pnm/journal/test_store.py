@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from pnm.files.database.place import Place, place_of
-from pnm.journal.format import RECORDS
+from pnm.journal.codec import RECORDS
 from pnm.journal.kept import Durability, Fenced, HeldByAnother, JournalChoice, JournalError, Row, TaskRow
 from pnm.journal.resume import take_up
 from pnm.journal.store import JournalFile, KeptJournal

@@ -13,8 +13,8 @@ from pnm.core.readiness import Readiness, ReadyState, refuse_unfit
 from pnm.errors import InputError
 from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import instances
+from pnm.ros.backend import action_readiness, sensor_readiness, server_calls
 from pnm.ros.node.graph import GraphSnapshot
-from pnm.ros.readiness import action_readiness, sensor_readiness, server_calls
 from pnm.ros.sensors import SensorUse
 from tests.support.files import written
 

@@ -7,8 +7,8 @@ from contextlib import asynccontextmanager
 
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.readiness import refuse_unfit
+from pnm.ros.backend import sensor_readiness
 from pnm.ros.node.graph import snapshot
-from pnm.ros.readiness import sensor_readiness
 from pnm.ros.sensors import Sensors
 from tests.support.pddl.sensed_world import PROBLEM
 from tests.support.processes import LIMIT

@@ -18,7 +18,7 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.resources import Resources
 from pnm.errors import InputError
-from pnm.journal.format import RECORDS
+from pnm.journal.codec import RECORDS
 from pnm.journal.journal import WrittenJournal
 from pnm.journal.replay import Replay
 from pnm.journal.resume import replayed

@@ -18,7 +18,7 @@ from pnm.core.resources import Resources
 from pnm.errors import InputError, PnmError
 from pnm.files.database.place import Place
 from pnm.files.database.sqlite import files_of, log_of
-from pnm.journal.format import RECORDS
+from pnm.journal.codec import RECORDS
 from pnm.journal.journal import WrittenJournal
 from pnm.journal.kept import Durability, Fenced, JournalChoice, JournalError, Row, Unshared
 from pnm.journal.lease import Watch, take

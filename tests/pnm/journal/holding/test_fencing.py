@@ -17,7 +17,7 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.core.resources import Resources
-from pnm.journal.format import RECORDS
+from pnm.journal.codec import RECORDS
 from pnm.journal.journal import WrittenJournal
 from pnm.journal.kept import Durability, Fenced, JournalError, Unshared
 from pnm.journal.resume import replayed

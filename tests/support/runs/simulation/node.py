@@ -16,7 +16,7 @@ from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.resources import Resources
 from pnm.errors import InputError
 from pnm.executor import Executor
-from pnm.journal.format import RECORDS
+from pnm.journal.codec import RECORDS
 from pnm.journal.journal import WrittenJournal
 from pnm.journal.kept import Fenced, HeldByAnother, Hold, JournalChoice, JournalError
 from pnm.journal.replay import Replay, ReplayedTask

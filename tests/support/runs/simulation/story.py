@@ -11,8 +11,7 @@ from uuid import UUID
 
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.requests import OutcomeKind
-from pnm.journal.codec import Codec
-from pnm.journal.format import RECORDS
+from pnm.journal.codec import RECORDS, Codec
 from pnm.journal.records import Record
 from pnm.journal.replay import Replay
 from pnm.journal.resume import replay_steps
