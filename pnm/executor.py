@@ -117,8 +117,8 @@ class Executor:
         """Let one request leave during a pause; return whether one has. Not to be called by observers."""
         # At once and not through the inbox: what decides that it may leave does so by what is so now.
         self._handle(SingleStep())
-        machine = self.run.machine
-        return any(machine.rules[machine.compiled.transitions[fired]].action is TransitionAction.SEND for fired in self.run.fired)
+        rule = self.run.machine.placed.rule
+        return any(rule(fired).action is TransitionAction.SEND for fired in self.run.fired)
 
     def settle(self, request: UUID, kind: OutcomeKind) -> None:
         """Have a request that is under way end in this way, because a person says so, as soon as its server is done with it."""

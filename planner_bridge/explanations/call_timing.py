@@ -11,8 +11,8 @@ from pnm.core.logic.computed_values import Unanswered
 from pnm.core.logic.conditions import All, conjuncts, evaluate, fluents, observed
 from pnm.core.logic.effects import written
 from pnm.core.logic.expressions import Fluent, fluent_text
-from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering
+from pnm.core.machine.requests import CallOutcome
 from pnm.errors import PnmError
 from pnm.tasks import TaskState
 

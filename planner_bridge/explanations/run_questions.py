@@ -13,8 +13,8 @@ from planner_bridge.explanations.new_plan import not_told, why_failed, why_repla
 from planner_bridge.model.progression import Happening
 from pnm.core.execution.call_results import CallResult
 from pnm.core.logic.computed_values import Unanswered
-from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, Moment
+from pnm.core.machine.requests import CallOutcome
 from pnm.errors import InputError, counted, suggestion
 from pnm.files.database.place import Place
 

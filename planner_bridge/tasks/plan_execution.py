@@ -25,8 +25,9 @@ from pnm.core.knowledge_base import statement_text
 from pnm.core.logic.effects import names_written, possible_assignments
 from pnm.core.logic.expressions import Constant, Fluent, State, Unknown, Value, is_number
 from pnm.core.machine.generate import generate
-from pnm.core.machine.machine import CallOutcome, PetriNetMachine
+from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import PlanGraph
+from pnm.core.machine.requests import CallOutcome
 from pnm.core.machine.verification.verify import Proof, verify
 from pnm.executor import Executor
 from pnm.journal.replay import ReplayedRun

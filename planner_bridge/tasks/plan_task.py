@@ -24,8 +24,8 @@ from planner_bridge.yaml.reader import read
 from pnm.actions.backend import schedule
 from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.failure_causes import Cause
-from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall
+from pnm.core.machine.requests import CallOutcome
 from pnm.errors import InputError
 from pnm.executor import Executor
 from pnm.journal.replay import ReplayedTask

@@ -22,8 +22,8 @@ from pnm.core.logic.expressions import is_number, same_value
 from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings, WhenLost
 from pnm.core.machine.failure_causes import Blame, Cause
-from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, PlanEvent, PlanGraph
+from pnm.core.machine.requests import CallOutcome
 from pnm.errors import check_counts, check_seconds, counted
 from pnm.tasks import Code
 

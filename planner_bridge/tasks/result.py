@@ -19,8 +19,9 @@ from pnm.core.execution.call_results import CallResult, Failure, RunResult
 from pnm.core.logic import trajectory
 from pnm.core.logic.trajectory import Constraint, ConstraintProgress
 from pnm.core.machine.failure_causes import FailureKind
-from pnm.core.machine.machine import CallOutcome, PetriNetMachine
+from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
+from pnm.core.machine.requests import CallOutcome
 from pnm.errors import counted
 from pnm.journal.codec import RECORDS, value_classes
 from pnm.journal.replay import ReplayedRun, ReplayedTask

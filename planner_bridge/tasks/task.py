@@ -17,10 +17,10 @@ from planner_bridge.tasks.result import GoalNote, Stopwatch, TaskResult
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.core.broadcast import broadcast
 from pnm.core.execution.call_results import CallResult, Failure, RunResult
-from pnm.core.machine.guards import After
-from pnm.core.machine.machine import CallOutcome, PetriNetMachine, Rule
+from pnm.core.machine.guards import After, Rule
+from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
-from pnm.core.machine.requests import Outcome, OutcomeKind, Request, TransitionAction
+from pnm.core.machine.requests import CallOutcome, Outcome, OutcomeKind, Request, TransitionAction
 from pnm.core.machine.verification.verify import Proof
 from pnm.core.net.net import Marking
 from pnm.errors import counted

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from planner_bridge.explanations.history import Attempt, JournalHistory, RunHistory, TaskHistory
 from pnm.core.execution.call_results import CallResult, Failure
-from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall
+from pnm.core.machine.requests import CallOutcome
 from pnm.core.pictures import timeline
 from pnm.core.pictures.timeline import TimedCall, TimedPlan, Timeline
 from pnm.files.database.place import Place, place_of

@@ -11,9 +11,8 @@ from planner_bridge.tasks.replanning import decision_words
 from planner_bridge.view.shown import CallShown, RequestShown, RunShown, ServerShown, TaskShown, TroubleShown, View
 from planner_bridge.view.story import Story
 from pnm.core.execution.call_results import CallResult
-from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall
-from pnm.core.machine.requests import OutcomeKind
+from pnm.core.machine.requests import CallOutcome, OutcomeKind
 from pnm.tasks import TaskState
 
 

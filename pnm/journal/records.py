@@ -22,9 +22,9 @@ from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.failure_causes import Cause
-from pnm.core.machine.machine import CallOutcome, OnFailure
+from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import PlanGraph
-from pnm.core.machine.requests import Accepted, Ended, Feedback, Postponed
+from pnm.core.machine.requests import Accepted, CallOutcome, Ended, Feedback, Postponed
 from pnm.tasks import TaskEnding, TaskState, Wanted
 
 WORLD: Final = 0

@@ -78,20 +78,20 @@ class ReplayStep:
         number: of the record.
         time: on the clock of the event loop.
         record: what reached the runs.
-        transitions: of the machine of its run, by name.
+        transition_name: returns the name of a transition of the machine of its run.
         commands: what the run wanted to be done.
     """
 
     number: int
     time: float
     record: Record
-    transitions: Sequence[str] = ()
+    transition_name: Callable[[int], str] = str
     commands: Sequence[Command] = ()
 
     @property
     def fired(self) -> tuple[str, ...]:
         """The transitions that fired, by name."""
-        return tuple(self.transitions[number] for number in self.record.fired) if isinstance(self.record, Happened) else ()
+        return tuple(map(self.transition_name, self.record.fired)) if isinstance(self.record, Happened) else ()
 
 
 @dataclass
@@ -242,16 +242,16 @@ class Replay:
         for command in commands:
             if isinstance(command, Send):
                 self.requests[command.request.id] = command.request
-        deltas, self._deltas, transitions = tuple(self._deltas), None, run.machine.compiled.transitions
+        deltas, self._deltas, name = tuple(self._deltas), None, run.machine.placed.transition_name
         if run.fired != record.fired:
-            _differ(number, "fires", *(tuple([transitions[index] for index in fired]) for fired in (run.fired, record.fired)))
+            _differ(number, "fires", *(tuple(map(name, fired)) for fired in (run.fired, record.fired)))
         if deltas != record.deltas:
             _differ(number, "changes", deltas, record.deltas)
         if (intents := intents_of(commands)) != record.intents:
             _differ(number, "intends", intents, record.intents)
         if run.told != record.told:
             _differ(number, "tells", run.told, record.told)
-        return ReplayStep(number, time, record, transitions, commands)
+        return ReplayStep(number, time, record, name, commands)
 
     def _make(self, made: RunMade) -> None:
         assert self.source is not None, "a replay reads machines where it reads records"
@@ -330,7 +330,7 @@ def words(step: ReplayStep, replay: Replay) -> tuple[str, ...]:
             return (f"reported {delta_text(record)}",)
         case RunMade(_, _, name):
             run = replay.runs[record.run].run
-            return (f"a machine for {name}: {counted(len(run.machine.plan.calls), 'call')}, {len(run.machine.net.places)} places",)
+            return (f"a machine for {name}: {counted(len(run.machine.plan.calls), 'call')}, {run.machine.placed.count_places} places",)
         case Happened(run_id, event):
             sent = (f"  sends {command.request.action}" for command in step.commands if isinstance(command, Send))
             return (event_text(event, replay), *(f"  fires {name}" for name in step.fired), *_changes(record), *sent)

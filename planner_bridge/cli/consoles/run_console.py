@@ -16,7 +16,8 @@ from planner_bridge.tasks.result import ConstraintResult, TaskResult, Violation
 from planner_bridge.tasks.settings import TaskObserver
 from planner_bridge.tasks.task import passed_limit
 from pnm.core.execution.call_results import Explanation, Failure, RunResult
-from pnm.core.machine.machine import PetriNetMachine, Rule
+from pnm.core.machine.guards import Rule
+from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from pnm.core.machine.verification.verify import Proof

@@ -8,9 +8,9 @@ from typing import Final, NamedTuple, TypeAlias
 from uuid import UUID
 
 from pnm.core.machine.failure_causes import Cause
-from pnm.core.machine.machine import CallOutcome, Rule
+from pnm.core.machine.guards import Rule
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph, Step
-from pnm.core.machine.requests import Outcome
+from pnm.core.machine.requests import CallOutcome, Outcome
 
 # by these names, because a look into the class takes longer than all else that becomes of a call
 _WAITING, _RUNNING, _PASSED_OVER = CallOutcome.WAITING, CallOutcome.RUNNING, CallOutcome.PASSED_OVER

@@ -39,9 +39,9 @@ from pnm.core.machine.guards import (
     InvariantFalse,
     Late,
     PauseAsked,
+    Rule,
     Withheld,
 )
-from pnm.core.machine.machine import Rule
 from pnm.core.resources import Claim, RunClaims, who_keeps
 
 NEVER: Final = float("inf")
@@ -211,7 +211,7 @@ class Guards:
     def lacks_resources(self, transition: int) -> bool:
         """Return whether the transition would be enabled if no call of the run had resources."""
         # Enabled transitions lack nothing and are included, which does no harm: they are asked in any case.
-        return self._state.engine.lacking(transition) <= self._state.index.resources
+        return self._state.engine.lacking(transition) <= self._state.index.resources.keys()
 
     def has_resources(self, site: Site, firing: Firing, place: int) -> bool:
         """Return whether the resources that the transition takes are free; if not, its call stands in line for them."""

@@ -7,7 +7,7 @@ call, is worked out for each. Both when it is first asked for, and kept.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Final
 from weakref import WeakKeyDictionary
@@ -16,7 +16,7 @@ from pnm.core.execution.call_data import ClosedCall, closed_call, reads_of_guard
 from pnm.core.logic.conditions import CompiledCondition, compiled
 from pnm.core.logic.expressions import Fluent
 from pnm.core.logic.rules import Reads, Rules
-from pnm.core.machine.blocks import MachineBlocks, PlacedStep, rules_by_number
+from pnm.core.machine.blocks import PlacedStep
 from pnm.core.machine.guards import (
     Accepts,
     After,
@@ -25,11 +25,12 @@ from pnm.core.machine.guards import (
     Ends,
     Guard,
     Opener,
+    Rule,
 )
-from pnm.core.machine.machine import CallOutcome, OnFailure, PetriNetMachine, Rule
-from pnm.core.machine.requests import OutcomeKind, TransitionAction
-from pnm.core.machine.step_block import BlockTemplate
-from pnm.core.net.block_net import NumberedArcs, Placed, whole
+from pnm.core.machine.machine import OnFailure, PetriNetMachine
+from pnm.core.machine.requests import CallOutcome, OutcomeKind, TransitionAction
+from pnm.core.machine.step_block import OWN, BlockTemplate
+from pnm.core.net.block_net import NumberedArcs, Placed
 from pnm.core.net.firing_engine import CompiledNet
 from pnm.core.net.no_collection import no_collection
 from pnm.core.net.when_asked import WhenAsked
@@ -115,8 +116,8 @@ class Shape:
     The mutable state is what was worked out so far, of one of them.
     """
 
-    def __init__(self, index: MachineIndex, block: Placed, step: int | None) -> None:
-        self._index, self._block, self._step = index, block, step
+    def __init__(self, index: MachineIndex, block: PlacedStep, call: int) -> None:
+        self._index, self._block, self._call = index, block, call
         # worked out so far
         self.firings: Final = WhenAsked(self._firing)
         """The transitions, by number within the block."""
@@ -126,18 +127,17 @@ class Shape:
         """The transitions of the call that the end of its request in a way opens, or its acceptance."""
 
     def _firing(self, number: int) -> Firing:
-        index, arcs, block = self._index, self._index.arcs, self._block
-        transition, template = block.transition + number, block.template
-        is_alone = not isinstance(block, PlacedStep)
-        rule = index.by_number.rule(transition) if is_alone else index.by_number.like(transition)
-        taken, given = arcs.inputs(transition), arcs.outputs(transition)
+        index, block, template = self._index, self._block, self._block.template
+        rule, is_own = template.kinds[number], block.step is None
+        taken, given = block.arcs(template.inputs[number]), block.arcs(template.outputs[number])
         inputs, outputs = (tuple([code for code, _ in coded[number]]) for coded in (template.inputs, template.outputs))
         into, out_of = ([place for place, _ in some] for some in (taken, given))
-        step = rule.call if is_alone else self._step
+        step = block.step_of(number)
         is_call = index.is_call(step)
         fails = tuple([code for code in outputs if not index.failures.keys().isdisjoint(block.all_at([code]))])
-        takes = not index.resources.isdisjoint(into) and rule.action is not TransitionAction.ADOPT
-        gives, turns = not index.resources.isdisjoint(out_of), bool(fails) or not index.restarts.isdisjoint((*into, *out_of))
+        takes = not index.resources.keys().isdisjoint(into) and rule.action is not TransitionAction.ADOPT
+        gives = not index.resources.keys().isdisjoint(out_of)
+        turns = bool(fails) or not index.restarts.keys().isdisjoint((*into, *out_of))
         tells = rule.cause is not None or rule.gives_up or rule.outcome is CallOutcome.ALREADY_TRUE
         # whether a place behind a port is counted is another matter for every block
         is_move = [weight for _, weight in (*taken, *given)] == [1, 1] and len(taken) == 1
@@ -145,17 +145,17 @@ class Shape:
         return Firing(
             number,
             rule,
-            guard := rule.guard if is_alone or index.by_number.is_shared(transition) else None,
+            guard := rule.guard if isinstance(template.rules[number], Rule) else None,
             guard.seconds if isinstance(guard, After) else None,
-            step if is_alone else None,
-            step if is_alone and is_call else None,
+            step if is_own else None,
+            step if is_own and is_call else None,
             inputs,
             tuple([code for code in outputs if index.records.isdisjoint(block.all_at([code]))]),
             (inputs[0], outputs[0]) if is_move else None,
             fails,
             takes=takes,
             gives=gives,
-            counts=index.unmarked[transition] > 0,
+            counts=index.unmarked[block.transition + number] > 0,
             guarded=type(rule.guard),
             is_moment=rule.guard.opened_by is Opener.TIME,
             turns=turns,
@@ -167,8 +167,8 @@ class Shape:
         )
 
     def _decision(self, code: int) -> Decision:
-        like, first = self._index.by_number.like, self._block.transition
-        guards = {number: like(first + number).guard for number, _ in self._block.template.consumers[code]}
+        template = self._block.template
+        guards = {number: template.kinds[number].guard for number, _ in template.consumers[code]}
         by_guard = [one for one, guard in guards.items() if guard.opened_by is not Opener.REPORT]
         knows = any(guards[one].opened_by is Opener.KNOWLEDGE for one in by_guard)
         staying = tuple([self.firings[one] for one in by_guard if guards[one].opened_by is not Opener.ENDING])
@@ -178,15 +178,15 @@ class Shape:
         return Decision(tuple(by_guard), self.firings, staying, passage, limit, len(by_guard) < count, len(staying) < count, knows)
 
     def _opened(self, kind: OutcomeKind | None) -> tuple[Firing, ...]:
-        assert self._step is not None, "only calls have requests"
-        reported, first = self._index.by_number.reported(self._step), self._block.transition
-        return tuple([self.firings[one - first] for one, rule in reported if _admits(rule, kind)])
+        template = self._block.template
+        return tuple([self.firings[number] for number in template.reported if _admits(template.kinds[number].guard, kind, self._call)])
 
 
 @dataclass(frozen=True, slots=True)
 class Site(Placed):
     """A block as it is executed."""
 
+    template: BlockTemplate
     shape: Shape
     step: int | None
     """The number of its step; None for the frame, and for a net that is one block."""
@@ -209,36 +209,26 @@ class MachineIndex:
     """
 
     def __init__(self, machine: PetriNetMachine) -> None:
-        net, self._calls, self._places = machine.net, machine.plan.calls, machine.net.places
-        self.arcs, self.by_number = net.arcs_by_number, rules_by_number(machine)
+        self._calls, self._blocks = machine.plan.calls, (blocks := machine.placed)
         self.unmarked, self.counted = machine.compiled.unmarked, machine.compiled.counted
-        self.settling = net.numbered(machine.settling_places)
-        self.failures = net.numbered(machine.failure_places)
-        self.restarts, self.resources = (frozenset(net.numbered(some)) for some in (machine.restart_places, machine.resource_places))
-        self.records = self.resources.union(self.failures, self.restarts, net.numbers(machine.budget_places))
+        self.settling, self.failures, self.restarts, self.resources = blocks.settling, blocks.failures, blocks.restarts, blocks.resources
+        self.records = frozenset((*self.resources, *self.failures, *self.restarts, *blocks.budgets))
         """Places at which nothing is decided."""
-        self.alive = tuple(net.numbers(machine.alive_places))
-        self.goal, self.failed = (self._places.index(place) for place in (machine.goal_place, machine.failed_place))
+        self.alive, self.goal, self.failed = tuple(blocks.alive), blocks.goal, blocks.failed
         self.on_failure: OnFailure = machine.on_failure
-        by_number = self.by_number
-        if isinstance(by_number, MachineBlocks) and by_number is self.arcs:
-            sites = self._sited(by_number.placed)
-            of_calls = {site.call: site for site in sites}
-            self.of_calls = [of_calls[call] for call in range(len(self._calls))]
-            """The blocks of the calls."""
-        else:  # the net is one block, which is seen as that of each call
-            block = whole(net)
-            sites = self._sited([block])
-            self.of_calls = [replace(sites[0], shape=Shape(self, block, call)) for call in range(len(self._calls))]
-        self.sites: Final = sites[:1] * len(self._places)
+        sites = self._sited(blocks.placed)
+        of_calls, first = {site.call: site for site in sites}, blocks.placed[0]
+        self.of_calls = [of_calls.get(call) or self._site(first, Shape(self, first, call)) for call in range(len(self._calls))]
+        """The blocks of the calls; a net that is one block is that of each call."""
+        self.sites: Final = sites[:1] * blocks.count_places
         """For every place, the block that decides there."""
-        self.codes: Final = [0] * len(self._places)
+        self.codes: Final = [0] * blocks.count_places
         """For every place, its code in that block."""
         self._spread(sites)
         # worked out so far
-        self.rules: Final = WhenAsked(self.by_number.rule)
+        self.rules: Final = WhenAsked(blocks.rule)
         """The rules of transitions."""
-        self.names: Final = WhenAsked(net.transitions.__getitem__)
+        self.names: Final = WhenAsked(blocks.transition_name)
         """The names of transitions."""
         self.conditions: Final = WhenAsked(self._condition)
         """The conditions that guards of transitions ask for, where they are the same for every run."""
@@ -263,16 +253,20 @@ class MachineIndex:
         """Return the guard of a transition."""
         return self.rules[site.transition + firing.number].guard if firing.guard is None else firing.guard
 
-    def _sited(self, blocks: Sequence[Placed]) -> list[Site]:
+    def _sited(self, blocks: Sequence[PlacedStep]) -> list[Site]:
         shapes: dict[object, Shape] = {}
         sites: list[Site] = []
         for block in blocks:
-            key, step = (block.template, *map(len, block.ports)), _step_of(block)
+            key = (block.template, *map(len, block.ports))
             if (shape := shapes.get(key)) is None:
-                shape = shapes[key] = Shape(self, block, step)
-            call = step if self.is_call(step) else None
-            sites.append(Site(block.template, block.title, block.place, block.transition, block.ports, shape, step, call))
+                shape = shapes[key] = Shape(self, block, OWN)
+            sites.append(self._site(block, shape))
         return sites
+
+    def _site(self, block: PlacedStep, shape: Shape) -> Site:
+        step = None if block.step is None else block.step.index
+        call = step if self.is_call(step) else None
+        return Site(block.template, block.title, block.place, block.transition, block.ports, shape, step, call)
 
     def _spread(self, sites: Sequence[Site]) -> None:
         """Note which site every place belongs to."""
@@ -308,19 +302,21 @@ class MachineIndex:
         return closed_call(self._calls[call])
 
     def _limit(self, transition: int) -> float:
-        _, guard = self.by_number.asks(transition)
+        block = self._blocks.block_of(transition)
+        guard = block.guard(transition - block.transition)
         assert isinstance(guard, After), "only a wait has a limit"
         return guard.seconds
 
     def _since(self, transition: int) -> tuple[tuple[int, float], ...]:
-        guard = self.rules[transition].guard
+        guard, blocks = self.rules[transition].guard, self._blocks
         if not isinstance(guard, Due) or not guard.since:
             return ()
-        names = {self._places[place]: place for place, _ in self.arcs.inputs(transition)}  # it counts from places that it takes from
+        names = {blocks.place_name(place): place for place, _ in blocks.inputs(transition)}  # it counts from places that it takes from
         return tuple((names[place], delay) for place, delay in guard.since)
 
     def _condition(self, transition: int) -> CompiledCondition | None:
-        step, guard = self.by_number.asks(transition)
+        block = self._blocks.block_of(transition)
+        step, guard = block.step_of(transition - block.transition), block.guard(transition - block.transition)
         is_open = self.is_call(step) and self.closed[step or 0] is None
         return None if is_open or guard.asks is None else compiled(guard.asks)
 
@@ -343,19 +339,15 @@ def prepare(machine: PetriNetMachine) -> None:
     index = index_of(machine)
     for call, site in enumerate(index.of_calls):
         index.closed[call]
-        if isinstance(site.template, BlockTemplate):
+        if site.call is not None:
             for number in site.template.checking:
                 index.conditions[site.transition + number]
             for number in site.template.limiting:
                 index.limits[site.transition + number]
 
 
-def _step_of(block: Placed) -> int | None:
-    return block.step.index if isinstance(block, PlacedStep) and block.step else None
-
-
-def _admits(rule: Rule, kind: OutcomeKind | None) -> bool:
-    """Return whether the end of a request in this way, or its acceptance, opens the guard of a rule of its call."""
+def _admits(guard: Guard, kind: OutcomeKind | None, call: int) -> bool:
+    """Return whether the end of a request of the call in this way, or its acceptance, opens a guard."""
     if kind is None:
-        return isinstance(rule.guard, Accepts)
-    return isinstance(rule.guard, Ends) and kind in rule.guard.kinds
+        return isinstance(guard, Accepts) and guard.call == call
+    return isinstance(guard, Ends) and guard.call == call and kind in guard.kinds

@@ -62,9 +62,9 @@ from pnm.core.logic.effects import Changes
 from pnm.core.logic.expressions import UNKNOWN, Fluent, Truth
 from pnm.core.machine import guards, requests
 from pnm.core.machine.bindings import Bindings
-from pnm.core.machine.guards import Opener
-from pnm.core.machine.machine import CallOutcome, OnFailure, PetriNetMachine, Rule
-from pnm.core.machine.requests import OutcomeKind, TransitionAction
+from pnm.core.machine.guards import Opener, Rule
+from pnm.core.machine.machine import OnFailure, PetriNetMachine
+from pnm.core.machine.requests import CallOutcome, OutcomeKind, TransitionAction
 from pnm.core.net.firing_rule import fire, is_enabled
 from pnm.core.net.net import Marking, PetriNet
 from pnm.core.resources import Claim, Resources, RunClaims

@@ -39,10 +39,9 @@ from pnm.core.execution.questions import subject_of
 from pnm.core.execution.run_view import RunView
 from pnm.core.logic.computed_values import Question, Unanswered
 from pnm.core.machine.failure_causes import Cause
-from pnm.core.machine.guards import EffectsMissing, Withheld
-from pnm.core.machine.machine import CallOutcome, Rule
+from pnm.core.machine.guards import EffectsMissing, Rule, Withheld
 from pnm.core.machine.plan_graph import ActionCall
-from pnm.core.machine.requests import BEFORE_ACCEPTANCE, Accepted, Ended, Feedback, OutcomeKind, Postponed, TransitionAction
+from pnm.core.machine.requests import BEFORE_ACCEPTANCE, Accepted, CallOutcome, Ended, Feedback, OutcomeKind, Postponed, TransitionAction
 from pnm.core.net.block_net import NumberedArcs
 
 _SEND, _SUCCEEDED, _SUCCESS = TransitionAction.SEND, CallOutcome.SUCCEEDED, OutcomeKind.SUCCEEDED

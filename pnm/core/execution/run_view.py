@@ -76,7 +76,7 @@ class RunView:
         self.observer = observer or SILENT
         self._index = index_of(machine)
         # state
-        self._engine = Engine(machine.compiled, machine.initial)
+        self._engine = Engine(machine.compiled, machine.placed.initial)
         self._agenda = Agenda(self._index, knowledge)
         self._fired: list[int] = []
         self._told: list[Told] = []

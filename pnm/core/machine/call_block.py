@@ -52,12 +52,13 @@ from pnm.core.machine.guards import (
     Guard,
     InvariantFalse,
     PauseAsked,
+    Rule,
     Withheld,
+    check_rule,
 )
-from pnm.core.machine.machine import CallOutcome, Rule, check_rule
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.machine.recovery_block import Recoveries, abandon, build_recoveries, succeeded_place
-from pnm.core.machine.requests import OutcomeKind, TransitionAction
+from pnm.core.machine.requests import CallOutcome, OutcomeKind, TransitionAction
 from pnm.core.machine.step_block import OWN, Block, OwnRule, Port, Terms
 
 _SUCCEEDED = frozenset({OutcomeKind.SUCCEEDED})

@@ -14,10 +14,10 @@ from pnm.core.machine.bindings import Bindings, is_open
 from pnm.core.machine.blocks import END, FAILED, GOAL, START, MachineBlocks, PlacedRegion, PlacedStep
 from pnm.core.machine.call_block import CallBlock
 from pnm.core.machine.failure_causes import Cause
-from pnm.core.machine.guards import Always, ConditionFalse, ConditionTrue, Due, Ending, Failing
-from pnm.core.machine.machine import OnFailure, PetriNetMachine, Rule
+from pnm.core.machine.guards import Always, ConditionFalse, ConditionTrue, Due, Ending, Failing, Rule
+from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, Moment, PlanEvent, PlanGraph, Step
-from pnm.core.machine.step_block import PORTS, Block, BlockTemplate, Context, Draft, Inner, block_without_call
+from pnm.core.machine.step_block import PORTS, Block, BlockTemplate, Context, Draft, Inner, Terms, block_without_call
 from pnm.core.net.no_collection import no_collection
 from pnm.core.net.when_asked import Remembered
 from pnm.core.resources import check_capacity
@@ -31,7 +31,7 @@ class Builder:
     """Places the blocks of a plan. The mutable state is what of the net there is so far."""
 
     def __init__(self, plan: PlanGraph, bindings: Bindings) -> None:
-        self.blocks = MachineBlocks(plan, bindings)
+        self.blocks = MachineBlocks()
         starts_anew = plan.restart_limit > 0
         # If the plan can begin anew, every block can be entered again, and must give back what it has spent.
         self.context = Context(plan, bindings, starts_anew, repeated=starts_anew)
@@ -49,7 +49,7 @@ class Builder:
 
     def add_frame(self, draft: Draft, ports: Sequence[tuple[int, ...]] = ()) -> PlacedStep:
         """Place a part of the frame."""
-        return self._place(draft.template(), None, self.context, ports)
+        return self._place(draft.template(), None, ports)
 
     def add_steps(self) -> None:
         """Place the blocks of all steps of the regions placed so far, and of those that they hold."""
@@ -60,41 +60,34 @@ class Builder:
             (starts_after, announces), (ends_after, leads_to) = ((self._into.pop(one, ()), self._out_of.pop(one, ())) for one in events)
             names = self.context.bindings.resources(step.action) if isinstance(step, ActionCall) else ()
             ports = (starts_after, ends_after, announces, leads_to, [self.resources[name] for name in names])
-            delays = tuple(self._delayed.get(step.index, ()))
-            self._place(self._template(step, context, ports, delays), step, context, [*map(tuple, ports)], delays)
+            block = self._block(step, context, ports)
+            self._place(self._template(block), block.terms, [*map(tuple, ports)])
 
-    def _template(
-        self, step: Step, context: Context, ports: Sequence[Collection[int]], delays: tuple[tuple[int, float], ...]
-    ) -> BlockTemplate:
+    def _block(self, step: Step, context: Context, ports: Sequence[Collection[int]]) -> Block[Any]:
         connected = frozenset(port for port, places in zip(PORTS, ports, strict=True) if places)
-        named = tuple((self.blocks.place_name(place), delay) for place, delay in delays)
-        block: Block[Any]
+        delays = tuple([(self.blocks.place_name(place), delay) for place, delay in self._delayed.get(step.index, ())])
         match step:
             case ActionCall():
-                block = CallBlock(context, step, connected, named)
+                return CallBlock(context, step, connected, delays)
             case _:
-                block = block_without_call(context, step, connected, named)
+                return block_without_call(context, step, connected, delays)
+
+    def _template(self, block: Block[Any]) -> BlockTemplate:
         if (key := block.key) is None:
             return block.template()
         if key not in self._templates:
             self._templates[key] = _TEMPLATES.get(key) or _TEMPLATES.keep(key, block.template())
         return self._templates[key]
 
-    def _place(
-        self,
-        template: BlockTemplate,
-        step: Step | None,
-        context: Context,
-        ports: Sequence[tuple[int, ...]],
-        delays: tuple[tuple[int, float], ...] = (),
-    ) -> PlacedStep:
+    def _place(self, template: BlockTemplate, terms: Terms[Any] | None, ports: Sequence[tuple[int, ...]]) -> PlacedStep:
+        step = None if terms is None else terms.step
         blocks, place, regions = self.blocks, self.blocks.count_places, list[PlacedRegion]()
         free = place + len(template.places)
         for inner in template.inner:
             regions.append(self._region(inner, None if step is None else step.index, free))
             free += regions[-1].count
             ports = (*ports, tuple(regions[-1].first), tuple(regions[-1].last))
-        block = PlacedStep(template, step, place, blocks.count_transitions, tuple(ports), step, context, delays)
+        block = PlacedStep(template, step, place, blocks.count_transitions, tuple(ports), terms)
         blocks.place(block)
         for region in regions:
             blocks.add_places(region, region.count)
@@ -175,7 +168,8 @@ def generate(
         _ending(plan, [builder.blocks.place_name(place) for place in restarts]),
         [(START,), (END,), (GOAL,), (FAILED,), last, *((place,) for place in restarts)],
     )
-    return builder.blocks.machine(resources, initial, on_failure)
+    builder.blocks.resources, builder.blocks.marked = resources, initial
+    return PetriNetMachine.of_blocks(plan, bindings, builder.blocks, on_failure)
 
 
 def _ending(plan: PlanGraph, restarts: Sequence[str]) -> Draft:

@@ -1,4 +1,4 @@
-"""Guards: the kinds of questions that δ̂ asks besides the tokens, each with its traits.
+"""Guards, the kinds of questions that δ̂ asks besides the tokens, each with its traits; and rules, which say what δ̂ is for a transition.
 
 A new kind needs a class here, in the union `Guard`; when it opens and how a check by it is explained, in
 `pnm.core.execution.guards` and in the reference; and a block that asks it. All others, the proof included, ask for the traits.
@@ -9,10 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 from math import isfinite
-from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple, TypeAlias
 
 from pnm.core.logic.conditions import Condition
-from pnm.core.machine.requests import OutcomeKind, TransitionAction
+from pnm.core.machine.failure_causes import Cause
+from pnm.core.machine.requests import CallOutcome, OutcomeKind, TransitionAction
 
 if TYPE_CHECKING:
     from typing import Protocol as _Traits  # so that no kind without all traits can be made, says the type checker
@@ -408,3 +409,38 @@ Guard: TypeAlias = (
     | Late
     | Due
 )
+
+
+# --- rules --------------------------------------------------------------------------------------
+
+_ALWAYS: Final = Always()
+
+
+class Rule(NamedTuple):
+    """δ̂ for one transition: its guard, and what its firing means for its call. Nothing else is known by its name."""
+
+    name: str
+    """The event for people and exports, such as ``start`` or ``aborted``; the same for every call."""
+    guard: Guard = _ALWAYS
+    call: int | None = None
+    """The number of the step it belongs to, which most often is a call; None for the frame around all steps."""
+    action: TransitionAction | None = None
+    outcome: CallOutcome | None = None
+    """The outcome of the call from now on; None when that stays as it is."""
+    cause: Cause | None = None
+    """Why the step is about to recover or has failed; None when no new cause arises."""
+    expected: str = ""
+    """What was expected at that point, for the text of a failure; empty where the guard explains it."""
+    observed: str = ""
+    """What was observed instead; ``{message}`` stands for the message of the request's end, which is all if this is empty."""
+    gives_up: bool = False
+    """The request is no longer waited for, although its server may still be at work."""
+    replans: bool = False
+    """The plan asks for a planner to find another way."""
+    restarts: bool = False
+    """The whole plan begins anew."""
+
+
+def check_rule(cause: Cause, guard: Guard = _ALWAYS, call: int | None = None, action: TransitionAction | None = None) -> Rule:
+    """Return the rule of a check, which goes by the name of the cause that it finds."""
+    return Rule(cause.value, guard, call, action, cause=cause)

@@ -11,77 +11,24 @@ and the first open one fires.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass
-from enum import Enum, StrEnum
+from collections.abc import Collection, Iterable, Mapping, Sequence, Set
+from dataclasses import dataclass, field
+from enum import Enum
 from functools import cached_property
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Self, TypeVar
 
 from pnm.core import notebook
 from pnm.core.machine.bindings import Bindings, is_open
-from pnm.core.machine.failure_causes import Cause
-from pnm.core.machine.guards import Always, Guard
+from pnm.core.machine.blocks import MachineBlocks, PlacedStep
+from pnm.core.machine.guards import Rule
 from pnm.core.machine.plan_graph import Moment, Ordering, PlanGraph
-from pnm.core.machine.requests import TransitionAction
+from pnm.core.machine.step_block import BlockTemplate
 from pnm.core.net.firing_engine import CompiledNet
-from pnm.core.net.net import Marking, PetriNet
+from pnm.core.net.net import Marking, PetriNet, Weights
 from pnm.core.net.no_collection import no_collection
 from pnm.core.net.time_order import TimeOrder, time_order
 
-_ALWAYS: Final = Always()
-
-
-class CallOutcome(StrEnum):
-    """Outcome of a call, so far or for good."""
-
-    WAITING = "waiting"
-    RUNNING = "running"
-    """Its request is out."""
-    SUSPENDED = "suspended"
-    """Between two attempts: its last request has failed, or was cancelled for a pause, and the next one is not out yet."""
-    HANDED_OVER = "handed over"
-    """Another run goes on with its request."""
-    SUCCEEDED = "succeeded"
-    ALREADY_TRUE = "already true"
-    """Not sent: its effects held."""
-    SKIPPED = "skipped"
-    """Not sent: the run came to its end before."""
-    CANCELED = "canceled"
-    UNCONFIRMED = "canceled, unconfirmed"
-    """Cancelled, but its server has not confirmed that it stopped."""
-    PASSED_OVER = "passed over"
-    """Not successful, and the plan goes on all the same."""
-    FAILED = "failed"
-
-
-class Rule(NamedTuple):
-    """δ̂ for one transition: its guard, and what its firing means for its call. Nothing else is known by its name."""
-
-    name: str
-    """The event for people and exports, such as ``start`` or ``aborted``; the same for every call."""
-    guard: Guard = _ALWAYS
-    call: int | None = None
-    """The number of the step it belongs to, which most often is a call; None for the frame around all steps."""
-    action: TransitionAction | None = None
-    outcome: CallOutcome | None = None
-    """The outcome of the call from now on; None when that stays as it is."""
-    cause: Cause | None = None
-    """Why the step is about to recover or has failed; None when no new cause arises."""
-    expected: str = ""
-    """What was expected at that point, for the text of a failure; empty where the guard explains it."""
-    observed: str = ""
-    """What was observed instead; ``{message}`` stands for the message of the request's end, which is all if this is empty."""
-    gives_up: bool = False
-    """The request is no longer waited for, although its server may still be at work."""
-    replans: bool = False
-    """The plan asks for a planner to find another way."""
-    restarts: bool = False
-    """The whole plan begins anew."""
-
-
-def check_rule(cause: Cause, guard: Guard = _ALWAYS, call: int | None = None, action: TransitionAction | None = None) -> Rule:
-    """Return the rule of a check, which goes by the name of the cause that it finds."""
-    return Rule(cause.value, guard, call, action, cause=cause)
+V = TypeVar("V")
 
 
 class OnFailure(Enum):
@@ -108,7 +55,11 @@ class Region:
 
 @dataclass(frozen=True)
 class PetriNetMachine:
-    """A net with roles, rules, and what it was made from: a plan and bindings."""
+    """A net with roles, rules, and what it was made from: a plan and bindings.
+
+    A machine as it was generated is its placed blocks. What it has by name is a view of them, made when any of it is asked for.
+    One of which a part was replaced is what its names say, and one block to those who need numbers.
+    """
 
     plan: PlanGraph
     bindings: Bindings
@@ -138,6 +89,50 @@ class PetriNetMachine:
     regions: tuple[Region, ...]
     """The plan itself first."""
     on_failure: OnFailure = OnFailure.DRAIN
+    generated: MachineBlocks | None = field(default=None, init=False, repr=False, compare=False)
+    """The blocks that it was generated as; None if it was made in another way, or a part of it was replaced."""
+
+    # --- placed blocks and names ------------------------------------------------------------------
+
+    @classmethod
+    def of_blocks(cls, plan: PlanGraph, bindings: Bindings, blocks: MachineBlocks, on_failure: OnFailure) -> Self:
+        """Return the machine of a plan whose blocks are placed."""
+        machine = cls.__new__(cls)
+        vars(machine).update(plan=plan, bindings=bindings, generated=blocks, on_failure=on_failure)
+        return machine
+
+    if not TYPE_CHECKING:  # the fields are all there is
+
+        def __getattr__(self, name: str) -> object:
+            if self.generated is None or name not in _BY_NAME:
+                raise AttributeError(f"a machine has no {name!r}", name=name, obj=self)
+            vars(self).update(_named(self.generated, self.generated.placed, range(self.generated.count_places)))
+            return vars(self)[name]
+
+    def part(self, chosen: Iterable[PlacedStep], places: Collection[int]) -> PetriNetMachine:
+        """Return some of the blocks and places that it was generated as, by name."""
+        assert self.generated is not None, "it has blocks"
+        named = _named(self.generated, chosen, places)
+        return PetriNetMachine(plan=self.plan, bindings=self.bindings, on_failure=self.on_failure, **named)  # type: ignore[arg-type]
+
+    @cached_property
+    def placed(self) -> MachineBlocks:
+        """Its blocks, all by number."""
+        return self.generated or _one_block(self)
+
+    @cached_property
+    def compiled(self) -> CompiledNet:
+        """The net over integers, made once and shared by all runs."""
+        with no_collection():
+            return CompiledNet(self.placed)
+
+    @property
+    def capacities(self) -> Mapping[str, int]:
+        """How many calls may have each resource at the same time, as far as its name is known before its calls start."""
+        placed = self.placed
+        return {name: placed.initial.get(place, 0) for place, name in placed.resources.items() if not is_open(name)}
+
+    # --- roles of places --------------------------------------------------------------------------
 
     @cached_property
     def start_place(self) -> str:
@@ -149,11 +144,6 @@ class PetriNetMachine:
     def goal_places(self) -> frozenset[str]:
         """P_g: the run has reached its goal when one of these is marked."""
         return frozenset({self.goal_place})
-
-    @property
-    def capacities(self) -> Mapping[str, int]:
-        """How many calls may have each resource at the same time, as far as its name is known before its calls start."""
-        return {name: self.initial[place] for place, name in self.resource_places.items() if not is_open(name)}
 
     @cached_property
     def record_places(self) -> frozenset[str]:
@@ -185,12 +175,6 @@ class PetriNetMachine:
         return "ordering" if place in self.orderings else ""
 
     @cached_property
-    def compiled(self) -> CompiledNet:
-        """The net over integers, made once and shared by all runs."""
-        with no_collection():
-            return CompiledNet(self.net)
-
-    @cached_property
     def time_order(self) -> TimeOrder:
         """The order of time of its places, in which pictures have them."""
         # Tokens that ends wait for come into the middle of a block, which begins elsewhere.
@@ -201,4 +185,66 @@ class PetriNetMachine:
         return notebook.MACHINE.draw(self)
 
     def __repr__(self) -> str:
-        return f"<PetriNetMachine {len(self.plan.calls)} calls, {len(self.net.places)} places, {len(self.net.inputs)} transitions>"
+        placed = self.placed
+        return f"<PetriNetMachine {len(self.plan.calls)} calls, {placed.count_places} places, {placed.count_transitions} transitions>"
+
+
+_BY_NAME = PetriNetMachine.__dataclass_fields__.keys() - {"plan", "bindings", "on_failure", "generated"}
+
+
+def _named(blocks: MachineBlocks, chosen: Iterable[PlacedStep], places: Iterable[int]) -> dict[str, object]:
+    """Return all that there is of some blocks and places, by name."""
+    names = {place: blocks.place_name(place) for place in sorted(places)}
+    inputs, outputs, rules, own = dict[str, Weights](), dict[str, Weights](), dict[str, Rule](), dict[int, tuple[str, ...]]()
+    for block in chosen:
+        template = block.template
+        for number in range(len(template.transitions)):
+            name = block.transition_name(number)
+            rules[name] = block.rule(number)
+            inputs[name] = {names[place]: weight for place, weight in block.arcs(template.inputs[number]) if place in names}
+            outputs[name] = {names[place]: weight for place, weight in block.arcs(template.outputs[number]) if place in names}
+        if block.step is not None:
+            own[block.step.index] = tuple([names[place] for place in range(block.place, block.place + len(template.places))])
+
+    def of(found: Mapping[int, V]) -> dict[str, V]:
+        return {name: found[place] for place, name in names.items() if place in found}
+
+    def some(found: Collection[int]) -> tuple[str, ...]:
+        return tuple([names[place] for place in found if place in names])
+
+    regions = (
+        Region(one.owner, frozenset([step.index for step in one.inner.flow.steps]), some(one.first), some(one.last))
+        for one in blocks.regions
+    )
+    return {
+        "net": PetriNet(tuple(names.values()), inputs, outputs),
+        "initial": Marking(of(blocks.initial)),
+        "rules": rules,
+        "goal_place": names[blocks.goal],
+        "failed_place": names[blocks.failed],
+        "failure_places": of(blocks.failures),
+        "restart_places": of(blocks.restarts),
+        "budget_places": frozenset(some(blocks.budgets)),
+        "resource_places": of(blocks.resources),
+        "settling_places": of(blocks.settling),
+        "alive_places": frozenset(some(blocks.alive)),
+        "blocks": own,
+        "orderings": {name: one for place, name in names.items() if (one := blocks.ordering(place)) is not None},
+        "regions": tuple(regions),
+    }
+
+
+def _one_block(machine: PetriNetMachine) -> MachineBlocks:
+    """Return a machine that is known by its names as one block, which belongs to no step."""
+    net, number, blocks = machine.net, machine.net.place_numbers, MachineBlocks()
+    rules = tuple([machine.rules[name] for name in net.transitions])
+    blocks.place(PlacedStep(BlockTemplate.of(net, rules=rules, kinds=rules), None, 0, 0, ()))
+
+    def of(found: Mapping[str, V]) -> dict[int, V]:
+        return {number[place]: value for place, value in found.items()}
+
+    blocks.resources, blocks.initial = of(machine.resource_places), of(machine.initial)
+    blocks.failures, blocks.restarts, blocks.settling = of(machine.failure_places), of(machine.restart_places), of(machine.settling_places)
+    blocks.alive, blocks.budgets = ([number[place] for place in places] for places in (machine.alive_places, machine.budget_places))
+    blocks.goal, blocks.failed = number[machine.goal_place], number[machine.failed_place]
+    return blocks

@@ -14,8 +14,7 @@ from typing import Final, assert_never
 
 from pnm.core.logic.conditions import TRUE, Condition
 from pnm.core.machine.failure_causes import ASKED, Cause, NoRecovery, Phase
-from pnm.core.machine.guards import Always, ConditionTrue, Ending, Failing
-from pnm.core.machine.machine import Rule
+from pnm.core.machine.guards import Always, ConditionTrue, Ending, Failing, Rule
 from pnm.core.machine.plan_graph import EMPTY, ActionCall, PlanGraphError, Recovery, Then
 from pnm.core.machine.requests import TransitionAction
 from pnm.core.machine.step_block import Block

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from enum import Enum
+from enum import Enum, StrEnum
 from hashlib import sha1
 from typing import Final, Protocol, TypeAlias, runtime_checkable
 from uuid import UUID
@@ -153,3 +153,26 @@ class ReattachingClient(ActionClient, Protocol):
 
         If its server does not know it, it is sent, unless it was `accepted` before: then it is `LOST`.
         """
+
+
+class CallOutcome(StrEnum):
+    """Outcome of a call, so far or for good."""
+
+    WAITING = "waiting"
+    RUNNING = "running"
+    """Its request is out."""
+    SUSPENDED = "suspended"
+    """Between two attempts: its last request has failed, or was cancelled for a pause, and the next one is not out yet."""
+    HANDED_OVER = "handed over"
+    """Another run goes on with its request."""
+    SUCCEEDED = "succeeded"
+    ALREADY_TRUE = "already true"
+    """Not sent: its effects held."""
+    SKIPPED = "skipped"
+    """Not sent: the run came to its end before."""
+    CANCELED = "canceled"
+    UNCONFIRMED = "canceled, unconfirmed"
+    """Cancelled, but its server has not confirmed that it stopped."""
+    PASSED_OVER = "passed over"
+    """Not successful, and the plan goes on all the same."""
+    FAILED = "failed"

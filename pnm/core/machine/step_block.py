@@ -10,12 +10,10 @@ still holds, the loop has failed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
-from itertools import compress, count
-from types import MappingProxyType
 from typing import Any, Final, Generic, NamedTuple, TypeVar, assert_never
 
 from pnm.core.machine.bindings import Bindings
@@ -31,10 +29,11 @@ from pnm.core.machine.guards import (
     InvariantFalse,
     Late,
     Opener,
+    Rule,
+    check_rule,
 )
-from pnm.core.machine.machine import CallOutcome, Rule, check_rule
 from pnm.core.machine.plan_graph import Choice, Conditional, Flow, Junction, Loop, PlanGraph, Step, WaitUntil
-from pnm.core.machine.requests import TransitionAction
+from pnm.core.machine.requests import CallOutcome, TransitionAction
 from pnm.core.net.block_net import Template
 from pnm.core.net.net import NetBuilder, Weights
 
@@ -84,37 +83,52 @@ PORTS: Final = tuple(Port)
 """The ports in their order."""
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
 class BlockTemplate(Template):
     """A block that steps of one shape share: its places and transitions with their rules and roles, by number."""
 
-    def __init__(self, draft: Draft, block: Block[Any] | None) -> None:
-        super().__init__(draft.net.build(), draft.ports)
-        terms = None if block is None else block.terms  # the frame has no rules of its own
-        self.kinds = tuple([rule if isinstance(rule, Rule) else rule.made_for(terms) for rule in draft.rules])
-        """A rule of each transition's kind: that of the block that it was drafted for."""
-        self.is_shared = block is not None and block.key is not None
-        """Whether blocks of all machines have it."""
-        self.rules = tuple(draft.rules) if self.is_shared else self.kinds
-        self.inner = tuple(draft.inner)
-        self.initial: Mapping[int, int] = MappingProxyType({self.codes[place]: tokens for place, tokens in draft.initial.items()})
-        self.failures, self.restarts = self.numbers(*draft.failures), self.numbers(*draft.restarts)
-        self.budgets, self.alive, self.settling = (self.numbers(*found) for found in (draft.budgets, draft.alive, draft.settling))
-        self.reported = tuple(number for number, rule in enumerate(self.kinds) if rule.guard.opened_by is Opener.REPORT)
-        """The transitions that reports open."""
-        made = [number for number, rule in enumerate(self.rules) if isinstance(rule, OwnRule) and rule.guard]
-        checked = [kind.action is TransitionAction.SEND or isinstance(kind.guard, InvariantFalse) for kind in self.kinds]
-        self.checking = tuple(compress(count(), checked))
-        """The transitions that ask for the conditions of a call that goes well."""
-        self.limiting = tuple(number for number in made if isinstance(self.kinds[number].guard, After))
-        """The transitions that open after the time that a call may take, where each has its own."""
-        self.own = tuple(number for number, kind in enumerate(self.kinds) if number in made or kind.guard.asks is not None)
-        """The transitions whose guards are made for each block, and all others that ask for conditions."""
-        self._made = tuple(vars(self).values())
+    rules: tuple[Rule | OwnRule, ...]
+    kinds: tuple[Rule, ...]
+    """A rule of each transition's kind: that of the block that it was drafted for."""
+    is_shared: bool = False
+    """Whether blocks of all machines have it."""
+    inner: tuple[Inner, ...] = ()
+    """The steps that it holds."""
+    initial: Mapping[int, int] = field(default_factory=dict)
+    failures: tuple[int, ...] = ()
+    restarts: tuple[int, ...] = ()
+    budgets: tuple[int, ...] = ()
+    alive: tuple[int, ...] = ()
+    settling: tuple[int, ...] = ()
 
-    @property
-    def is_as_made(self) -> bool:
-        """Whether it still consists of what it was made of: what was proved of it is then so."""
-        return all(part is made for part, made in zip(vars(self).values(), self._made, strict=False))
+    @cached_property
+    def reported(self) -> Sequence[int]:
+        """The transitions that reports open."""
+        return [number for number, kind in enumerate(self.kinds) if kind.guard.opened_by is Opener.REPORT]
+
+    @cached_property
+    def made(self) -> Sequence[int]:
+        """The transitions whose guards are made for each block."""
+        return [number for number, rule in enumerate(self.rules) if isinstance(rule, OwnRule) and rule.guard]
+
+    @cached_property
+    def own(self) -> Sequence[int]:
+        """Those, and all others that ask for conditions."""
+        return [number for number, kind in enumerate(self.kinds) if number in self.made or kind.guard.asks is not None]
+
+    @cached_property
+    def checking(self) -> Sequence[int]:
+        """The transitions that ask for the conditions of a call that goes well."""
+        return [
+            number
+            for number, kind in enumerate(self.kinds)
+            if kind.action is TransitionAction.SEND or isinstance(kind.guard, InvariantFalse)
+        ]
+
+    @cached_property
+    def limiting(self) -> Sequence[int]:
+        """The transitions that open after the time that a call may take, where each has its own."""
+        return [number for number in self.made if isinstance(self.kinds[number].guard, After)]
 
 
 class Inner(NamedTuple):
@@ -161,9 +175,28 @@ class Draft:
         self.net.transition(name, inputs, outputs)
         self.rules.append(rule)
 
-    def template(self, block: Block[Any] | None = None) -> BlockTemplate:
-        """Return what was drafted for a block, or for the frame."""
-        return BlockTemplate(self, block)
+    def template(self, terms: Terms[Any] | None = None, *, is_shared: bool = False) -> BlockTemplate:
+        """Return what was drafted for a block with these terms, or for the frame, whose rules are all there is."""
+        kinds = tuple([rule if isinstance(rule, Rule) else rule.made_for(terms) for rule in self.rules])
+        net, ports = self.net.build(), frozenset(self.ports)
+        number = {place: number for number, place in enumerate(place for place in net.places if place not in ports)}
+        failures, restarts, budgets, alive, settling = (
+            tuple([number[place] for place in places]) for places in (self.failures, self.restarts, self.budgets, self.alive, self.settling)
+        )
+        return BlockTemplate.of(
+            net,
+            self.ports,
+            rules=tuple(self.rules) if is_shared else kinds,
+            kinds=kinds,
+            is_shared=is_shared,
+            inner=tuple(self.inner),
+            initial={number[place]: tokens for place, tokens in self.initial.items()},
+            failures=failures,
+            restarts=restarts,
+            budgets=budgets,
+            alive=alive,
+            settling=settling,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,7 +251,7 @@ class Block(Generic[AnyStep]):
         for port in PORTS:
             self.draft.port(port)
         self.build()
-        return self.draft.template(self)
+        return self.draft.template(self.terms, is_shared=self.key is not None)
 
     def build(self) -> None:
         """Add all places and transitions."""

@@ -1,7 +1,7 @@
 """Nets of blocks: each block is a template, placed somewhere in the net; what leads into it and out of it are its *ports*.
 
 A template is made once and shared by all blocks that are alike. A block has the numbers of its first place and of its first transition, and
-for every port the places that it stands for; arcs, consumers and names follow from that, and are worked out when they are asked for.
+for every port the places that it stands for; arcs, consumers and names follow from that. A net by itself is one block without ports.
 """
 
 from __future__ import annotations
@@ -10,51 +10,82 @@ from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from types import MappingProxyType
-from typing import Generic, Protocol, TypeAlias, TypeVar
+from typing import Any, Generic, Protocol, Self, TypeAlias, TypeVar
 
-from pnm.core.net.net import PetriNet, unmarked_at_first
+from pnm.core.net.net import PetriNet
 
 NumberedArcs: TypeAlias = list[tuple[int, int]]
 """Places, by number, and the weights of the arcs that connect them to one transition."""
-_Codes: TypeAlias = "Iterable[tuple[int, int]]"
+_Codes: TypeAlias = tuple[tuple[int, int], ...]
 """Places, or ports as negative numbers from -1 downwards, and the weights of the arcs that connect them to one transition."""
 
 
+@dataclass(frozen=True, eq=False)
 class Template:
-    """A block by itself: its places and transitions by number, and its ports. All that it consists of cannot be changed."""
+    """A block by itself: its places and transitions by number, and its ports, which have the codes -1, -2 and so on."""
 
-    def __init__(self, net: PetriNet, ports: Sequence[str]) -> None:
+    places: tuple[str, ...]
+    transitions: tuple[str, ...]
+    ports: tuple[str, ...]
+    inputs: tuple[_Codes, ...]
+    """For every transition, what it takes from."""
+    outputs: tuple[_Codes, ...]
+    """For every transition, what it gives to."""
+
+    @classmethod
+    def of(cls, net: PetriNet, ports: Sequence[str] = (), **others: Any) -> Self:
         """Make the template of a small net, some of whose places are ports."""
-        self.places = tuple(place for place in net.places if place not in set(ports))
-        self.transitions = tuple(net.transitions)
-        self.ports = tuple(ports)
-        codes = {place: number for number, place in enumerate(self.places)} | {port: ~number for number, port in enumerate(ports)}
-        self.codes: Mapping[str, int] = MappingProxyType(codes)
-        self.inputs, self.outputs = (
-            tuple(tuple((self.codes[place], weight) for place, weight in arcs[transition].items()) for transition in self.transitions)
-            for arcs in (net.inputs, net.outputs)
+        places = tuple([place for place in net.places if place not in ports])
+        codes = {place: number for number, place in enumerate(places)} | {port: ~number for number, port in enumerate(ports)}
+        arcs = (
+            tuple([tuple([(codes[place], weight) for place, weight in one[name].items()]) for name in net.inputs])
+            for one in (net.inputs, net.outputs)
         )
+        return cls(places, tuple(net.inputs), tuple(ports), *arcs, **others)
+
+    @cached_property
+    def codes(self) -> Mapping[str, int]:
+        """The code of every place and port."""
+        return {place: number for number, place in enumerate(self.places)} | {port: ~number for number, port in enumerate(self.ports)}
+
+    @cached_property
+    def consumers(self) -> Mapping[int, Sequence[tuple[int, int]]]:
+        """For every place and port, the transitions that take from it, and how much."""
         consumers: dict[int, list[tuple[int, int]]] = {code: [] for code in self.codes.values()}
         for transition, arcs in enumerate(self.inputs):
             for code, weight in arcs:
                 consumers[code].append((transition, weight))
-        self.consumers: Mapping[int, tuple[tuple[int, int], ...]] = MappingProxyType({code: tuple(one) for code, one in consumers.items()})
-        """For every place and port, the transitions that take from it, and how much."""
-        self.unmarked = tuple(map(unmarked_at_first, self.inputs))
-        """As `Arcs.unmarked`, but for the transitions that take from ports."""
-        self.giving = frozenset(code for arcs in self.outputs for code, _ in arcs)
-        """The places and ports that some transition gives to."""
-        self.reading = tuple(~number for number in range(len(ports)) if consumers[~number])
-        """The ports that some transition takes from."""
-        self.counted = frozenset(code for arcs in self.inputs if unmarked_at_first(arcs) for code, _ in arcs if code >= 0)
-        """The places, ports apart, that some transition takes from which takes more than one token."""
-        self.taking = tuple(number for number, arcs in enumerate(self.inputs) if any(code < 0 for code, _ in arcs))
-        """The transitions that take from ports."""
+        return consumers
 
-    def numbers(self, *places: str) -> tuple[int, ...]:
-        """Return the numbers of places of its own."""
-        return tuple(self.codes[place] for place in places)
+    @cached_property
+    def giving(self) -> frozenset[int]:
+        """The places and ports that some transition gives to."""
+        return frozenset(code for arcs in self.outputs for code, _ in arcs)
+
+    @cached_property
+    def reading(self) -> Sequence[int]:
+        """The ports that some transition takes from."""
+        return [~number for number in range(len(self.ports)) if self.consumers[~number]]
+
+    @cached_property
+    def unmarked(self) -> Sequence[int]:
+        """As `BlockNet.unmarked`, but for the transitions that take from ports."""
+        return [_unmarked(arcs) for arcs in self.inputs]
+
+    @cached_property
+    def counted(self) -> frozenset[int]:
+        """The places, ports apart, that some transition takes from which takes more than one token."""
+        return frozenset(code for arcs in self.inputs if _unmarked(arcs) for code, _ in arcs if code >= 0)
+
+    @cached_property
+    def taking(self) -> Sequence[int]:
+        """The transitions that take from ports."""
+        return [number for number, arcs in enumerate(self.inputs) if any(code < 0 for code, _ in arcs)]
+
+
+def _unmarked(inputs: Sequence[tuple[int, int]]) -> int:
+    """Return how many places a transition takes from; 0 if it takes one token from one place."""
+    return 0 if len(inputs) == 1 and inputs[0][1] == 1 else len(inputs)
 
 
 class Segment(Protocol):
@@ -87,11 +118,16 @@ class Placed:
         name = self.template.places[number]
         return name if self.title is None else f"{self.title} {name}"
 
+    def transition_name(self, number: int) -> str:
+        """Return the name of one of its transitions, which are numbered from 0 here."""
+        name = self.template.transitions[number]
+        return name if self.title is None else f"{self.title} {name}"
+
     def all_at(self, codes: Iterable[int]) -> list[int]:
         """Return the places that have these codes in the template: its own by their numbers, those of ports by negative ones."""
         return [place for place, _ in self.arcs((code, 1) for code in codes)]
 
-    def arcs(self, arcs: _Codes) -> NumberedArcs:
+    def arcs(self, arcs: Iterable[tuple[int, int]]) -> NumberedArcs:
         """Return arcs of the template as they are in the net."""
         found: list[tuple[int, int]] = []
         for code, weight in arcs:
@@ -105,13 +141,8 @@ class Placed:
 AnyPlaced = TypeVar("AnyPlaced", bound=Placed)
 
 
-def whole(net: PetriNet) -> Placed:
-    """Return a net as one block."""
-    return Placed(Template(net, ()), None, 0, 0, ())
-
-
-class BlockArcs(Generic[AnyPlaced]):
-    """The blocks of a net, and the places between them. The mutable state is all of it, until the last block is placed."""
+class BlockNet(Generic[AnyPlaced]):
+    """A net by number: its blocks, and the places between them. The mutable state is all of it, until the last block is placed."""
 
     def __init__(self) -> None:
         self.placed: list[AnyPlaced] = []
@@ -138,27 +169,37 @@ class BlockArcs(Generic[AnyPlaced]):
         self._first_transitions.append(block.transition)
         self.count_transitions += len(block.template.transitions)
 
-    # --- by number ----------------------------------------------------------------------------
+    # --- places and transitions -----------------------------------------------------------------
 
-    def index_of(self, transition: int) -> int:
-        """Return which of the blocks has the transition."""
-        return bisect_right(self._first_transitions, transition) - 1
+    def block_of(self, transition: int) -> AnyPlaced:
+        """Return the block that the transition belongs to."""
+        return self.placed[bisect_right(self._first_transitions, transition) - 1]
 
     def segment_of(self, place: int) -> Segment:
         """Return the stretch in which a place is."""
         return self.segments[bisect_right(self._first_places, place) - 1]
 
-    def inputs(self, transition: int) -> list[tuple[int, int]]:
+    def place_name(self, place: int) -> str:
+        """Return the name of a place."""
+        segment = self.segment_of(place)
+        return segment.place_name(place - segment.place)
+
+    def transition_name(self, transition: int) -> str:
+        """Return the name of a transition."""
+        block = self.block_of(transition)
+        return block.transition_name(transition - block.transition)
+
+    def inputs(self, transition: int) -> NumberedArcs:
         """Return the places that the transition takes from, and how much of each."""
-        block = self.placed[self.index_of(transition)]
+        block = self.block_of(transition)
         return block.arcs(block.template.inputs[transition - block.transition])
 
-    def outputs(self, transition: int) -> list[tuple[int, int]]:
+    def outputs(self, transition: int) -> NumberedArcs:
         """Return the places that it gives to, and how much to each."""
-        block = self.placed[self.index_of(transition)]
+        block = self.block_of(transition)
         return block.arcs(block.template.outputs[transition - block.transition])
 
-    def consumers(self, place: int) -> list[tuple[int, int]]:
+    def consumers(self, place: int) -> NumberedArcs:
         """Return the transitions that take from the place, in their order, and how much each does."""
         block, found = self.segment_of(place), list[tuple[int, int]]()
         if isinstance(block, Placed):
@@ -174,7 +215,7 @@ class BlockArcs(Generic[AnyPlaced]):
             template = block.template
             counts += template.unmarked
             for number in template.taking:
-                counts[block.transition + number] = unmarked_at_first(block.arcs(template.inputs[number]))
+                counts[block.transition + number] = _unmarked(block.arcs(template.inputs[number]))
         return counts
 
     def counted(self) -> bytearray:
@@ -186,7 +227,7 @@ class BlockArcs(Generic[AnyPlaced]):
                 found[block.place + code] = True
             for number in template.taking:
                 arcs = block.arcs(template.inputs[number])
-                if unmarked_at_first(arcs):
+                if _unmarked(arcs):
                     for place, _ in arcs:
                         found[place] = True
         return found
@@ -209,3 +250,10 @@ class BlockArcs(Generic[AnyPlaced]):
                     for place in places:
                         found.setdefault(place, []).append((block, ~number))
         return found
+
+
+def block_net(net: PetriNet) -> BlockNet[Placed]:
+    """Return a net as one block."""
+    blocks = BlockNet[Placed]()
+    blocks.place(Placed(Template.of(net), None, 0, 0, ()))
+    return blocks

@@ -8,8 +8,10 @@ so the cost of a firing does not grow with the net. `pnm.core.net.firing_rule` i
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
-from pnm.core.net.net import Marking, PetriNet
+from pnm.core.net.block_net import BlockNet
+from pnm.core.net.net import Marking
 from pnm.core.net.when_asked import WhenAsked
 from pnm.errors import NotEnabled
 
@@ -20,16 +22,15 @@ class CompiledNet:
     What it knows of a transition or a place is worked out when it is first asked for, and kept: most transitions never fire.
     """
 
-    def __init__(self, net: PetriNet) -> None:
-        self.net, arcs = net, net.arcs_by_number
-        self.transitions = net.transitions
-        self.inputs = WhenAsked(arcs.inputs)
-        self.outputs = WhenAsked(arcs.outputs)
-        self.consumers = WhenAsked(arcs.consumers)
+    def __init__(self, net: BlockNet[Any]) -> None:
+        self.net = net
+        self.inputs = WhenAsked(net.inputs)
+        self.outputs = WhenAsked(net.outputs)
+        self.consumers = WhenAsked(net.consumers)
         """Of every place. Only consumers are indexed: a change of tokens can enable or disable nothing else."""
-        self.unmarked = arcs.unmarked()
+        self.unmarked = net.unmarked()
         """For every transition that takes more than one token, how many places hold too little when none is marked; 0 for all others."""
-        self.counted = arcs.counted()
+        self.counted = net.counted()
         """For every place, whether some consumer takes more than one token."""
         self.only_input = WhenAsked(self._only_input)
         """For every transition that takes one token, its place."""
@@ -51,12 +52,12 @@ class Engine:
     those that take one token.
     """
 
-    def __init__(self, compiled: CompiledNet, marking: Mapping[str, int]) -> None:
+    def __init__(self, compiled: CompiledNet, marking: Mapping[int, int]) -> None:
         self.compiled = compiled
-        self.tokens = [0] * len(compiled.net.places)
+        self.tokens = [0] * compiled.net.count_places
         self.missing = compiled.unmarked.copy()
         # An initial marking is added like any other tokens.
-        for place, count in compiled.net.numbered(marking).items():
+        for place, count in marking.items():
             self._add(place, count)
 
     def is_enabled(self, transition: int) -> bool:
@@ -75,10 +76,10 @@ class Engine:
         # Checked before any token moves, so that a refused firing leaves the marking as it was.
         # `missing` counts places for a single firing only; several at once need the weights to be looked at.
         if times > 1 or (self.missing[transition] if only is None else not tokens[only]):
-            places = compiled.net.places
-            short = {places[place]: weight * times - tokens[place] for place, weight in taken if tokens[place] < weight * times}
+            name = compiled.net.place_name
+            short = {name(place): weight * times - tokens[place] for place, weight in taken if tokens[place] < weight * times}
             if short:
-                raise NotEnabled(compiled.transitions[transition], short)
+                raise NotEnabled(compiled.net.transition_name(transition), short)
         if times > 1:
             taken, given = ([(place, weight * times) for place, weight in arcs] for arcs in (taken, given))
         self.move(taken, given)
@@ -110,4 +111,4 @@ class Engine:
 
     def marking(self) -> Marking:
         """Return the current marking."""
-        return Marking(dict(zip(self.compiled.net.places, self.tokens, strict=True)))
+        return Marking({self.compiled.net.place_name(place): count for place, count in enumerate(self.tokens) if count})

@@ -6,15 +6,13 @@ Markings: sparse multisets of places.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol, TypeAlias, TypeVar
+from typing import TypeAlias
 
-from pnm.core.net.when_asked import ByName, Made, Names, NamesOf
 from pnm.errors import PnmError
 
-V = TypeVar("V")
 Weights: TypeAlias = Mapping[str, int]
 """Places and the weights of the arcs that connect them to one transition."""
 
@@ -32,30 +30,6 @@ class Arc:
     weight: int = 1
 
 
-class Arcs(Protocol):
-    """Arcs of a net by number: its places and transitions are numbered in the order in which they were added."""
-
-    def inputs(self, transition: int) -> Sequence[tuple[int, int]]:
-        """Return the places that the transition takes from, and how much of each."""
-
-    def outputs(self, transition: int) -> Sequence[tuple[int, int]]:
-        """Return the places that it gives to, and how much to each."""
-
-    def consumers(self, place: int) -> Sequence[tuple[int, int]]:
-        """Return the transitions that take from the place, in their order, and how much each does."""
-
-    def unmarked(self) -> list[int]:
-        """Return for every transition from how many places it takes; 0 for those that take one token from one place."""
-
-    def counted(self) -> bytearray:
-        """Return for every place whether some transition takes from it which takes more than one token."""
-
-
-def unmarked_at_first(inputs: Sequence[tuple[int, int]]) -> int:
-    """Return how many places a transition takes from, given by number and weight; 0 if it takes one token from one place."""
-    return 0 if len(inputs) == 1 and inputs[0][1] == 1 else len(inputs)
-
-
 @dataclass(frozen=True)
 class PetriNet:
     """Places and transitions by name, in the order in which they were added, and the arcs between them."""
@@ -66,36 +40,15 @@ class PetriNet:
     outputs: Mapping[str, Weights]
     """For every transition, the weights of the arcs to its places."""
 
-    @property
-    def transitions(self) -> Sequence[str]:
-        """The transitions, in the order in which they were added."""
-        return self.inputs.names if isinstance(self.inputs, ByName) else tuple(self.inputs)
-
     @cached_property
-    def arcs_by_number(self) -> Arcs:
-        """Its arcs by number."""
-        inputs, outputs = self.inputs, self.outputs
-        if isinstance(inputs, ArcsByName) and isinstance(outputs, ArcsByName) and inputs.source is outputs.source:
-            return inputs.source
-        return _NamedArcs(self)
-
-    def numbered(self, found: Mapping[str, V]) -> Mapping[int, V]:
-        """Return what is known of some places by their numbers."""
-        by_name: Mapping[str, V] = found.by_name if isinstance(found, NumberedMarking) else found  # type: ignore[assignment]
-        if isinstance(by_name, ByName) and by_name.names is self.places:
-            return by_name.by_number
-        return {self.place_numbers[place]: value for place, value in by_name.items()}
-
-    def numbers(self, found: Iterable[str]) -> Collection[int]:
-        """Return the numbers of some places."""
-        if isinstance(found, NamesOf) and found.names is self.places:
-            return found.by_number
-        return [self.place_numbers[place] for place in found]
+    def transitions(self) -> tuple[str, ...]:
+        """The transitions, in the order in which they were added."""
+        return tuple(self.inputs)
 
     @cached_property
     def place_numbers(self) -> Mapping[str, int]:
-        """The number of every place."""
-        return self.places.numbers if isinstance(self.places, Names) else {place: number for number, place in enumerate(self.places)}
+        """The number of every place, in the order in which they were added."""
+        return {place: number for number, place in enumerate(self.places)}
 
     @property
     def arcs(self) -> tuple[Arc, ...]:
@@ -145,49 +98,6 @@ def _neighbours(places: Iterable[str], weights: Mapping[str, Weights]) -> dict[s
         for place in connected:
             by_place[place].append(transition)
     return {place: tuple(transitions) for place, transitions in by_place.items()}
-
-
-class ArcsByName(ByName[Weights]):
-    """The inputs, or the outputs, of the transitions of a net that knows its arcs by number."""
-
-    def __init__(self, source: Arcs, transitions: Names, places: Names, of: Callable[[int], Sequence[tuple[int, int]]]) -> None:
-        named = Made(range(len(transitions)), lambda transition: {places[place]: weight for place, weight in of(transition)})
-        super().__init__(transitions, lambda: named)
-        self.source = source
-
-
-class _NamedArcs:
-    """Arcs by number of a net that has them by name."""
-
-    def __init__(self, net: PetriNet) -> None:
-        ids = net.place_numbers
-        self._inputs, self._outputs = (
-            [[(ids[place], weight) for place, weight in connected.items()] for connected in arcs.values()]
-            for arcs in (net.inputs, {transition: net.outputs[transition] for transition in net.inputs})
-        )
-        self._consumers: list[list[tuple[int, int]]] = [[] for _ in net.places]
-        for transition, inputs in enumerate(self._inputs):
-            for place, weight in inputs:
-                self._consumers[place].append((transition, weight))
-
-    def inputs(self, transition: int) -> Sequence[tuple[int, int]]:
-        return self._inputs[transition]
-
-    def outputs(self, transition: int) -> Sequence[tuple[int, int]]:
-        return self._outputs[transition]
-
-    def consumers(self, place: int) -> Sequence[tuple[int, int]]:
-        return self._consumers[place]
-
-    def unmarked(self) -> list[int]:
-        return [*map(unmarked_at_first, self._inputs)]
-
-    def counted(self) -> bytearray:
-        found = bytearray(len(self._consumers))
-        for inputs in filter(unmarked_at_first, self._inputs):
-            for place, _ in inputs:
-                found[place] = True
-        return found
 
 
 @dataclass
@@ -282,14 +192,3 @@ class Marking(Mapping[str, int]):
     def covers(self, weights: Mapping[str, int], times: int = 1) -> bool:
         """Return whether there are at least `times` as many tokens as the weights ask for."""
         return all(self[place] >= weight * times for place, weight in weights.items())
-
-
-class NumberedMarking(Marking):
-    """A marking that is known by number; its names are made when they are asked for."""
-
-    def __init__(self, by_name: ByName[int]) -> None:
-        self.by_name = by_name
-
-    @cached_property
-    def _tokens(self) -> Mapping[str, int]:  # type: ignore[override]
-        return dict(self.by_name)

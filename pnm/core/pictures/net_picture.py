@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final, TypeAlias
 
-from pnm.core.machine.machine import PetriNetMachine, Rule
+from pnm.core.machine.guards import Rule
+from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import Flow
 from pnm.core.pictures.export import COLOURS, guard_data
 from pnm.core.pictures.plan_picture import facts_of, held, laid_out, numbers

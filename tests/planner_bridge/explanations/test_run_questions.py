@@ -14,8 +14,8 @@ from planner_bridge.explanations.run_questions import call_meant, explained, tas
 from planner_bridge.pipeline.achieve import achieve
 from planner_bridge.tasks.result import TASKS
 from pnm.actions.faults import read_faults
-from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import Moment
+from pnm.core.machine.requests import CallOutcome
 from pnm.errors import InputError
 from pnm.journal.replay import Replay
 from pnm.journal.resume import replay_steps

@@ -15,8 +15,8 @@ from pnm.clock import run_async
 from pnm.core.execution.call_results import CallResult, Failure
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.failure_causes import Cause
-from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
+from pnm.core.machine.requests import CallOutcome
 from pnm.tasks import TaskState
 from tests.support.e2e.hosts.survey import DOMAIN as SURVEY
 from tests.support.pddl.problems import ROOMS, matches, rooms

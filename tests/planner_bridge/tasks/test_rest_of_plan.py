@@ -24,7 +24,8 @@ from pnm.core.logic.conditions import Holds, Not, evaluate
 from pnm.core.logic.expressions import Variable
 from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import Binding, Bindings
-from pnm.core.machine.machine import CallOutcome, OnFailure
+from pnm.core.machine.machine import OnFailure
+from pnm.core.machine.requests import CallOutcome
 from tests.support.pddl.problems import ROOMS, matches, rooms
 from tests.support.runs.simulated import LateBackend
 from tests.support.tasks.replanning import aborts, decisions, pursued

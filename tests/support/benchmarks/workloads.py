@@ -45,10 +45,10 @@ def fork_join(length: int, width: int = 8) -> PetriNet:
     return net.build()
 
 
-def firings(compiled: CompiledNet, first: str) -> int:
-    """Fire until nothing is enabled, following the tokens; return the number of firings."""
-    engine = Engine(compiled, {first: 1})
-    agenda, fired = [compiled.net.place_numbers[first]], 0
+def firings(compiled: CompiledNet) -> int:
+    """Fire until nothing is enabled, following the token of the first place; return the number of firings."""
+    engine = Engine(compiled, {0: 1})
+    agenda, fired = [0], 0
     while agenda:
         place = agenda.pop()
         for transition, _ in compiled.consumers[place]:

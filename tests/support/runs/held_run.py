@@ -21,9 +21,9 @@ from pnm.core.logic.effects import Set, When, values_before
 from pnm.core.logic.expressions import Constant, Fluent, Unknown, Value
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.generate import generate
-from pnm.core.machine.machine import CallOutcome, OnFailure, PetriNetMachine
+from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, Choice, Flow, Loop, Step
-from pnm.core.machine.requests import Request
+from pnm.core.machine.requests import CallOutcome, Request
 from pnm.core.net.net import Marking
 from tests.support.runs.direct import RUN
 from tests.support.runs.mutation.machines import CONDITIONS, random_bindings, random_plan, with_calls_under_way

@@ -21,7 +21,8 @@ from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import Constant, Fluent, Value
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.generate import generate
-from pnm.core.machine.machine import OnFailure, Rule
+from pnm.core.machine.guards import Rule
+from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import GroundAction, PlanGraph
 from pnm.core.machine.verification.verify import verify
 from pnm.executor import Executor

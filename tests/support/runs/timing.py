@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from planner_bridge.model.plan import Plan
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.core.execution.call_results import Failure
-from pnm.core.machine.machine import Rule
+from pnm.core.machine.guards import Rule
 
 
 def seconds(work: Callable[[], object], times: int = 3) -> float:

@@ -35,9 +35,10 @@ from pnm.core.machine.guards import (
     Failing,
     Guard,
     InvariantFalse,
+    Rule,
     Withheld,
 )
-from pnm.core.machine.machine import PetriNetMachine, Rule
+from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, Moment, PlanGraph, Recovery, Step, Then, flows
 from pnm.core.machine.recovery_block import is_direct
 from pnm.core.machine.requests import OutcomeKind, TransitionAction

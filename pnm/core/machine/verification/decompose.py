@@ -12,8 +12,9 @@ from itertools import chain
 from typing import Final, TypeAlias
 
 from pnm.core.machine.guards import ConditionFalse, ConditionTrue
-from pnm.core.machine.machine import CallOutcome, OnFailure, PetriNetMachine, Region
+from pnm.core.machine.machine import OnFailure, PetriNetMachine, Region
 from pnm.core.machine.plan_graph import Conditional, Moment
+from pnm.core.machine.requests import CallOutcome
 from pnm.core.machine.verification.part import Inside, Part, PartStep, Unsound, step_of, without_counts
 from pnm.core.machine.verification.place_roles import check_roles
 from pnm.core.net.net import Weights

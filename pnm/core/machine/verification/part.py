@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.guards import Guard, GuardKind, InvariantFalse, KnowledgeRead, OfCall, Opener
-from pnm.core.machine.machine import CallOutcome, PetriNetMachine
+from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import Then
-from pnm.core.machine.requests import TransitionAction
+from pnm.core.machine.requests import CallOutcome, TransitionAction
 from pnm.core.net.net import Weights
 from pnm.errors import PnmError
 

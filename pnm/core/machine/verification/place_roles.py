@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from pnm.core.machine.guards import AlreadyTrue, Due, EffectsMissing, EffectsSeen, Ending, Ends, Opener
-from pnm.core.machine.machine import CallOutcome, PetriNetMachine
-from pnm.core.machine.requests import TransitionAction
+from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.machine.requests import CallOutcome, TransitionAction
 from pnm.core.machine.verification.part import Part, PartStep, Unsound
 
 

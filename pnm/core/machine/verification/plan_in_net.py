@@ -7,8 +7,8 @@ from collections.abc import Collection, Iterable, Mapping
 from typing import Final
 
 from pnm.core.machine.blocks import START, MachineBlocks, PlacedRegion, PlacedStep
-from pnm.core.machine.guards import Due, Ending
-from pnm.core.machine.machine import PetriNetMachine, Rule
+from pnm.core.machine.guards import Due, Ending, Rule
+from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, Flow, Moment, Ordering, PlanEvent, PlanGraph, flows, in_order
 from pnm.core.machine.requests import TransitionAction
 from pnm.core.machine.step_block import PORTS, Port
@@ -43,7 +43,7 @@ def _flows(plan: PlanGraph) -> list[tuple[int | None, Flow]]:
     return [(None, plan.flow), *((step.index, flow) for step in plan.every_step for flow in flows(step))]
 
 
-def check_places(machine: PetriNetMachine, blocks: MachineBlocks) -> None:
+def check_places(plan: PlanGraph, blocks: MachineBlocks) -> None:
     """Check what no block shows by itself.
 
     The blocks are those of the steps of the plan, begin as their templates do, and are connected as the plan has it: by places between
@@ -52,9 +52,9 @@ def check_places(machine: PetriNetMachine, blocks: MachineBlocks) -> None:
     Raises:
         Unsound: something of that is not so, or a delay or a release time is not waited for.
     """
-    _check_order(machine.plan, blocks)
-    resources, restarts = machine.net.numbered(machine.resource_places), machine.net.numbered(machine.restart_places)
-    _check_marking(machine, blocks, resources)
+    _check_order(plan, blocks)
+    resources, restarts = blocks.resources, blocks.restarts
+    _check_marking(blocks)
     steps = {step.index: step for region in blocks.regions for step in region.inner.flow.steps}
     connected = bytearray(blocks.count_places)  # for every place between blocks, 1 if one takes from it, 2 if one gives to it, 3 if both
     places = transitions = 0
@@ -97,10 +97,10 @@ def check_places(machine: PetriNetMachine, blocks: MachineBlocks) -> None:
                 raise Unsound(f"{region.inner.begin} and {region.inner.end}: not all of its first or last places are known as such")
 
 
-def _check_marking(machine: PetriNetMachine, blocks: MachineBlocks, resources: Mapping[int, str]) -> None:
+def _check_marking(blocks: MachineBlocks) -> None:
     """Check that at first the start is marked, what blocks begin with, and resources, which belong to the frame."""
-    marked = dict(machine.net.numbered(machine.initial))
-    for place, name in resources.items():
+    marked = dict(blocks.initial)
+    for place, name in blocks.resources.items():
         if marked.pop(place, 0) < 1 or not _is_of_frame(blocks.segment_of(place)):
             raise Unsound(f"there is nothing of the resource {name}")
     own = {block.place + number: count for block in blocks.placed for number, count in block.template.initial.items()}

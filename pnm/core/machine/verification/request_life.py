@@ -11,8 +11,7 @@ from enum import Enum
 from typing import Final
 
 from pnm.core.machine.guards import Accepts, Adopted, Ends, KnowledgeRead
-from pnm.core.machine.machine import CallOutcome
-from pnm.core.machine.requests import BEFORE_ACCEPTANCE, OutcomeKind, TransitionAction
+from pnm.core.machine.requests import BEFORE_ACCEPTANCE, CallOutcome, OutcomeKind, TransitionAction
 from pnm.core.machine.verification.part import PartStep
 
 _ANY: Final = frozenset(OutcomeKind)

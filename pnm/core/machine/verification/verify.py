@@ -32,13 +32,13 @@ keeps them, and for that case every wait for resources has another way out.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 from math import isfinite
 from typing import Final, NamedTuple, TypeAlias, TypeVar
 
-from pnm.core.machine.blocks import MachineBlocks, PlacedRegion, PlacedStep, built_from
+from pnm.core.machine.blocks import MachineBlocks, PlacedRegion, PlacedStep
 from pnm.core.machine.guards import Adopted, ConditionTrue, Guard, Withheld
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
@@ -50,7 +50,7 @@ from pnm.core.machine.verification.explore import Exploration, NeverFires, explo
 from pnm.core.machine.verification.part import Inside, Part, Unsound, step_of
 from pnm.core.machine.verification.place_roles import check_roles
 from pnm.core.machine.verification.plan_in_net import check_events, check_flows, check_places
-from pnm.core.net.net import Marking, PetriNet, Weights
+from pnm.core.net.net import Weights
 from pnm.core.net.no_collection import no_collection
 from pnm.core.net.when_asked import Remembered
 from pnm.errors import check_kinds, counted
@@ -85,10 +85,8 @@ class Proof:
     @property
     def never(self) -> tuple[NeverFires, ...]:
         """Transitions that can never fire; every other one fires for some answers of servers and of the world."""
-        machine, net = self.machine, self.machine.net
-        # each rule and each arc is made once, for all of them are asked for
-        named = replace(machine, net=PetriNet(tuple(net.places), dict(net.inputs), dict(net.outputs)), rules=dict(machine.rules))
-        blocks = map(Anatomy(named).block, dict.fromkeys(rule.call for rule in named.rules.values()))
+        machine = self.machine
+        blocks = map(Anatomy(machine).block, dict.fromkeys(rule.call for rule in machine.rules.values()))
         return tuple(never for block in blocks for never in never_fire(block.part, _proved(block.part).explored))
 
     def __str__(self) -> str:
@@ -111,11 +109,11 @@ def verify(machine: PetriNetMachine) -> Proof:
 
 def _verified(machine: PetriNetMachine) -> Proof:
     proved, kinds = set[_Proved](), dict[Owner, object]()
-    if (blocks := built_from(machine)) is None:
+    if (blocks := machine.generated) is None:
         check_flows(machine)
         anatomy = Anatomy(machine)
     else:  # one block of each kind is looked at, and of all others how they are connected
-        check_places(machine, blocks)
+        check_places(machine.plan, blocks)
         sample = _sample(machine, blocks)
         proved.update(sample.proved)
         kinds = sample.kinds
@@ -164,7 +162,7 @@ class _Contents:
 
     def __init__(self, machine: PetriNetMachine, blocks: MachineBlocks) -> None:
         self._blocks, self._asked_of = blocks, AskedOf(machine)
-        self._resources = machine.net.numbered(machine.resource_places)
+        self._resources = blocks.resources
         self._looked_at: dict[object, _Watched] = {}
 
     def check(self, block: PlacedStep, call: ActionCall, guards: Sequence[tuple[Guard, Weights]]) -> object:
@@ -216,7 +214,7 @@ def _sample(machine: PetriNetMachine, blocks: MachineBlocks) -> _Sample:
     on nothing else of its machine than whether it can be entered again, and what becomes of it when another step fails.
     """
     sample, seen = _Sample([], {}, set(), [], set()), set[object]()
-    surroundings = machine.on_failure, bool(machine.restart_places)
+    surroundings = machine.on_failure, bool(blocks.restarts)
     regions = {step.index: region for region in blocks.regions for step in region.inner.flow.steps}
     contents = _Contents(machine, blocks)
     for block in blocks.placed:
@@ -248,51 +246,19 @@ def _anatomy_of(sample: _Sample, machine: PetriNetMachine, blocks: MachineBlocks
     own = sample.borders.union(number for block in chosen for number in range(block.place, block.place + len(block.template.places)))
     own.update(number for block in chosen if block.step is not None for places in block.ports for number in places)
     own.update(number for region in blocks.regions if not region.inner.flow.steps for number in (*region.first, *region.last))
-    return Anatomy(_restricted(machine, blocks, sample, own), _beside(blocks, own))
+    part = machine.part(chosen, own)
+    left_out = (block.place + number for block in sample.left_out for number in range(len(block.template.places)))
+    others = [blocks.place_name(number) for number in left_out if number not in own]
+    names = len(own) + len(others) + sum(len(block.template.transitions) for block in chosen)
+    if len({*part.net.places, *part.net.transitions, *others}) < names:
+        raise Unsound("a name is used twice")
+    return Anatomy(part, _beside(blocks, own))
 
 
 def _borders(block: PlacedStep, region: PlacedRegion | None) -> list[list[int]]:
     """Return the places at which the block is entered, and left, directly from what holds it, by its ports."""
     first_border = 0 if region is None else region.place + len(region.inner.flow.orderings)
     return [[place for place in places if place >= first_border] for places in block.ports[:4]]
-
-
-def _restricted(machine: PetriNetMachine, blocks: MachineBlocks, sample: _Sample, own: set[int]) -> PetriNetMachine:
-    """Return the machine with the blocks of a sample, and these places, alone."""
-    names = {number: blocks.place_name(number) for number in sorted(own)}
-    left_out = (block.place + number for block in sample.left_out for number in range(len(block.template.places)))
-    others = [blocks.place_name(number) for number in left_out if number not in own]
-    transitions = [block.transition + number for block in sample.chosen for number in range(len(block.template.transitions))]
-    titles = {number: blocks.transition_name(number) for number in transitions}
-    if len({*names.values(), *titles.values(), *others}) < len(names) + len(titles) + len(others):
-        raise Unsound("a name is used twice")
-
-    def arcs(of: Callable[[int], Iterable[tuple[int, int]]]) -> dict[str, Weights]:
-        return {title: {names[place]: weight for place, weight in of(number) if place in names} for number, title in titles.items()}
-
-    def roles(found: Mapping[int, V]) -> dict[str, V]:
-        return {names[number]: found[number] for number in names if number in found}
-
-    numbered = machine.net.numbered
-    return replace(
-        machine,
-        net=PetriNet(tuple(names.values()), arcs(blocks.inputs), arcs(blocks.outputs)),
-        initial=Marking(roles(numbered(machine.initial))),
-        rules={title: blocks.rule(number) for number, title in titles.items()},
-        failure_places=roles(numbered(machine.failure_places)),
-        restart_places=roles(numbered(machine.restart_places)),
-        budget_places=frozenset(names[number] for number in machine.net.numbers(machine.budget_places) if number in names),
-        resource_places=roles(numbered(machine.resource_places)),
-        settling_places=roles(numbered(machine.settling_places)),
-        alive_places=frozenset(names[number] for number in machine.net.numbers(machine.alive_places) if number in names),
-        orderings={name: one for number, name in names.items() if (one := blocks.ordering(number)) is not None},
-        regions=tuple(
-            replace(
-                region, first=[names[one] for one in placed.first if one in names], last=[names[one] for one in placed.last if one in names]
-            )
-            for region, placed in zip(machine.regions, blocks.regions, strict=True)
-        ),
-    )
 
 
 def _beside(blocks: MachineBlocks, own: set[int]) -> Connected:
@@ -411,7 +377,7 @@ def net_of_block(blocks: MachineBlocks, block: PlacedStep, resources: Mapping[in
 
     return CallNet(
         names=template.transitions,
-        rules=[blocks.rule(block.transition + number) for number in range(len(template.transitions))],
+        rules=[block.rule(number) for number in range(len(template.transitions))],
         inputs=arcs(template.inputs),
         outputs=arcs(template.outputs),
         failures=names(template.failures),

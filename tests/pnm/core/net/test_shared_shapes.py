@@ -14,7 +14,8 @@ from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import Holds
 from pnm.core.machine.generate import generate
-from pnm.core.machine.machine import PetriNetMachine, Rule
+from pnm.core.machine.guards import Rule
+from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from tests.support.benchmarks.workloads import in_a_row, inline
 from tests.support.runs.commands import RUN

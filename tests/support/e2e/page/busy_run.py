@@ -13,7 +13,8 @@ from planner_bridge.tasks.result import TASKS
 from pnm.core.execution.events import Begin, Command, Event, Observer, Send
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Bindings
-from pnm.core.machine.machine import PetriNetMachine, Rule
+from pnm.core.machine.guards import Rule
+from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, PlanEvent, PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Report, Request
 from pnm.core.resources import Resources

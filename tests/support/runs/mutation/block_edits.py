@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import copy
 from dataclasses import replace
 from random import Random
 from typing import Final
@@ -30,8 +29,8 @@ def ports(blocks: MachineBlocks, random: Random) -> None:
 
 def steps(blocks: MachineBlocks, random: Random) -> None:
     one, other = (random.randrange(len(blocks.placed)) for _ in range(2))
-    step = blocks.placed[other].step
-    blocks.placed[one] = replace(blocks.placed[one], step=step, title=step)
+    terms, title = blocks.placed[other].terms, blocks.placed[other].title
+    blocks.placed[one] = replace(blocks.placed[one], terms=terms, title=title)
 
 
 def templates(blocks: MachineBlocks, random: Random) -> None:
@@ -55,11 +54,11 @@ def regions(blocks: MachineBlocks, random: Random) -> None:
 def parts(blocks: MachineBlocks, random: Random) -> None:
     """Give a block a changed copy of its template."""
     number = random.randrange(len(blocks.placed))
-    template = copy(blocks.placed[number].template)
+    template = blocks.placed[number].template
     part = random.choice(["inputs", "outputs", "rules", "failures", "restarts", "budgets", "alive", "settling"])
     found = [*getattr(template, part)]
     random.shuffle(found)
-    setattr(template, part, tuple(found[random.randrange(2) :]))
+    template = replace(template, **{part: tuple(found[random.randrange(2) :])})
     blocks.placed[number] = replace(blocks.placed[number], template=template)
 
 

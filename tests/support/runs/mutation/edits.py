@@ -10,9 +10,9 @@ from typing import Final
 
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.guards import After, Always, Due, Ends, Withheld
-from pnm.core.machine.machine import CallOutcome, PetriNetMachine
+from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import Moment
-from pnm.core.machine.requests import OutcomeKind, TransitionAction
+from pnm.core.machine.requests import CallOutcome, OutcomeKind, TransitionAction
 from pnm.core.net.net import Marking, PetriNet, Weights
 from tests.support.runs.mutation.changes import with_rule, without_place, without_transition
 

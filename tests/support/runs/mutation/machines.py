@@ -9,7 +9,7 @@ from random import Random
 from pnm.core.logic.computed_values import Layer, Literal, Operation, Query
 from pnm.core.logic.conditions import TRUE, Computed, Condition, Holds, Not
 from pnm.core.machine.bindings import Binding, Bindings, WhenLost
-from pnm.core.machine.blocks import MachineBlocks, built_from
+from pnm.core.machine.blocks import MachineBlocks
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
@@ -120,16 +120,13 @@ def _call(random: Random, index: int) -> ActionCall:
 
 def written_out(machine: PetriNetMachine) -> PetriNetMachine:
     """The same machine, with everything by name: made of no blocks."""
-    net = machine.net
-    arcs = ({name: dict(weights) for name, weights in found.items()} for found in (net.inputs, net.outputs))
-    return replace(machine, net=PetriNet(tuple(net.places), *arcs), rules=dict(machine.rules))
+    return replace(machine)
 
 
 def blocks_of(machine: PetriNetMachine) -> MachineBlocks:
     """The blocks of a machine as it was generated, to be changed behind its back."""
-    found = built_from(machine)
-    assert found is not None
-    return found
+    assert machine.generated is not None
+    return machine.generated
 
 
 def as_text(machine: PetriNetMachine) -> list[str]:
@@ -148,4 +145,4 @@ def as_text(machine: PetriNetMachine) -> list[str]:
                 return str([(one.owner, sorted(one.steps), [*one.first], [*one.last]) for one in found])
         return repr(found)
 
-    return [text(getattr(machine, field.name)) for field in fields(machine) if field.name not in ("plan", "bindings")]
+    return [text(getattr(machine, field.name)) for field in fields(machine) if field.name not in ("plan", "bindings", "generated")]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from pnm.core.machine.guards import Always
-from pnm.core.machine.machine import PetriNetMachine, Rule
+from pnm.core.machine.guards import Always, Rule
+from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, verify
 from tests.support.runs.mutation.changes import with_output, without_output, without_transition

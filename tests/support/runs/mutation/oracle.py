@@ -8,9 +8,9 @@ from random import Random
 from pnm.core.execution.events import Event
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.machine.machine import CallOutcome, PetriNetMachine
+from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import Moment, Then
-from pnm.core.machine.requests import Ended
+from pnm.core.machine.requests import CallOutcome, Ended
 from tests.support.runs.direct import RUN
 from tests.support.yaml.chaos import Chaos
 

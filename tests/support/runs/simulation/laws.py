@@ -11,9 +11,8 @@ from pnm.core.execution.call_results import CallResult
 from pnm.core.logic.conditions import Holds, conjuncts
 from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.core.machine.guards import Ends
-from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, PlanGraph
-from pnm.core.machine.requests import Ended, OutcomeKind
+from pnm.core.machine.requests import CallOutcome, Ended, OutcomeKind
 from pnm.core.net.net import PetriNet
 from pnm.journal.records import WORLD, Happened, KnowledgeBegan, KnowledgeDelta, TaskOver
 from pnm.tasks import Code
@@ -103,7 +102,7 @@ def an_end_comes_after_the_intent_and_counts_once(story: Story) -> Iterator[str]
             if request not in intended:
                 yield f"record {number}: {request} has ended before it was to be sent"
             rules = story.replay.runs[record.run].run.machine.rules
-            transitions = story.replay.runs[record.run].run.machine.compiled.transitions
+            transitions = story.replay.runs[record.run].run.machine.net.transitions
             if any(isinstance(rules[transitions[index]].guard, Ends) for index in record.fired):
                 if request in ended:
                     yield f"record {number}: the end of {request} counts again"
@@ -136,7 +135,7 @@ def _given_up(story: Story, record: object) -> Iterator[tuple[UUID, str]]:
         replayed = story.replay.runs[record.run]
         machine = replayed.run.machine
         for index in record.fired:
-            rule = machine.rules[machine.compiled.transitions[index]]
+            rule = machine.rules[machine.net.transitions[index]]
             if rule.gives_up and rule.call is not None:
                 yield replayed.made.task, str(machine.plan.calls[rule.call].action)
 

@@ -12,8 +12,8 @@ from pnm.core.logic.conditions import Holds
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
-from pnm.core.machine.guards import Always, ConditionFalse, ConditionTrue, DataMissing
-from pnm.core.machine.machine import CallOutcome, PetriNetMachine, Rule
+from pnm.core.machine.guards import Always, ConditionFalse, ConditionTrue, DataMissing, Rule
+from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import (
     ActionCall,
     Choice,
@@ -25,7 +25,7 @@ from pnm.core.machine.plan_graph import (
     Recovery,
     Then,
 )
-from pnm.core.machine.requests import TransitionAction
+from pnm.core.machine.requests import CallOutcome, TransitionAction
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, verify
 from pnm.core.net.net import Marking, PetriNet
