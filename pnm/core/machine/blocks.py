@@ -55,10 +55,6 @@ class PlacedRegion:
         self.inner, self.owner, self.place = inner, owner, place
         self.borders: list[PlanEvent | None] = []
         """What the places after those of the orderings stand for; None for the place of a flow without steps."""
-        self.first: list[int] = []
-        """The places that the owner marks."""
-        self.last: list[int] = []
-        """The places that it takes from."""
 
     def border(self, event: PlanEvent | None) -> int:
         """Add a place between the owner and an event."""
@@ -74,6 +70,11 @@ class PlacedRegion:
     def count(self) -> int:
         """How many places there are."""
         return len(self.inner.flow.orderings) + len(self.borders)
+
+    def bordering(self, moment: Moment) -> tuple[int, ...]:
+        """Return the places that the owner marks, at the start of its steps, or those that it takes from, at their ends."""
+        places = enumerate(self.borders, self.place + len(self.inner.flow.orderings))
+        return tuple([place for place, event in places if event is None or event.moment is moment])
 
     @cached_property
     def steps(self) -> Mapping[int, Step]:
@@ -154,8 +155,8 @@ class MachineBlocks(BlockNet[PlacedStep]):
         return dict(self._of_steps(lambda template: template.settling))
 
     @cached_property
-    def alive(self) -> Collection[int]:
-        """The places of calls that are under way."""
+    def alive(self) -> Mapping[int, int]:
+        """The places of calls that are under way, and the call."""
         return dict(self._of_steps(lambda template: template.alive))
 
     @cached_property

@@ -86,7 +86,7 @@ class Builder:
         for inner in template.inner:
             regions.append(self._region(inner, None if step is None else step.index, free))
             free += regions[-1].count
-            ports = (*ports, tuple(regions[-1].first), tuple(regions[-1].last))
+            ports = (*ports, *map(regions[-1].bordering, Moment))
         block = PlacedStep(template, step, place, blocks.count_transitions, tuple(ports), terms)
         blocks.place(block)
         for region in regions:
@@ -107,15 +107,13 @@ class Builder:
             starts, ends = PlanEvent(step.index, Moment.START), PlanEvent(step.index, Moment.END)
             # Only steps that wait for no other are marked by the owner; the others get their tokens along the orderings.
             if starts not in into:
-                region.first.append(region.border(starts))
-                into[starts] = [region.first[-1]]
+                into[starts] = [region.border(starts)]
             # Likewise the owner waits only for those ends that no other step takes from: all others have come before them.
             if ends not in out_of:
-                region.last.append(region.border(ends))
-                out_of[ends] = [region.last[-1]]
+                out_of[ends] = [region.border(ends)]
         # An empty region still needs a place between entering and leaving it, so that the owner has something to take.
         if not inner.flow.steps:
-            region.first = region.last = [region.border(None)]
+            region.border(None)
         self._waiting.extend((step, inner.context) for step in inner.flow.steps)
         return region
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Self, TypeVar
 
 from pnm.core import notebook
 from pnm.core.machine.bindings import Bindings, is_open
-from pnm.core.machine.blocks import MachineBlocks, PlacedStep
+from pnm.core.machine.blocks import MachineBlocks, PlacedRegion, PlacedStep
 from pnm.core.machine.guards import Rule
 from pnm.core.machine.plan_graph import Moment, Ordering, PlanGraph
 from pnm.core.machine.step_block import BlockTemplate
@@ -205,32 +205,34 @@ def _named(blocks: MachineBlocks, chosen: Iterable[PlacedStep], places: Iterable
             outputs[name] = {names[place]: weight for place, weight in block.arcs(template.outputs[number]) if place in names}
         if block.step is not None:
             own[block.step.index] = tuple([names[place] for place in range(block.place, block.place + len(template.places))])
+    orderings, regions = dict[str, Ordering](), dict[PlacedRegion, tuple[list[str], list[str]]]()
+    for place, name in names.items():
+        if isinstance(region := blocks.segment_of(place), PlacedRegion):
+            meant, (first, last) = region.stands_for(place), regions.setdefault(region, ([], []))
+            if isinstance(meant, Ordering):
+                orderings[name] = meant
+                continue
+            first += [name] if meant is None or meant.moment is Moment.START else []
+            last += [name] if meant is None or meant.moment is Moment.END else []
 
     def of(found: Mapping[int, V]) -> dict[str, V]:
         return {name: found[place] for place, name in names.items() if place in found}
 
-    def some(found: Collection[int]) -> tuple[str, ...]:
-        return tuple([names[place] for place in found if place in names])
-
-    regions = (
-        Region(one.owner, frozenset([step.index for step in one.inner.flow.steps]), some(one.first), some(one.last))
-        for one in blocks.regions
-    )
     return {
         "net": PetriNet(tuple(names.values()), inputs, outputs),
         "initial": Marking(of(blocks.initial)),
         "rules": rules,
-        "goal_place": names[blocks.goal],
-        "failed_place": names[blocks.failed],
+        "goal_place": blocks.place_name(blocks.goal),
+        "failed_place": blocks.place_name(blocks.failed),
         "failure_places": of(blocks.failures),
         "restart_places": of(blocks.restarts),
-        "budget_places": frozenset(some(blocks.budgets)),
+        "budget_places": frozenset(name for place, name in names.items() if place in blocks.budgets),
         "resource_places": of(blocks.resources),
         "settling_places": of(blocks.settling),
-        "alive_places": frozenset(some(blocks.alive)),
+        "alive_places": frozenset(of(blocks.alive)),
         "blocks": own,
-        "orderings": {name: one for place, name in names.items() if (one := blocks.ordering(place)) is not None},
-        "regions": tuple(regions),
+        "orderings": orderings,
+        "regions": tuple(Region(one.owner, frozenset(one.steps), *bordering) for one, bordering in regions.items()),
     }
 
 
@@ -245,6 +247,6 @@ def _one_block(machine: PetriNetMachine) -> MachineBlocks:
 
     blocks.resources, blocks.initial = of(machine.resource_places), of(machine.initial)
     blocks.failures, blocks.restarts, blocks.settling = of(machine.failure_places), of(machine.restart_places), of(machine.settling_places)
-    blocks.alive, blocks.budgets = ([number[place] for place in places] for places in (machine.alive_places, machine.budget_places))
+    blocks.alive, blocks.budgets = of(dict.fromkeys(machine.alive_places, -1)), frozenset(of(dict.fromkeys(machine.budget_places)))
     blocks.goal, blocks.failed = number[machine.goal_place], number[machine.failed_place]
     return blocks

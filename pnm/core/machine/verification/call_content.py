@@ -38,7 +38,7 @@ from pnm.core.machine.guards import (
     Rule,
     Withheld,
 )
-from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.machine.machine import PetriNetMachine, Region
 from pnm.core.machine.plan_graph import ActionCall, Moment, PlanGraph, Recovery, Step, Then, flows
 from pnm.core.machine.recovery_block import is_direct
 from pnm.core.machine.requests import OutcomeKind, TransitionAction
@@ -162,14 +162,6 @@ _Compared: TypeAlias = tuple[object, object]
 """What is asked, and what is found."""
 
 
-class Chain(NamedTuple):
-    """Places around steps that a call holds."""
-
-    first: frozenset[str]
-    last: frozenset[str]
-    steps: frozenset[int]
-
-
 @dataclass(frozen=True, kw_only=True)
 class CallNet:
     """The net of one call, whose places are told apart by what happens at them."""
@@ -189,7 +181,8 @@ class CallNet:
     """Places between it and other steps."""
     alive_places: Collection[str]
     """Those that are said to be places of a call that is under way."""
-    chains: Sequence[Chain]
+    held: Sequence[Region]
+    """Around the chains of its recoveries."""
 
     # --- the token of the call ------------------------------------------------------------------
 
@@ -309,9 +302,9 @@ class CallNet:
             return tuple(map(self._option, options))
         return None if all(self.targets[number] for number in ways) else Then.SKIP
 
-    def entered(self, number: int) -> list[Chain]:
+    def entered(self, number: int) -> list[Region]:
         """Return the chains that a transition leads into."""
-        return [chain for chain in self.chains if chain.first <= self.outputs[number].keys()]
+        return [chain for chain in self.held if self.outputs[number].keys() >= {*chain.first}]
 
     def _option(self, number: int) -> object:
         guard = self.rules[number].guard
@@ -320,9 +313,9 @@ class CallNet:
             return condition, self.counted(number), chain.steps, self.ends_of(chain)
         return condition, 0, None, self.course(self.outputs[number])
 
-    def ends_of(self, chain: Chain) -> object:
+    def ends_of(self, chain: Region) -> object:
         """Return how the call goes on after a chain."""
-        taking = (number for number, arcs in enumerate(self.inputs) if chain.last <= arcs.keys())
+        taking = (number for number, arcs in enumerate(self.inputs) if arcs.keys() >= {*chain.last})
         exits = (number for place in self.after(taking) for number in self.exits.get(place, ()))
         ways = [number for number in exits if not isinstance(self.rules[number].guard, _ASIDE)]
         found = [Then.REPLAN if self.rules[number].replans else self.course(self.outputs[number]) for number in ways]
@@ -417,7 +410,7 @@ def _attempts(net: CallNet, call: Asked) -> _Compared:
 
 
 def _times(net: CallNet, call: Asked) -> _Compared:
-    inner = _NOWHERE.union(*(chain.last for chain in net.chains))
+    inner = _NOWHERE.union(*(chain.last for chain in net.held))
     entering = [number for number, arcs in enumerate(net.inputs) if not net.sources[number] and inner.isdisjoint(arcs)]
     guards = (net.rules[number].guard for number in entering)
     return {call.is_timed}, {isinstance(guard, Due) for guard in guards if not isinstance(guard, Ending)}

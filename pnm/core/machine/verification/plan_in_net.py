@@ -90,11 +90,6 @@ def check_places(plan: PlanGraph, blocks: MachineBlocks) -> None:
         for place in range(region.place, region.place + region.count):
             if connected[place] != 3:
                 raise Unsound(f"{blocks.place_name(place)} does not connect two blocks")
-        borders = range(region.place + len(region.inner.flow.orderings), region.place + region.count)
-        for bordering, moment in ((region.first, Moment.START), (region.last, Moment.END)):
-            events = ((one, region.stands_for(one)) for one in borders)
-            if sorted(bordering) != [one for one, event in events if not isinstance(event, PlanEvent) or event.moment is moment]:
-                raise Unsound(f"{region.inner.begin} and {region.inner.end}: not all of its first or last places are known as such")
 
 
 def _check_marking(blocks: MachineBlocks) -> None:

@@ -32,19 +32,19 @@ keeps them, and for that case every wait for resources has another way out.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
+from itertools import chain
 from math import isfinite
-from typing import Final, NamedTuple, TypeAlias, TypeVar
+from typing import Final, NamedTuple, TypeAlias
 
 from pnm.core.machine.blocks import MachineBlocks, PlacedRegion, PlacedStep
 from pnm.core.machine.guards import Adopted, ConditionTrue, Guard, Withheld
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
-from pnm.core.machine.step_block import PORTS
 from pnm.core.machine.verification.block_shape import kinds_of, shape_of
-from pnm.core.machine.verification.call_content import RESOURCES, Asked, AskedOf, CallNet, Chain, WatchedPlaces, check_content, check_guard
+from pnm.core.machine.verification.call_content import RESOURCES, Asked, AskedOf, CallNet, WatchedPlaces, check_content, check_guard
 from pnm.core.machine.verification.decompose import Anatomy, Connected, Event, Owner, PlacedBlock
 from pnm.core.machine.verification.explore import Exploration, NeverFires, explore_part, never_fire
 from pnm.core.machine.verification.part import Inside, Part, Unsound, step_of
@@ -55,7 +55,6 @@ from pnm.core.net.no_collection import no_collection
 from pnm.core.net.when_asked import Remembered
 from pnm.errors import check_kinds, counted
 
-V = TypeVar("V")
 _MALFORMED: Final = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError)
 """What a machine leads to that was tampered with: it may name what it does not have, and have anything in the place of anything."""
 
@@ -161,8 +160,7 @@ class _Contents:
     """Looks at what the calls of a machine do. The mutable state are the kinds of calls that were looked at."""
 
     def __init__(self, machine: PetriNetMachine, blocks: MachineBlocks) -> None:
-        self._blocks, self._asked_of = blocks, AskedOf(machine)
-        self._resources = blocks.resources
+        self._machine, self._resources, self._asked_of = machine, blocks.resources, AskedOf(machine)
         self._looked_at: dict[object, _Watched] = {}
 
     def check(self, block: PlacedStep, call: ActionCall, guards: Sequence[tuple[Guard, Weights]]) -> object:
@@ -180,7 +178,9 @@ class _Contents:
         return kind
 
     def _first(self, block: PlacedStep, asked: Asked) -> _Watched:
-        found = check_content(net_of_block(self._blocks, block, self._resources), asked)
+        places = {*range(block.place, block.place + len(block.template.places)), *chain.from_iterable(block.ports)}
+        part = _part(self._machine, [block], places)
+        found = check_content(net_of(part, asked.step.index, part.net.transitions), asked)
         return tuple([(position, found[number]) for position, number in enumerate(block.template.own) if number in found])
 
 
@@ -245,14 +245,19 @@ def _anatomy_of(sample: _Sample, machine: PetriNetMachine, blocks: MachineBlocks
     chosen = sample.chosen
     own = sample.borders.union(number for block in chosen for number in range(block.place, block.place + len(block.template.places)))
     own.update(number for block in chosen if block.step is not None for places in block.ports for number in places)
-    own.update(number for region in blocks.regions if not region.inner.flow.steps for number in (*region.first, *region.last))
-    part = machine.part(chosen, own)
+    own.update(region.place for region in blocks.regions if not region.inner.flow.steps)
     left_out = (block.place + number for block in sample.left_out for number in range(len(block.template.places)))
     others = [blocks.place_name(number) for number in left_out if number not in own]
-    names = len(own) + len(others) + sum(len(block.template.transitions) for block in chosen)
-    if len({*part.net.places, *part.net.transitions, *others}) < names:
+    return Anatomy(_part(machine, chosen, own, others), _beside(blocks, own))
+
+
+def _part(machine: PetriNetMachine, blocks: Sequence[PlacedStep], places: Collection[int], others: Sequence[str] = ()) -> PetriNetMachine:
+    """Return some of the blocks and places of a machine by name; all of them, and other names, must be different."""
+    part = machine.part(blocks, places)
+    count = len(places) + len(others) + sum(len(block.template.transitions) for block in blocks)
+    if len({*part.net.places, *part.net.transitions, *others}) < count:
         raise Unsound("a name is used twice")
-    return Anatomy(part, _beside(blocks, own))
+    return part
 
 
 def _borders(block: PlacedStep, region: PlacedRegion | None) -> list[list[int]]:
@@ -341,7 +346,6 @@ def explore(machine: PetriNetMachine) -> int:
 def net_of(machine: PetriNetMachine, call: int, transitions: Sequence[str]) -> CallNet:
     """Return the net of a call, given its transitions by name."""
     places = frozenset(place for name in transitions for arcs in (machine.net.inputs, machine.net.outputs) for place in arcs[name])
-    regions = (region for region in machine.regions if region.owner == call)
     return CallNet(
         names=transitions,
         rules=[machine.rules[name] for name in transitions],
@@ -353,38 +357,5 @@ def net_of(machine: PetriNetMachine, call: int, transitions: Sequence[str]) -> C
         resources={place: name for place, name in machine.resource_places.items() if place in places},
         between=places & (machine.orderings.keys() | machine.border_places),
         alive_places=places & machine.alive_places,
-        chains=[Chain(frozenset(region.first), frozenset(region.last), region.steps) for region in regions],
-    )
-
-
-def net_of_block(blocks: MachineBlocks, block: PlacedStep, resources: Mapping[int, str]) -> CallNet:
-    """Return the net of a call by its template, in whose names: a port is one place, but for resources, and none if it leads nowhere."""
-    template = block.template
-    named = {code: [name] if code >= 0 or block.ports[~code] else [] for name, code in template.codes.items()}
-    named[~RESOURCES] = [resources[place] for place in block.ports[RESOURCES]]
-    chains: list[Chain] = []
-    for number in range(len(PORTS), len(block.ports), 2):
-        region = blocks.segment_of(block.ports[number][0])
-        assert isinstance(region, PlacedRegion), "what inner ports stand for was looked at before"
-        first, last = (frozenset(named[~port]) for port in (number, number + 1))
-        chains.append(Chain(first, last, frozenset(step.index for step in region.inner.flow.steps)))
-
-    def arcs(of: Sequence[Iterable[tuple[int, int]]]) -> list[Weights]:
-        return [{name: weight for code, weight in one for name in named[code]} for one in of]
-
-    def names(codes: Iterable[int]) -> frozenset[str]:
-        return frozenset(name for code in codes for name in named[code])
-
-    return CallNet(
-        names=template.transitions,
-        rules=[block.rule(number) for number in range(len(template.transitions))],
-        inputs=arcs(template.inputs),
-        outputs=arcs(template.outputs),
-        failures=names(template.failures),
-        restarts=names(template.restarts),
-        counters={name: template.initial.get(code, 0) for code in template.budgets for name in named[code]},
-        resources={name: name for name in named[~RESOURCES]},
-        between=names(code for code in named if code < 0 and code != ~RESOURCES),
-        alive_places=names(template.alive),
-        chains=chains,
+        held=[region for region in machine.regions if region.owner == call],
     )

@@ -40,12 +40,10 @@ def templates(blocks: MachineBlocks, random: Random) -> None:
 
 def regions(blocks: MachineBlocks, random: Random) -> None:
     one, other = random.choice(blocks.regions), random.choice(blocks.regions)
-    match random.randrange(4):
+    match random.randrange(3):
         case 0:
-            one.first, one.last = one.last, one.first
-        case 1:
             one.owner = random.choice([None, *(block.step.index for block in blocks.placed if block.step), 99])
-        case 2:
+        case 1:
             one.inner, other.inner = other.inner, one.inner
         case _:
             one.borders = one.borders[1:]

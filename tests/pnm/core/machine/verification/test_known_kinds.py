@@ -47,12 +47,6 @@ def with_block(number: int, change: Callable[[PlacedStep], PlacedStep]) -> Petri
     return machine
 
 
-def with_first(change: Callable[[list[int]], None]) -> PetriNetMachine:
-    machine = generate(PLAN)
-    change(blocks_of(machine).regions[0].first)
-    return machine
-
-
 FRAME, CALL = range(2)
 """The first blocks of the plan."""
 RESOURCE = 4
@@ -70,8 +64,6 @@ def in_the_frame(block: PlacedStep) -> PlacedStep:
         (lambda: made_with(lambda named: None, lambda marked: marked.update({INNER: 1})), "other places are marked at first"),
         (lambda: made_with(lambda named: None, lambda marked: marked.update({RESOURCE: 0})), "there is nothing of the resource arm"),
         (lambda: made_with(lambda named: named.update({INNER: "leg"}), lambda marked: None), "there is nothing of the resource leg"),
-        (lambda: with_first(list.clear), "not all of its first or last places are known"),
-        (lambda: with_first(lambda first: first.append(INNER)), "not all of its first or last places are known"),
         (
             lambda: with_block(
                 CALL, lambda block: replace(block, terms=CallTerms(block.terms.context, replace(PLAN.calls[1], index=0), ()))
