@@ -22,7 +22,8 @@ After each symbol the machine *settles*: one transition fires after the other un
 first. Here it is determined, so that the same symbols always give the same firings:
 
 - Between places there is a queue. A place is asked when a token arrives. If no transition may fire there yet, the place is *undecided*:
-  it is asked again when what it reads has changed, when its moment comes, and when the run is stopped, paused, resumed or begins to end.
+  it is asked again when knowledge that it may read has changed, when its moment comes, and when the run is stopped, paused or resumed,
+  or begins to end.
 - At one place the transitions are asked in the order of the net. The first that may fire fires.
 
 The *action* of a transition is what its firing does besides moving tokens: it sends the request of a call or has it cancelled, or writes
@@ -36,17 +37,16 @@ Four ideas go beyond the paper:
 - *Resources* are tokens, so that within a net no two calls have the same arm. Machines that share resources stand in one line for them.
 - A *question* to a person or a database may have to be answered before a guard can be evaluated. The place waits for the answer.
 
-Used here and defined elsewhere: conditions (`pnm.core.logic`), effects (`pnm.core.execution.call_data`), goals and results of calls
-(`pnm.core.execution.call_data`), the firing rule (`pnm.core.net.firing_rule`), the line for resources (`pnm.core.resources`) and answers
-(`pnm.core.execution.questions`). Left out: explanations for people, observers, going on in another process (`Restarted`), and answers
-that a run has from the run before it. `pnm.core.execution.run` is the same machine, made fast: by number, and asking only what may have
-changed. `python -m tests.random_runs reference` holds it against this one, on random machines and symbols.
+Defined elsewhere: conditions, effects, goals and results of calls, the firing rule, the line for resources, and answers. Left out:
+explanations, observers, going on in another process (`Restarted`), and answers that a run has from the run before it.
+`pnm.core.execution.run` is the same machine, made fast: by number, and asking only what may have changed.
+`python -m tests.random_runs reference` holds it against this one, on random machines and symbols.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from math import inf
 from typing import NamedTuple, TypeAlias, assert_never
@@ -59,14 +59,15 @@ from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import Question, Unanswered
 from pnm.core.logic.conditions import Condition, evaluate, ground, names
 from pnm.core.logic.effects import Changes
-from pnm.core.logic.expressions import UNKNOWN, Fluent, Truth
+from pnm.core.logic.expressions import UNKNOWN, Truth
 from pnm.core.machine import guards, requests
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.guards import Opener, Rule
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
+from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import CallOutcome, OutcomeKind, TransitionAction
 from pnm.core.net.firing_rule import fire, is_enabled
-from pnm.core.net.net import Marking, PetriNet
+from pnm.core.net.net import Marking
 from pnm.core.resources import Claim, Resources, RunClaims
 
 _Report: TypeAlias = requests.Accepted | requests.Ended
@@ -118,21 +119,16 @@ class ReferenceRun:
     operated: deque[requests.Ended] = field(default_factory=deque)  # ends of operations on knowledge, which need no server
     has_result: bool = False  # a result was stored, and no place was asked about it yet
     questions: Questions[str] = field(default_factory=Questions)
-    seen: tuple[int, int] = (0, 0)  # how many changes of knowledge there were when places were asked about it last
     firings: list[str] = field(default_factory=list)
     commands: list[events.Command] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        net, self.marking = self.machine.net, self.machine.initial
-        arcs = [{name: dict(weights[name]) for name in net.transitions} for weights in (net.inputs, net.outputs)]
-        self.net = PetriNet(tuple(net.places), *arcs)
-        self.rules: dict[str, Rule] = {name: self.machine.rules[name] for name in net.transitions}
-        self.asked_at = {place: [name for name in net.transitions if place in self.net.inputs[name]] for place in net.places}
+        net, self.rules, self.marking = self.machine.net, self.machine.rules, self.machine.initial
+        self.asked_at = {place: [name for name in net.transitions if place in net.inputs[name]] for place in net.places}
         resources = self.machine.resource_places.keys()
         brings_its_own = {name for name, rule in self.rules.items() if rule.action is TransitionAction.ADOPT}
-        self.claiming = {name for name, inputs in self.net.inputs.items() if resources & inputs.keys()} - brings_its_own
+        self.claiming = {name for name, inputs in net.inputs.items() if resources & inputs.keys()} - brings_its_own
         self.claims = RunClaims[str](self.resources or Resources(self.machine.capacities), self.id, 0)
-        self.seen = self.knowledge.world.changes, self.knowledge.local.changes
         self.identity: Callable[[str], UUID] = requests.identities(self.id)
         for call, taken in self.adopted.items():
             self.alive[taken.request], action = call, taken.call.action
@@ -143,14 +139,9 @@ class ReferenceRun:
     # --- what the marking says ------------------------------------------------------------------
 
     @property
-    def has_reached_goal(self) -> bool:
-        """Whether P_g ∩ m ≠ ∅."""
-        return self._marks(self.machine.goal_places)
-
-    @property
     def is_over(self) -> bool:
-        """Whether it has reached its goal or failed."""
-        return self.has_reached_goal or self._marks([self.machine.failed_place])
+        """Whether it has reached its goal, which is that P_g ∩ m ≠ ∅, or failed."""
+        return self._marks([*self.machine.goal_places, self.machine.failed_place])
 
     @property
     def is_failing(self) -> bool:
@@ -175,7 +166,7 @@ class ReferenceRun:
                 (self._report if self.has_begun else self.early.append)(symbol)
             case events.Begin():
                 self.has_begun, self.origin = True, self.now if self.origin is None else self.origin
-                self._mark([place for place in self.net.places if self.marking[place]], self.now)
+                self._mark([place for place in self.machine.net.places if self.marking[place]], self.now)
             case events.KnowledgeChanged():
                 self._ask_about_knowledge()
             case events.ResourcesChanged():
@@ -183,7 +174,7 @@ class ReferenceRun:
             case events.Tick():
                 due = sorted(moment for moment in self.moments if moment[0] <= self.now)
                 self.moments, self.wake = self.moments.difference(due), NEVER
-                self.queue += [self.net.places[position] for _, position in due]
+                self.queue += [self.machine.net.places[position] for _, position in due]
             case events.Answered(identity, value, message):
                 place = self.questions.answered(identity, value, message)
                 self.queue += [] if place is None else [place]
@@ -207,7 +198,7 @@ class ReferenceRun:
                 self.commands += [events.Cancel(request)] if request in self.alive else []
             case requests.Postponed(request):  # its server has not come to it yet: the limit for its acceptance begins anew
                 for transition in self._opened_by(self.alive.get(request), None):
-                    self.marked_at |= dict.fromkeys(self.net.inputs[transition], self.now)
+                    self.marked_at |= dict.fromkeys(self.machine.net.inputs[transition], self.now)
             case _:
                 assert_never(symbol)
         self._settle()
@@ -218,26 +209,22 @@ class ReferenceRun:
 
     def _report(self, report: _Report) -> None:
         """Fire the transition that a report opens, if its request is alive."""
-        call = self.alive.get(report.request)
+        call, kind = self.alive.get(report.request), None
         if call is None:
             if isinstance(report, requests.Ended):  # of a request that was given up: now its resources are free
                 self.claims.resources.confirm(report.request)
                 self.queue += self.claims.served()
-        elif isinstance(report, requests.Accepted):
-            self._fire_reported(call, None)
-        else:
-            kind = report.outcome.kind
-            if self.attempts[call].accepted is None and kind not in requests.BEFORE_ACCEPTANCE:
-                self._fire_reported(call, None)  # a client may leave out what goes without saying
+            return
+        if isinstance(report, requests.Ended):
+            attempt, kind, context = self.attempts[call], report.outcome.kind, self._context(call, None)
+            if attempt.accepted is None and kind not in requests.BEFORE_ACCEPTANCE:
+                self._report(requests.Accepted(report.request))  # a client may leave out what goes without saying
             del self.alive[report.request]
             if kind is OutcomeKind.SUCCEEDED:
-                if values := call_data.variables_of(report.outcome, self.machine.plan.calls[call], self._context(call, None).binding):
+                if values := call_data.variables_of(report.outcome, self.machine.plan.calls[call], context.binding):
                     self.knowledge.local.store(values)
                     self.has_result = True
-                self.attempts[call].end(self._context(call, None), self.now)
-            self._fire_reported(call, kind)
-
-    def _fire_reported(self, call: int, kind: OutcomeKind | None) -> None:
+                attempt.end(context, self.now)
         for transition in self._opened_by(call, kind)[:1]:
             self._fire(transition, None)
 
@@ -245,11 +232,14 @@ class ReferenceRun:
         """Return the transitions that may fire when the request of the call ends in this way; None stands for its acceptance."""
 
         def is_open(guard: guards.Guard) -> bool:
-            if kind is None:
-                return guard == guards.Accepts(-1 if call is None else call)
-            return isinstance(guard, guards.Ends) and guard.call == call and kind in guard.kinds
+            match guard:
+                case guards.Accepts(of):
+                    return of == call and kind is None
+                case guards.Ends(of, kinds):
+                    return of == call and kind in kinds
+            return False
 
-        return [name for name, rule in self.rules.items() if is_open(rule.guard) and is_enabled(self.net, self.marking, name)]
+        return [name for name, rule in self.rules.items() if is_open(rule.guard) and is_enabled(self.machine.net, self.marking, name)]
 
     def _settle(self) -> None:
         """Fire transitions until none may; then ask to be woken at the next moment."""
@@ -264,7 +254,7 @@ class ReferenceRun:
 
     def _decide(self, place: str) -> None:
         """Fire the first transition that may fire at the place; if there is none, the place is undecided."""
-        is_undecided, has_asked, moment = False, False, NEVER
+        is_undecided, is_in_line, has_asked, moment = False, False, False, NEVER
         for transition in self.asked_at[place]:
             rule, takes = self.rules[transition], transition in self.claiming
             opener = rule.guard.opened_by
@@ -273,50 +263,46 @@ class ReferenceRun:
                 continue
             # A transition that lacks nothing but resources is asked as well: its call has to stand in line for them.
             free = self.machine.resource_places if takes else ()
-            wanted = {one: weight for one, weight in self.net.inputs[transition].items() if one not in free}
+            wanted = {one: weight for one, weight in self.machine.net.inputs[transition].items() if one not in free}
             if not self.marking.covers(wanted) or (has_asked and opener is not Opener.TIME):
                 continue  # while an answer is awaited that may open an earlier transition, no later one fires but those of time
+            is_undecided = True
             try:
-                if self._must_wait(transition, place):
-                    is_undecided = True
+                if self.pause and not self.is_stepping and (takes or rule.action is TransitionAction.SEND):
+                    break  # until the run is resumed
+                if takes and rule.call is not None and not self.claims.are_free(place, self._claim(rule.call, rule.action, place)):
+                    is_in_line = True
                     break
                 opens = self.opens(transition, place)
-                if opens <= self.now and self.asks:
-                    self._foresee(rule, place)
+                if opens <= self.now:
+                    if self.asks and rule.call is not None:  # what it is going to change may depend on questions
+                        if rule.action is TransitionAction.SEND:
+                            self._ready(rule.call, place)
+                        elif rule.action is TransitionAction.FINISH:
+                            self._finished(rule.call, place)
+                    self._fire(transition, place)
+                    return
+                moment = min(moment, opens)
             except Unanswered as needed:
+                has_asked = True
                 self._ask(place, rule.call, needed.question)
-                self._leave_line(place)  # an answer may take long
-                is_undecided = has_asked = True
-                continue
-            if opens <= self.now:
-                self._fire(transition, place)
-                return
-            is_undecided, moment = True, min(moment, opens)
-            if takes:
-                self._leave_line(place)
+        if not is_in_line:  # others need not wait behind what waits for something else, such as an answer, which may take long
+            self._leave_line(place)
         if is_undecided:
             self.undecided.setdefault(place)
         self._ask_again(place, moment)
 
-    def _must_wait(self, transition: str, place: str) -> bool:
-        """Return whether a transition has to wait for the end of a pause, or for the resources of its call."""
-        rule, takes = self.rules[transition], transition in self.claiming
-        if self.pause and not self.is_stepping and (takes or rule.action is TransitionAction.SEND):
-            self._leave_line(place)
-            return True
-        return takes and rule.call is not None and not self.claims.are_free(place, self._claim(rule.call, rule.action, place))
-
     def _fire(self, transition: str, place: str | None) -> None:
         """Carry out the action of a transition and move the tokens. Its place is the one that it was asked at; a report has none."""
         rule, was_ending, marked_at = self.rules[transition], self.is_ending, self.now
-        step, taken, given = rule.call, self.net.inputs[transition], self.net.outputs[transition]
+        step, taken, given = rule.call, self.machine.net.inputs[transition], self.machine.net.outputs[transition]
         if step is not None and transition in self.claiming:
             self.claims.take(step, self._claim(step, rule.action, place))
         if step is not None and step < len(self.machine.plan.calls):
             if isinstance(rule.guard, guards.Adopted):
                 marked_at = self.adopted[step].accepted  # its limits count from there
             self._act(rule, step, place)
-        self.marking = fire(self.net, self.marking, transition)
+        self.marking = fire(self.machine.net, self.marking, transition)
         if step is not None and not given.keys().isdisjoint(self.machine.resource_places):
             if rule.gives_up:  # outside of the net the request keeps its resources until its server says that it is over
                 self.claims.withhold(step, str(self.attempts[step].action))
@@ -363,13 +349,10 @@ class ReferenceRun:
                 return _now_if(self.pause is not None and self.pause.at_once)
             case guards.ConditionTrue(condition):
                 return _now_if(self._truth(condition, rule.call, place) is True)
-            case guards.ConditionFalse(condition):
+            case guards.ConditionFalse(condition) | guards.ConditionUnknown(condition):
                 truth = self._truth(condition, rule.call, place)  # what is not true yet may be about to be reported
-                return self._after(transition, truth is not True, self.knowledge.world.lag(names(condition)))
-            case guards.ConditionUnknown(condition):
-                truth = self._truth(condition, rule.call, place)
                 opens = self._after(transition, truth is not True, self.knowledge.world.lag(names(condition)))
-                return opens if truth is UNKNOWN else NEVER
+                return opens if truth is UNKNOWN or isinstance(guard, guards.ConditionFalse) else NEVER
             case guards.InvariantFalse(condition):
                 return self.attempts[rule.call or 0].breaks(condition, self._context(rule.call, place), self.now)
             case guards.AlreadyTrue(call):
@@ -437,7 +420,7 @@ class ReferenceRun:
             case TransitionAction.BEGIN:
                 changes = attempt.begin(world, self.now)
             case TransitionAction.FINISH:
-                changes = attempt.finish(call_data.finished(attempt.action, attempt.intended, self._context(call, place)), world)
+                changes = attempt.finish(self._finished(call, place), world)
             case TransitionAction.UNDO:
                 changes = attempt.undo(world)
             case _:
@@ -449,14 +432,10 @@ class ReferenceRun:
 
     def _send(self, call: int, place: str | None) -> bool:
         """Send a request of the call, or carry out its operation; return whether that has changed knowledge."""
-        context, request, before = (
-            self._context(call, place),
-            self._claim(call, TransitionAction.SEND, place).request,
-            self.attempts.get(call),
-        )
-        action = call_data.ready(context.action, context)
+        context, before = self._context(call, place), self.attempts.get(call)
+        request = self._claim(call, TransitionAction.SEND, place).request
         # What it intends is computed now: as soon as the robot moves, sensors report some of it.
-        intended = call_data.intention(replace(self.machine.plan.calls[call], action=action), context)
+        action, intended = self._ready(call, place)
         self.attempts[call] = CallAttempt(before.number + 1 if before else 1, request, action, intended)
         self.alive[request], self.is_stepping = call, False
         if action.operation is not None:
@@ -468,6 +447,16 @@ class ReferenceRun:
         self.commands.append(events.Send(requests.Request(request, action, fields, self.counts[call])))
         return False
 
+    def _ready(self, call: int, place: str | None) -> tuple[GroundAction, call_data.Intention]:
+        """Return the action of a request that is sent now, and what it is going to change."""
+        context = self._context(call, place)
+        action = call_data.ready(context.action, context)
+        return action, call_data.intention(replace(self.machine.plan.calls[call], action=action), context)
+
+    def _finished(self, call: int, place: str | None) -> Changes:
+        """Return what the end of a request changes."""
+        return call_data.finished(self.attempts[call].action, self.attempts[call].intended, self._context(call, place))
+
     # --- what is asked outside, and again -------------------------------------------------------
 
     def _context(self, step: int | None, place: str | None) -> EvaluationContext:
@@ -476,14 +465,6 @@ class ReferenceRun:
         if step is None or step >= len(calls):
             return EvaluationContext(self.knowledge, answers=answers, asks=asks)
         return EvaluationContext(self.knowledge, calls[step].action, self.bindings.of(calls[step].action.name), answers, asks)
-
-    def _foresee(self, rule: Rule, place: str) -> None:
-        """Compute what an action is going to change, only to find out on which questions that depends; raise `Unanswered` for one."""
-        context = self._context(rule.call, place)
-        if rule.call is not None and rule.action is TransitionAction.SEND:
-            call_data.intention(replace(self.machine.plan.calls[rule.call], action=call_data.ready(context.action, context)), context)
-        elif rule.call is not None and rule.action is TransitionAction.FINISH:
-            call_data.finished(self.attempts[rule.call].action, self.attempts[rule.call].intended, context)
 
     def _ask(self, place: str, step: int | None, question: Question) -> None:
         need = self.questions.need(place, subject_of(self.machine.plan, step), question, self.now, self.identity)
@@ -495,28 +476,12 @@ class ReferenceRun:
 
     def _ask_again(self, place: str, moment: float) -> None:
         if moment < NEVER:
-            self.moments.add((moment, self.net.places.index(place)))
+            self.moments.add((moment, self.machine.net.places.index(place)))
 
     def _ask_about_knowledge(self) -> None:
-        """Have the undecided places asked again at which a guard reads what has changed since this was done last."""
-        world, local = self.knowledge.world, self.knowledge.local
-        knowing = {t for t, rule in self.rules.items() if rule.guard.opened_by is Opener.KNOWLEDGE}
-        listening = [place for place in self.undecided if knowing & {*self.asked_at[place]}]
-        if not listening:
-            return
-        changed, others, self.seen = world.changed_since(self.seen[0]), local.changed_since(self.seen[1]), (world.changes, local.changes)
-        if changed is None or others is None or any(moment <= self.now for moment, _ in self.moments):  # anything, or time as well
-            self.queue += listening
-        else:
-            self.queue += [place for place in listening if any(self._may_read(t, changed) for t in self.asked_at[place])]
-
-    def _may_read(self, transition: str, fluents: Sequence[Fluent]) -> bool:
-        call, guard, calls = self.rules[transition].call, self.rules[transition].guard, self.machine.plan.calls
-        if guard.opened_by is Opener.REPORT:
-            return False
-        action = None if call is None or call >= len(calls) else calls[call].action
-        reads = call_data.reads_of_guard(guard, action, self.knowledge.world.rules)
-        return transition in self.claiming or reads is None or any(fluent in reads or fluent[0] in reads for fluent in fluents)
+        """Have the undecided places asked again at which a guard reads knowledge."""
+        knowing = {name for name, rule in self.rules.items() if rule.guard.opened_by is Opener.KNOWLEDGE}
+        self.queue += [place for place in self.undecided if knowing.intersection(self.asked_at[place])]
 
     # --- resources ------------------------------------------------------------------------------
 
