@@ -35,7 +35,6 @@ from pnm.core.machine.plan_graph import (
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.core.machine.verification.verify import forget_proofs, verify
 from pnm.core.net.block_net import block_net
-from pnm.core.net.firing_engine import CompiledNet
 from tests.support.benchmarks.executives.plans import machine as from_plan
 from tests.support.benchmarks.workloads import chain_net, checked, firings, fork_join, in_a_row, inline, loop, side_by_side
 from tests.support.runs.timing import seconds
@@ -74,10 +73,10 @@ def main() -> None:
     for make in (chain_net, fork_join):
         costs = {}
         for size in (100, 1_000, 10_000, 100_000):
-            compiled = CompiledNet(block_net(make(size)))
+            net = block_net(make(size))
             rounds = max(1, 100_000 // size)
-            fired = firings(compiled) * rounds
-            costs[size] = seconds(lambda: [firings(compiled) for _ in range(rounds)]) / fired
+            fired = firings(net) * rounds
+            costs[size] = seconds(lambda: [firings(net) for _ in range(rounds)]) / fired
         row = ", ".join(f"{size}: {cost / unit:.0f} units" for size, cost in costs.items())
         print(f"{make.__name__}: a firing at {row}; ratio 100000 / 100 = {costs[100_000] / costs[100]:.2f} (at most 4)")
     for calls in (100, 1_000, 10_000):

@@ -31,7 +31,6 @@ from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.requests import CallOutcome, OutcomeKind, TransitionAction
 from pnm.core.machine.step_block import OWN, BlockTemplate
 from pnm.core.net.block_net import NumberedArcs, Placed
-from pnm.core.net.firing_engine import CompiledNet
 from pnm.core.net.no_collection import no_collection
 from pnm.core.net.when_asked import WhenAsked
 
@@ -141,7 +140,7 @@ class Shape:
         tells = rule.cause is not None or rule.gives_up or rule.outcome is CallOutcome.ALREADY_TRUE
         # whether a place behind a port is counted is another matter for every block
         is_move = [weight for _, weight in (*taken, *given)] == [1, 1] and len(taken) == 1
-        is_move = is_move and not index.counted[into[0]] and not (outputs[0] >= 0 and index.counted[out_of[0]])
+        is_move = is_move and not index.blocks.counted[into[0]] and not (outputs[0] >= 0 and index.blocks.counted[out_of[0]])
         return Firing(
             number,
             rule,
@@ -155,7 +154,7 @@ class Shape:
             fails,
             takes=takes,
             gives=gives,
-            counts=index.unmarked[block.transition + number] > 0,
+            counts=index.blocks.unmarked[block.transition + number] > 0,
             guarded=type(rule.guard),
             is_moment=rule.guard.opened_by is Opener.TIME,
             turns=turns,
@@ -209,8 +208,7 @@ class MachineIndex:
     """
 
     def __init__(self, machine: PetriNetMachine) -> None:
-        self._calls, self._blocks = machine.plan.calls, (blocks := machine.placed)
-        self.unmarked, self.counted = machine.compiled.unmarked, machine.compiled.counted
+        self._calls, self.blocks = machine.plan.calls, (blocks := machine.placed)
         self.settling, self.failures, self.restarts, self.resources = blocks.settling, blocks.failures, blocks.restarts, blocks.resources
         self.records = frozenset((*self.resources, *self.failures, *self.restarts, *blocks.budgets))
         """Places at which nothing is decided."""
@@ -302,34 +300,35 @@ class MachineIndex:
         return closed_call(self._calls[call])
 
     def _limit(self, transition: int) -> float:
-        block = self._blocks.block_of(transition)
+        block = self.blocks.block_of(transition)
         guard = block.guard(transition - block.transition)
         assert isinstance(guard, After), "only a wait has a limit"
         return guard.seconds
 
     def _since(self, transition: int) -> tuple[tuple[int, float], ...]:
-        guard, blocks = self.rules[transition].guard, self._blocks
+        guard, blocks = self.rules[transition].guard, self.blocks
         if not isinstance(guard, Due) or not guard.since:
             return ()
-        names = {blocks.place_name(place): place for place, _ in blocks.inputs(transition)}  # it counts from places that it takes from
+        names = {blocks.place_name(place): place for place, _ in blocks.inputs[transition]}  # it counts from places that it takes from
         return tuple((names[place], delay) for place, delay in guard.since)
 
     def _condition(self, transition: int) -> CompiledCondition | None:
-        block = self._blocks.block_of(transition)
+        block = self.blocks.block_of(transition)
         step, guard = block.step_of(transition - block.transition), block.guard(transition - block.transition)
         is_open = self.is_call(step) and self.closed[step or 0] is None
         return None if is_open or guard.asks is None else compiled(guard.asks)
 
 
-# An index must not hold the net that it belongs to, or none would ever be forgotten.
-_INDICES: Final[WeakKeyDictionary[CompiledNet, MachineIndex]] = WeakKeyDictionary()
+# An index must not hold its machine, or none would ever be forgotten.
+_INDICES: Final[WeakKeyDictionary[PetriNetMachine, MachineIndex]] = WeakKeyDictionary()
 
 
 def index_of(machine: PetriNetMachine) -> MachineIndex:
     """Return the index of a machine, which is made once."""
-    found = _INDICES.get(machine.compiled)
+    found = _INDICES.get(machine)
     if found is None:
-        found = _INDICES[machine.compiled] = MachineIndex(machine)
+        with no_collection():
+            found = _INDICES[machine] = MachineIndex(machine)
     return found
 
 

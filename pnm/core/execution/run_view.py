@@ -76,7 +76,7 @@ class RunView:
         self.observer = observer or SILENT
         self._index = index_of(machine)
         # state
-        self._engine = Engine(machine.compiled, machine.placed.initial)
+        self._engine = Engine(machine.placed, machine.placed.initial)
         self._agenda = Agenda(self._index, knowledge)
         self._fired: list[int] = []
         self._told: list[Told] = []
@@ -93,7 +93,7 @@ class RunView:
         self._claims = RunClaims[int](self.resources, self.task, priority)
         self._guards = Guards(self._state, self._calls, self._claims, self._questions)
         # parts of these, for what every firing looks at
-        self._tokens, self._counted, self._marked_at = self._engine.tokens, machine.compiled.counted, self._state.marked_at
+        self._tokens, self._counted, self._marked_at = self._engine.tokens, machine.placed.counted, self._state.marked_at
         self._places, self._undecided, self._noted = self._agenda.places, self._agenda.undecided, self._questions.noted
         # last, because it may be refused; until then nothing of the shared resources is touched
         self.resources.check_capacities(machine.capacities)

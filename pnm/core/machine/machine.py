@@ -23,9 +23,7 @@ from pnm.core.machine.blocks import MachineBlocks, PlacedRegion, PlacedStep
 from pnm.core.machine.guards import Rule
 from pnm.core.machine.plan_graph import Moment, Ordering, PlanGraph
 from pnm.core.machine.step_block import BlockTemplate
-from pnm.core.net.firing_engine import CompiledNet
 from pnm.core.net.net import Marking, PetriNet, Weights
-from pnm.core.net.no_collection import no_collection
 from pnm.core.net.time_order import TimeOrder, time_order
 
 V = TypeVar("V")
@@ -53,7 +51,7 @@ class Region:
     """Places that are marked when all steps are done, and that the owner takes all at once."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PetriNetMachine:
     """A net with roles, rules, and what it was made from: a plan and bindings.
 
@@ -89,7 +87,7 @@ class PetriNetMachine:
     regions: tuple[Region, ...]
     """The plan itself first."""
     on_failure: OnFailure = OnFailure.DRAIN
-    generated: MachineBlocks | None = field(default=None, init=False, repr=False, compare=False)
+    generated: MachineBlocks | None = field(default=None, init=False, repr=False)
     """The blocks that it was generated as; None if it was made in another way, or a part of it was replaced."""
 
     # --- placed blocks and names ------------------------------------------------------------------
@@ -119,12 +117,6 @@ class PetriNetMachine:
     def placed(self) -> MachineBlocks:
         """Its blocks, all by number."""
         return self.generated or _one_block(self)
-
-    @cached_property
-    def compiled(self) -> CompiledNet:
-        """The net over integers, made once and shared by all runs."""
-        with no_collection():
-            return CompiledNet(self.placed)
 
     @property
     def capacities(self) -> Mapping[str, int]:

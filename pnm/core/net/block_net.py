@@ -10,9 +10,10 @@ from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Generic, Protocol, Self, TypeAlias, TypeVar
+from typing import Any, Final, Generic, Protocol, Self, TypeAlias, TypeVar
 
 from pnm.core.net.net import PetriNet
+from pnm.core.net.when_asked import WhenAsked
 
 NumberedArcs: TypeAlias = list[tuple[int, int]]
 """Places, by number, and the weights of the arcs that connect them to one transition."""
@@ -142,7 +143,10 @@ AnyPlaced = TypeVar("AnyPlaced", bound=Placed)
 
 
 class BlockNet(Generic[AnyPlaced]):
-    """A net by number: its blocks, and the places between them. The mutable state is all of it, until the last block is placed."""
+    """A net by number: its blocks, and the places between them. The mutable state is all of it, until the last block is placed.
+
+    What it knows of a transition or a place is worked out when it is first asked for, and kept: most transitions never fire.
+    """
 
     def __init__(self) -> None:
         self.placed: list[AnyPlaced] = []
@@ -152,6 +156,17 @@ class BlockNet(Generic[AnyPlaced]):
         self._first_transitions: list[int] = []
         self._first_places: list[int] = []
         self.count_places = self.count_transitions = 0
+        # worked out so far
+        self.inputs: Final = WhenAsked(self._inputs)
+        """For every transition, the places that it takes from, and how much of each."""
+        self.outputs: Final = WhenAsked(self._outputs)
+        """The places that it gives to, and how much to each."""
+        self.only_input: Final = WhenAsked(self._only_input)
+        """For every transition that takes one token from one place, that place."""
+        self.consumers: Final = WhenAsked(self._consumers)
+        """For every place, the transitions that take from it, in their order, and how much each does."""
+        self.joins: Final = WhenAsked(self._joins)
+        """Those of them that take more than one token."""
 
     # --- building -----------------------------------------------------------------------------
 
@@ -189,18 +204,19 @@ class BlockNet(Generic[AnyPlaced]):
         block = self.block_of(transition)
         return block.transition_name(transition - block.transition)
 
-    def inputs(self, transition: int) -> NumberedArcs:
-        """Return the places that the transition takes from, and how much of each."""
+    def _inputs(self, transition: int) -> NumberedArcs:
         block = self.block_of(transition)
         return block.arcs(block.template.inputs[transition - block.transition])
 
-    def outputs(self, transition: int) -> NumberedArcs:
-        """Return the places that it gives to, and how much to each."""
+    def _outputs(self, transition: int) -> NumberedArcs:
         block = self.block_of(transition)
         return block.arcs(block.template.outputs[transition - block.transition])
 
-    def consumers(self, place: int) -> NumberedArcs:
-        """Return the transitions that take from the place, in their order, and how much each does."""
+    def _only_input(self, transition: int) -> int | None:
+        inputs = self.inputs[transition]
+        return inputs[0][0] if len(inputs) == 1 and inputs[0][1] == 1 else None
+
+    def _consumers(self, place: int) -> NumberedArcs:
         block, found = self.segment_of(place), list[tuple[int, int]]()
         if isinstance(block, Placed):
             found += [(block.transition + number, weight) for number, weight in block.template.consumers[place - block.place]]
@@ -208,8 +224,12 @@ class BlockNet(Generic[AnyPlaced]):
             found += [(reader.transition + number, weight) for number, weight in reader.template.consumers[port]]
         return sorted(found) if len(found) > 1 else found
 
+    def _joins(self, place: int) -> NumberedArcs:
+        return [(one, weight) for one, weight in self.consumers[place] if self.unmarked[one]]
+
+    @cached_property
     def unmarked(self) -> list[int]:
-        """Return for every transition from how many places it takes; 0 for those that take one token from one place."""
+        """For every transition from how many places it takes; 0 for those that take one token from one place."""
         counts: list[int] = []
         for block in self.placed:
             template = block.template
@@ -218,8 +238,9 @@ class BlockNet(Generic[AnyPlaced]):
                 counts[block.transition + number] = _unmarked(block.arcs(template.inputs[number]))
         return counts
 
+    @cached_property
     def counted(self) -> bytearray:
-        """Return for every place whether some transition takes from it which takes more than one token."""
+        """For every place whether some transition takes from it which takes more than one token."""
         found = bytearray(self.count_places)
         for block in self.placed:
             template = block.template

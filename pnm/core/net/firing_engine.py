@@ -12,37 +12,7 @@ from typing import Any
 
 from pnm.core.net.block_net import BlockNet
 from pnm.core.net.net import Marking
-from pnm.core.net.when_asked import WhenAsked
 from pnm.errors import NotEnabled
-
-
-class CompiledNet:
-    """A net as adjacency lists over numbers; shared by any number of engines.
-
-    What it knows of a transition or a place is worked out when it is first asked for, and kept: most transitions never fire.
-    """
-
-    def __init__(self, net: BlockNet[Any]) -> None:
-        self.net = net
-        self.inputs = WhenAsked(net.inputs)
-        self.outputs = WhenAsked(net.outputs)
-        self.consumers = WhenAsked(net.consumers)
-        """Of every place. Only consumers are indexed: a change of tokens can enable or disable nothing else."""
-        self.unmarked = net.unmarked()
-        """For every transition that takes more than one token, how many places hold too little when none is marked; 0 for all others."""
-        self.counted = net.counted()
-        """For every place, whether some consumer takes more than one token."""
-        self.only_input = WhenAsked(self._only_input)
-        """For every transition that takes one token, its place."""
-        self.joins = WhenAsked(self._joins)
-        """For every place, the consumers that take more than one token."""
-
-    def _only_input(self, transition: int) -> int | None:
-        inputs = self.inputs[transition]
-        return inputs[0][0] if len(inputs) == 1 and inputs[0][1] == 1 else None
-
-    def _joins(self, place: int) -> list[tuple[int, int]]:
-        return [(one, weight) for one, weight in self.consumers[place] if self.unmarked[one]]
 
 
 class Engine:
@@ -52,41 +22,41 @@ class Engine:
     those that take one token.
     """
 
-    def __init__(self, compiled: CompiledNet, marking: Mapping[int, int]) -> None:
-        self.compiled = compiled
-        self.tokens = [0] * compiled.net.count_places
-        self.missing = compiled.unmarked.copy()
+    def __init__(self, net: BlockNet[Any], marking: Mapping[int, int]) -> None:
+        self.net = net
+        self.tokens = [0] * net.count_places
+        self.missing = net.unmarked.copy()
         # An initial marking is added like any other tokens.
         for place, count in marking.items():
             self._add(place, count)
 
     def is_enabled(self, transition: int) -> bool:
         """Return whether the marking covers the transition's preset."""
-        only = self.compiled.only_input[transition]
+        only = self.net.only_input[transition]
         return self.missing[transition] == 0 if only is None else self.tokens[only] > 0
 
     def lacking(self, transition: int) -> set[int]:
         """Return the places of the transition's preset that do not hold enough tokens."""
-        return {place for place, weight in self.compiled.inputs[transition] if self.tokens[place] < weight}
+        return {place for place, weight in self.net.inputs[transition] if self.tokens[place] < weight}
 
     def fire(self, transition: int, times: int = 1) -> None:
         """Fire the transition `times` at once; raise `NotEnabled`, and change nothing, if the marking does not cover the preset."""
-        compiled, tokens = self.compiled, self.tokens
-        only, taken, given = compiled.only_input[transition], compiled.inputs[transition], compiled.outputs[transition]
+        net, tokens = self.net, self.tokens
+        only, taken, given = net.only_input[transition], net.inputs[transition], net.outputs[transition]
         # Checked before any token moves, so that a refused firing leaves the marking as it was.
         # `missing` counts places for a single firing only; several at once need the weights to be looked at.
         if times > 1 or (self.missing[transition] if only is None else not tokens[only]):
-            name = compiled.net.place_name
+            name = net.place_name
             short = {name(place): weight * times - tokens[place] for place, weight in taken if tokens[place] < weight * times}
             if short:
-                raise NotEnabled(compiled.net.transition_name(transition), short)
+                raise NotEnabled(net.transition_name(transition), short)
         if times > 1:
             taken, given = ([(place, weight * times) for place, weight in arcs] for arcs in (taken, given))
         self.move(taken, given)
 
     def move(self, taken: Sequence[tuple[int, int]], given: Sequence[tuple[int, int]]) -> None:
         """Fire a transition that is known to be enabled, and of which all arcs are given."""
-        tokens, counted = self.tokens, self.compiled.counted
+        tokens, counted = self.tokens, self.net.counted
         # A place that is both input and output is first emptied and then filled: each change is small and keeps `missing` exact.
         for place, weight in taken:
             if counted[place]:
@@ -102,7 +72,7 @@ class Engine:
     def _add(self, place: int, count: int) -> None:
         missing, before = self.missing, self.tokens[place]
         after = self.tokens[place] = before + count
-        for transition, weight in self.compiled.joins[place]:
+        for transition, weight in self.net.joins[place]:
             # Only a change across the weight matters: the place begins, or ceases, to be covered for this consumer.
             if before < weight <= after:
                 missing[transition] -= 1
@@ -111,4 +81,4 @@ class Engine:
 
     def marking(self) -> Marking:
         """Return the current marking."""
-        return Marking({self.compiled.net.place_name(place): count for place, count in enumerate(self.tokens) if count})
+        return Marking({self.net.place_name(place): count for place, count in enumerate(self.tokens) if count})

@@ -11,7 +11,8 @@ from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import Constant, Fluent
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
-from pnm.core.net.firing_engine import CompiledNet, Engine
+from pnm.core.net.block_net import BlockNet, Placed
+from pnm.core.net.firing_engine import Engine
 from pnm.core.net.net import NetBuilder, PetriNet
 
 
@@ -45,17 +46,17 @@ def fork_join(length: int, width: int = 8) -> PetriNet:
     return net.build()
 
 
-def firings(compiled: CompiledNet) -> int:
+def firings(net: BlockNet[Placed]) -> int:
     """Fire until nothing is enabled, following the token of the first place; return the number of firings."""
-    engine = Engine(compiled, {0: 1})
+    engine = Engine(net, {0: 1})
     agenda, fired = [0], 0
     while agenda:
         place = agenda.pop()
-        for transition, _ in compiled.consumers[place]:
+        for transition, _ in net.consumers[place]:
             if engine.is_enabled(transition):
                 engine.fire(transition)
                 fired += 1
-                agenda.extend(one for one, _ in compiled.outputs[transition])
+                agenda.extend(one for one, _ in net.outputs[transition])
     return fired
 
 

@@ -84,7 +84,7 @@ def check_places(plan: PlanGraph, blocks: MachineBlocks) -> None:
         release = block.step.earliest if isinstance(block.step, ActionCall) else 0.0
         for transition, _ in block.template.consumers[~PORTS.index(Port.STARTS_AFTER)] if release or delays else ():
             number = block.transition + transition
-            inputs = [blocks.place_name(place) for place, _ in blocks.inputs(number)]
+            inputs = [blocks.place_name(place) for place, _ in blocks.inputs[number]]
             _check_times(blocks.transition_name(number), blocks.rule(number), inputs, release, delays)
     for region in blocks.regions:
         for place in range(region.place, region.place + region.count):

@@ -39,12 +39,12 @@ def test_arcs_by_number_are_those_by_name(number: int) -> None:
     by_blocks, by_name = machine.placed, written_out(machine).placed
     assert (len(by_name.placed), by_name.regions) == (1, [])
     for transition in range(len(machine.net.transitions)):
-        assert by_blocks.inputs(transition) == by_name.inputs(transition)
-        assert by_blocks.outputs(transition) == by_name.outputs(transition)
+        assert by_blocks.inputs[transition] == by_name.inputs[transition]
+        assert by_blocks.outputs[transition] == by_name.outputs[transition]
     for place in range(len(machine.net.places)):
-        assert by_blocks.consumers(place) == by_name.consumers(place)
-    assert by_blocks.unmarked() == by_name.unmarked()
-    assert by_blocks.counted() == by_name.counted()
+        assert by_blocks.consumers[place] == by_name.consumers[place]
+    assert by_blocks.unmarked == by_name.unmarked
+    assert by_blocks.counted == by_name.counted
 
 
 @pytest.mark.parametrize("number", range(30))

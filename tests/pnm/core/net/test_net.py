@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.core.net.block_net import block_net
-from pnm.core.net.firing_engine import CompiledNet, Engine
+from pnm.core.net.firing_engine import Engine
 from pnm.core.net.firing_rule import enabled, fire, is_enabled
 from pnm.core.net.net import Arc, Marking, NetBuilder, NetError, PetriNet
 from pnm.errors import NotEnabled
@@ -58,8 +58,8 @@ def missing_inputs(net: PetriNet, marking: Marking) -> list[int]:
 @given(runs())
 def test_engine_definition_and_matrix_equation_agree(run: tuple[PetriNet, Marking, list[Firing]]) -> None:
     net, marking, firings = run
-    compiled = CompiledNet(block_net(net))
-    engine, dense = Engine(compiled, numbered(net, marking)), np.array(tokens(net, marking))
+    blocks = block_net(net)
+    engine, dense = Engine(blocks, numbered(net, marking)), np.array(tokens(net, marking))
     incidence = np.array(net.incidence(), dtype=np.int64).reshape(len(net.transitions), len(net.places))
     for transition, times in firings:
         number = net.transitions.index(transition)
@@ -78,8 +78,8 @@ def test_engine_definition_and_matrix_equation_agree(run: tuple[PetriNet, Markin
 @given(runs())
 def test_a_refused_firing_says_what_is_missing_and_changes_nothing(run: tuple[PetriNet, Marking, list[Firing]]) -> None:
     net, marking, firings = run
-    compiled = CompiledNet(block_net(net))
-    engine = Engine(compiled, numbered(net, marking))
+    blocks = block_net(net)
+    engine = Engine(blocks, numbered(net, marking))
     before = dict(marking), list(engine.tokens), list(engine.missing)
     for transition, times in firings:
         if is_enabled(net, marking, transition, times):
@@ -98,11 +98,11 @@ def test_a_refused_firing_says_what_is_missing_and_changes_nothing(run: tuple[Pe
 @given(runs())
 def test_firing_n_times_at_once_is_firing_n_times(run: tuple[PetriNet, Marking, list[Firing]]) -> None:
     net, marking, firings = run
-    compiled = CompiledNet(block_net(net))
+    blocks = block_net(net)
     for transition, times in firings:
         if not is_enabled(net, marking, transition, times):
             continue
-        singly, engine = marking, Engine(compiled, numbered(net, marking))
+        singly, engine = marking, Engine(blocks, numbered(net, marking))
         for _ in range(times):
             singly = fire(net, singly, transition)
             engine.fire(net.transitions.index(transition))
@@ -122,7 +122,7 @@ def test_of_two_transitions_in_conflict_only_one_fires() -> None:
     assert enabled(net, after) == ()
     with pytest.raises(NotEnabled, match=r"^other is not enabled; missing tokens: {'token': 1}$"):
         fire(net, after, "other")
-    engine = Engine(CompiledNet(block_net(net)), numbered(net, start))
+    engine = Engine(block_net(net), numbered(net, start))
     engine.fire(0)
     with pytest.raises(NotEnabled, match=r"^other is not enabled; missing tokens: {'token': 1}$"):
         engine.fire(1)
@@ -133,7 +133,7 @@ def test_only_what_is_missing_is_said_to_be() -> None:
     net, marking = loan().build(), Marking({"shelf": 3, "card": 2})
     for refused in (
         lambda: fire(net, marking, "borrow", 2),
-        lambda: Engine(CompiledNet(block_net(net)), numbered(net, marking)).fire(0, 2),
+        lambda: Engine(block_net(net), numbered(net, marking)).fire(0, 2),
     ):
         with pytest.raises(NotEnabled, match=r"^borrow is not enabled; missing tokens: {'shelf': 1}$"):
             refused()
@@ -142,8 +142,8 @@ def test_only_what_is_missing_is_said_to_be() -> None:
 @given(runs())
 def test_engines_of_one_compiled_net_do_not_share_a_marking(run: tuple[PetriNet, Marking, list[Firing]]) -> None:
     net, marking, _ = run
-    compiled = CompiledNet(block_net(net))
-    engine, other = Engine(compiled, numbered(net, marking)), Engine(compiled, numbered(net, marking))
+    blocks = block_net(net)
+    engine, other = Engine(blocks, numbered(net, marking)), Engine(blocks, numbered(net, marking))
     for transition in enabled(net, marking)[:1]:
         engine.fire(net.transitions.index(transition))
     assert other.marking() == marking
