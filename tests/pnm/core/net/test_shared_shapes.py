@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from random import Random
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -17,6 +18,7 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.guards import Rule
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
+from pnm.core.machine.verification.verify import verify
 from tests.support.benchmarks.workloads import in_a_row, inline
 from tests.support.runs.commands import RUN
 from tests.support.runs.mutation.machines import random_machine, written_out
@@ -58,6 +60,16 @@ def test_what_is_known_of_a_shape_does_not_grow_with_its_calls() -> None:
     made = sum(len(shape.firings) for shape in shapes.values())
     assert len(shapes) == 3, "of all calls, of the frame before them, and of the frame after them"
     assert made < 40
+
+
+def test_a_machine_is_proved_and_executed_without_its_names() -> None:
+    machine = generate(in_a_row(3))
+    verify(machine)
+    inline(Run(machine, Layered(KnowledgeBase()), id=RUN))
+    assert vars(machine).keys().isdisjoint(("net", "rules", "initial"))
+    assert machine.rules is machine.rules
+    with pytest.raises(AttributeError, match="a machine has no 'ruels'"):
+        assert machine.ruels  # type: ignore[attr-defined]
 
 
 def test_each_block_of_a_shape_asks_for_its_own_condition() -> None:
