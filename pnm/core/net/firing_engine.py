@@ -23,7 +23,7 @@ class Engine:
     """
 
     def __init__(self, net: BlockNet[Any], marking: Mapping[int, int]) -> None:
-        self.net = net
+        self.net, self._counted, self._joins = net, net.counted, net.joins
         self.tokens = [0] * net.count_places
         self.missing = net.unmarked.copy()
         # An initial marking is added like any other tokens.
@@ -56,7 +56,7 @@ class Engine:
 
     def move(self, taken: Sequence[tuple[int, int]], given: Sequence[tuple[int, int]]) -> None:
         """Fire a transition that is known to be enabled, and of which all arcs are given."""
-        tokens, counted = self.tokens, self.net.counted
+        tokens, counted = self.tokens, self._counted
         # A place that is both input and output is first emptied and then filled: each change is small and keeps `missing` exact.
         for place, weight in taken:
             if counted[place]:
@@ -72,7 +72,7 @@ class Engine:
     def _add(self, place: int, count: int) -> None:
         missing, before = self.missing, self.tokens[place]
         after = self.tokens[place] = before + count
-        for transition, weight in self.net.joins[place]:
+        for transition, weight in self._joins[place]:
             # Only a change across the weight matters: the place begins, or ceases, to be covered for this consumer.
             if before < weight <= after:
                 missing[transition] -= 1
