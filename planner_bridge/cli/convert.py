@@ -13,9 +13,9 @@ from planner_bridge.cli.consoles.safe_console import SafeConsole
 from planner_bridge.cli.options import FILE, bindings_option, command, force_option, output_options, planning, write, write_files
 from planner_bridge.pipeline.loading import bindings_for
 from planner_bridge.yaml.convert import exported, imported
+from planner_bridge.yaml.schema import schema_text
 from planner_bridge.yaml.write_bindings import unwritten
 from pnm.errors import InputError
-from pnm.language.files import SCHEMA
 
 
 @click.command(epilog="Example: pnm export domain.pddl problem.pddl -o robots.yaml --with-plan")
@@ -90,5 +90,5 @@ def schema(output: Path | None, force: bool) -> int:
 
     Editors complete and check plans, domains and worlds with it.
     """
-    write(output, SCHEMA.read_text(encoding="utf-8"), force=force)
+    write(output, schema_text(), force=force)
     return 0

@@ -26,7 +26,7 @@ from pnm.errors import Position
 from pnm.files.yaml_nodes import Mapped, Node
 from pnm.language.declarations import declaration_parts, read_facts
 from pnm.language.formulas.conditions import read_condition
-from pnm.language.formulas.effects import MOMENTS, read_effects
+from pnm.language.formulas.effects import ConditionsByMoment, read_effects
 from pnm.language.formulas.scope import ANYTHING, read_names
 
 _COMMENT: Final = re.compile(r"(?:(?<=\s)|(?<=\A)|(?<=\ufeff))#[^\r\n]*")
@@ -183,7 +183,7 @@ class _Anchors:
         if node.items is not None:
             for item in node.items:
                 yield from self._formulas(item, path, form)
-        elif keys in (["and"], ["logicaland"]) or (keys and set(keys) <= set(MOMENTS)):
+        elif keys in (["and"], ["logicaland"]) or (keys and set(keys) <= set(ConditionsByMoment.known)):
             for _, _, value in entries:
                 yield from self._formulas(value, path, form)
         elif not node.is_null and (keys or not node.is_mapping):

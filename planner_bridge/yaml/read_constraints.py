@@ -14,24 +14,67 @@ from pnm.core.logic.domain import Preference
 from pnm.core.logic.expressions import Constant, ValueOf, Variable, expression_fluents
 from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError, suggestion
+from pnm.files.yaml_keys import Key, Keys, Schema, listed, needed, pair, ref, text, written
 from pnm.files.yaml_nodes import Mapped, Node
-from pnm.language.formulas.conditions import read_condition, read_expression, read_quantified
+from pnm.language.formulas.conditions import Quantified, read_condition, read_expression, read_quantified
 from pnm.language.formulas.scope import FormulaScope, read_typed
-from pnm.language.formulas.words import needed_form
+from pnm.language.formulas.words import CONDITION, Words, needed_form
 
-CONSTRAINT_WORDS: Final[Mapping[str, tuple[int, int]]] = {**CONSTRAINTS, "at_end": (0, 1)}
+_COUNTS: Final[Mapping[str, tuple[int, int]]] = {**CONSTRAINTS, "at_end": (0, 1)}
 """For every operator of a constraint, how many times and how many conditions it takes."""
+_ABOUT: Final = {
+    "always": "all the time",
+    "sometime": "at some time",
+    "at-most-once": "at one time at most",
+    "at_end": "at the end",
+    "sometime-after": "the second at some time after the first",
+    "sometime-before": "the second at some time before the first",
+    "within": "before so many seconds have passed",
+    "always-within": "the second within so many seconds of the first",
+    "hold-during": "between two times",
+    "hold-after": "after so many seconds",
+}
+_CONSTRAINT: Final = ref("constraint")
+_EXPRESSION: Final = ref("expression")
+
+
+class QuantifiedConstraint(Quantified):
+    """A constraint on all objects of some types."""
+
+    body = needed(_CONSTRAINT, "the constraint on them").named("constraint")
+
+
+def _operands(times: int, conditions: int) -> Schema:
+    return CONDITION if (times, conditions) == (0, 1) else pair(*[_EXPRESSION] * times, *[CONDITION] * conditions)
+
+
+CONSTRAINT_WORDS: Final[Words] = {
+    **{word: (_ABOUT[word], _operands(*counts)) for word, counts in _COUNTS.items()},
+    "forall": ("for all objects of some types", QuantifiedConstraint.json()),
+}
+"""The words that a constraint begins with."""
+METRIC_WORDS: Final[Words] = {"minimize": ("as small as can be", _EXPRESSION), "maximize": ("as large as can be", _EXPRESSION)}
 _MOMENTS: Final[Mapping[str, TimeSpecifier]] = {moment.replace(" ", "_"): moment for moment in TIME_SPECIFIERS}
 _DIRECTIONS: Final[Mapping[str, Literal["minimize", "maximize"]]] = {"minimize": "minimize", "maximize": "maximize"}
 
 
+class PreferenceKeys(Keys):
+    """A preference."""
+
+    name = text("a name that a metric may count it by")
+    variables = listed(ref("typed"), "for all objects of these types")
+    moment = Key(Mapped.string, {"enum": [*_MOMENTS]}, "when, for a durative action")
+    condition = written(CONDITION, "the condition that should hold")
+    constraints = listed(ref("constraints"), "the constraints that should hold")
+
+
 def read_constraint(node: Node, scope: FormulaScope, variables: tuple[Variable, ...] = ()) -> Constraint:
     """Read a constraint, around which these variables are bound."""
-    construct = needed_form(node, (*CONSTRAINT_WORDS, "forall"), "a constraint")
+    construct = needed_form(node, CONSTRAINT_WORDS, "a constraint")
     if construct.word == "forall":
-        inner, body = read_quantified(construct, "constraint", scope)
+        inner, body = read_quantified(QuantifiedConstraint(construct.argument.mapped()), scope)
         return read_constraint(body, scope.inside(inner), (*variables, *inner))
-    times, conditions = CONSTRAINT_WORDS[construct.word]
+    times, conditions = _COUNTS[construct.word]
     operands = construct.items(times + conditions) if times + conditions > 1 else (construct.argument,)
     wanted = tuple([read_condition(operand, scope) for operand in operands[times:]])
     seconds: list[float] = []
@@ -45,18 +88,18 @@ def read_constraint(node: Node, scope: FormulaScope, variables: tuple[Variable, 
 
 def read_preference(node: Node, scope: FormulaScope, *, timed: bool = False) -> Preference:
     """Read a preference; `timed` if it stands in a durative action, where it needs a moment."""
-    entry = node.mapped()
-    entry.only("name", "variables", "moment", "condition", "constraints")
+    keys = PreferenceKeys(node.mapped())
+    entry = keys.entry
     variables: tuple[Variable, ...] = ()
-    for quantifier in entry.listed("variables"):  # one for each text, which may hide variables of those before it
+    for quantifier in keys.variables:  # one for each text, which may hide variables of those before it
         variables += read_typed(quantifier, scope)
     scope = scope.inside(variables)
     wanted: Condition | tuple[Constraint, ...]
     if "constraints" in entry.nodes:
-        wanted = tuple([read_constraint(constraint, scope) for constraint in entry.listed("constraints")])
+        wanted = tuple([read_constraint(constraint, scope) for constraint in keys.constraints])
     else:
         wanted = read_condition(entry.needed("condition"), scope)
-    moment = entry.string("moment")
+    moment = keys.moment
     if moment is not None and moment not in _MOMENTS:
         hint = suggestion(moment, _MOMENTS.keys()) or f"expected one of {', '.join(_MOMENTS)}"
         raise InputError(f"unknown moment {moment!r}; {hint}", entry.position("moment"))
@@ -64,7 +107,7 @@ def read_preference(node: Node, scope: FormulaScope, *, timed: bool = False) -> 
         raise InputError("only a preference in an action with a duration has a moment", entry.position("moment"))
     if moment is None and timed:
         raise InputError(f"a preference in an action with a duration needs a moment, one of {', '.join(_MOMENTS)}", entry.start)
-    return Preference(entry.string("name") or "", wanted, variables, None if moment is None else _MOMENTS[moment])
+    return Preference(keys.name or "", wanted, variables, None if moment is None else _MOMENTS[moment])
 
 
 def is_about_states(node: Node) -> bool:
@@ -72,12 +115,11 @@ def is_about_states(node: Node) -> bool:
     return "constraints" not in node.mapped().nodes
 
 
-def read_metric(entry: Mapped, scope: FormulaScope, preferences: Collection[str]) -> Metric | None:
-    """Read the key ``metric``; the names are those of the preferences that it may count."""
-    node = entry.filled("metric")
+def read_metric(node: Node | None, scope: FormulaScope, preferences: Collection[str]) -> Metric | None:
+    """Read a metric; the names are those of the preferences that it may count."""
     if node is None:
         return None
-    construct = needed_form(node, _DIRECTIONS, "a metric")
+    construct = needed_form(node, METRIC_WORDS, "a metric")
     argument = construct.argument
     expression = read_expression(argument)
     if isinstance(expression, Constant) and isinstance(expression.value, str):

@@ -22,7 +22,7 @@ from pnm.core.logic.rules import DerivationRule
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import MAX_DEPTH
-from pnm.language.actions import RESERVED
+from pnm.language.grammar import RESERVED
 
 SCHEMA_MARK: Final = "# yaml-language-server:"
 """Begins a comment that is for editors."""

@@ -3,21 +3,96 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator
-from dataclasses import fields
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
 from pnm.core.knowledge_base import parse_fluent
 from pnm.core.logic.domain import Vocabulary
-from pnm.core.machine.bindings import _NAME, DEFAULT, Binding, Bindings, Foreign, Table, WhenLost, placeholders
+from pnm.core.machine.bindings import _NAME, DEFAULT, NO_BINDINGS, Binding, Bindings, Foreign, Table, WhenLost, placeholders
 from pnm.errors import InputError, Position
+from pnm.files.yaml_keys import ANYTHING, Keys, Schema, choice, each, flag, names, node, number, ref, text, texts, whole
 from pnm.files.yaml_nodes import Mapped, Node, load_yaml
-from pnm.knowledge.field_reader import field_test, field_value
+from pnm.knowledge.field_reader import FieldTest, TabledField, field_test, field_value
 
 _SERVER: Final = re.compile(r"~?[\w/{}]+", re.ASCII)
 """The name of an action server, in whose braces parameters stand."""
 _TYPE: Final = re.compile(r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*")
+
+
+class BindingKeys(Keys):
+    """The binding of an action to its server."""
+
+    server = text(
+        "name of the action server; `{robot}` stands for the argument of `?robot`. A name without `/` is relative to the node",
+        "the action's name",
+    )
+    several_servers = flag("`true` if several servers may have this name; all of them carry out every goal", "refused")
+    ros_type = text("such as `nav2_msgs/action/NavigateToPose`", "found in the ROS graph").named("type")
+    goal = node(
+        {"type": ["object", "null"]},
+        "goal fields: `?to` a parameter, `$name` a variable, `(pose ?to)` a function, "
+        '`{of: "?to", table: {kitchen: …}}` a row of a table, else a constant',
+        "by name",
+    )
+    success = node(
+        ref("fieldTest"),
+        "test of the result of a server that always succeeds: `{field: status.code, eq: 0}`",
+        "success as reported",
+    )
+    reason = node(
+        {"if": {"type": "object"}, "then": TabledField.json(), "else": {"type": ["string", "null"]}},
+        "the result field with the reason of a failure; with a table for numbers: `{field: code, table: {1: no path}}`",
+        "`message`, `error_msg`, `error_string`",
+    )
+    final = node(
+        ref("fieldTest"),
+        "test of the result: another attempt is useless, so the call is not tried again in this plan",
+        "another attempt may help",
+    )
+    store = texts(
+        "expected result fields and the variables to store them in",
+        "result fields, and the variables that keep them: `{time: travel_time}`",
+        "every field, by its own name",
+    )
+    timeout = number(
+        "seconds from acceptance until the goal is cancelled", None, "twice the planned duration, 10 at least; 60 without a duration"
+    )
+    accept = number("seconds for the server to answer a goal", DEFAULT.accept)
+    cancel = number("seconds for the server to confirm a cancellation", DEFAULT.cancel)
+    retries = whole(
+        "further attempts of a failed call within one plan, without a recovery; a rest of the plan that still works is another plan",
+        DEFAULT.retries,
+    )
+    ask = texts(
+        "expected variables, and what a person is asked when nobody knows them",
+        'variables, and questions to a person when they are unknown: `{drink: "What would {guest} like?"}`',
+        "nobody is asked",
+    )
+    resources = names('exclusive resources of a running call: `[arm]`, `["{robot}/base"]`. Calls with the same resource take turns', "none")
+    foreign = choice(
+        Foreign,
+        "while the server works for other programs: `wait` for them, `cancel` them, or `share` the server",
+        "`wait` if there are resources, else `share`",
+    )
+    when_lost = choice(
+        WhenLost,
+        "when a restarted server does not know the call: `replan` (it has failed, and is not repeated where its effects are observed), "
+        "`resend` it once, `ask` a person, `abort` the task",
+        "`replan`",
+    )
+
+
+DEFINITIONS: Final[Mapping[str, Schema]] = {"fieldTest": FieldTest.json()}
+"""The definitions of a schema for the parts of bindings."""
+
+
+class BindingsFile(Keys):
+    """A file of bindings."""
+
+    actions = each(BindingKeys, ANYTHING, "the bindings, by action", "none")
+    assumed = names("predicates and functions without a sensor, also in simulation", "all that nothing reports")
+    lag = number("seconds by which reports may be late: checks wait so long for an effect", NO_BINDINGS.lag)
 
 
 def read_bindings(path: Path | str, known: Vocabulary | None = None) -> Bindings:
@@ -33,71 +108,60 @@ def bindings_in(top: Mapped, known: Vocabulary | None = None, *, strangers: bool
         known: the declared names.
         strangers: whether there may be bindings of actions that are not declared.
     """
-    top.only("actions", "assumed", "lag")
-    for key, where, node in top.section("actions").entries():
-        if key in binding_keys("type") and not (node.is_mapping or node.is_null):
+    file = BindingsFile(top)
+    for key, where, value in top.section("actions").entries():
+        if key in BindingKeys.known and not (value.is_mapping or value.is_null):
             raise InputError(f"{key!r} belongs under an action: two more spaces before it", where)
-    entries = top.mapping("actions")
-    actions: dict[str, Binding] = {}
-    for name, entry in entries.items():
-        entry.only(*binding_keys("type"))
-        actions[name] = read_binding(entry)
+    entries = file.actions
+    actions = {name: read_binding(keys) for name, keys in entries.items()}
     if known is not None:
-        for name, entry in entries.items():
+        for name, keys in entries.items():
+            entry = keys.entry
             if strangers and name not in known.actions:
                 continue
             known.check_action(name, entry.start)
             for parameter in placeholders(actions[name].server or ""):
                 known.check_parameter(name, parameter, entry.position("server"))
-            for pattern, position in _read_resources(entry):
+            for pattern, position in _read_resources(keys):
                 for parameter in placeholders(pattern):
                     known.check_parameter(name, parameter, position)
-            if (goal := entry.filled("goal")) is not None:
-                _check_sources(goal, name, known)
-        for name in () if strangers else top.strings("assumed"):
+            if keys.goal is not None:
+                _check_sources(keys.goal, name, known)
+        for name in () if strangers else file.assumed:
             known.check_set(name, top.position("assumed"))
-    return Bindings(actions, frozenset(top.strings("assumed")), top.number("lag", 1.0))
+    return Bindings(actions, frozenset(file.assumed), file.lag)
 
 
-def binding_keys(type_key: str) -> tuple[str, ...]:
-    """Return the keys of a binding, in files in which the type of the ROS action stands under `type_key`."""
-    return tuple(type_key if field.name == "type" else field.name for field in fields(Binding) if field.compare)
-
-
-def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAULT.retries) -> Binding:
-    """Read the binding of one action; other keys of the entry are ignored.
-
-    The type of the ROS action stands under `type_key`; `retries` is the number of an action that gives none.
-    """
-    goal, success, reason, final = map(entry.filled, ("goal", "success", "reason", "final"))
+def read_binding(keys: BindingKeys) -> Binding:
+    """Read the binding of one action."""
+    entry, goal, success, reason, final = keys.entry, keys.goal, keys.success, keys.reason, keys.final
     if goal is not None and not goal.is_mapping:
         raise goal.wrong("expected goal fields and their values")
-    server = entry.string("server")
+    server, action_type, type_key = keys.server, keys.ros_type, type(keys).ros_type.name
     if server is not None:
         check_pattern(server, entry.position("server"), "/{robot}/navigate")
         if _SERVER.fullmatch(server) is None:
             raise InputError(f"{server!r} cannot name an action server; expected letters, digits, _ and /", entry.position("server"))
-    action_type = entry.string(type_key)
     if action_type is not None and _TYPE.fullmatch(action_type) is None:
         example = "nav2_msgs/action/NavigateToPose"
         raise InputError(f"expected a type such as {example} under {type_key!r}, found {action_type!r}", entry.position(type_key))
     return Binding(
         server=server,
-        several_servers=entry.flag("several_servers"),
+        several_servers=keys.several_servers,
         type=action_type,
         goal=None if goal is None else {name: _source(part) for name, _, part in goal.mapped().entries()},
         success=None if success is None else field_test(success),
         reason=None if reason is None else field_value(reason),
         final=None if final is None else field_test(final),
-        store=read_texts(entry, "store", "expected result fields and the variables to store them in"),
-        timeout=entry.number("timeout", None),
-        accept=entry.number("accept", DEFAULT.accept),
-        cancel=entry.number("cancel", DEFAULT.cancel),
-        retries=entry.whole("retries", retries),
-        ask=read_texts(entry, "ask", "expected variables, and what a person is asked when nobody knows them"),
-        resources=tuple(dict.fromkeys(name for name, _ in _read_resources(entry))),
-        foreign=entry.choice("foreign", Foreign),
-        when_lost=entry.choice("when_lost", WhenLost) or DEFAULT.when_lost,
+        store=keys.store,
+        timeout=keys.timeout,
+        accept=keys.accept,
+        cancel=keys.cancel,
+        retries=keys.retries,
+        ask=keys.ask,
+        resources=tuple(dict.fromkeys(name for name, _ in _read_resources(keys))),
+        foreign=keys.foreign,
+        when_lost=keys.when_lost or DEFAULT.when_lost,
         position=entry.start,
     )
 
@@ -157,20 +221,12 @@ def _check_sources(node: Node, action: str, known: Vocabulary) -> None:
                 known.check_parameter(action, term[1:], node.position)
 
 
-def _read_resources(entry: Mapped) -> Iterator[tuple[str, Position]]:
-    names, node = entry.strings("resources"), entry.node("resources")
-    items = (node.items if node else None) or ()
+def _read_resources(keys: BindingKeys) -> Iterator[tuple[str, Position]]:
+    names, written = keys.resources, keys.entry.node("resources")
+    items = (written.items if written else None) or ()
     for name, item in zip(names, items, strict=True):
         check_pattern(name, item.position, "{robot}/base")
         yield name, item.position
-
-
-def read_texts(entry: Mapped, key: str, expected: str) -> dict[str, str]:
-    """Read a mapping of names to texts; empty when the key is not there."""
-    texts = entry.plain(key)
-    if texts is not None and not (isinstance(texts, dict) and all(isinstance(text, str) for text in texts.values())):
-        raise InputError(expected, entry.position(key))
-    return texts or {}
 
 
 def check_pattern(pattern: str, position: Position, example: str, parameters: Collection[str] | None = None) -> None:

@@ -7,11 +7,41 @@ from typing import Final
 
 from pnm.core.logic.domain import Vocabulary
 from pnm.core.logic.expressions import UNDEFINED, is_number
-from pnm.core.message_fields import COMPARISONS, Comparison, Every, Field, FieldValue, Flag, Negation, Some, Test, parse_field
+from pnm.core.message_fields import Comparison, Every, Field, FieldValue, Flag, Negation, Some, Test, parse_field
 from pnm.errors import InputError
+from pnm.files.yaml_keys import ANYTHING, TEXT, Keys, ref, written
 from pnm.files.yaml_nodes import Mapped, Node
 
+_FIELD_TEST: Final = ref("fieldTest")
 _TESTS: Final = ("not", "all", "any")
+
+
+class TabledField(Keys, schema={"required": ["field"]}):
+    """A field, and what its values mean."""
+
+    field = written(TEXT, "a field such as status.code")
+    table = written({"type": "object"}, "values of the field and what they mean")
+
+
+class FieldComparison(Keys):
+    """A field of a message, and what it is compared with."""
+
+    field = written(TEXT, "a field such as status.code or poses[0].x, which is true or compared")
+    eq = written(ANYTHING, "the field is equal to this")
+    ne = written(ANYTHING, "the field is different from this")
+    lt = written(ANYTHING, "the field is less than this")
+    le = written(ANYTHING, "the field is at most this")
+    gt = written(ANYTHING, "the field is more than this")
+    ge = written(ANYTHING, "the field is at least this")
+    contains = written(ANYTHING, "the field is a text or list that has this in it")
+
+
+class FieldTest(FieldComparison, schema={"type": ["object", "null"], "minProperties": 1}):
+    """A comparison of a field of a message with a constant, or several of them."""
+
+    not_ = written(_FIELD_TEST, "the test fails")
+    all_ = written({"type": "array", "items": _FIELD_TEST}, "all of the tests succeed")
+    any_ = written({"type": "array", "items": _FIELD_TEST}, "at least one of the tests succeeds")
 
 
 def read_field(entry: Mapped) -> Field:
@@ -33,8 +63,7 @@ def field_value(node: Node) -> FieldValue:
     """Read a field, or a field and a table of what its values mean."""
     if not node.is_mapping:
         return FieldValue(_field(node))
-    entry = node.mapped()
-    entry.only("field", "table")
+    entry = TabledField(node.mapped()).entry
     return FieldValue(read_field(entry), read_table(entry))
 
 
@@ -83,8 +112,7 @@ def field_test(node: Node) -> Test:
     """Read a comparison of a field, or several combined by ``not``, ``all`` and ``any``."""
     if not node.is_mapping or not node.mapped().nodes:
         raise InputError("expected a test such as {field: percentage, ge: 0.8}", node.position)
-    entry = node.mapped()
-    entry.only("field", *COMPARISONS, *_TESTS)
+    entry = FieldTest(node.mapped()).entry
     if "field" in entry.nodes:
         return _comparison(entry)
     if len(entry.nodes) > 1:
@@ -101,7 +129,7 @@ def field_test(node: Node) -> Test:
 
 
 def _comparison(entry: Mapped) -> Test:
-    entry.only("field", *COMPARISONS)
+    FieldComparison.check(entry)
     field = read_field(entry)
     comparisons = []
     for key, _, node in entry.entries():

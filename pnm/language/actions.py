@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from enum import Enum
 from functools import cached_property
 from typing import Final
 
-from pnm.actions.bindings_file import binding_keys, read_binding
+from pnm.actions.bindings_file import read_binding
 from pnm.core.logic.computed_values import Data, Query, parts
 from pnm.core.logic.conditions import TRUE, Condition, fluents, free_variables
 from pnm.core.logic.domain import ActionSchema
@@ -15,37 +14,16 @@ from pnm.core.logic.effects import Effects, ForEach, Set, When, is_early
 from pnm.core.logic.expressions import DURATION, Fluent, Variable, expression_variables, variables_in
 from pnm.core.machine.bindings import DEFAULT, Binding
 from pnm.errors import InputError, Position
-from pnm.files.yaml_nodes import Mapped, Node
+from pnm.files.yaml_nodes import Node
 from pnm.language.formulas.effects import read_conditions, read_duration, read_timed_effects
 from pnm.language.formulas.scope import FormulaScope, read_typed, shown, unknown
 from pnm.language.formulas.values import read_data
-
-
-class ActionKind(Enum):
-    """How an action is executed."""
-
-    ROS = "ros_action"
-    """An action server."""
-    RPN = "rpn_action"
-    """An action server that asks for knowledge, and changes it, while it runs."""
-    KB = "kb_action"
-    """Without a server: it works on knowledge alone."""
-    PLAN = "plan"
-    """Another plan, which is an action server as well."""
-
+from pnm.language.grammar import RESERVED, Action, ActionKind, ClassName
 
 CLASSES: Final = {"ROSAtomicAction": ActionKind.ROS, "RPNAtomicAction": ActionKind.RPN, "KBAction": ActionKind.KB}
 """The classes that files for the original implementation name; none of them is imported."""
 OPERATION: Final = "operation"
 """The parameter of an `ActionKind.KB` action that has the operation on knowledge."""
-BINDING_KEYS: Final = binding_keys("ros_type")
-"""The keys of an action that bind it to its server."""
-ACTION_KEYS: Final = (
-    *("instances", "type", "params", "preconditions", "effects", "duration", "preferences", "recoveries", "simulated"),
-    *BINDING_KEYS,
-)
-RESERVED: Final = frozenset({"while", "if", "then", "else", "concurrent_actions", "sequence", "wait_until"})
-"""Words that steps begin with."""
 
 
 @dataclass(frozen=True)
@@ -117,16 +95,15 @@ def _in_effects(effects: Effects, *, values: bool = False) -> frozenset[str]:
     return frozenset(names)
 
 
-def read_schema(name: str, entry: Mapped, scope: FormulaScope) -> ActionSchema:
+def read_schema(name: str, keys: Action, scope: FormulaScope) -> ActionSchema:
     """Read the schema of an action from its keys, given the names around it; the action's parameters come besides."""
-    entry.only(*ACTION_KEYS)
-    params, duration = entry.filled("params"), entry.filled("duration")
+    params, duration = keys.params, keys.duration
     parameters = () if params is None else read_typed(params, scope)
     bound = replace(scope, variables=None if params is None and not scope.strict else {}).inside(parameters)
     bounds = None if duration is None else read_duration(duration, bound)
     inner = bound.inside((Variable(DURATION[0]),)) if scope.strict and bounds is not None else bound
-    conditions = read_conditions(entry.filled("preconditions"), inner)
-    start_effects, end = read_timed_effects(entry.filled("effects"), inner)
+    conditions = read_conditions(keys.preconditions, inner)
+    start_effects, end = read_timed_effects(keys.effects, inner)
     schema = ActionSchema(
         name, parameters, conditions.start, conditions.always, conditions.end, start_effects, end.effects, bounds, expected=end.expected
     )
@@ -134,46 +111,40 @@ def read_schema(name: str, entry: Mapped, scope: FormulaScope) -> ActionSchema:
         timed = (schema.invariant, schema.end_condition) != (TRUE, TRUE), bool(schema.start_effects)
         for key, has_moments in zip(("preconditions", "effects"), timed, strict=True):
             if has_moments and schema.duration is None:
-                raise InputError(f"only an action with a duration has moments; expected {key} without them", entry.position(key))
+                raise InputError(f"only an action with a duration has moments; expected {key} without them", keys.entry.position(key))
         if any(map(is_early, schema.start_effects if schema.duration is not None else schema.end_effects)):
-            raise InputError("only an effect at the end of an action with a duration can be tested at its start", entry.position("effects"))
+            raise InputError(
+                "only an effect at the end of an action with a duration can be tested at its start", keys.entry.position("effects")
+            )
     return schema
 
 
-def read_own_binding(entry: Mapped) -> Binding:
-    """Read how the action is bound to its server."""
-    return read_binding(entry, type_key="ros_type", retries=0)
-
-
-def read_action(schema: ActionSchema, entry: Mapped, scope: FormulaScope) -> LanguageAction:
+def read_action(schema: ActionSchema, keys: Action, scope: FormulaScope) -> LanguageAction:
     """Read how an action is executed."""
     if schema.name in RESERVED:
-        raise InputError(f"{schema.name!r} is a word of the language; an action cannot be called so", entry.start)
-    is_open = entry.filled("params") is None
+        raise InputError(f"{schema.name!r} is a word of the language; an action cannot be called so", keys.entry.start)
+    is_open = keys.params is None
     inner = replace(scope, variables=None if is_open else {}).inside(schema.parameters)
     returns: list[tuple[str, Data]] = []
-    for name, _, value in entry.section("simulated").entries():
+    for name, _, value in keys.simulated.entries():
         data = read_data(value, inner)
         if any(isinstance(part, Query) for part in parts(data)):
             raise value.wrong(f"a simulated server knows its goal, not the variables of the run; expected something like ?{name}")
         returns.append((name, data))
     return LanguageAction(
         schema,
-        _kind(entry),
-        entry.start,
+        ActionKind.ROS if keys.type is None else _kind(keys.type),
+        keys.entry.start,
         is_open,
-        binding=read_own_binding(entry),
-        resources=tuple(entry.strings("resources")),
+        binding=read_binding(keys),
+        resources=tuple(keys.resources),
         returns=tuple(returns),
-        recoveries=entry.node("recoveries"),
+        recoveries=keys.recoveries,
     )
 
 
-def _kind(entry: Mapped) -> ActionKind:
-    """Return how the action is executed; by an action server, without the key."""
-    node = entry.filled("type")
-    if node is None:
-        return ActionKind.ROS
+def _kind(node: Node) -> ActionKind:
+    """Return how the action is executed."""
     kinds: dict[str, ActionKind] = {kind.value: kind for kind in CLASSES.values()}
     name = read_class(node)[1] if node.is_mapping else node.text
     if name is None:
@@ -186,9 +157,7 @@ def _kind(entry: Mapped) -> ActionKind:
 
 def read_class(node: Node) -> tuple[str, str]:
     """Read ``{module: a.b, class: C}``, which names a class for the original implementation; nothing is imported."""
-    entry = node.mapped()
-    entry.only("module", "class")
-    module, name = entry.string("module"), entry.string("class")
-    if not module or not name:
+    keys = ClassName(node.mapped())
+    if not keys.module or not keys.class_:
         raise node.wrong("expected the keys 'module' and 'class'")
-    return module, name
+    return keys.module, keys.class_

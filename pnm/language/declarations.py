@@ -19,28 +19,29 @@ from pnm.core.logic.effects import TimedChange
 from pnm.core.logic.expressions import Constant, Fluent, Value, Variable, fluent_text
 from pnm.core.logic.rules import DerivationRule, Rules, UnstratifiedError
 from pnm.errors import InputError
-from pnm.files.yaml_nodes import Mapped, Node
+from pnm.files.yaml_nodes import Node
 from pnm.language.formulas.conditions import read_condition
 from pnm.language.formulas.scope import FormulaScope, read_names, read_typed_text, shown, unknown
+from pnm.language.grammar import DomainKeys, ProblemKeys, Rule, TimedFacts
 
 _DECLARED: Final = re.compile(r"\(\s*([^\s()?-][^\s()?]*)\s*((?:[^()]|\([^()]*\))*)\)\s*(?:-\s*(\S+|\(\s*either\s[^()]*\)))?\s*\Z")
 
 
-def read_declarations(top: Mapped, problem: Mapped | None, *, strict: bool = False) -> ProblemModel:
+def read_declarations(top: DomainKeys, problem: ProblemKeys | None, *, strict: bool = False) -> ProblemModel:
     """Read ``types``, ``constants``, ``predicates`` and ``functions``, and the ``objects`` of a problem."""
-    name, written = top.string("name") or "", _names(top.filled("types"), FormulaScope())
+    name, written = top.name or "", _names(top.types, FormulaScope())
     types = {kind: tuple(parent for parent in parents if parent != "object") for kind, parents in written.items() if kind != "object"}
     # one that is only a supertype is declared by that
     domain = DomainModel(name, types | {parent: () for parents in types.values() for parent in parents if parent not in types})
-    problem_name = None if problem is None else problem.string("name")
+    problem_name = None if problem is None else problem.name
     scope = FormulaScope(ProblemModel("", domain), strict=strict)
     domain = replace(
         domain,
-        constants=_names(top.filled("constants"), scope),
-        predicates=_declarations(top.listed("predicates"), "predicate", scope),
-        functions=_declarations(top.listed("functions"), "function", scope),
+        constants=_names(top.constants, scope),
+        predicates=_declarations(top.predicates, "predicate", scope),
+        functions=_declarations(top.functions, "function", scope),
     )
-    objects = {} if problem is None else _names(problem.filled("objects"), scope)
+    objects = {} if problem is None else _names(problem.objects, scope)
     return ProblemModel(problem_name or domain.name, domain, objects)
 
 
@@ -72,20 +73,19 @@ def declaration_parts(node: Node) -> tuple[str, str, str]:
     return match[1], match[2], match[3] or ""
 
 
-def read_derived(top: Mapped, scope: FormulaScope) -> Rules:
+def read_derived(top: DomainKeys, scope: FormulaScope) -> Rules:
     """Read ``derived``: a list of ``{fact: (reachable ?p - place), condition: c}``."""
-    rules = [read_rule(node, scope) for node in top.listed("derived")]
+    rules = [read_rule(node, scope) for node in top.derived]
     try:
         return Rules(tuple(rules))
     except UnstratifiedError as error:
-        raise InputError(str(error), top.position("derived")) from error
+        raise InputError(str(error), top.entry.position("derived")) from error
 
 
 def read_rule(node: Node, scope: FormulaScope) -> DerivationRule:
     """Read one rule; variables of its head that have no type have that of the declaration."""
-    entry = node.mapped()
-    entry.only("fact", "condition")
-    fact, condition = entry.needed("fact"), entry.needed("condition")
+    keys = Rule(node.mapped())
+    fact, condition = keys.fact, keys.condition
     name, text, _ = declaration_parts(fact)
     variables = read_typed_text(text, fact, scope)
     domain = scope.declared.domain
@@ -123,13 +123,10 @@ def read_facts(nodes: Iterable[Node], scope: FormulaScope) -> dict[Fluent, Value
     return facts
 
 
-def read_initial(problem: Mapped, scope: FormulaScope) -> tuple[dict[Fluent, Value], tuple[TimedChange, ...]]:
+def read_initial(problem: ProblemKeys, scope: FormulaScope) -> tuple[dict[Fluent, Value], tuple[TimedChange, ...]]:
     """Read ``init``: the initial facts, and timed ones: ``{at: 5, facts: [...]}``, in seconds."""
-    items = problem.listed("init")
-    timed: list[TimedChange] = []
-    for entry in [item.mapped() for item in items if item.is_mapping]:
-        entry.only("at", "facts")
-        entry.needed("at")
-        timed.append(TimedChange(entry.number("at", 0.0), read_facts(entry.listed("facts"), scope)))
+    items = problem.init
+    written = [TimedFacts(item.mapped()) for item in items if item.is_mapping]
+    timed = [TimedChange(keys.at, read_facts(keys.facts, scope)) for keys in written]
     facts = read_facts([item for item in items if not item.is_mapping], scope)
     return facts, tuple(sorted(timed, key=lambda change: change.time))

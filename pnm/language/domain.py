@@ -4,23 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final
 
 from pnm.core.logic.conditions import TRUE, Condition
 from pnm.core.logic.domain import ProblemModel
 from pnm.errors import Tolerated
-from pnm.files.yaml_nodes import Mapped
+from pnm.files.yaml_nodes import Mapped, Node
 from pnm.knowledge.sources import SourceChoice, check_source
-from pnm.language.actions import ACTION_KEYS, LanguageAction, read_action, read_class, read_schema
+from pnm.language.actions import LanguageAction, read_action, read_class, read_schema
 from pnm.language.declarations import read_declarations, read_derived, read_initial
 from pnm.language.formulas.conditions import read_condition
 from pnm.language.formulas.scope import NOTHING_DECLARED, FormulaScope, shown
-
-DOMAIN_KEYS: Final = (
-    *("name", "instances", "external_knowledge_base", "knowledge", "action_types", "actions"),
-    *("requirements", "types", "constants", "predicates", "functions", "derived", "constraints", "preferences", "hierarchy", "problem"),
-)
-PROBLEM_KEYS: Final = ("name", "objects", "init", "goal", "metric", "constraints", "preferences", "requirements", "network")
+from pnm.language.grammar import DomainKeys
 
 
 @dataclass(frozen=True)
@@ -40,54 +34,49 @@ class LanguageDomain:
 
 def domain_from(top: Mapped, warnings: tuple[Tolerated, ...] = ()) -> LanguageDomain:
     """Read a domain from a document that may have other keys as well."""
-    for entry in top.mapping("action_types").values():
-        entry.only(*ACTION_KEYS)  # only anchors are made there; their contents are read where they are used
-    model = read_model(top)
-    entries = top.mapping("actions")
+    keys = DomainKeys(top)
+    keys.action_types  # noqa: B018  only anchors are made there; their contents are read where they are used
+    model, actions = read_model(keys), keys.actions
     return LanguageDomain(
         model,
-        {name: read_action(schema, entries[name], FormulaScope(model)) for name, schema in model.domain.actions.items()},
-        sources=_read_sources(top),
+        {name: read_action(schema, actions[name], FormulaScope(model)) for name, schema in model.domain.actions.items()},
+        sources=_read_sources(keys),
         warnings=warnings,
         file=top.file,
     )
 
 
-def read_model(top: Mapped, *, strict: bool = False) -> ProblemModel:
+def read_model(top: DomainKeys, *, strict: bool = False) -> ProblemModel:
     """Read the domain of a document and its problem; `strict` is that of `FormulaScope`."""
-    node = top.filled("problem")
-    section = None if node is None else node.mapped()
-    if section is not None:
-        section.only(*PROBLEM_KEYS)
+    section = top.problem if top.entry.filled("problem") else None
     declared = read_declarations(top, section, strict=strict)
     scope = FormulaScope(declared, {}, strict, borrows=section is None)
     domain = replace(declared.domain, rules=read_derived(top, scope))
     scope = replace(scope, declared=replace(declared, domain=domain))
-    domain = replace(domain, actions={name: read_schema(name, entry, scope) for name, entry in top.mapping("actions").items()})
+    domain = replace(domain, actions={name: read_schema(name, keys, scope) for name, keys in top.actions.items()})
     if section is None:
         return replace(declared, domain=domain)
     facts, timed = read_initial(section, scope)
-    return replace(declared, domain=domain, init=facts, timed=timed, goal=read_goal(section, scope))
+    return replace(declared, domain=domain, init=facts, timed=timed, goal=read_goal(section.goal, scope))
 
 
-def read_goal(entry: Mapped, scope: FormulaScope) -> Condition:
-    """Read the key ``goal``; true when it is not there."""
-    node = entry.filled("goal")
+def read_goal(node: Node | None, scope: FormulaScope) -> Condition:
+    """Read a goal; true when there is none."""
     return TRUE if node is None else read_condition(node, scope)
 
 
-def _read_sources(top: Mapped) -> tuple[SourceChoice, ...]:
+def _read_sources(top: DomainKeys) -> tuple[SourceChoice, ...]:
     """Read the sources of knowledge that a file chooses.
 
     ``external_knowledge_base`` has a class of the original implementation, for which a registered source stands; ``knowledge``
     has names of sources, or ``{name: {option: value}}``: one, or a list of them.
     """
     sources: list[SourceChoice] = []
-    external = top.filled("external_knowledge_base")
+    external = top.external_knowledge_base
     if external is not None:
         name = check_source(".".join(read_class(external)), external.position)
         sources.append(SourceChoice(name, {}, external.position))
-    for node in top.listed("knowledge"):
+    for node in top.knowledge:
         if node.text is not None:
             sources.append(SourceChoice(check_source(node.text, node.position), {}, node.position))
         elif not node.is_mapping:

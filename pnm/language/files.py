@@ -21,14 +21,13 @@ from pnm.core.machine.bindings import Binding
 from pnm.errors import InputError, Position, Tolerated, suggestion
 from pnm.files.text import read_text
 from pnm.files.yaml_nodes import MAX_BYTES, Mapped, parse_yaml
-from pnm.language.actions import CLASSES, ActionKind, LanguageAction, read_class
-from pnm.language.domain import DOMAIN_KEYS, LanguageDomain, domain_from
+from pnm.language.actions import CLASSES, LanguageAction, read_class
+from pnm.language.domain import LanguageDomain, domain_from
 from pnm.language.formulas.scope import read_typed, unknown
+from pnm.language.grammar import ActionKind, DomainKeys, NamedPlan, PlanKeys, Recipe
 
 ANCHORS: Final = {"base_action": {}, **{kind.value: {"type": kind.value} for kind in CLASSES.values()}}
 """What ``*ros_action`` and the like stand for in files that do not define them."""
-SCHEMA: Final = Path(__file__).with_name("schema.json")
-"""What editors complete and check these files by."""
 MAX_EXCERPT: Final = 100_000
 """Characters of an excerpt; longer texts are not mended."""
 _LONE_KEY: Final = re.compile(r"( *)-( +)[^\s#'\"\[{][^#'\"\[{]*:\s*\Z")
@@ -89,15 +88,8 @@ def _indent(line: str) -> int:
     return len(line) - len(line.lstrip(" ")) if line.strip() else 0
 
 
-_ALWAYS: Final = (
-    *("domain", "params", "results", "initial_knowledge", "facts", "goal"),
-    *("timeout", "restarts", "on_failure", "resources", "plan"),
-)
-PLAN_KEYS: Final = ("name", *_ALWAYS)
-"""The keys of a document with a plan."""
-RECIPE_KEYS: Final = ("server", "action", *_ALWAYS)
-"""The keys of a plan under its name."""
-_ONLY_DOMAINS: Final = frozenset(DOMAIN_KEYS) - frozenset(PLAN_KEYS)
+_PLAN: Final = tuple(NamedPlan.known)
+_DOMAIN: Final = tuple(DomainKeys.known)
 _SERVERS: Final = ("ActionServer", "SimpleActionServer", "BasicControllerPluginServer", "DAPluginServer")
 """The classes that files for the original implementation name; every plan becomes a ROS 2 action server."""
 _CALLED: Final = Binding(retries=0, timeout=86_400.0, cancel=60.0)
@@ -109,7 +101,7 @@ class PlanHead:
     """The head of a plan, whose steps are not read yet: what other plans need in order to call it."""
 
     name: str
-    entry: Mapped
+    keys: PlanKeys
     domain: LanguageDomain
     parameters: tuple[Variable, ...] | None
     warnings: tuple[Tolerated, ...] = ()
@@ -118,7 +110,7 @@ class PlanHead:
     def action(self) -> LanguageAction:
         """The plan as an action that others call."""
         schema = ActionSchema(self.name, self.parameters or ())
-        return LanguageAction(schema, ActionKind.PLAN, self.entry.start, self.parameters is None, binding=_CALLED)
+        return LanguageAction(schema, ActionKind.PLAN, self.keys.entry.start, self.parameters is None, binding=_CALLED)
 
 
 def read_domain(path: Path) -> LanguageDomain:
@@ -147,40 +139,39 @@ def plan_heads_in(documents: tuple[Mapped, ...], warnings: tuple[Tolerated, ...]
     own = None if top is None else domain_from(top, warnings)
     heads: list[PlanHead] = []
     for document in documents:
-        for name, entry in _entries(document):
-            _check_classes(entry)
-            params = entry.filled("params")
-            parameters = None if params is None else read_typed(params)
-            path = entry.string("domain")
+        for name, keys in _entries(document):
+            if isinstance(keys, Recipe):
+                _check_classes(keys)
+            entry, path = keys.entry, keys.domain
+            parameters = None if keys.params is None else read_typed(keys.params)
             if path is not None and own is not None:
                 raise InputError("the file has a domain itself; it cannot name another", entry.position("domain"))
             chosen = own or domain or LanguageDomain() if path is None else read_domain(beside(entry, "domain", path))
-            heads.append(PlanHead(name, entry, chosen, parameters, tuple(dict.fromkeys((*warnings, *chosen.warnings)))))
+            heads.append(PlanHead(name, keys, chosen, parameters, tuple(dict.fromkeys((*warnings, *chosen.warnings)))))
     if not heads:
         raise InputError("there is no plan in the file; expected the key 'plan'", documents[0].start)
     return heads
 
 
-def _entries(document: Mapped) -> list[tuple[str, Mapped]]:
+def _entries(document: Mapped) -> list[tuple[str, PlanKeys]]:
     """Return the plans of a document: itself, or its recipes; refuse whatever else is in it."""
     if "plan" in document.nodes:
-        document.only(*PLAN_KEYS, *DOMAIN_KEYS)
-        return [(document.string("name") or Path(document.file).stem, document)]
+        document.only(*_PLAN, *_DOMAIN)
+        plan = NamedPlan(document)
+        return [(plan.name or Path(document.file).stem, plan)]
     if is_world(document):
         raise InputError("this is a world; expected a plan", document.start)
-    recipes: list[tuple[str, Mapped]] = []
+    recipes: list[tuple[str, PlanKeys]] = []
     for key, where, node in document.entries():
-        if key in DOMAIN_KEYS:
+        if key in _DOMAIN:
             continue
-        recipe = node.mapped() if node.is_mapping and key not in PLAN_KEYS else None
-        if recipe is None or recipe.nodes.keys().isdisjoint(RECIPE_KEYS):
-            if key in PLAN_KEYS:
+        recipe = node.mapped() if node.is_mapping and key not in _PLAN else None
+        if recipe is None or recipe.nodes.keys().isdisjoint(Recipe.known):
+            if key in _PLAN:
                 raise InputError(f"the key 'plan' is missing beside {key!r}", where)
-            Mapped(document.file, document.start, {key: document.nodes[key]}).only(*PLAN_KEYS, *DOMAIN_KEYS)
+            Mapped(document.file, document.start, {key: document.nodes[key]}).only(*_PLAN, *_DOMAIN)
             continue
-        recipe.only(*RECIPE_KEYS)
-        recipe.needed("plan")
-        recipes.append((key, recipe))
+        recipes.append((key, Recipe(recipe)))
     return recipes
 
 
@@ -192,7 +183,7 @@ def is_world(document: Mapped) -> bool:
 
 def domain_document(documents: Iterable[Mapped]) -> Mapped | None:
     """Return the document that has a domain; None if none has. Raise `InputError` if several have."""
-    domains = [document for document in documents if document.nodes.keys() & _ONLY_DOMAINS]
+    domains = [document for document in documents if document.nodes.keys() & set(_DOMAIN) - set(_PLAN)]
     if len(domains) > 1:
         raise InputError("there is a domain in this file already", domains[1].start)
     return domains[0] if domains else None
@@ -208,9 +199,9 @@ def beside(entry: Mapped, key: str, path: str) -> Path:
     return file
 
 
-def _check_classes(entry: Mapped) -> None:
+def _check_classes(keys: Recipe) -> None:
     """Refuse what the original implementation would import, unless it is what every plan has here."""
-    server, message = entry.filled("server"), entry.filled("action")
+    server, message = keys.server, keys.action
     if server is not None:
         _, name = read_class(server)
         if name not in _SERVERS:

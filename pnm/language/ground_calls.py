@@ -12,7 +12,8 @@ from pnm.core.logic.expressions import Environment, Fluent, Value, ValueOf, is_n
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.plan_graph import EMPTY, GroundAction, Recovery, Then, ground_schema
 from pnm.errors import InputError
-from pnm.language.actions import OPERATION, ActionKind, LanguageAction
+from pnm.language.actions import OPERATION, LanguageAction
+from pnm.language.grammar import ActionKind
 from pnm.language.plan_tree import CallStep
 
 

@@ -29,6 +29,7 @@ from pnm.language.domain import LanguageDomain, read_goal
 from pnm.language.files import PlanHead, beside, is_world, parse_documents, plan_heads, plan_heads_in, read_documents, read_domain
 from pnm.language.formulas.scope import NOTHING_DECLARED, FormulaScope, unknown
 from pnm.language.formulas.values import read_literal
+from pnm.language.grammar import NamedWorld, WorldFile
 from pnm.language.ground_calls import Facts
 from pnm.language.steps import StepReader, taken_literally
 from pnm.language.to_plan_graph import PlanGraphBuilder
@@ -111,14 +112,14 @@ def finished(heads: Sequence[PlanHead]) -> dict[str, HandWrittenPlan]:
     for head in heads:
         if head.name in by_name or head.name in head.domain.actions:
             what = "a plan" if head.name in by_name else "an action"
-            raise InputError(f"there is {what} called {head.name!r} already", head.entry.start)
+            raise InputError(f"there is {what} called {head.name!r} already", head.keys.entry.start)
         by_name[head.name] = head
     plans = {name: _plan(head, by_name) for name, head in by_name.items()}
     try:
         TopologicalSorter({name: plan.calls for name, plan in plans.items()}).prepare()
     except CycleError as error:
         cycle: list[str] = error.args[1]
-        raise InputError(f"the plan would never end: {' is called by '.join(cycle)}", by_name[cycle[0]].entry.start) from error
+        raise InputError(f"the plan would never end: {' is called by '.join(cycle)}", by_name[cycle[0]].keys.entry.start) from error
     return plans
 
 
@@ -126,37 +127,37 @@ def finished(heads: Sequence[PlanHead]) -> dict[str, HandWrittenPlan]:
 
 
 def _plan(head: PlanHead, others: Mapping[str, PlanHead]) -> HandWrittenPlan:
-    entry, domain = head.entry, head.domain
+    keys, domain = head.keys, head.domain
     actions = {**domain.actions, **{name: other.action for name, other in others.items()}}
     reader = StepReader(actions, domain.model)
-    steps = reader.steps(entry.needed("plan"))
+    steps = reader.steps(keys.plan)
     scope = FormulaScope(domain.model, {})
-    facts = {**domain.model.init, **read_facts(entry.listed("facts"), scope)}
+    facts = {**domain.model.init, **read_facts(keys.facts, scope)}
     own = {name: action.recoveries for name, action in actions.items() if action.recoveries is not None}
     recoveries = {name: reader.recoveries(actions[name], node) for name, node in own.items()}
-    restarts = entry.whole("restarts", None)
+    restarts = keys.restarts
     builder = PlanGraphBuilder(lambda action: recoveries.get(action.name, ()), Facts(facts), None if restarts is None else max(1, restarts))
-    goal = read_goal(entry, scope)
-    graph = builder.graph(steps, domain.model.goal if goal == TRUE else goal, domain.model.domain.rules, _capacities(entry))
+    goal = read_goal(keys.goal, scope)
+    graph = builder.graph(steps, domain.model.goal if goal == TRUE else goal, domain.model.domain.rules, _capacities(keys.resources))
     graph = replace(graph, due=_due(graph.goal, domain))
-    _check_capacities(entry, graph, actions)
+    _check_capacities(keys.resources, graph, actions)
     parameters = None if head.parameters is None else tuple(variable.name[1:] for variable in head.parameters)
-    variables = {name: read_literal(value).value for name, _, value in entry.section("initial_knowledge").entries()}
+    variables = {name: read_literal(value).value for name, _, value in keys.initial_knowledge.entries()}
     return HandWrittenPlan(
         head.name,
         graph,
         Bindings({name: action.binding for name, action in actions.items()}),
         parameters=parameters,
-        results=tuple(entry.strings("results")),
+        results=tuple(keys.results),
         variables=variables,
         facts=facts,
         timed=domain.model.timed,
         objects=domain.model.objects_by_type,
-        timeout=entry.number("timeout", None),
-        on_failure=_on_failure(entry),
+        timeout=keys.timeout,
+        on_failure=keys.on_failure or OnFailure.DRAIN,
         sources=domain.sources,
         calls=frozenset(call.action.name for call in graph.calls) & others.keys(),
-        warnings=(*head.warnings, *taken_literally(entry.needed("plan"), {*variables, *(parameters or ())})),
+        warnings=(*head.warnings, *taken_literally(keys.plan, {*variables, *(parameters or ())})),
         declared=domain.model,
         domain_file=domain.file,
     )
@@ -171,8 +172,7 @@ def _due(goal: Condition, domain: LanguageDomain) -> float:
     return max(late, default=0.0)
 
 
-def _capacities(entry: Mapped) -> dict[str, int]:
-    resources = entry.section("resources")
+def _capacities(resources: Mapped) -> dict[str, int]:
     capacities = {name: resources.whole(name, 1) for name in resources.nodes}
     for name, capacity in capacities.items():
         if capacity < 1:
@@ -180,21 +180,13 @@ def _capacities(entry: Mapped) -> dict[str, int]:
     return capacities
 
 
-def _check_capacities(entry: Mapped, graph: PlanGraph, actions: Mapping[str, LanguageAction]) -> None:
+def _check_capacities(resources: Mapped, graph: PlanGraph, actions: Mapping[str, LanguageAction]) -> None:
     """Refuse the capacity of a resource that neither the plan nor any action of the domain uses."""
     described = {name for action in actions.values() for name in action.resources}
     used = described | {name for call in graph.calls for name in call.action.resources}
     for name in graph.capacities:
         if name not in used:
-            raise unknown("resource", name, used, entry.needed("resources").mapped().nodes[name][0])
-
-
-def _on_failure(entry: Mapped) -> OnFailure:
-    name = entry.string("on_failure")
-    known = {policy.value: policy for policy in OnFailure}
-    if name is not None and name not in known:
-        raise unknown("way to end", name, known, entry.position("on_failure"))
-    return OnFailure.DRAIN if name is None else known[name]
+            raise unknown("resource", name, used, resources.nodes[name][0])
 
 
 @dataclass(frozen=True)
@@ -221,8 +213,8 @@ def read_world(path: Path, name: str | None = None) -> World:
         raise InputError("a second document begins here; expected one", documents[1].start)
     top = documents[0]
     if not top.nodes.keys().isdisjoint(("plans", "domain")):
-        top.only("domain", "plans", "name")
-        return _world(top.string("name") or path.stem, top, "plans")
+        file = WorldFile(top)
+        return _world(file.name or path.stem, file)
     worlds = top.mappings()
     if name is None and len(worlds) == 1:
         name = next(iter(worlds))
@@ -230,14 +222,13 @@ def read_world(path: Path, name: str | None = None) -> World:
         raise InputError(f"there are several worlds; expected the name of one: {', '.join(worlds)}", top.start)
     if name not in worlds:
         raise unknown("world", name, worlds, top.start)
-    worlds[name].only("domain", "recipes")
-    return _world(name, worlds[name], "recipes")
+    return _world(name, NamedWorld(worlds[name]))
 
 
-def _world(name: str, entry: Mapped, key: str) -> World:
-    file = entry.string("domain")
-    domain = LanguageDomain() if file is None else read_domain(beside(entry, "domain", file))
-    paths = [beside(entry, key, file_name) for file_name in entry.strings(key)]
+def _world(name: str, keys: WorldFile | NamedWorld) -> World:
+    entry, key = keys.entry, type(keys).plans.name
+    domain = LanguageDomain() if keys.domain is None else read_domain(beside(entry, "domain", keys.domain))
+    paths = [beside(entry, key, file_name) for file_name in keys.plans]
     if not paths:
         raise InputError(f"the world {name!r} has no plans; expected files under {key!r}", entry.start)
     return World(name, finished([head for path in paths for head in plan_heads(path, domain)]), domain)

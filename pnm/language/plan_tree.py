@@ -22,6 +22,7 @@ from pnm.files.yaml_nodes import Node
 from pnm.language.actions import LanguageAction
 from pnm.language.formulas.conditions import read_condition
 from pnm.language.formulas.scope import FormulaScope, unknown
+from pnm.language.grammar import COMMANDS, Chain, ConditionalChain, RecoveryKeys
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,10 +144,7 @@ class ChoiceStep:
 WrittenStep: TypeAlias = CallStep | SequenceStep | ConcurrentStep | LeafStep | LoopStep | ChoiceStep
 
 
-COMMANDS: Final = {**{then.value: then for then in Then}, "restart_action": Then.RETRY}
-"""How a chain ends."""
 _DURING: Final = {"preempted" if cause is Cause.CANCELED else cause.value: cause for cause in Cause if cause.phase is Phase.DURING}
-MAX_TIMES: Final = 10_000
 
 ReadSteps: TypeAlias = Callable[[tuple[Node, ...], Position], SequenceStep]
 """Reads steps that follow each other."""
@@ -156,14 +154,11 @@ def read_recoveries(node: Node, scope: FormulaScope, read_steps: ReadSteps) -> t
     """Read what is done when a call fails: ``before``, ``during`` and ``after``; the scope has the parameters of the call."""
     if node.is_null:
         return ()
-    entry = node.mapped()
-    entry.only("before", "during", "after")
-    recoveries = [_recovery(long, causes_in(Phase.BEFORE), Cause.BEFORE, scope, read_steps) for long in _each(entry.filled("before"))]
-    outcomes = entry.section("during")
-    outcomes.only(*_DURING)
-    for outcome, _, chains in outcomes.entries():
+    keys = RecoveryKeys(node.mapped())
+    recoveries = [_recovery(long, causes_in(Phase.BEFORE), Cause.BEFORE, scope, read_steps) for long in _each(keys.before)]
+    for outcome, _, chains in keys.during.entry.entries():
         recoveries += [_recovery(long, frozenset({_DURING[outcome]}), None, scope, read_steps) for long in _each(chains)]
-    recoveries += [_recovery(long, causes_in(Phase.AFTER), Cause.AFTER, scope, read_steps) for long in _each(entry.filled("after"))]
+    recoveries += [_recovery(long, causes_in(Phase.AFTER), Cause.AFTER, scope, read_steps) for long in _each(keys.after)]
     always = dict[Cause, Then]()
     for recovery in recoveries:
         if recovery.causes <= always.keys():
@@ -188,18 +183,13 @@ def _is_long(node: Node) -> bool:
 
 
 def _recovery(node: Node, usual: frozenset[Cause], own: Cause | None, scope: FormulaScope, read_steps: ReadSteps) -> WrittenRecovery:
-    entry = node.mapped() if _is_long(node) else None
+    keys = (Chain if own is None else ConditionalChain)(node.mapped()) if _is_long(node) else None
     when: Condition | None = None
-    times: int | None = None
-    if entry is not None:
-        entry.only(*(("when",) if own is not None else ()), "do", "times")
-        condition = entry.node("when")
-        when = None if condition is None else read_condition(condition, scope)
-        times = entry.whole("times", None)
-        if times is not None and not 1 <= times <= MAX_TIMES:
-            raise InputError(f"expected a number of times from 1 to {MAX_TIMES}, found {times}", entry.position("times"))
+    if isinstance(keys, ConditionalChain) and keys.when is not None:
+        when = read_condition(keys.when, scope)
+    times = None if keys is None else keys.times
     causes = usual if when is None or own is None else frozenset({own})
-    whole = node if entry is None else entry.needed("do")
+    whole = node if keys is None else keys.do
     items = (whole,) if whole.items is None else whole.items
     if not items or items[-1].text is None:
         raise (items[-1] if items else whole).wrong(f"expected a command at the end of the chain: {', '.join(COMMANDS)}")

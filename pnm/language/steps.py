@@ -6,19 +6,32 @@ import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from math import inf
-from typing import Final
+from typing import Final, assert_never
 
-from pnm.actions.bindings_file import check_pattern, read_texts
+from pnm.actions.bindings_file import check_pattern
 from pnm.core.logic.computed_values import KnowledgeOperation
 from pnm.core.logic.domain import ProblemModel
 from pnm.core.machine.plan_graph import Moment, WaitUntil
 from pnm.errors import InputError, Position, Tolerated
 from pnm.files.yaml_nodes import Mapped, Node
-from pnm.language.actions import OPERATION, RESERVED, ActionKind, LanguageAction
+from pnm.language.actions import OPERATION, LanguageAction
 from pnm.language.formulas.conditions import read_condition
 from pnm.language.formulas.scope import FormulaScope, known_names, shown, unknown
 from pnm.language.formulas.values import read_data, read_operation
+from pnm.language.grammar import (
+    BLOCKS,
+    RESERVED,
+    ActionKind,
+    Call,
+    Concurrent,
+    If,
+    InSequence,
+    LoopKeys,
+    Place,
+    WaitFor,
+    Waiting,
+    While,
+)
 from pnm.language.plan_tree import (
     CallStep,
     ChoiceStep,
@@ -34,12 +47,7 @@ from pnm.language.plan_tree import (
     read_recoveries,
 )
 
-DEFAULT_LIMIT: Final = 1000
-"""How often a loop is repeated at most, without a limit in the plan."""
-MAX_LIMIT: Final = 1_000_000
-_PLACE: Final = ("id", "after")
-_CALL: Final = ("recoveries", "retries", "timeout", "resources", "store", "end_after", "duration", "release", "latest_start", "deadline")
-OPTIONS: Final = (*_PLACE, *_CALL)
+_OPTIONS: Final = tuple(Call.known)
 """The keys of a step beside the one that names its action or block."""
 _INSERTED: Final = re.compile(r"\$\{(?P<first>[A-Za-z_]\w*)\}|\$(?P<second>[A-Za-z_]\w*)|\{(?P<third>[A-Za-z_]\w*)\}")
 """How other languages write the value of a variable inside of a text."""
@@ -86,75 +94,49 @@ class StepReader:
             hint = f"; write '- {node.text}:'" if node.text else ""
             raise node.wrong(f"expected a step such as '- action: {{parameter: value}}', found {shown(node)}{hint}")
         entry = node.mapped()
-        head = self._head(entry)
-        options = entry.without(head)
-        after, end_after = _waits(options.node("after")), _waits(options.node("end_after"))
-        place = StepPlacement(entry.start, options.string("id"), after, end_after or ())
-        match head:
-            case "concurrent_actions":
-                entry.only("concurrent_actions", *_PLACE)
-                return ConcurrentStep(place, self.steps(entry.needed("concurrent_actions")).steps)
-            case "sequence":
-                entry.only("sequence", *_PLACE)
-                return SequenceStep(place, self.steps(entry.needed("sequence")).steps)
-            case "while":
-                for key in [key for key in entry.nodes if key in ("condition", "actions", "limit")]:
-                    raise InputError(f"{key!r} belongs under 'while': two more spaces before it", entry.nodes[key][0])
-                entry.only("while", *_PLACE)
-                return self._loop(entry.needed("while").mapped(), place)
-            case "wait_until":
-                entry.only("wait_until", *_PLACE)
-                return LeafStep(place, self._wait_until(entry.needed("wait_until").mapped()))
-            case "if":
-                entry.only("if", "then", "else", *_PLACE)
-                within = entry.needed("if").mapped().nodes if entry.needed("if").is_mapping else {}
-                for key in [key for key in ("condition", "then", "else") if key in within]:
-                    how = "'if' has the condition itself, without this word" if key == "condition" else "it stands beside 'if'"
-                    raise InputError(f"{key!r} does not belong under 'if': {how}", within[key][0])
-                condition = read_condition(entry.needed("if"), self.scope)
-                then = self.steps(entry.needed("then"))
-                return ChoiceStep(
-                    place,
-                    condition,
-                    then,
-                    self.steps(entry.needed("else")) if "else" in entry.nodes else SequenceStep(StepPlacement(entry.start), ()),
-                )
-            case name:
-                entry.only(name, *OPTIONS)
-                return self._call(name, entry, place)
+        kind = next((kind for word, kind in BLOCKS.items() if word in entry.nodes), None)
+        if kind is None:
+            return self._call(self._head(entry), Call(entry))
+        if kind is If:
+            _check_condition(entry)
+        block = kind(entry)
+        place = _place(block)
+        match block:
+            case Concurrent():
+                return ConcurrentStep(place, self.steps(block.steps).steps)
+            case InSequence():
+                return SequenceStep(place, self.steps(block.steps).steps)
+            case While():
+                return self._loop(block.loop, place)
+            case Waiting():
+                return LeafStep(place, WaitUntil(0, read_condition(block.wait.condition, self.scope), block.wait.limit))
+            case If():
+                otherwise = SequenceStep(StepPlacement(entry.start), ()) if block.else_ is None else self.steps(block.else_)
+                return ChoiceStep(place, read_condition(block.if_, self.scope), self.steps(block.then), otherwise)
+            case _:
+                assert_never(block)
 
     def _head(self, entry: Mapped) -> str:
-        """Return the key that names the action or the block of the step."""
-        for word in ("if", "while", "wait_until", "concurrent_actions", "sequence"):
-            if word in entry.nodes:
-                return word
-        heads = [key for key in entry.nodes if key not in OPTIONS] or [key for key in entry.nodes if key in self.actions]
+        """Return the key that names the action of a call."""
+        heads = [key for key in entry.nodes if key not in _OPTIONS] or [key for key in entry.nodes if key in self.actions]
         if len(heads) == 1:
             return heads[0]
         if not heads:
             raise InputError(f"the step does nothing; expected an action beside {', '.join(entry.nodes) or 'nothing'}", entry.start)
         strange = next((head for head in heads if head not in self.actions), heads[1])
-        message = f"a step does one thing; {strange!r} is a second one, and none of the options: {', '.join(OPTIONS)}"
+        message = f"a step does one thing; {strange!r} is a second one, and none of the options: {', '.join(_OPTIONS)}"
         raise InputError(message, entry.nodes[strange][0])
 
-    def _loop(self, entry: Mapped, place: StepPlacement) -> LoopStep:
-        entry.only("condition", "actions", "limit")
-        limit = entry.whole("limit", DEFAULT_LIMIT)
-        if not 1 <= limit <= MAX_LIMIT:
-            raise InputError(f"expected a limit from 1 to {MAX_LIMIT}, found {limit}", entry.position("limit"))
-        body = self.steps(entry.needed("actions"))
+    def _loop(self, loop: LoopKeys, place: StepPlacement) -> LoopStep:
+        body = self.steps(loop.actions)
         if not body.steps:
-            raise InputError("a loop repeats at least one step", entry.position("actions"))
-        return LoopStep(place, read_condition(entry.needed("condition"), self.scope), body, limit)
-
-    def _wait_until(self, entry: Mapped) -> WaitUntil:
-        entry.only("condition", "limit")
-        entry.needed("limit")  # nobody waits for ever
-        return WaitUntil(0, read_condition(entry.needed("condition"), self.scope), entry.number("limit", 0.0))
+            raise InputError("a loop repeats at least one step", loop.entry.position("actions"))
+        return LoopStep(place, read_condition(loop.condition, self.scope), body, loop.limit)
 
     # --- calls ---
 
-    def _call(self, name: str, entry: Mapped, place: StepPlacement) -> CallStep:
+    def _call(self, name: str, written: Call) -> CallStep:
+        entry = written.entry
         if name not in self.actions:
             where, word = entry.nodes[name][0], name.partition("{")[0].strip(": ")
             if word in self.actions:
@@ -171,28 +153,29 @@ class StepReader:
         arguments = Mapped(entry.file, entry.start, {}) if argument.is_null else argument.mapped()
         entries = [entry for entry in arguments.entries() if action.kind is not ActionKind.KB or entry[0] != OPERATION]
         given = {key: self._given(action, key, where, node) for key, where, node in entries}
-        options = entry.without(name)
-        resources = tuple(options.strings("resources"))
+        options = Call(entry.without(name))  # the action may have the name of an option
+        resources = tuple(options.resources)
         if action.kind is not ActionKind.KB:
             names = given if action.is_open else [variable.name[1:] for variable in action.schema.parameters]
             example = next((f"{{{parameter}}}/base" for parameter in names), "base")
             for pattern in (action.binding.server or "", *action.resources, *resources):
-                check_pattern(pattern, options.position("resources") if pattern in resources else entry.nodes[name][0], example, names)
-        recoveries = options.node("recoveries")
+                check_pattern(
+                    pattern, options.entry.position("resources") if pattern in resources else entry.nodes[name][0], example, names
+                )
         return CallStep(
-            place,
+            _place(options),
             action,
             given,
             operation=self._operation(action, arguments) if action.kind is ActionKind.KB else None,
-            recoveries=None if recoveries is None else self.recoveries(action, recoveries),
-            retries=options.whole("retries", None),
-            timeout=options.number("timeout", None),
-            duration=options.number("duration", None),
-            release=options.number("release", 0.0),
-            latest_start=options.number("latest_start", inf),
-            deadline=options.number("deadline", inf),
+            recoveries=None if options.recoveries is None else self.recoveries(action, options.recoveries),
+            retries=options.retries,
+            timeout=options.timeout,
+            duration=options.duration,
+            release=options.release,
+            latest_start=options.latest_start,
+            deadline=options.deadline,
             resources=resources,
-            store=read_texts(options, "store", "expected result fields and the variables to store them in"),
+            store=options.store,
         )
 
     def recoveries(self, action: LanguageAction, node: Node) -> tuple[WrittenRecovery, ...]:
@@ -244,6 +227,19 @@ def _check_object(action: LanguageAction, key: str, node: Node, declared: Proble
         raise unknown(f"object for {key} of {action.name} (one of type {' or '.join(types)})", name, fitting, node.position)
 
 
+def _place(keys: Place) -> StepPlacement:
+    end_after = _waits(keys.end_after) if isinstance(keys, Call) else None
+    return StepPlacement(keys.entry.start, keys.id, _waits(keys.after), end_after or ())
+
+
+def _check_condition(entry: Mapped) -> None:
+    """Refuse keys under ``if`` that belong beside it."""
+    within = entry.needed("if").mapped().nodes if entry.needed("if").is_mapping else {}
+    for key in [key for key in ("condition", "then", "else") if key in within]:
+        how = "'if' has the condition itself, without this word" if key == "condition" else "it stands beside 'if'"
+        raise InputError(f"{key!r} does not belong under 'if': {how}", within[key][0])
+
+
 def _waits(node: Node | None) -> tuple[Wait, ...] | None:
     return None if node is None else tuple(map(_wait, (node,) if node.items is None else node.items))
 
@@ -254,10 +250,9 @@ def _wait(node: Node) -> Wait:
         return Wait(node.text, node.position)
     if not node.is_mapping:
         raise node.wrong(f"expected the id of a step, found {shown(node)}")
-    entry = node.mapped()
-    entry.only("start", "end", "delay")
-    named = [(moment, name) for moment in Moment if (name := entry.string(moment.value)) is not None]
+    keys = WaitFor(node.mapped())
+    named = [(moment, name) for moment, name in ((Moment.START, keys.start), (Moment.END, keys.end)) if name is not None]
     if len(named) != 1:
-        raise InputError("expected either 'start' or 'end' and the id of a step", entry.start)
+        raise InputError("expected either 'start' or 'end' and the id of a step", keys.entry.start)
     ((moment, name),) = named
-    return Wait(name, entry.position(moment.value), moment, entry.number("delay", 0.0))
+    return Wait(name, keys.entry.position(moment.value), moment, keys.delay)

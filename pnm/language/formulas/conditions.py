@@ -27,16 +27,35 @@ from pnm.core.logic.conditions import (
 from pnm.core.logic.domain import check_choices
 from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, Expression, ValueOf, Variable
 from pnm.errors import InputError
+from pnm.files.yaml_keys import Keys, needed, ref
 from pnm.files.yaml_nodes import Node
 from pnm.language.formulas.scope import ANYTHING, FormulaScope, fluent_in, is_variable, read_fluent, read_typed, shown
 from pnm.language.formulas.values import comparison_parts, operation_parts, read_form
-from pnm.language.formulas.words import ARITHMETIC, COMPARISONS, QUERIES, TESTS, Form, form, needed_form, read_operator
+from pnm.language.formulas.words import (
+    ARITHMETIC,
+    ARITHMETIC_WORDS,
+    COMPARISONS,
+    CONDITION,
+    QUERIES,
+    TESTS,
+    Form,
+    form,
+    needed_form,
+    read_operator,
+)
 
 FALSE: Final = Any(())
 _NAME: Final = re.compile(r"\??[^\s()?]+\Z")
 _NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\Z")
 _OPERANDS: Final = {"-": range(1, 3), "/": range(2, 3)}
 """How many operands arithmetic takes; the others take any number from 2."""
+
+
+class Quantified(Keys):
+    """A condition on all objects of some types, or on some of them."""
+
+    variables = needed(ref("typed"), "variables and their types: ?x ?y - block")
+    body = needed(CONDITION, "the condition on them").named("condition")
 
 
 def read_condition(node: Node, scope: FormulaScope = ANYTHING) -> Condition:
@@ -84,17 +103,15 @@ def _condition(construct: Form, scope: FormulaScope) -> Condition:
 
 
 def _quantified(kind: type[ForAll | Exists], construct: Form, scope: FormulaScope) -> ForAll | Exists:
-    variables, body = read_quantified(construct, "condition", scope)
+    variables, body = read_quantified(Quantified(construct.argument.mapped()), scope)
     condition = kind(variables, read_condition(body, scope.inside(variables)))
     check_choices(choices_in(condition, scope.declared.count), construct.position)
     return condition
 
 
-def read_quantified(construct: Form, inner: str, scope: FormulaScope) -> tuple[tuple[Variable, ...], Node]:
-    """Return the variables of a quantifier, and its body, which stands under the key."""
-    entry = construct.argument.mapped()
-    entry.only("variables", inner)
-    return read_typed(entry.needed("variables"), scope), entry.needed(inner)
+def read_quantified(keys: Quantified, scope: FormulaScope) -> tuple[tuple[Variable, ...], Node]:
+    """Return the variables of a quantifier, and its body."""
+    return read_typed(keys.variables, scope), keys.body
 
 
 # --- comparisons ---------------------------------------------------------------------------
@@ -173,7 +190,7 @@ def read_expression(node: Node, scope: FormulaScope = ANYTHING) -> Expression:
 def _expression(node: Node) -> Expression | None:
     """Return None for what PDDL does not have."""
     if node.is_mapping:
-        construct = form(node, ("value", "operation"))
+        construct = form(node, ARITHMETIC_WORDS)
         if construct is None:
             return None
         return ValueOf(read_fluent(construct.items(1)[0])) if construct.word == "value" else _arithmetic(construct)

@@ -16,16 +16,60 @@ from pnm.core.logic.domain import DurationConstraint, check_choices
 from pnm.core.logic.effects import OPERATIONS, Effect, Effects, ForEach, Set, When, choices_in_effects
 from pnm.core.logic.expressions import UNDEFINED, Constant, Expression, ValueOf
 from pnm.errors import InputError
+from pnm.files.yaml_keys import Keys, needed, node, pair, ref, written
 from pnm.files.yaml_nodes import Node
-from pnm.language.formulas.conditions import read_condition, read_expression, read_quantified
+from pnm.language.formulas.conditions import Quantified, read_condition, read_expression, read_quantified
 from pnm.language.formulas.scope import ANYTHING, FormulaScope, fluent_in, read_fluent, shown
-from pnm.language.formulas.words import TESTS, Form, form, needed_form
+from pnm.language.formulas.words import CONDITION, FLUENT, TESTS, Form, Words, form, needed_form
 
-_CHANGES: Final = dict(zip((*OPERATIONS, "scale_up", "scale_down"), (*OPERATIONS, *OPERATIONS[-2:]), strict=True))
-_WORDS: Final = (*TESTS, *_CHANGES, "when")
+EFFECTS: Final = ref("effects")
+_CHANGES: Final = {operation.replace("-", "_"): operation for operation in OPERATIONS}
+_NEW: Final = pair(FLUENT, ref("expression"))
+EFFECT_WORDS: Final[Words] = {
+    **TESTS,
+    "and": ("all of them", EFFECTS),
+    "or": ("a test of variables: at least one of them", CONDITION),
+    "not": ("a fact becomes false; of anything else, a test that it is not so", EFFECTS),
+    "forall": ("for all objects of some types: effects, or a test of variables", ref("quantifiedEffects")),
+    "assign": ("gives a function a value", _NEW),
+    "increase": ("adds to the value of a function", _NEW),
+    "decrease": ("takes from the value of a function", _NEW),
+    "scale_up": ("multiplies the value of a function", _NEW),
+    "scale_down": ("divides the value of a function", _NEW),
+    "when": ("effects under a condition", ref("when")),
+}
+"""The words that an effect begins with."""
 _PLANNED: Final = ("and", "holds", "not", "forall", *_CHANGES, "when")
 """The words of effects that planners know: they have no tests."""
-MOMENTS: Final = ("at_start", "over_all", "at_end")
+
+
+class QuantifiedEffects(Quantified):
+    """Effects on all objects of some types."""
+
+    body = needed(EFFECTS, "the effects on each of them").named("effects")
+
+
+class Conditional(Keys):
+    """Effects under a condition."""
+
+    condition = written(CONDITION, "tested when the effects would happen")
+    at_start = written(CONDITION, "tested when the action starts")
+    effects = written(EFFECTS, "effects if the condition holds")
+
+
+class ConditionsByMoment(Keys):
+    """Conditions by the moment they must hold."""
+
+    at_start = node(CONDITION, "must hold when the action starts")
+    over_all = node(CONDITION, "must hold from start to end; the action is cancelled when it no longer does")
+    at_end = node(CONDITION, "must hold when the action ends")
+
+
+class EffectsByMoment(Keys):
+    """Effects by the moment they happen."""
+
+    at_start = node(EFFECTS, "effects of the start")
+    at_end = node(EFFECTS, "effects of the end")
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +95,7 @@ def _parts(node: Node, scope: FormulaScope) -> tuple[Effect | Condition, ...]:
         return ()
     if not node.is_mapping:
         return (_becomes(node, True, scope),)
-    construct = needed_form(node, _PLANNED if scope.strict else _WORDS, "an effect")
+    construct = needed_form(node, _PLANNED if scope.strict else EFFECT_WORDS, "an effect")
     match construct.word:
         case "and":
             return tuple(part for item in construct.operands() for part in _parts(item, scope))
@@ -66,7 +110,7 @@ def _parts(node: Node, scope: FormulaScope) -> tuple[Effect | Condition, ...]:
         case "when":
             return (_when(construct, scope),)
         case "forall" if "effects" in construct.argument.mapped().nodes:
-            variables, body = read_quantified(construct, "effects", scope)
+            variables, body = read_quantified(QuantifiedEffects(construct.argument.mapped()), scope)
             effects = (ForEach(variables, _only_effects(body, scope.inside(variables))),)
             check_choices(choices_in_effects(effects, scope.declared.count), construct.position)
             return effects
@@ -97,9 +141,8 @@ def _change(construct: Form, scope: FormulaScope) -> Set:
 
 
 def _when(construct: Form, scope: FormulaScope) -> When:
-    entry = construct.argument.mapped()
-    entry.only("condition", "at_start", "effects")
-    late, early, body = entry.node("condition"), entry.node("at_start"), entry.node("effects")
+    keys = Conditional(construct.argument.mapped())
+    late, early, body = keys.condition, keys.at_start, keys.effects
     condition = late or early
     if condition is None or body is None or (late and early):
         raise construct.argument.wrong("'when' takes effects, and either a condition or, for one that is tested early, at_start")
@@ -131,13 +174,12 @@ def read_conditions(node: Node | None, scope: FormulaScope = ANYTHING) -> TimedC
         return TimedConditions()
     if not _has_moments(node):
         return TimedConditions(read_condition(node, scope))
-    entry = node.mapped()
-    entry.only(*MOMENTS)
-    conditions = [entry.filled(moment) for moment in MOMENTS]
+    keys = ConditionsByMoment(node.mapped())
+    conditions = keys.at_start, keys.over_all, keys.at_end
     start, always, end = (TRUE if condition is None else read_condition(condition, scope) for condition in conditions)
     if any(isinstance(part, Query) and part.layer is not Layer.LOCAL for data in data_in(always) for part in parts(data)):
         message = "what must hold over all is watched, and nobody is asked all the time; expected LocalQuery, facts or functions"
-        raise InputError(message, entry.position("over_all"))
+        raise InputError(message, keys.entry.position("over_all"))
     return TimedConditions(start, always, end)
 
 
@@ -147,9 +189,8 @@ def read_timed_effects(node: Node | None, scope: FormulaScope = ANYTHING) -> tup
         return (), WrittenEffects()
     if not _has_moments(node):
         return (), read_effects(node, scope)
-    entry = node.mapped()
-    entry.only("at_start", "at_end")
-    start, end = entry.filled("at_start"), entry.filled("at_end")
+    keys = EffectsByMoment(node.mapped())
+    start, end = keys.at_start, keys.at_end
     return (
         () if start is None else _only_effects(start, scope),
         WrittenEffects() if end is None else read_effects(end, scope),
@@ -157,17 +198,22 @@ def read_timed_effects(node: Node | None, scope: FormulaScope = ANYTHING) -> tup
 
 
 def _has_moments(node: Node) -> bool:
-    return node.is_mapping and not node.mapped().nodes.keys().isdisjoint(MOMENTS)
+    return node.is_mapping and not node.mapped().nodes.keys().isdisjoint(ConditionsByMoment.known)
 
 
+BOUND_WORDS: Final[Words] = {
+    "=": ("exactly so many seconds", ref("expression")),
+    "<=": ("at most so many seconds", ref("expression")),
+    ">=": ("at least so many seconds", ref("expression")),
+}
 _BOUNDS: Final[Mapping[str, Literal["=", "<=", ">="]]] = {"=": "=", "<=": "<=", ">=": ">="}
 
 
 def read_duration(node: Node, scope: FormulaScope = ANYTHING) -> tuple[DurationConstraint, ...]:
     """Read a duration: an expression, or a list of bounds ``{"<=": expression}``; an empty list for any duration."""
-    if node.items is None and form(node, _BOUNDS) is None:
+    if node.items is None and form(node, BOUND_WORDS) is None:
         return (DurationConstraint("=", _bound(node, scope)),)
-    bounds = [needed_form(item, _BOUNDS, "a bound") for item in ((node,) if node.items is None else node.items)]
+    bounds = [needed_form(item, BOUND_WORDS, "a bound") for item in ((node,) if node.items is None else node.items)]
     return tuple([DurationConstraint(_BOUNDS[form.word], _bound(form.argument, scope)) for form in bounds])
 
 

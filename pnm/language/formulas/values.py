@@ -12,7 +12,7 @@ from pnm.core.logic.computed_values import Compound, Data, KnowledgeOperation, L
 from pnm.core.logic.expressions import ValueOf
 from pnm.files.yaml_nodes import Node
 from pnm.language.formulas.scope import ANYTHING, FormulaScope, fluent_in, is_variable, read_fluent
-from pnm.language.formulas.words import ARITHMETIC, QUERIES, UPDATES, VALUES, Form, form, needed_form, read_operator
+from pnm.language.formulas.words import ARITHMETIC, OPERATIONS, QUERIES, UPDATES, VALUES, Form, form, needed_form, read_operator
 
 
 def read_data(node: Node, scope: FormulaScope = ANYTHING) -> Data:
@@ -145,7 +145,7 @@ def _operation(construct: Form, scope: FormulaScope, *, changing: bool = False) 
 
 def read_operation(node: Node, scope: FormulaScope = ANYTHING) -> KnowledgeOperation:
     """Read an operation on knowledge: an update, a query, or an operator that changes it."""
-    construct = needed_form(node, (*UPDATES, *QUERIES, "operation"), "an update, a query or an operation")
+    construct = needed_form(node, OPERATIONS, "an update, a query or an operation")
     if construct.word in UPDATES:
         name, value, *meta = construct.items(2, 3)
         return Update(_name(name, scope), read_data(value, scope), UPDATES[construct.word], *(read_data(option, scope) for option in meta))

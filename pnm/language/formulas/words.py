@@ -9,12 +9,24 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Final
+from typing import Any, Final, TypeAlias
 
 from pnm.core.logic.computed_values import CHANGING, LOGICAL, OPERATORS, Layer
 from pnm.errors import InputError, Position, suggestion
+from pnm.files.yaml_keys import ANYTHING, Schema, described, pair, ref
 from pnm.files.yaml_nodes import Node
 from pnm.language.formulas.scope import shown
+
+Words: TypeAlias = Mapping[str, tuple[str, Schema]]
+"""The words that a form may begin with: their meaning, and the schema of their argument."""
+
+CONDITION: Final = ref("condition")
+VALUE: Final = ref("value")
+_ASKED: Final = ref("query")
+_CHANGED: Final = ref("update")
+FLUENT: Final[Schema] = {"type": "string", "pattern": r"^\s*\(\s*[^\s()?].*\)\s*$"}
+"""The text of a fact or function."""
+_FACT: Final = ref("factOrOne")
 
 QUERIES: Final[Mapping[str, Layer]] = {
     "query": Layer.ALL,
@@ -28,15 +40,52 @@ UPDATES: Final[Mapping[str, Layer]] = {
     "remoteUpdate": Layer.GLOBAL,
     "personUpdate": Layer.PERSON,
 }
-SYNONYMS: Final[Mapping[str, str]] = {"logicalAnd": "and", "logicalOr": "or", "logicalNot": "not"}
-LOGIC: Final = ("and", "or", "not", "imply", "forall", "exists")
-TESTS: Final = (*LOGIC, "comparison", "operation", "booleanAssertion", "holds", *QUERIES)
-"""What a condition begins with."""
+QUERY_WORDS: Final[Words] = {
+    "query": ("the value of a variable: of the run if it has one, else of what all runs share", _ASKED),
+    "localQuery": ("the value of a variable of this run", _ASKED),
+    "remoteQuery": ("the value of a variable that all runs share", _ASKED),
+    "personQuery": ("the answer of a person", _ASKED),
+}
+SYNONYMS: Final[Mapping[str, str]] = {
+    **{"logicalAnd": "and", "logicalOr": "or", "logicalNot": "not"},
+    **{"scale-up": "scale_up", "scale-down": "scale_down"},
+}
+TESTS: Final[Words] = {
+    "and": ("all of them", CONDITION),
+    "or": ("at least one of them", CONDITION),
+    "not": ("not this one", CONDITION),
+    "imply": ("if the first then also the second", pair(CONDITION, CONDITION)),
+    "forall": ("for all objects of some types", ref("quantified")),
+    "exists": ("some object of some types, or a variable that has a value", ref("exists")),
+    "comparison": ("compares two values by an operator such as eq or <", ref("comparison")),
+    "operation": ("an operator over values, such as contains", ref("computed")),
+    "booleanAssertion": ("whether a value is equal to true, or to false", pair(VALUE, {"type": "boolean"})),
+    "holds": ("a fact, such as (at ?r kitchen)", _FACT),
+    **QUERY_WORDS,
+}
+"""The words that a condition begins with."""
 _CAPITAL: Final = frozenset({"comparison", "operation", "booleanAssertion", "holds", "value", "literal", *QUERIES, *UPDATES})
 _FIELDS: Final = frozenset({"comparison", "operation", "holds", "exists", "value", "literal", "query", "update"})
 """In values, mappings with these keys are data."""
-VALUES: Final = (*(word for word in TESTS if word != "forall"), "value", "literal")
-"""What a value that is computed begins with."""
+ARITHMETIC_WORDS: Final[Words] = {
+    "value": ("the value of a function", _FACT),
+    "operation": ("arithmetic: + - * / over expressions", ref("computed")),
+}
+VALUES: Final[Words] = {
+    **{word: TESTS[word] for word in TESTS if word != "forall"},
+    "value": ("the value of a function, or the truth of a fact", _FACT),
+    "literal": ("the value as it stands", ANYTHING),
+}
+"""The words that a computed value begins with."""
+OPERATIONS: Final[Words] = {
+    "update": ("stores a value in both: the run, and what all runs share", _CHANGED),
+    "localUpdate": ("stores a value in a variable of this run", _CHANGED),
+    "remoteUpdate": ("stores a value where all runs see it", _CHANGED),
+    "personUpdate": ("tells a person something", _CHANGED),
+    **QUERY_WORDS,
+    "operation": TESTS["operation"],
+}
+"""The words that an operation on knowledge begins with."""
 
 COMPARISONS: Final[Mapping[str, str]] = {"eq": "=", "ne": "!=", "lt": "<", "le": "<=", "gt": ">", "ge": ">="}
 """Python's names of the comparisons that PDDL has too."""
@@ -110,6 +159,24 @@ def _word(key: str) -> str:
 
 def _spelled(word: str) -> str:
     return word[:1].upper() + word[1:] if word in _CAPITAL else word
+
+
+def forms(words: Words, *, most: int | None = 1) -> dict[str, Any]:
+    """Return the keys of a schema of mappings that are one of the forms; without `most`, of any mapping that may be one."""
+    known = {_spelled(word): described(*about) for word, about in words.items()}
+    if most is None:
+        return {"properties": known}
+    others = {word: [key for key in _spellings(word) if key != _spelled(word)] for word in words}
+    patterns = {f"^({'|'.join(keys)})$": words[word][1] for word, keys in others.items() if keys}
+    return {"properties": known, "patternProperties": patterns, "additionalProperties": False, "maxProperties": most}
+
+
+def _spellings(word: str) -> list[str]:
+    small = [word, *(synonym for synonym, meaning in SYNONYMS.items() if meaning == word)]
+    return [key for one in small if one[0].isalpha() for key in (one, one[0].upper() + one[1:])]
+
+
+OPERATORS_KNOWN: Final = sorted(OPERATORS.keys() | _NAMES.keys())
 
 
 def read_operator(node: Node, *, changing: bool = False) -> str:

@@ -18,10 +18,9 @@ from planner_bridge.cli.commands import app
 from planner_bridge.node.options import PARAMETERS
 from planner_bridge.pipeline.loading import load
 from planner_bridge.tasks.result import code_of_failures
-from pnm.actions.bindings_file import binding_keys, read_bindings
+from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import FaultKind
 from pnm.core.execution.call_results import Failure
-from pnm.core.machine.bindings import DEFAULT
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.message_fields import value_in
@@ -71,13 +70,6 @@ def test_every_parameter_of_the_node_has_its_row_and_its_default() -> None:
     (table,) = tables("reference/parameters.md")
     said = {row[0].strip("`"): row[1].strip("`") for row in table}
     assert said == {one.name: str(one.default).lower() if isinstance(one.default, bool) else str(one.default) for one in PARAMETERS}
-
-
-def test_every_key_of_a_binding_has_its_row() -> None:
-    assert sorted(words("reference/bindings.md", "Keys of an action")[: len(binding_keys("type"))]) == sorted(binding_keys("type"))
-    assert words("reference/bindings.md", "Keys of the file") == ["actions", "assumed", "lag"]
-    said = {row[0].strip("`"): row[2] for table in tables("reference/bindings.md", "Keys of an action") for row in table}
-    assert (said["accept"], said["cancel"], said["retries"]) == (f"{DEFAULT.accept:g}", f"{DEFAULT.cancel:g}", str(DEFAULT.retries))
 
 
 def test_states_of_readiness_and_kinds_of_faults_have_their_rows() -> None:

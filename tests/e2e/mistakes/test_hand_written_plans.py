@@ -91,7 +91,7 @@ MISTAKES = {
     "a key that no plan has": Mistake(
         "run --plan p.yaml",
         2,
-        ("p.yaml:2:1: unknown key 'x'; expected one of name, domain, params", ", …"),
+        ("p.yaml:2:1: unknown key 'x'; expected one of plan, domain, params", ", …"),
         {"p.yaml": "actions: {stop: }\nx: 3\n"},
     ),
 }

@@ -15,7 +15,7 @@ from pnm.core.logic.expressions import DURATION, Constant, ValueOf, Variable
 from pnm.core.logic.rules import DerivationRule
 from pnm.errors import InputError
 from pnm.language import LanguageDomain, read_domain
-from pnm.language.actions import ActionKind
+from pnm.language.grammar import ActionKind
 from tests.support.files import refused
 from tests.support.yaml.examples import ORIGINAL, PDDL
 

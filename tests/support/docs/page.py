@@ -6,6 +6,8 @@
     ```console not run         needs a robot, or a file that there is not: only the options of its commands are looked at
     ```python … ```output      a program and what it prints
 
+The rows of a table below ``<!-- keys of MODULE.CLASS -->`` are the keys of a grammar.
+
 A picture ``docs/pictures/NAME`` is what the commands of a page write into a file of that name.
 """
 
@@ -17,6 +19,7 @@ import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from difflib import get_close_matches
+from importlib import import_module
 from pathlib import Path
 from typing import Final, Protocol
 
@@ -28,6 +31,7 @@ PAGES: Final = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob
 NOT_RUN: Final = "not run"
 LEFT_OUT: Final = "…\n"
 _BLOCK = re.compile(r"^```(?P<kind>\w+)(?: (?P<name>[^\n]+))?\n(?P<body>.*?)^```$", re.DOTALL | re.MULTILINE)
+_KEYS = re.compile(r"^(?P<head><!-- keys of (?P<module>[\w.]+)\.(?P<name>\w+) -->\n(?:\|.*\n){2})(?:\|.*\n)*", re.MULTILINE)
 _TRAILING = re.compile(r" +$", re.MULTILINE)
 _VARYING = (
     (re.compile(r" *\d+\.\d+ s\b"), " TIME"),
@@ -138,6 +142,16 @@ def follow(text: str, shell: Shell) -> Iterator[tuple[Block, list[tuple[Step, st
         elif block.kind == "output":
             done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, timeout=120, check=False)
             yield block, [(Step("", block.body), done.stdout + done.stderr)]
+
+
+def has_keys(text: str) -> bool:
+    """Tell whether a page has tables of keys."""
+    return _KEYS.search(text) is not None
+
+
+def with_keys(text: str) -> str:
+    """Return the page with the keys that there are in its tables of keys."""
+    return _KEYS.sub(lambda found: found["head"] + getattr(import_module(found["module"]), found["name"]).rows(), text)
 
 
 def as_it_is(text: str, followed: Iterable[tuple[Block, list[tuple[Step, str]]]]) -> str:

@@ -12,14 +12,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-from tests.support.docs.page import PAGES, as_it_is, blocks_of, follow, needs_robots, pictures_in
+from tests.support.docs.page import PAGES, as_it_is, blocks_of, follow, has_keys, needs_robots, pictures_in, with_keys
 from tests.support.docs.shell import OwnShell, with_examples
 from tests.support.files import ROOT
 
 
 def _is_simulated(page: Path) -> bool:
     text = page.read_text(encoding="utf-8")
-    return bool(blocks_of(text, "console", "output")) and not needs_robots(text)
+    return (has_keys(text) or bool(blocks_of(text, "console", "output"))) and not needs_robots(text)
 
 
 SIMULATED: Final = tuple(page for page in PAGES if _is_simulated(page))
@@ -35,7 +35,7 @@ def differences(page: Path, folder: Path, *, write: bool = False) -> Iterator[st
         write: whether to put into the page what is so.
     """
     shown = page.read_text(encoding="utf-8")
-    real = as_it_is(shown, follow(shown, OwnShell(with_examples(folder))))
+    real = with_keys(as_it_is(shown, follow(shown, OwnShell(with_examples(folder)))))
     yield from difflib.unified_diff(shown.splitlines(keepends=True), real.splitlines(keepends=True), page.name, "what is printed")
     if write and real != shown:
         page.write_text(real, encoding="utf-8")

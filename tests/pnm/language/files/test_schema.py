@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import ast
 import json
+import re
 from collections.abc import Iterator
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -14,21 +15,20 @@ from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
 
 from planner_bridge.cli.commands import app
-from planner_bridge.yaml import read_constraints
 from planner_bridge.yaml.convert import exported
+from pnm.actions.bindings_file import BindingKeys
 from pnm.core import message_fields
-from pnm.core.logic.computed_values import OPERATORS
+from pnm.core.machine.bindings import Binding
 from pnm.core.machine.failure_causes import Cause
-from pnm.core.machine.machine import OnFailure
 from pnm.errors import InputError
-from pnm.knowledge import field_reader
-from pnm.language import actions, domain, files, plan_tree, steps
-from pnm.language.files import SCHEMA
-from pnm.language.formulas import effects, words
+from pnm.knowledge.field_reader import FieldComparison
+from pnm.language import files, grammar, plan_tree
+from pnm.language.formulas import words
 from pnm.language.plan import read_plans
 from tests.support.files import ROOT
 from tests.support.yaml.programs import programs
 
+SCHEMA = ROOT / "pnm" / "language" / "schema.json"
 TEXT = SCHEMA.read_text(encoding="utf-8")
 KNOWN = json.loads(TEXT)
 PARTS = KNOWN["definitions"]
@@ -43,10 +43,6 @@ def violations(text: str) -> list[str]:
     return [f"{list(error.path)}: {error.message}" for one in plain for error in CHECK.iter_errors(one)]
 
 
-def keys(part: dict[str, Any]) -> set[str]:
-    return set(part["properties"])
-
-
 def mappings(part: Any) -> Iterator[dict[str, Any]]:
     """Yield every mapping in the schema."""
     if isinstance(part, dict):
@@ -55,91 +51,47 @@ def mappings(part: Any) -> Iterator[dict[str, Any]]:
         yield from mappings(inner)
 
 
+def test_the_file_is_what_the_command_writes(tmp_path: Path) -> None:
+    assert CliRunner().invoke(app, ["schema"]).output == TEXT, f"pnm schema -o {SCHEMA.relative_to(ROOT)} --force writes it anew"
+    done = CliRunner().invoke(app, ["schema", "-o", str(tmp_path / "pnm.json")])
+    assert (done.exit_code, done.output) == (0, f"wrote {tmp_path / 'pnm.json'}\n")
+    assert (tmp_path / "pnm.json").read_text(encoding="utf-8") == TEXT
+
+
 def test_it_is_a_schema() -> None:
     jsonschema.Draft7Validator.check_schema(KNOWN)
 
 
-@pytest.mark.parametrize(
-    ("part", "known"),
-    [
-        (KNOWN, {*domain.DOMAIN_KEYS, *files.PLAN_KEYS, "plans"}),
-        (PARTS["recipe"], set(files.RECIPE_KEYS)),
-        (PARTS["action"], set(actions.ACTION_KEYS)),
-        (PARTS["problem"], set(domain.PROBLEM_KEYS)),
-        (PARTS["step"], {*actions.RESERVED, *steps.OPTIONS}),
-        (PARTS["recoveries"]["properties"]["during"], set(plan_tree._DURING)),
-        (PARTS["constraint"], {*read_constraints.CONSTRAINT_WORDS, "forall"}),
-    ],
-)
-def test_the_keys_are_those_of_the_readers(part: dict[str, Any], known: set[str]) -> None:
-    assert keys(part) == known
-
-
-def test_the_words_are_those_of_the_readers() -> None:
-    def spelled(*found: str) -> set[str]:
-        return {words._spelled(word) for word in found if "-" not in word}
-
-    tests = spelled(*words.TESTS)
-    assert keys(PARTS["condition"]) == tests
-    assert keys(PARTS["preconditions"]) == tests | set(effects.MOMENTS)
-    assert keys(PARTS["effects"]) == spelled(*effects._WORDS)
-    assert keys(PARTS["timedEffects"]) == spelled(*effects._WORDS) | {"at_start", "at_end"}
-    assert keys(PARTS["operation"]) == spelled(*words.UPDATES, *words.QUERIES, "operation")
-    assert keys(PARTS["duration"]) == {*effects._BOUNDS, "Value", "Operation"}
-    assert set(PARTS["command"]["enum"]) == set(plan_tree.COMMANDS)
-    assert set(PARTS["operator"]["enum"]) == OPERATORS.keys() | words._NAMES.keys()
-    assert set(KNOWN["properties"]["on_failure"]["enum"]) == {one.value for one in OnFailure} | {None}
-    kinds = KNOWN["definitions"]["action"]["properties"]["type"]["then"]["enum"]
-    assert set(kinds) == {kind.value for kind in actions.CLASSES.values()}
+def test_the_keys_are_those_of_the_core() -> None:
+    bound = {*BindingKeys.known}
+    assert bound == {field.name for field in fields(Binding) if field.compare}
+    assert {*FieldComparison.known} == {"field", *message_fields.COMPARISONS}
+    assert {*grammar.During.known} == {*plan_tree._DURING}
 
 
 def test_the_pages_name_every_step_and_every_cause_of_failure() -> None:
     pages = {name: (ROOT / f"docs/reference/{name}.md").read_text(encoding="utf-8") for name in ("language", "failures")}
-    assert not [word for word in actions.RESERVED if f"`{word}`" not in pages["language"]]
+    assert not [word for word in grammar.RESERVED if f"`{word}`" not in pages["language"]]
     assert not [cause for cause in Cause if f"`{cause}`" not in pages["failures"] and cause not in (Cause.BEFORE, Cause.AFTER)]
 
 
 def test_words_may_be_spelled_as_the_readers_allow() -> None:
-    for word in (*words.LOGIC[:3], *words.SYNONYMS, "comparison", "holds", *words.QUERIES):
+    for word in ("and", "or", "not", "logicalAnd", "logicalOr", "logicalNot", "comparison", "holds", *words.QUERIES):
         for spelled in (word, word[0].upper() + word[1:]):
             argument = {"comparison": "[eq, [1, 2]]", "holds": "(a)"}.get(word, "{Query: v}" if "uery" not in word else "v")
             assert not violations(f"goal: {{{spelled}: {argument}}}\nplan: []"), spelled
 
 
-def test_whatever_else_a_reader_looks_for_by_name_is_a_key_of_the_schema_and_the_other_way_round() -> None:
-    folder = Path(files.__file__).parent
-    called = [
-        node
-        for path in folder.glob("*.py")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.Call) and (getattr(node.func, "attr", "") == "only" or getattr(node.func, "id", "") == "needed")
-    ]
-    looked_for = {one.value for call in called for one in ast.walk(call) if isinstance(one, ast.Constant) and isinstance(one.value, str)}
-    listed = {key for part in mappings(KNOWN) if isinstance(part.get("properties"), dict) for key in part["properties"]}
-    assert len(looked_for) > 20
-    assert looked_for <= listed
-    named = {*domain.DOMAIN_KEYS, *files.PLAN_KEYS, *files.RECIPE_KEYS, *actions.ACTION_KEYS, *domain.PROBLEM_KEYS, *steps.OPTIONS}
-    spoken = {words._spelled(word) for word in (*words.VALUES, *words.UPDATES, *effects._WORDS)}
-    planners = {*read_constraints.CONSTRAINT_WORDS, "minimize", "maximize", "constraint", "moment", "variables", "effects"}
-    assert listed <= looked_for | named | spoken | planners | {
-        *effects.MOMENTS,
-        *effects._BOUNDS,
-        *plan_tree._DURING,
-        *message_fields.COMPARISONS,
-        *field_reader._TESTS,
-        "field",
-        "table",
-        actions.OPERATION,
-        "plans",
-    }
+def test_what_the_schema_refers_to_is_defined() -> None:
+    used = {part["$ref"].rpartition("/")[2] for part in mappings(KNOWN) if isinstance(part.get("$ref"), str)}
+    assert used <= PARTS.keys()
 
 
 def test_every_key_is_described_in_a_sentence() -> None:
     for part in mappings(KNOWN):
         if isinstance(part.get("properties"), dict):
             for key, value in part["properties"].items():
-                assert value["description"].endswith("."), key
-                assert ". " not in value["description"], key
+                assert re.fullmatch(r"[A-Z`].*\w.*\.", value["description"]), key
 
 
 # --- what is accepted, and what is not -----------------------------------------------------
@@ -215,10 +167,3 @@ def test_worlds_are_valid() -> None:
     assert not violations("domain: d.yaml\nplans: [a.yaml, b.yaml]")
     assert not violations("one: {domain: d.yaml, recipes: [a.yaml]}\ntwo: {domain: e.yaml, recipes: [b.yaml]}")
     assert violations("one: {domain: d.yaml, recipes: [a.yaml], plan: []}")
-
-
-def test_the_command_writes_it(tmp_path: Path) -> None:
-    assert CliRunner().invoke(app, ["schema"]).output == TEXT
-    done = CliRunner().invoke(app, ["schema", "-o", str(tmp_path / "pnm.json")])
-    assert (done.exit_code, done.output) == (0, f"wrote {tmp_path / 'pnm.json'}\n")
-    assert (tmp_path / "pnm.json").read_text(encoding="utf-8") == TEXT
