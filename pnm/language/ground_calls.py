@@ -33,6 +33,8 @@ def filled_operation(operation: KnowledgeOperation, values: Mapping[str, Data]) 
     return filled
 
 
+_LONGEST: Final = 1e12
+"""Seconds of a duration at most: a clock that shows so much still tells tenths of a millisecond apart."""
 EFFECT_RETRIES: Final = 3
 """How often a call is repeated by default because its effects are missing."""
 
@@ -95,6 +97,8 @@ def ground_action(step: CallStep, outer: Mapping[str, Data], facts: Facts) -> tu
     if duration is None and fixed is not None:  # by numbers that do not change or hold at the beginning
         seconds = value_of(fixed, facts, own.env)
         duration = float(seconds) if is_number(seconds) else None
+    if duration is not None and not 0.0 <= duration <= _LONGEST:
+        raise InputError(f"expected a duration from 0 to {_LONGEST:g} s, found {duration:g}", step.place.position)
     action = ground_schema(step.action.schema, tuple(map(own.argument, names)), own.env, duration)
     resources = tuple(dict.fromkeys((*step.action.resources, *step.resources)))
     called = replace(

@@ -221,4 +221,6 @@ def _bound(node: Node, scope: FormulaScope) -> Expression:
     bound = read_expression(node, scope)
     if scope.strict:
         scope.check_value(bound, (), node)
+    if isinstance(bound, Constant) and (isinstance(bound.value, str) and bound.value[:1] != "?"):
+        raise node.wrong(f"expected seconds as a number or something like (distance ?from ?to), found {shown(node)}")
     return bound
