@@ -536,12 +536,13 @@ class WrittenJournal(Journal):
         self.blocked = why
         held = {command.request.id for _, commands in self._waiting for command in commands if isinstance(command, Send)}
         for position, (perform, commands) in enumerate(self._waiting):
-            at_once = tuple(command for command in commands if self._needs_no_record(command, held))
+            at_once = tuple(
+                command
+                for command in commands
+                if isinstance(command, Wake) or (isinstance(command, Cancel) and command.request not in held and self._hold.is_mine())
+            )
             self._waiting[position] = perform, tuple(command for command in commands if command not in at_once)
             if at_once:
                 perform(at_once)
         if self._due is None:
             self._due = self._loop.call_later(_RETRY, self._write)
-
-    def _needs_no_record(self, command: Command, held: set[UUID]) -> bool:
-        return isinstance(command, Wake) or (isinstance(command, Cancel) and command.request not in held and self._hold.is_mine())

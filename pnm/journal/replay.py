@@ -332,8 +332,9 @@ def words(step: ReplayStep, replay: Replay) -> tuple[str, ...]:
             run = replay.runs[record.run].run
             return (f"a machine for {name}: {counted(len(run.machine.plan.calls), 'call')}, {run.machine.placed.count_places} places",)
         case Happened(run_id, event):
+            written = (f"  writes {delta_text(delta)}" for delta in record.deltas if delta.facts or delta.variables)
             sent = (f"  sends {command.request.action}" for command in step.commands if isinstance(command, Send))
-            return (event_text(event, replay), *(f"  fires {name}" for name in step.fired), *_changes(record), *sent)
+            return (event_text(event, replay), *(f"  fires {name}" for name in step.fired), *written, *sent)
         case RunSucceeded(run_id, successor):
             return (f"the run {run_id.hex[:8]} is succeeded by {successor.hex[:8]}",)
         case RunRetired(run_id):
@@ -405,10 +406,6 @@ def delta_text(delta: KnowledgeDelta) -> str:
 
 def _base(number: int) -> str:
     return f"run {number}" if number else "the world"
-
-
-def _changes(record: Happened) -> tuple[str, ...]:
-    return tuple(f"  writes {delta_text(delta)}" for delta in record.deltas if delta.facts or delta.variables)
 
 
 def _name(request: UUID, replay: Replay) -> str:

@@ -165,8 +165,9 @@ class JournalFile:
         database, me = self._database, this_process()
         with database.transaction(is_durable=True):
             database.run(tables.MAKE)
-            is_writing, epoch, holder, left = self._lease_to_take()
-            if is_writing or (only_free and left > 0.0):
+            free = database.read(tables.LEASE_TO_TAKE)  # nothing while its holder writes
+            epoch, holder, left = (free or database.read(tables.LEASE))[0]
+            if not free or (only_free and left > 0.0):
                 raise HeldByAnother(f"{holder} holds the journal {self.place}", holder, left)
             check(epoch, holder)
             database.run(tables.TAKE, epoch=epoch + 1, me=me, seconds=self._lease)
@@ -191,12 +192,6 @@ class JournalFile:
         """Note beside the file how far it has come."""
         if self._file_lock is not None:
             self._file_lock.mark(self.epoch, self._last, is_on_disk=self._is_durable or (is_closed and not _has_log(self.place)))
-
-    def _lease_to_take(self) -> tuple[bool, int, str, float]:
-        """Return whether its holder writes at this moment, the epoch, the holder, and the seconds for which it has it."""
-        free = self._database.read(tables.LEASE_TO_TAKE)
-        epoch, holder, left = (free or self._database.read(tables.LEASE))[0]
-        return not free, epoch, holder, left
 
     def append(self, rows: Sequence[Row], parts: Mapping[str, str]) -> None:
         """Commit the rows, and the parts that they name, in one transaction.

@@ -69,8 +69,11 @@ class DatabaseKnowledge:
 
     async def update(self, question: Question, value: object, asker: Asker, /) -> None:
         """Store the value on the disk; one that is set to None is forgotten."""
-        work = partial(self._write, question.name, write_value(value), str(asker.run))
-        await self._on_thread(work if value is not None else partial(self._forget, question.name))
+        text = write_value(value)
+        if value is None:
+            await self._on_thread(lambda: self._open().run(_FORGET, name=question.name))
+        else:
+            await self._on_thread(lambda: self._open().run(_STORE, name=question.name, value=text, changed=time(), run=str(asker.run)))
 
     async def close(self) -> None:
         """Close the database when everything that was asked for is done."""
@@ -97,12 +100,6 @@ class DatabaseKnowledge:
     def _read(self, name: str) -> object:
         rows = self._open().read(_READ, name=name)
         return read_value(rows[0][0]) if rows else MISSING
-
-    def _write(self, name: str, value: str, run: str) -> None:
-        self._open().run(_STORE, name=name, value=value, changed=time(), run=run)
-
-    def _forget(self, name: str) -> None:
-        self._open().run(_FORGET, name=name)
 
     def _open(self) -> Database:
         if self._database is None:

@@ -475,19 +475,11 @@ class CompiledCondition(NamedTuple):
 def compiled(condition: Condition) -> CompiledCondition:
     """Return what tells the truth of a condition without free variables in a state; raises what `evaluate` raises."""
     parts = conjuncts(condition)
-    if (facts := _facts_only(parts)) is not None:
+    facts = tuple(part.fluent for part in parts if isinstance(part, Holds))
+    if len(facts) == len(parts):
         return CompiledCondition(_all_facts(facts), reads_variables=False)
     truth = _truth_of(parts[0]) if len(parts) == 1 else _all_parts(tuple(map(_truth_of, parts)))
     return CompiledCondition(truth, any(True for _ in data_in(condition)))
-
-
-def _facts_only(parts: tuple[Condition, ...]) -> tuple[Fluent, ...] | None:
-    facts: list[Fluent] = []
-    for part in parts:
-        if not isinstance(part, Holds):
-            return None
-        facts.append(part.fluent)
-    return tuple(facts)
 
 
 def _truth_of(condition: Condition) -> TruthIn:

@@ -120,7 +120,11 @@ class ServerLink:
         while self._queued and sum(not goal.cancel_asked for goal in self._unanswered) < IN_FLIGHT and self._may_send():
             if self._waits(self._queued[0]):
                 break
-            self._dispatch(self._queued.popleft())
+            goal = self._queued.popleft()
+            if goal.kept:
+                self._find(goal)
+            else:
+                self._send(goal)
 
     def _waits(self, goal: Goal) -> bool:
         """Return whether a goal must wait until the server is done with what this process has not sent."""
@@ -137,12 +141,6 @@ class ServerLink:
 
     def _may_send(self) -> bool:
         return self._may_act() and self._connection.ready() and self._connection.may_send()
-
-    def _dispatch(self, goal: Goal) -> None:
-        if goal.kept:
-            self._find(goal)
-        else:
-            self._send(goal)
 
     def _find(self, goal: Goal) -> None:
         """Ask for the result of a goal that another process has sent; a server that does not know it says so, all others are at work."""
