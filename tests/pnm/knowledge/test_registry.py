@@ -9,8 +9,9 @@ import pytest
 
 from pnm.core.logic.computed_values import Layer
 from pnm.errors import InputError, Position
+from pnm.knowledge import sources
 from pnm.knowledge.source import Asker, SourceError
-from pnm.knowledge.sources import SourceChoice, Surroundings, check_source, open_sources, register_source, registry, source_names
+from pnm.knowledge.sources import SourceChoice, Surroundings, check_source, open_sources, register_source, source_names
 from tests.support.logic.people import DelayedSource, about, run_questions
 
 ME = Asker(UUID(int=7), "tour")
@@ -18,7 +19,7 @@ ME = Asker(UUID(int=7), "tour")
 
 @pytest.fixture
 def registered(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(registry, "_registered", {})
+    monkeypatch.setattr(sources, "_registered", {})
 
 
 @pytest.mark.parametrize("name", ["sqlite", "memory", "person", "ros2", "terminal", "topics"])

@@ -20,7 +20,7 @@ import pytest
 from click.testing import CliRunner
 
 from planner_bridge.cli.commands import _Warnings, app
-from pnm.files.safe_stream import make_streams_safe
+from pnm.files.process import make_streams_safe
 from tests.support.files import ROOT
 
 
