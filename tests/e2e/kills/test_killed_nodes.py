@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tests.support.tasks.kills.nodes import node_kills
 
-KILLS = 60
+KILLS = 20
 NODES = 4
 """Side by side, each in a ROS domain of its own: they mostly wait."""
 

@@ -19,7 +19,7 @@ from pnm.journal.store import JournalFile
 from tests.support.tasks.kills.campaign import journal_left
 
 COMMITS = 15
-TEARS = 150
+TEARS = 30
 
 
 @pytest.fixture(scope="module")
