@@ -76,28 +76,6 @@ def test_what_was_begun_with_other_files_is_not_forgotten_in_silence(deployment:
     assert journal_line(third).endswith("; 1 task of another process goes on")
 
 
-def test_a_second_node_with_the_same_file_stands_by_and_goes_on_when_the_first_is_dead(deployment: PlanDeployment) -> None:
-    first = serve(deployment).ready()
-    second = serve(deployment)
-    second.until(lambda: any(f"pid {first.process.pid} holds the journal" in line for line in second.out))
-    goals(deployment, "(at parcel1 hall)")
-    first.until(lambda: any("queued" in line for line in first.out))
-    first.process.kill()
-    first.process.wait(LIMIT)
-    second.ready()
-    assert any("; 1 task of another process goes on" in line for line in second.out), str(second)
-
-
-def test_a_second_node_of_the_same_name_with_another_journal_is_refused_and_the_first_goes_on(deployment: PlanDeployment) -> None:
-    first = serve(deployment).ready()
-    second = serve(deployment, "--journal", str(deployment.folder / "other.journal"))
-    assert second.ended() != 0
-    assert "there is" in "\n".join(second.err)
-    goals(deployment, "(empty r1)")
-    first.until(lambda: any("reached the goal holds" in line for line in first.out))
-    assert not any("taken over" in line for line in (*first.out, *first.err))
-
-
 def test_none_keeps_nothing_and_says_so(deployment: PlanDeployment) -> None:
     assert journal_line(serve(deployment, "--journal", "none")) == "none, tasks end with this process"
     assert not [*deployment.folder.glob("state/pnm/journals/*")]

@@ -21,26 +21,16 @@ def both_ways(fault: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("domain", "speed", "causes"),
-    [("delivery", "20", {"aborted"}), ("patrol", "20", {"aborted", "precondition_false"}), ("mall_guide", "10", {"aborted"})],
+    ("domain", "causes"),
+    [("delivery", {"aborted"}), ("patrol", {"aborted", "precondition_false"})],
 )
-def test_the_faults_that_come_with_a_domain_are_got_over(deploy, domain, speed, causes):
+def test_the_faults_that_come_with_a_domain_are_got_over(deploy, domain, causes):
     faults = (ROOT / "problems" / domain / "faults.yaml").read_text(encoding="utf-8")
-    finished = deploy(f"{domain}/p01", quick=True, faults=faults, speed=speed).execute()
+    finished = deploy(f"{domain}/p01", quick=True, faults=faults).execute()
     assert finished.result["goal_reached"]
     assert causes <= {failure["cause"] for failure in finished.result["failures"]}
     assert finished.result["replans"] >= 1
-
-
-def test_an_abort_is_retried_then_replanned_then_another_way_is_taken(deploy):
-    blocked = "\n".join(f'  - {{call: "move({robot}, hall, kitchen)", do: abort, message: blocked}}' for robot in ("r1", "r2"))
-    finished = deploy("delivery/p01", quick=True, faults=f"faults:\n{blocked}").execute()
-    assert finished.result["goal_reached"]
-    failures = [failure for failure in finished.result["failures"] if failure["call"].startswith("move(")]
-    assert {(failure["cause"], failure["observed"]) for failure in failures} == {("aborted", "blocked")}
     assert max(finished.attempts("move")) == 2
-    assert finished.result["plans"] >= 2
-    assert finished.outcomes("pass_door") == ["succeeded"]
 
 
 def test_rejected_goals_and_success_without_effect_are_retried_then_replanned(deploy):

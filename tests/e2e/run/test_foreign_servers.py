@@ -46,21 +46,6 @@ def test_goals_are_filled_from_bindings_and_from_results_of_earlier_actions(exec
     assert all(call["assumed"] for call in result["calls"]), "nothing senses what these actions have done"
 
 
-def test_a_stored_sequence_arrives_at_the_goal_field_it_is_bound_to(execute):
-    status, result, goals = execute(COUNT, "measure: {goal: {nested_field: {int32_value: $numbers}}, retries: 0}", AGAIN)
-    assert (status, goals) == (1, [{"server": "count", "order": 3}])
-    failure = result["failures"][0]
-    assert (failure["call"], failure["cause"]) == ("measure()#1", "rejected")
-    assert failure["observed"].endswith("field nested_field.int32_value needs int32 (-2147483648 to 2147483647), got [0, 1, 1] (list)")
-
-
-def test_a_goal_field_without_a_value_is_missing_data_and_is_named(execute):
-    status, result, goals = execute("count: {goal: {order: $number}, retries: 0}", MEASURE, AGAIN)
-    assert (status, goals) == (1, [])
-    (failure,) = result["failures"]
-    assert (failure["cause"], failure["expected"]) == ("data_missing", "values for order")
-
-
 def test_simulated_robots_tell_how_far_they_have_come(deploy, monkeypatch):
     deployment = deploy("delivery/p01", speed="2", quick=True)
     deployment.simulate().ready()

@@ -6,34 +6,32 @@ import signal
 
 import pytest
 
-from tests.support.e2e.deployment import execute_together
 from tests.support.processes import overlaps
 
 
-def at_first_attempt(*executed):
-    """Check that every plan was carried out as it was made; return the executions."""
-    for finished in executed:
-        assert finished.result["goal_reached"]
-        assert (finished.result["plans"], finished.result["replans"], finished.result["failures"]) == (1, 0, [])
-        assert {call["outcome"] for call in finished.result["calls"]} == {"succeeded"}
-    return executed
+def at_first_attempt(deployment):
+    """Return what came of a problem whose plan is carried out as it was made."""
+    finished = deployment.execute()
+    assert finished.result["goal_reached"]
+    assert (finished.result["plans"], finished.result["replans"], finished.result["failures"]) == (1, 0, [])
+    assert {call["outcome"] for call in finished.result["calls"]} == {"succeeded"}
+    return finished
 
 
 def test_robots_deliver_at_the_same_time(deploy):
-    for finished in at_first_attempt(*execute_together(deploy("delivery/p01"), deploy("delivery/p02"))):
-        robots = [{action.split("(")[1].split(",")[0] for action in pair} for pair in overlaps(finished.events)]
-        assert {"r1", "r2"} in robots
+    finished = at_first_attempt(deploy("delivery/p01"))
+    assert {"r1", "r2"} in [{action.split("(")[1].split(",")[0] for action in pair} for pair in overlaps(finished.events)]
 
 
 def test_a_robot_speaks_while_it_points(deploy):
-    for finished in execute_together(deploy("mall_guide/p01", speed="8"), deploy("mall_guide/p02", speed="8")):
-        assert finished.result["goal_reached"]
-        together = [(first.split("(")[0], second.split("(")[0]) for first, second in overlaps(finished.events)]
-        assert {("point_at", "describe_route"), ("point_at", "describe_by_landmark")} & set(together)
+    finished = deploy("mall_guide/p01", speed="8").execute()
+    assert finished.result["goal_reached"]
+    together = [(first.split("(")[0], second.split("(")[0]) for first, second in overlaps(finished.events)]
+    assert {("point_at", "describe_route"), ("point_at", "describe_by_landmark")} & set(together)
 
 
 def test_a_robot_patrols(deploy):
-    at_first_attempt(*execute_together(deploy("patrol/p01"), deploy("patrol/p02")))
+    at_first_attempt(deploy("patrol/p01"))
 
 
 IN_BACKGROUND = ("sh", "-c", 'trap "" INT; exec "$@"', "sh")

@@ -193,10 +193,3 @@ class ProblemDeployment(RosDomain):
             elif event["event"] == "state":
                 assert dict(map(parse_statement, event["facts"])) == world.facts()
         return world
-
-
-def execute_together(*scenes: ProblemDeployment) -> list[Finished]:
-    """Execute several problems at the same time."""
-    simulations = [deployment.simulate() for deployment in scenes]
-    runs = [deployment.run() for deployment, simulation in zip(scenes, simulations, strict=True) if simulation.ready()]
-    return [deployment.finish(run, simulation) for deployment, run, simulation in zip(scenes, runs, simulations, strict=True)]
