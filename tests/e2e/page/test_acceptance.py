@@ -254,8 +254,7 @@ def test_without_the_token_nothing_is_controlled(chromium: Browser, node: Node) 
     assert urlsplit(node.url).fragment not in text
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize(("size", "scheme"), [("wide", "light"), ("narrow", "dark")])
 def test_everybody_can_use_it(page: Page, node: Node, tmp_path: Path, size: str, scheme: str) -> None:
     width, height = SIZES[size]
     page.set_viewport_size({"width": width, "height": height})

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import re
 import signal
 
 import pytest
 
-from planner_bridge.node.options import PARAMETERS
 from tests.support.e2e.plan_deployment import ABORTED, CANCELED, SUCCEEDED, PlanDeployment
 from tests.support.e2e.plan_files import FILES
 from tests.support.e2e.task_node import DOMAIN, PROBLEM, goals, serve, transitions
-from tests.support.files import ROOT, written
+from tests.support.files import written
 
 # --- what is refused -------------------------------------------------------------------------
 
@@ -36,8 +34,7 @@ def test_what_is_wrong_is_said_and_nothing_is_served(deployment, arguments, stat
     assert serving.out == []
 
 
-@pytest.mark.parametrize("name", ["/**", "pnm"])
-@pytest.mark.parametrize("how", [["--params-file"], ["--ros-args", "--params-file"]])
+@pytest.mark.parametrize(("name", "how"), [("/**", ["--params-file"]), ("pnm", ["--ros-args", "--params-file"])])
 def test_a_file_of_parameters_is_read(deployment, name, how):
     lines = f"domain: {DOMAIN}", f"problem: {PROBLEM}", "planner_timeout: 5", "planer: race", "max_queue: 7"
     file = written(deployment.folder / "robot.yaml", "\n    ".join((f"{name}:\n  ros__parameters:", *lines)))
@@ -145,12 +142,3 @@ def test_a_configuration_that_fails_can_be_mended(deployment):
     assert transitions(deployment, "configure", "activate") == [True, True]
     assert deployment.client("empty").result()["status"] == SUCCEEDED
     serving.stop()
-
-
-# --- what the page says ----------------------------------------------------------------------
-
-
-def test_the_page_lists_the_parameters():
-    page = (ROOT / "docs" / "reference" / "parameters.md").read_text(encoding="utf-8")
-    rows = dict(re.findall(r"^\| `(\w+)` \| (?:`(.*)`)? ?\| ", page, re.MULTILINE))
-    assert {one.name: str(one.default).lower() for one in PARAMETERS}.items() <= rows.items()
