@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from pnm.files.database.place import Place, place_of
 from tests.support.e2e.hosts.postgres import PostgresServer, postgres_server
@@ -18,8 +18,10 @@ END_TO_END = ROOT / "tests" / "e2e"
 OVER_ROS = (END_TO_END, ROOT / "tests" / "pnm" / "ros")
 """Tests over a middleware whose discovery promises no time."""
 
-settings.register_profile("any machine", settings(deadline=None))  # a busy one takes its time
-settings.load_profile("any machine")
+patient = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])  # a busy machine takes its time
+settings.register_profile("commit", patient, max_examples=40)  # others for every commit
+settings.register_profile("thorough", patient, max_examples=1000)  # before a release: --hypothesis-profile thorough
+settings.load_profile("commit")
 
 for ignored in (signal.SIGINT, signal.SIGHUP):  # we may be in the background of a shell: our children are not to ignore them as well
     if signal.getsignal(ignored) is signal.SIG_IGN:

@@ -44,10 +44,9 @@ def test_everything_goes_wrong_that_can(stories: list[Story]) -> None:
     assert codes == {Code.GOAL_REACHED, Code.ACTION_FAILED, Code.CANCELLED}
 
 
-@pytest.mark.parametrize("hashes", ["1", "2"])
-def test_a_seed_is_the_same_simulation_in_another_process(hashes: str) -> None:
-    code = f"from {judged.__module__} import judged; print(*(judged(seed).digest for seed in range(40)))"
-    environment = {**os.environ, "PYTHONHASHSEED": hashes}
+def test_a_seed_is_the_same_simulation_in_another_process() -> None:
+    code = f"from {judged.__module__} import judged; print(*(judged(seed).digest for seed in range(10)))"
+    environment = {**os.environ, "PYTHONHASHSEED": "1"}
     there = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT, env=environment)
-    assert there.stdout.split() == [judged(seed).digest for seed in range(40)]
-    assert len(set(there.stdout.split())) == 40
+    assert there.stdout.split() == [judged(seed).digest for seed in range(10)]
+    assert len(set(there.stdout.split())) == 10

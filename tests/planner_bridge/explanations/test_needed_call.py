@@ -71,7 +71,7 @@ def test_every_claim_about_every_call_is_right(problem: Problem) -> None:
 
 
 @given(random_problems())
-@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(suppress_health_check=list(HealthCheck))
 def test_a_call_is_superfluous_exactly_if_the_plan_without_it_is_valid(problem: Problem) -> None:
     found = search(problem, DEFAULT_PLANNER, 0.3, Event()).plan  # without a reason where there is none, which may take long
     plan = found if found and not why_invalid(problem, found) else Plan()

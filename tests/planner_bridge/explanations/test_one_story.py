@@ -112,7 +112,7 @@ def check_one_story(journal: Path) -> int:
     return both
 
 
-@pytest.mark.parametrize("number", range(30))
+@pytest.mark.parametrize("number", range(12))
 def test_all_readers_tell_one_story_of_tasks_that_people_interfere_with(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -133,7 +133,7 @@ def test_all_readers_tell_one_story_of_tasks_that_people_interfere_with(
             assert (task.counts, len(task.runs) - 1) == (counts, replans)
 
 
-@pytest.mark.parametrize("number", range(20))
+@pytest.mark.parametrize("number", range(8))
 def test_all_readers_tell_one_story_of_tasks_whose_processes_die(number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(journal_module, "_LONG", random.Random(number).choice(LENGTHS))
     run_deaths(number, tmp_path)

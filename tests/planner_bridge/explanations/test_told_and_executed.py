@@ -136,15 +136,15 @@ def check(journal: Path) -> Counter[str]:
 
 def test_what_is_told_of_tasks_that_people_interfere_with_is_what_executing_shows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     checked = Counter[str]()
-    for number in range(40):
+    for number in range(12):
         monkeypatch.setattr(journal_module, "_LONG", random.Random(number).choice(LENGTHS))
         run_scenario(number, journal=tmp_path / str(number))
         checked += check(tmp_path / str(number))
-    assert checked["results"] > 100
-    assert checked["news"] > 100
+    assert checked["results"] > 30
+    assert checked["news"] > 30
 
 
-@pytest.mark.parametrize("number", range(20))
+@pytest.mark.parametrize("number", range(8))
 def test_what_is_told_of_tasks_whose_processes_die_is_what_executing_shows(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

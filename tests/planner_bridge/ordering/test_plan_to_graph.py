@@ -8,7 +8,7 @@ from dataclasses import replace
 from math import inf
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from planner_bridge.model.grounding import initial_knowledge
@@ -241,7 +241,6 @@ def test_writes_that_keep_an_over_all_condition_true_together_are_ordered() -> N
     assert "end of #1 < end of #2 ((p), (q))" in shown(plan_graph(problem, Plan(steps, temporal=True)))
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.lists(st.sampled_from(["r1", "r2"]), min_size=1, max_size=10), st.randoms(use_true_random=False))
 def test_every_order_that_the_graph_allows_is_a_valid_plan(robots: list[str], chooser: random.Random) -> None:
     problem = rooms(goal="(and)", ways="ab bc cd da ad dc cb ba")

@@ -106,7 +106,6 @@ def schema_of(action: GroundAction) -> ActionSchema:
     return ActionSchema(**parts, start_effects=action.start_effects, end_effects=action.end_effects)
 
 
-@settings(max_examples=500, deadline=None)
 @given(graphs_of_facts())
 def test_of_facts_exactly_those_orders_are_refused_that_do_not_all_end_well(drawn: tuple[Problem, PlanGraph]) -> None:
     problem, graph = drawn
@@ -116,7 +115,7 @@ def test_of_facts_exactly_those_orders_are_refused_that_do_not_all_end_well(draw
 
 
 @pytest.mark.parametrize("timed", [False, True])
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much])
+@settings(suppress_health_check=[HealthCheck.filter_too_much])
 @given(st.data())
 def test_whatever_is_read_and_written_no_order_that_ends_otherwise_is_let_through(timed: bool, data: st.DataObject) -> None:
     problem = replace(data.draw(problems(Features(timed=timed))), timed=(), goal=TRUE)

@@ -6,7 +6,7 @@ from functools import cache
 from itertools import combinations
 from typing import NamedTuple
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from planner_bridge.model.grounding import initial_knowledge
@@ -85,7 +85,6 @@ def test_what_may_come_between_is_neither_before_nor_after(drawn: Drawn, data: s
     assert sorted(writers.between(first, last)) == [number for number in writers.numbers if number not in outside]
 
 
-@settings(max_examples=500, deadline=None)
 @given(orders(), st.data())
 def test_a_wrong_writer_is_one_that_some_order_has_last(drawn: Drawn, data: st.DataObject) -> None:
     order, before = drawn.order, drawn.before

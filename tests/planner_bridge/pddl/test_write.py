@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import kairos
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from planner_bridge.model.problem import Metric, Problem
@@ -38,7 +38,7 @@ from tests.support.pddl.text import CHARGE, IDLE, NOT_IDLE, SET_IDLE, SMALL
 domain_with = SMALL.domain_with
 
 
-@settings(max_examples=25, suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@settings(max_examples=25)
 @given(st.tuples(INSTANTANEOUS, DURATIVE), st.lists(RULES, max_size=2), st.lists(constraints(), max_size=2), st.lists(WISHES, max_size=2))
 def test_a_written_domain_reads_as_an_equal_one(
     actions: tuple[ActionSchema, ActionSchema], rules: list[DerivationRule], kept: list[Constraint], wished: list[Preference]
@@ -57,7 +57,7 @@ def test_a_written_domain_reads_as_an_equal_one(
     kairos.parse_domain(write_domain(replace(domain, hierarchy=())))
 
 
-@settings(max_examples=25, suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@settings(max_examples=25)
 @given(
     values(st.just(True)),
     TIMED,
@@ -174,7 +174,6 @@ WORDS = [
 ]
 
 
-@settings(deadline=None)
 @given(st.data())
 def test_a_damaged_text_is_read_or_refused_with_a_position(data: st.DataObject) -> None:
     domain = replace(

@@ -14,7 +14,7 @@ from tests.support.pddl.random_problems import problems as random_problems
 
 
 @given(random_problems())
-@settings(max_examples=80, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(suppress_health_check=list(HealthCheck))
 def test_no_achiever_has_a_cheaper_lack_than_what_it_achieves(problem: Problem) -> None:
     reachability = Reachability(problem, problem.unknown)
     reachability.settle(problem.goal)

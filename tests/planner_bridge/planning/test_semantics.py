@@ -57,7 +57,7 @@ UNSHRUNK = (Phase.explicit, Phase.reuse, Phase.generate)
 
 
 def examples(number: int, phases: tuple[Phase, ...] = tuple(Phase)) -> settings:
-    return settings(max_examples=number, phases=phases, deadline=None, suppress_health_check=list(HealthCheck))
+    return settings(max_examples=number, phases=phases, suppress_health_check=list(HealthCheck))
 
 
 def show(problem: Problem, plan: Plan) -> None:
@@ -183,7 +183,7 @@ def drawn_plan(data: st.DataObject, kind: str) -> tuple[Problem, Plan]:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_verdicts_on_plans_and_states_are_those_of_kairos(kind: str) -> None:
-    @examples(100)
+    @examples(40)
     @given(st.data())
     def check(data: st.DataObject) -> None:
         problem, plan = drawn_plan(data, kind)
@@ -266,7 +266,7 @@ def executable(problem: Problem) -> Problem:
 
 @pytest.mark.parametrize("timed", [False, True])
 def test_execution_leads_where_the_semantics_says(timed: bool) -> None:
-    @examples(100, UNSHRUNK)
+    @examples(40, UNSHRUNK)
     @given(st.data(), st.booleans())
     def check(data: st.DataObject, sensed: bool) -> None:
         problem = executable(replace(data.draw(problems(Features(timed=timed))), goal=TRUE))

@@ -7,7 +7,7 @@ from typing import Any as Anything
 
 import pytest
 import unified_planning.shortcuts as up
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from planner_bridge.model.problem import Domain, Problem
@@ -61,7 +61,6 @@ def problem_with_action(schema: ActionSchema, init: dict[Fluent, Value], goal: C
     return Problem("d", domain, dict.fromkeys(THINGS, ("thing",)), init, goal=goal)
 
 
-@settings(max_examples=60, deadline=None)
 @given(effects_over(), st.sets(st.sampled_from(FACTS)))
 def test_effects_do_there_what_they_do_here(done: tuple[Effect, ...], true: set[Fluent]) -> None:
     here = problem_with_action(ActionSchema("act", end_effects=done), dict.fromkeys(true, True))
@@ -75,7 +74,6 @@ def test_effects_do_there_what_they_do_here(done: tuple[Effect, ...], true: set[
     assert found == expected
 
 
-@settings(max_examples=60, deadline=None)
 @given(conditions_over((), 3), st.sets(st.sampled_from(FACTS)))
 def test_conditions_hold_there_where_they_hold_here(goal: Condition, true: set[Fluent]) -> None:
     here = problem_with_action(ActionSchema("act"), dict.fromkeys(true, True), goal)

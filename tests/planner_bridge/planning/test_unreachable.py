@@ -180,7 +180,7 @@ def test_a_robot_whose_place_is_unknown_may_be_anywhere() -> None:
 
 
 @given(random_problems())
-@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(suppress_health_check=list(HealthCheck))
 def test_what_a_plan_reaches_is_not_called_unreachable(problem: Problem) -> None:
     found = solve(problem, timeout=2.0)
     assert not (found.plan and why_unreachable(problem))

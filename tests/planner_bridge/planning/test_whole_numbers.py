@@ -5,7 +5,7 @@ from __future__ import annotations
 from fractions import Fraction
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from planner_bridge.model.plan import PlanningStatus
@@ -63,7 +63,6 @@ TENTHS = st.integers(-12, 12).map(lambda number: Fraction(number, 10))
 CHANGES = st.lists(st.tuples(st.sampled_from(["increase", "decrease", "assign"]), TENTHS), min_size=1, max_size=4)
 
 
-@settings(max_examples=60, deadline=None)
 @given(first=TENTHS, changes=CHANGES, relation=st.sampled_from(["=", ">", ">=", "<", "<="]), wanted=TENTHS)
 def test_a_plan_is_found_whenever_exact_fractions_have_one(
     first: Fraction, changes: list[tuple[str, Fraction]], relation: str, wanted: Fraction

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from planner_bridge.model.problem import Problem
@@ -202,7 +202,6 @@ STEPS = st.lists(
 )
 
 
-@settings(deadline=None)
 @given(CONSTRAINTS, st.dictionaries(st.sampled_from("pq"), st.sampled_from([0.0, 1.0])), STEPS)
 def test_what_nothing_has_happened_to_is_not_looked_at(constraints: tuple[Constraint, ...], sensed: dict, steps: list) -> None:
     problem, world = replace(TO_C, constraints=constraints), KnowledgeBase(sensed=sensed)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner_bridge.model.problem import Domain, Problem
@@ -102,7 +102,7 @@ def whole(domain: Domain) -> Domain:
 # --- laws ---
 
 
-@settings(max_examples=8, suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@settings(max_examples=8)
 @given(
     st.tuples(pddl.INSTANTANEOUS, pddl.DURATIVE),
     st.lists(pddl.RULES, max_size=2),
@@ -124,7 +124,7 @@ def test_a_domain_comes_back(
     assert [list(part) for part in (found.types, found.actions)] == [list(part) for part in (domain.types, domain.actions)]
 
 
-@settings(max_examples=8, suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@settings(max_examples=8)
 @given(
     pddl.values(st.just(True)),
     pddl.TIMED,
@@ -159,7 +159,7 @@ def test_a_problem_comes_back(
     there_and_back(problem, {})
 
 
-@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=20)
 @given(st.data(), st.booleans())
 def test_generated_problems_come_back(data: st.DataObject, timed: bool) -> None:
     there_and_back(data.draw(generated.problems(generated.Features(timed=timed))), {})

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from planner_bridge.model.plan import Plan, PlanStep
@@ -115,7 +115,6 @@ ORDERS = st.sets(st.tuples(st.integers(0, 5), st.integers(0, 5)).filter(lambda e
 PLACES = ("ab", "bc", "ad", "dc", "ba", "cb")
 
 
-@settings(max_examples=40, deadline=None)
 @given(ORDERS)
 def test_the_language_reads_the_same_order(tmp_path_factory: pytest.TempPathFactory, edges: set[tuple[int, int]]) -> None:
     problem = rooms()

@@ -6,7 +6,7 @@ import asyncio
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.actions.simulated_robots import SimulatedRobots, SimulatedWorld
@@ -95,7 +95,6 @@ class Scene:
         return self.run.handle(event, now), self.run.fired, self.run.marking
 
 
-@settings(deadline=None, max_examples=100)
 @given(st.data())
 def test_only_places_that_read_what_has_changed_need_to_be_asked_again(data: st.DataObject) -> None:
     plan = data.draw(plans())

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from random import Random
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pnm.core.execution.call_requests import Calls
@@ -29,7 +29,7 @@ def _hold(numbers: range) -> None:
         hold_against_reference(number)
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+@settings(max_examples=15)
 @given(programs(), st.integers(0, 2**32))
 def test_any_program_runs_as_in_the_reference(text: str, seed: int) -> None:
     found, random = only_plan(text), Random(seed)

@@ -8,7 +8,7 @@ from functools import partial
 from random import Random
 from uuid import UUID
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.core.execution.events import Begin, Send, Tick
@@ -176,7 +176,6 @@ NAMES = st.lists(st.sampled_from(["arm", "leg", "eye"]), min_size=1, unique=True
 WORKERS = st.lists(st.tuples(st.integers(0, 2), NAMES, st.integers(1, 3)), min_size=1, max_size=6)
 
 
-@settings(deadline=None)
 @given(WORKERS, st.dictionaries(st.sampled_from(["arm", "leg"]), st.integers(1, 2)), st.integers(0, 2**32))
 def test_nobody_has_too_much_everybody_is_served_and_equals_in_order(
     wanted: list[tuple[int, tuple[str, ...], int]], capacities: dict[str, int], seed: int

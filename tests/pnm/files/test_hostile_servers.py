@@ -8,7 +8,7 @@ import struct
 import threading
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.files.database.database import Database
@@ -41,7 +41,6 @@ CLEAR = (
 messages = st.lists(st.tuples(st.sampled_from(KINDS), st.binary(max_size=40), st.sampled_from([0, 0, 0, -5, 1, 1 << 30])), max_size=4)
 
 
-@settings(max_examples=150, deadline=None)
 @given(messages, st.booleans())
 def test_whatever_a_server_answers_is_an_error_in_words(answers: list[tuple[int, bytes, int]], is_raw: bool) -> None:
     def answer(client: socket.socket) -> None:

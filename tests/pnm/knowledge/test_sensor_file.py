@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.core.logic.expressions import UNKNOWN
@@ -117,7 +117,6 @@ def read_or_refused(text, known):
 
 
 @given(st.data(), messages, st.booleans())
-@settings(max_examples=50, deadline=None)
 def test_a_damaged_file_is_read_or_refused_with_a_place(data, message, checked):
     found = read_or_refused(damaged(data, EVERYTHING), KNOWN if checked else None)
     assert found is not None

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import count, product
 
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.core.machine.generate import generate
@@ -193,7 +193,6 @@ trees = st.recursive(st.just(Call("")), holding, max_leaves=20).map(lambda tree:
 
 
 @given(trees)
-@settings(max_examples=300, deadline=None)
 def test_what_comes_before_what_is_what_the_nesting_says(tree: Tree) -> None:
     graph = plan_from(tree).graph
     assert [call.action.name for call in graph.calls] == list(names_in(tree))
@@ -206,7 +205,6 @@ def test_what_comes_before_what_is_what_the_nesting_says(tree: Tree) -> None:
 
 
 @given(trees)
-@settings(max_examples=100, deadline=None)
 def test_every_ordering_is_said_once(tree: Tree) -> None:
     graph = plan_from(tree).graph
     for flow in (graph.flow, *inner_flows(graph.flow)):
@@ -214,7 +212,6 @@ def test_every_ordering_is_said_once(tree: Tree) -> None:
 
 
 @given(trees)
-@settings(max_examples=50, deadline=None)
 def test_every_tree_becomes_a_machine(tree: Tree) -> None:
     plan = plan_from(tree)
     assert generate(plan.graph, plan.bindings).plan is plan.graph

@@ -115,7 +115,7 @@ BROKEN = {
 """Scripts that went wrong once; in the first ones a task hung for ever."""
 
 
-@pytest.mark.parametrize("number", [*BROKEN, *range(100, 140)])
+@pytest.mark.parametrize("number", [*BROKEN, *range(100, 108)])
 def test_a_task_that_nobody_pauses_makes_progress(number: int) -> None:
     run_holds(number)
 
@@ -211,7 +211,7 @@ def test_one_state_of_a_task_is_told_by_all_while_it_is_held_and_while_it_is_pau
     simulate_tasks(scenario, fleet(3), chosen=EAGER, journal=journal, **slow)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("number", range(200, 210))
+@pytest.mark.parametrize("number", range(200, 204))
 def test_the_journal_has_the_states_that_tasks_have_told(number: int, tmp_path: Path) -> None:
     happened = run_holds(number, journal=tmp_path / "journal")
     said = [f"{event.task.hex[:8]} is {event.text}" for event in happened if event.kind is TraceKind.STATE]

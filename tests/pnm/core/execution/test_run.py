@@ -6,7 +6,7 @@ from dataclasses import replace
 from uuid import UUID
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.core.execution.events import Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tick, Wake
@@ -218,7 +218,6 @@ ANSWERS = st.lists(
 )
 
 
-@settings(max_examples=150, deadline=None)
 @given(plans(most=4), ANSWERS)
 def test_whatever_the_world_answers_the_run_ends_and_every_marking_follows_from_the_firings(
     graph: PlanGraph, answers: list[tuple[object, int, float]]

@@ -6,7 +6,7 @@ from dataclasses import replace
 from math import inf
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.core.logic.conditions import Any, Not
@@ -95,7 +95,6 @@ def test_a_watch_says_when_it_wants_to_look_again() -> None:
     assert (watch.violated, watch.next_look(4.0, 1.0)) == (True, inf)
 
 
-@settings(max_examples=300, deadline=None)
 @given(CONSTRAINTS, traces())
 def test_reports_without_a_lag_are_believed_at_once(constraint: Constraint, trace: Trace) -> None:
     assert watched(constraint, trace, until=trace[-1][0], lag=0.0) == ConstraintProgress(progress((constraint,), trace))

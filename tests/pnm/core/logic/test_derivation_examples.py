@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase
@@ -71,7 +71,6 @@ EDGES = st.dictionaries(
 )
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.sampled_from((ON, BACK, DOUBLED)), EDGES, st.randoms(use_true_random=False))
 def test_ways_through_any_graph(rule: DerivationRule, edges: Facts, chooser: random.Random) -> None:
     rules = (rule, AGAIN, APART)

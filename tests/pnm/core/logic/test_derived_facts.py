@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from itertools import product
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase
@@ -79,7 +79,6 @@ def known(rules: tuple[DerivationRule, ...], facts: Facts) -> KnowledgeBase:
     return KnowledgeBase(facts, objects=OBJECTS, rules=Rules(rules))
 
 
-@settings(max_examples=120, deadline=None)
 @given(rule_sets(), FACTS, st.lists(FACTS, max_size=2), st.randoms(use_true_random=False))
 def test_what_is_derived_is_the_least_fixpoint_whatever_was_asked_before(
     rules: tuple[DerivationRule, ...], facts: Facts, later: list[Facts], chooser: random.Random
@@ -94,7 +93,6 @@ def test_what_is_derived_is_the_least_fixpoint_whatever_was_asked_before(
             assert knowledge.value(fact) is expected[fact], fact
 
 
-@settings(max_examples=80, deadline=None)
 @given(rule_sets(), FACTS, st.data())
 def test_a_derived_fact_rests_on_all_that_can_make_a_difference(
     rules: tuple[DerivationRule, ...], facts: Facts, data: st.DataObject
@@ -122,7 +120,6 @@ def test_a_derived_fact_rests_on_all_that_can_make_a_difference(
     assert knowledge.rests_on(frozenset({fact})) == known(rules, {**facts, **later}).rests_on(frozenset({fact}))
 
 
-@settings(max_examples=80, deadline=None)
 @given(rule_sets(), FACTS, st.data())
 def test_only_the_base_names_below_matter(rules: tuple[DerivationRule, ...], facts: Facts, data: st.DataObject) -> None:
     knowledge = known(rules, facts)
@@ -160,7 +157,6 @@ def mentions(condition: Condition, sign: bool = True) -> set[tuple[str, bool]]:
             return set()
 
 
-@settings(max_examples=100, deadline=None)
 @given(any_rules())
 def test_rules_are_refused_unless_they_fall_into_strata(rules: tuple[DerivationRule, ...]) -> None:
     demands = [(rule.name, *one) for rule in rules for one in mentions(rule.condition) if one[0] in {rule.name for rule in rules}]
@@ -173,7 +169,6 @@ def test_rules_are_refused_unless_they_fall_into_strata(rules: tuple[DerivationR
         assert Rules(rules).strata in [{name: level[name] for name in Rules(rules).derived} for level in fit]
 
 
-@settings(max_examples=100, deadline=None)
 @given(stratified_conditions(("?x", "?y"), BASE, BASE, 3), st.sampled_from(("?x", "?y", "?z")))
 def test_a_variable_is_free_if_an_object_can_take_its_place(condition: Condition, name: str) -> None:
     assert (name in free_variables(condition)) is (ground(condition, {name: "c"}) != condition)

@@ -7,7 +7,7 @@ from itertools import product
 
 import kairos
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase
@@ -81,7 +81,6 @@ CONSTRAINTS = st.one_of(LIKE_KAIROS, SAFE)
 # --- progression ---
 
 
-@settings(max_examples=300, deadline=None)
 @given(CONSTRAINTS, traces())
 @example(Constraint("always-within", (P, Q), (1.0,)), course("p - q p pq"))
 @example(Constraint("hold-during", (P,), (0.5, 2.0)), course("- - p"))
@@ -89,7 +88,6 @@ def test_progression_gives_the_verdict_of_the_definitions(constraint: Constraint
     assert is_fulfilled(progress((constraint,), trace), trace[-1][1], trace[-1][0]) == keeps(trace, constraint)
 
 
-@settings(max_examples=300, deadline=None)
 @given(CONSTRAINTS, traces(), st.data())
 def test_what_is_left_says_of_the_rest_what_the_whole_says_of_the_whole(constraint: Constraint, trace: Trace, data: st.DataObject) -> None:
     cut = data.draw(st.integers(0, len(trace) - 1))
@@ -99,7 +97,6 @@ def test_what_is_left_says_of_the_rest_what_the_whole_says_of_the_whole(constrai
     assert all(keeps(later, one) for one in rest) == keeps(trace, constraint)
 
 
-@settings(max_examples=300, deadline=None)
 @given(SAFE, traces(st.tuples(*[st.sampled_from((True, False, UNKNOWN))] * 2)))
 def test_what_is_unknown_violates_nothing(constraint: Constraint, trace: Trace) -> None:
     unknown = [(time, fluent) for time, one in trace for fluent in (("p",), ("q",)) if one.value(fluent) is UNKNOWN][:6]
@@ -228,7 +225,6 @@ DOMAIN = kairos.parse_domain(
 # --- the same definitions, read by others ---
 
 
-@settings(max_examples=150, deadline=None)
 @given(LIKE_KAIROS, traces())
 def test_the_planner_reads_the_definitions_as_we_do(constraint: Constraint, trace: Trace) -> None:
     def word(one: KnowledgeBase) -> str:

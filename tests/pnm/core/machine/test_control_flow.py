@@ -44,7 +44,7 @@ def test_larger_machines_are_proved_block_by_block(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["loop", "wait", "wait in a loop", "choice in a loop", "loop in a loop", "retry", "restart", "resource", "own check before"]
+    "name", ["loop", "wait", "wait in a loop", "choice in a loop", "loop in a loop", "retry", "restart", "own check before"]
 )
 def test_the_block_proof_accepts_no_machine_that_the_state_space_refutes(name: str) -> None:
     check_proof_of_mutants(generate(SHAPES[name], ONCE))

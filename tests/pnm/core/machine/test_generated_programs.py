@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from random import Random
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.core.execution.run import Run
@@ -71,7 +71,6 @@ def carry_out(text: str, seed: int) -> None:
 
 
 @pytest.mark.timeout(900)
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 @given(programs(), st.integers(0, 2**32))
 def test_any_program_is_proved_ends_and_loses_no_token(text: str, seed: int) -> None:
     carry_out(text, seed)
@@ -182,7 +181,6 @@ class Interpreter:
         return True
 
 
-@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(BLOCKS, st.integers(0, 3), st.integers(0, 3))
 def test_a_program_without_concurrency_does_what_it_says(steps: Json, x: int, y: int) -> None:
     plan = only_plan(f"{COUNTING}---\n{as_yaml({'initial_knowledge': {'x': x, 'y': y}, 'plan': steps})}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from random import Random
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.core.execution.call_results import CallResult
@@ -46,7 +46,6 @@ def executed(machine: PetriNetMachine, seed: int) -> tuple[list[tuple[str, Rule]
     return firings.found, chaos.sent, run.results
 
 
-@settings(deadline=None)
 @given(st.integers(0, 10_000), st.integers(0, 10_000))
 def test_a_machine_of_blocks_is_executed_as_the_same_machine_without_any(number: int, seed: int) -> None:
     machine = random_machine(number)

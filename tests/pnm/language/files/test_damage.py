@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pnm.language.plan import parse_plans
@@ -15,14 +15,12 @@ MARKS = (*WORDS, ":", "-", "[", "]", "{", "}", "'", '"', "&a ", "*a", "\t", "---
 
 
 @given(st.data(), st.sampled_from(GOOD))
-@settings(max_examples=300, deadline=None)
 def test_damaged_trees_are_read_or_refused_with_a_place(data: st.DataObject, text: str) -> None:
     text = text.replace("<<: *rpn_action", "type: rpn_action").replace("<<: *ros_action", "type: ros_action")
     check(damaged(data, text.replace("<<: *kb_action", "type: kb_action")))
 
 
 @given(st.data(), st.sampled_from((*GOOD, PDDL, PAPER_DOMAIN, PAPER_PLAN)))
-@settings(max_examples=200, deadline=None)
 @example(None, "...\n- not:\n a")  # type: ignore[arg-type]
 def test_damaged_texts_are_read_or_refused_with_a_place(data: st.DataObject | None, text: str) -> None:
     for _ in range(3 if data else 0):

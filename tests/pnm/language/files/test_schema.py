@@ -12,7 +12,7 @@ from typing import Any
 import jsonschema
 import pytest
 from click.testing import CliRunner
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 
 from planner_bridge.cli.commands import app
 from planner_bridge.yaml.convert import exported
@@ -113,7 +113,6 @@ def test_exported_domains_are_valid(name: str) -> None:
     assert violations(found.text) == []
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 @given(programs())
 def test_any_program_is_valid(text: str) -> None:
     assert violations(text) == []

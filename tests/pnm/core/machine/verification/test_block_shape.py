@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.core.logic.conditions import TRUE
@@ -86,7 +86,6 @@ def is_sound(part: Part) -> bool:
         return False
 
 
-@settings(max_examples=300, deadline=None)
 @given(parts(), st.data())
 def test_one_place_stands_for_all_that_are_like_it(part: Part, data: st.DataObject) -> None:
     twin = doubled(part, data.draw(st.sampled_from(part.places)))
