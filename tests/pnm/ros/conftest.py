@@ -40,10 +40,9 @@ os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
 class ServerProcess:
     """An action server in another process."""
 
-    def __init__(self, *arguments: str) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "tests.support.ros.server", *arguments], cwd=ROOT, stdout=subprocess.PIPE, text=True
-        )
+    def __init__(self, *arguments: str, **environment: str) -> None:
+        command = [sys.executable, "-m", "tests.support.ros.server", *arguments]
+        self.process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, env={**os.environ, **environment})
         assert self.process.stdout is not None
         ready, _, _ = select.select([self.process.stdout], [], [], LIMIT)
         assert ready, "the server did not start"
@@ -82,8 +81,8 @@ def start() -> Iterator[Callable[..., ServerProcess]]:
     """Start servers that end with the test."""
     servers: list[ServerProcess] = []
 
-    def begin(*arguments: str) -> ServerProcess:
-        servers.append(ServerProcess(*arguments))
+    def begin(*arguments: str, **environment: str) -> ServerProcess:
+        servers.append(ServerProcess(*arguments, **environment))
         return servers[-1]
 
     yield begin

@@ -74,7 +74,7 @@ def test_a_second_server_that_is_allowed_does_not_make_the_first_one_lost(with_c
     start(name)
 
     async def scenario(client):
-        sent = client.send("act", action="slow", arguments=["15"])
+        sent = client.send("act", action="slow", arguments=["10"])
         await sent.accepted()
         await asyncio.to_thread(start, name)
         outcome = await sent.ended()
