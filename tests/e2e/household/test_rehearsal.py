@@ -10,8 +10,8 @@ FILES = [str(ROOT / "domains" / "household" / name) for name in ("domain.pddl", 
 FAULTS = "faults: [{action: pick, do: abort, times: 1, message: it has slipped}]"
 
 
-def test_the_goal_is_reached_with_robots_that_are_played_by_the_bindings(deployment_of_module: PlanDeployment) -> None:
-    deployment, faults = deployment_of_module, str(written(deployment_of_module.folder / "faults.yaml", FAULTS))
+def test_the_goal_is_reached_with_robots_that_are_played_by_the_bindings(deployment: PlanDeployment) -> None:
+    faults = str(written(deployment.folder / "faults.yaml", FAULTS))
     command = ["-m", "planner_bridge", "simulate", *FILES, "--faults", faults, "--log", "/dev/stdout"]
     robots = deployment.start(SimulationProgram(command, deployment.environment)).ready()
     run = deployment.start(RunProgram(["-m", "planner_bridge", "run", *FILES, "--actions", "ros2", "--json"], deployment.environment))
