@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -36,8 +37,13 @@ def files() -> dict[str, Path]:
 FILES = files()
 
 
-def imports_of(path: Path) -> Iterator[str]:
+@cache
+def imports_of(path: Path) -> frozenset[str]:
     """The modules a file imports, at any depth; a name imported from a package may be a module."""
+    return frozenset(_imports_of(path))
+
+
+def _imports_of(path: Path) -> Iterator[str]:
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -140,7 +146,7 @@ def test_the_core_does_no_io() -> None:
     files = [*(ROOT / "pnm" / "core").rglob("*.py")]
     assert files
     for file in files:
-        used = {*imports_of(file)}
+        used = imports_of(file)
         io = {"asyncio", "threading", "time", "socket", "sqlite3", "os", "pathlib", "random"}
         assert not {module.split(".")[0] for module in used} & io, file
         assert all(module == "pnm.errors" or module.startswith("pnm.core.") for module in used if module.startswith("pnm")), file

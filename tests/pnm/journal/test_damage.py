@@ -25,7 +25,7 @@ from pnm.journal.store import JournalFile, KeptJournal
 from tests.support.tasks.scenarios.forged_journal import forged
 from tests.support.tasks.scenarios.random_scenarios import run_scenario
 
-FLIPS = 400
+FLIPS = 120
 
 
 def records(path: Path) -> list[Record]:

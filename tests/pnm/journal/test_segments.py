@@ -117,7 +117,7 @@ def test_tasks_in_turn_survive_a_death_at_every_commit(tmp_path: Path, before: b
 
 
 @pytest.mark.usefixtures("short")
-@pytest.mark.parametrize("number", range(100, 115))
+@pytest.mark.parametrize("number", range(100, 105))
 def test_random_tasks_survive_random_deaths_with_many_segments(number: int, tmp_path: Path) -> None:
     run_deaths(number, tmp_path)
 
