@@ -18,5 +18,6 @@ def test_the_goal_is_reached_with_robots_that_are_played_by_the_bindings(deploym
     status, result = run.result()
     assert (status, result["goal_reached"]) == (0, True), str(run)
     picks = [call["attempts"] for call in result["calls"] if call["action"] == "pick"]
-    assert sorted(picks) == [1, 2], "one has slipped once"
+    assert sorted(picks)[-2:] == [1, 2], "one has slipped once"
+    assert picks.count(2) == 1, "and no other has"
     robots.happens("end", "pick")
