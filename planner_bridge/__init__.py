@@ -20,19 +20,19 @@ if TYPE_CHECKING:
     from planner_bridge.pddl import parse_problem as parse_problem
     from planner_bridge.pddl import read_domain as read_domain
     from planner_bridge.pddl import read_problem as read_problem
-    from planner_bridge.pddl.write.writer import write_domain as write_domain
-    from planner_bridge.pddl.write.writer import write_problem as write_problem
+    from planner_bridge.pddl.writer import write_domain as write_domain
+    from planner_bridge.pddl.writer import write_problem as write_problem
     from planner_bridge.pipeline.achieve import achieve as achieve
     from planner_bridge.pipeline.achieve import achieve_async as achieve_async
+    from planner_bridge.pipeline.goal_handle import GoalHandle as GoalHandle
     from planner_bridge.pipeline.loading import load as load
     from planner_bridge.planning.kairos import validate as validate
     from planner_bridge.planning.solve import solve as solve
     from planner_bridge.tasks.replanning import Limits as Limits
     from planner_bridge.tasks.result import TaskResult as TaskResult
-    from planner_bridge.tasks.scheduling.goal_handle import GoalHandle as GoalHandle
     from planner_bridge.tasks.settings import Settings as Settings
     from planner_bridge.tasks.settings import TaskObserver as TaskObserver
-    from planner_bridge.view.task_timeline import timelines as timelines
+    from planner_bridge.view.story import timelines as timelines
     from pnm.core.logic.domain import ActionSchema as ActionSchema
 else:
     __all__, __getattr__, __dir__ = lazy_exports(__name__, __file__)

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from planner_bridge.cli.consoles.on_stderr import searching
 from planner_bridge.cli.options import (
     FILE,
     Seconds,
@@ -31,6 +30,7 @@ from planner_bridge.cli.options import (
     planning_within,
     print_json,
     problem_in,
+    searching,
     write,
 )
 from pnm.errors import InputError
@@ -127,7 +127,7 @@ def plan(
         fields = {"status": result.status.value, "message": result.message, "planner": result.planner, **found}
         print_json({**fields, "steps": steps if result.plan else None})
     elif result.plan is None:
-        from planner_bridge.cli.consoles.safe_console import SafeConsole  # here and below: a plan alone needs neither rich nor pictures
+        from planner_bridge.cli.console import SafeConsole  # here and below: a plan alone needs neither rich nor pictures
 
         SafeConsole(stderr=written_as != "text").print_reason("no plan:", result.reason)
     elif written_as != "text":
@@ -206,7 +206,7 @@ def net(
         with searching(planner, planner_timeout):
             result = solve(loaded, planner=planner, timeout=planner_timeout, improve=improve)
         if result.plan is None:
-            from planner_bridge.cli.consoles.safe_console import SafeConsole
+            from planner_bridge.cli.console import SafeConsole
 
             SafeConsole(stderr=True).print_reason("no plan:", result.reason)
             return 1
@@ -277,7 +277,7 @@ def demo(story: str) -> int:
 
     `mall`, over ROS 2: several tasks share a robot, and people interrupt it and answer late.
     """
-    from planner_bridge.cli.consoles.safe_console import SafeConsole
+    from planner_bridge.cli.console import SafeConsole
     from planner_bridge.cli.demo import show_delivery, show_mall
 
     return show_mall(SafeConsole()) if story == "mall" else show_delivery(SafeConsole())
@@ -296,7 +296,7 @@ class _Warnings(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Print a warning."""
-        from planner_bridge.cli.consoles.safe_console import SafeConsole
+        from planner_bridge.cli.console import SafeConsole
 
         for line in self.format(record).split("\n"):
             SafeConsole(stderr=True).print_text(line)

@@ -8,9 +8,19 @@ from pathlib import Path
 
 import click
 
-from planner_bridge.cli.consoles.on_stderr import print_warnings, searching
-from planner_bridge.cli.consoles.safe_console import SafeConsole
-from planner_bridge.cli.options import FILE, bindings_option, command, force_option, output_options, planning, write, write_files
+from planner_bridge.cli.console import SafeConsole
+from planner_bridge.cli.options import (
+    FILE,
+    bindings_option,
+    command,
+    force_option,
+    output_options,
+    planning,
+    print_warnings,
+    searching,
+    write,
+    write_files,
+)
 from planner_bridge.pipeline.loading import bindings_for
 from planner_bridge.yaml.convert import exported, imported
 from planner_bridge.yaml.schema import schema_text

@@ -21,8 +21,8 @@ from typing import Any, Final
 from rich.markup import escape
 from rich.text import Text
 
-from planner_bridge.cli.consoles.run_console import ConsoleObserver, print_result
-from planner_bridge.cli.consoles.safe_console import SafeConsole
+from planner_bridge.cli.console import SafeConsole
+from planner_bridge.cli.run_console import ConsoleObserver, print_result
 from planner_bridge.model.simulation import simulated_backend
 from planner_bridge.pipeline.achieve import achieve_at
 from planner_bridge.pipeline.loading import load

@@ -17,7 +17,7 @@ from typing import Any, Final
 import click
 from rich.text import Text
 
-from planner_bridge.cli.consoles.safe_console import SafeConsole
+from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.options import (
     ADOPT,
     FILE,
@@ -30,9 +30,9 @@ from planner_bridge.cli.options import (
     view_option,
     write,
 )
-from planner_bridge.node.journal_place import latest_journal
+from planner_bridge.node.options import latest_journal
 from planner_bridge.tasks.result import TASKS
-from planner_bridge.view.task_timeline import timelines
+from planner_bridge.view.story import timelines
 from pnm.core.knowledge_base import statement_text
 from pnm.core.pictures.timeline import timeline_svg
 from pnm.errors import InputError, printable

@@ -1,4 +1,4 @@
-"""Options, files and exit statuses that commands share."""
+"""Options, files and exit statuses that commands share, and what they say on stderr."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import json
 import os
 import sys
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from enum import Enum
 from functools import wraps
@@ -17,20 +18,22 @@ from typing import TYPE_CHECKING, Any, Final, ParamSpec
 
 import click
 
-from planner_bridge.cli.consoles.on_stderr import print_warnings
 from planner_bridge.model.problem import Problem
-from planner_bridge.pipeline.loading import load
-from planner_bridge.view.control.commands import Controlled
-from pnm.errors import InputError, PnmError
+from planner_bridge.pipeline.loading import load, warning_lines
+from planner_bridge.view.commands import Controlled
+from pnm.errors import InputError, PnmError, Tolerated
 from pnm.files.database.place import Place, place_of
 from pnm.files.private import secret_in, write_private
 from pnm.files.yaml_nodes import parse_value
 from pnm.signals import CANCELLED, LAST_WORDS, LEAVING, interruptible, leave_within
 
 if TYPE_CHECKING:
-    from planner_bridge.view.process import PageProcess
+    from rich.console import Console
+
+    from planner_bridge.view.serving import PageProcess
     from pnm.actions.faults import Faults
     from pnm.journal.kept import JournalChoice
+
 
 P = ParamSpec("P")
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
@@ -325,3 +328,44 @@ def faults_for(problem: Problem, file: Path | None) -> Faults:
     from pnm.actions.faults import NO_FAULTS, read_faults  # here, because most commands simulate nothing
 
     return read_faults(file, problem.vocabulary) if file else NO_FAULTS
+
+
+# --- words on stderr ------------------------------------------------------------------------------
+# What commands say on stderr: warnings about files, and what is being waited for.
+
+
+def searching(planner: str, limit: float) -> AbstractContextManager[object]:
+    """Return what shows on stderr, while it is entered, that a planner is being asked; see `waiting`."""
+    return waiting(planner_words(planner, limit)) if sys.stderr.isatty() else nullcontext()
+
+
+def planner_words(planner: str, limit: float) -> str:
+    """Return what is being waited for while a planner is asked."""
+    return f"{planner} is looking for a plan, {limit:g} s at most"
+
+
+def waiting(text: str, console: Console | None = None) -> AbstractContextManager[object]:
+    """Return what shows, while it is entered, what is being waited for with its limit, and for how long already; on terminals only.
+
+    Args:
+        text: what is waited for, with its limit.
+        console: that of the output; by default stderr.
+    """
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    from planner_bridge.cli.console import SafeConsole  # here, because most commands have no use for it
+
+    console = console or SafeConsole(stderr=True)
+    if not console.is_terminal:
+        return nullcontext()
+    progress = Progress(
+        SpinnerColumn(), TextColumn("{task.description}:", markup=False), TimeElapsedColumn(), console=console, transient=True
+    )
+    progress.add_task(text)
+    return progress
+
+
+def print_warnings(warnings: Iterable[Tolerated]) -> None:
+    """Print warnings about files on stderr."""
+    for line in warning_lines(warnings):
+        print(line, file=sys.stderr)

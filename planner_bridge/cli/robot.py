@@ -10,7 +10,7 @@ from typing import Final
 import click
 from rich.text import Text
 
-from planner_bridge.cli.consoles.safe_console import SafeConsole
+from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.options import (
     FILE,
     Seconds,

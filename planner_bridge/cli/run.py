@@ -11,9 +11,7 @@ from tempfile import TemporaryDirectory
 
 import click
 
-from planner_bridge.cli.consoles.on_stderr import print_warnings
-from planner_bridge.cli.consoles.run_console import ConsoleObserver, print_result
-from planner_bridge.cli.consoles.safe_console import SafeConsole
+from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.options import (
     ADOPT,
     GIVEN,
@@ -39,6 +37,7 @@ from planner_bridge.cli.options import (
     plan_parameters,
     planning,
     print_json,
+    print_warnings,
     problem_in,
     quiet_option,
     seal_of,
@@ -48,15 +47,15 @@ from planner_bridge.cli.options import (
     view_option,
     write,
 )
+from planner_bridge.cli.run_console import ConsoleObserver, print_result
 from planner_bridge.pipeline.achieve import Actions, achieve, carry_out
 from planner_bridge.pipeline.loading import bindings_for
 from planner_bridge.planning.solve import check_planner
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import Settings, TaskObserver
-from planner_bridge.view.control.commands import Controlled
-from planner_bridge.view.control.operator import Operator
-from planner_bridge.view.process import PageProcess
+from planner_bridge.view.commands import Controlled
+from planner_bridge.view.serving import Operator, PageProcess
 from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import NO_FAULTS, read_faults
 from pnm.clock import run_async
@@ -222,7 +221,7 @@ def looked_at(
 
 def _draw(journal: JournalChoice, timeline: Path, *, force: bool) -> None:
     """Draw the timeline of the last task of a journal."""
-    from planner_bridge.view.task_timeline import timelines  # here, because most runs are not drawn
+    from planner_bridge.view.story import timelines  # here, because most runs are not drawn
     from pnm.core.pictures.timeline import timeline_svg
 
     write(timeline, timeline_svg(*timelines(journal.place)[-1:]), force=force)

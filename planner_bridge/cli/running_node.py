@@ -16,8 +16,7 @@ from rich.live import Live
 from rich.table import Column, Table
 from rich.text import Text
 
-from planner_bridge.cli.consoles.event_lines import EventLines, ToldFailures
-from planner_bridge.cli.consoles.safe_console import SafeConsole
+from planner_bridge.cli.console import EventLines, SafeConsole, ToldFailures
 from planner_bridge.cli.options import Seconds, adopt_option, as_json_option, command, options, print_json
 from pnm.clock import run_async
 from pnm.core.machine.requests import OutcomeKind

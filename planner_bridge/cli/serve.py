@@ -65,13 +65,13 @@ def serve(files: tuple[Path, ...], view: int | None, controls: bool, **given: Pa
     Arguments after --ros-args are for ROS 2. Options override parameters that are given there, and files of parameters.
     """
     # here, because these take their time to import, which `pnm serve --help` need not wait for
-    from planner_bridge.cli.consoles.node_console import NodeConsole, NodePage
-    from planner_bridge.cli.consoles.safe_console import SafeConsole
-    from planner_bridge.node.journal_place import NONE
+    from planner_bridge.cli.console import SafeConsole
+    from planner_bridge.cli.run_console import NodeConsole, NodePage
     from planner_bridge.node.node_log import NodeObserver
+    from planner_bridge.node.options import NONE
     from planner_bridge.node.serve import serve
-    from planner_bridge.view.control.commands import Controlled
-    from planner_bridge.view.process import PageProcess
+    from planner_bridge.view.commands import Controlled
+    from planner_bridge.view.serving import PageProcess
     from pnm.core.broadcast import broadcast
 
     for file in files:

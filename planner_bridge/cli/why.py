@@ -10,23 +10,20 @@ from typing import Final
 
 import click
 
-from planner_bridge.cli.consoles.on_stderr import searching
-from planner_bridge.cli.consoles.safe_console import SafeConsole
+from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.journal import chosen_journal, errors_of_journals
-from planner_bridge.cli.options import FILE, Seconds, as_json_option, command, print_json, problem_in
+from planner_bridge.cli.options import FILE, Seconds, as_json_option, command, print_json, problem_in, searching
 from planner_bridge.explanations.answer import Answer, Known
 from planner_bridge.explanations.goal_now import why_goal
 from planner_bridge.explanations.history import JournalHistory
-from planner_bridge.explanations.limited_search import SECONDS, AnswerLimit
 from planner_bridge.explanations.needed_call import why_call_of_plan
-from planner_bridge.explanations.new_plan import why_replanned
+from planner_bridge.explanations.no_plan import SECONDS, AnswerLimit
 from planner_bridge.explanations.other_action import why_not
-from planner_bridge.explanations.run_questions import call_meant, task_meant, why_call_of_run, why_so
+from planner_bridge.explanations.run_questions import call_meant, task_meant, why_call_of_run, why_replanned, why_so
 from planner_bridge.model.grounding import problem_now
-from planner_bridge.model.plan import Plan, PlanStep
-from planner_bridge.model.plan_text import read_plan
+from planner_bridge.model.plan import Plan, PlanStep, read_plan
 from planner_bridge.model.problem import Problem
-from planner_bridge.model.projected_state import NotProjectable, projected_state
+from planner_bridge.model.progression import NotProjectable, projected_state
 from planner_bridge.planning.kairos import DEFAULT_PLANNER
 from pnm.errors import InputError, Position, suggestion
 

@@ -7,18 +7,79 @@ neither shows is called not proved.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Final
 
 from planner_bridge.explanations.answer import Answer, Known, Solves, Unsolvable, listed
-from planner_bridge.explanations.limited_search import AnswerLimit
 from planner_bridge.model.plan import PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
-from planner_bridge.planning.reachability import Achiever, GoalLiteral, Reachability, literal_of
+from planner_bridge.planning.reachability import Achiever, GoalLiteral, Reachability, TooLarge, literal_of
+from planner_bridge.planning.solve import solve
 from pnm.core.logic.conditions import All, Compare, Condition, Not, conjunction, conjuncts, fluents, ground
 from pnm.core.logic.expressions import NOTHING, Environment, fluent_text
 from pnm.errors import counted
+
+# --- time for an answer ---------------------------------------------------------------------------
+# Searches for plans, and looks at what can be reached, that answer one question: they share a time limit.
+
+
+SECONDS: Final = 0.8
+"""For one question, if nothing else is said: it is answered within a second."""
+_LEAST: Final = 0.02
+"""Seconds for a search, at least."""
+
+
+@dataclass(frozen=True)
+class AnswerLimit:
+    """The moment at which a question has to be answered, on the clock of this process."""
+
+    end: float
+    _reached: dict[int, tuple[Problem, Reachability | None]] = field(default_factory=dict, repr=False)
+    """What was looked at already, by the identity of the problem: mutable state."""
+
+    @staticmethod
+    def of(seconds: float) -> AnswerLimit:
+        """Return the limit that ends in so many seconds."""
+        return AnswerLimit(time.monotonic() + seconds)
+
+    @property
+    def left(self) -> float:
+        """Seconds that are left."""
+        return max(0.0, self.end - time.monotonic())
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no search is worth its beginning."""
+        return self.left < _LEAST
+
+    def solve(self, problem: Problem, *, share: float = 1.0, improve: float = 0.0) -> PlanningResult:
+        """Search for a plan for this share of the time that is left, at most, and for a better one for so long."""
+        if self.is_over:
+            return PlanningResult(PlanningStatus.TIMED_OUT, message="there was no time left")
+        return solve(problem, timeout=max(_LEAST, self.left * share), improve=min(improve, self.left * share))
+
+    def reached(self, problem: Problem) -> Reachability | None:
+        """Return what can be reached of a problem, and what its goal lacks; None if there is not enough time to say."""
+        if id(problem) not in self._reached:
+            reachability = Reachability(problem, problem.unknown)
+            try:
+                reachability.settle(problem.goal, self.end)
+                self._reached[id(problem)] = problem, reachability
+            except TooLarge:
+                self._reached[id(problem)] = problem, None
+        return self._reached[id(problem)][1]
+
+    def first_plan(self, problem: Problem, *, improve: float = 0.0) -> PlanningResult:
+        """Search for the plan that is to be explained; what cannot be reached at all is not searched for, which might take long."""
+        if (reachability := self.reached(problem)) and reachability.of(problem.goal):
+            return PlanningResult(PlanningStatus.UNSOLVABLE, message="the goal cannot be reached")
+        return self.solve(problem, share=0.5, improve=improve)
+
+
+# --- no plan --------------------------------------------------------------------------------------
+
 
 _WAYS: Final = 3
 """Actions that are looked at for each fact; others are counted."""
@@ -56,7 +117,7 @@ def _as_known(answer: Answer) -> Answer:
     return Answer(answer.statement, Known.NOT_PROVED, tuple(map(_as_known, answer.reasons)))
 
 
-# --- what cannot be reached ------------------------------------------------------------------------
+# --- what cannot be reached -----------------------------------------------------------------------
 
 
 def _unreachable(problem: Problem, limit: AnswerLimit) -> list[tuple[Condition, Answer]]:
@@ -184,7 +245,7 @@ def _closed(others: int) -> str:
     return f": {others} more {'way' if others == 1 else 'ways'} to it {'is' if others == 1 else 'are'} closed as well" if others else ""
 
 
-# --- what excludes each other ----------------------------------------------------------------------
+# --- what excludes each other ---------------------------------------------------------------------
 
 
 def _exclusions(problem: Problem, limit: AnswerLimit) -> Iterator[Answer]:

@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from planner_bridge.explanations.answer import Answer, Best, Claim, Known, Solves, Unsolvable
-from planner_bridge.explanations.limited_search import AnswerLimit
-from planner_bridge.explanations.no_plan import why_no_plan, why_unreachable
+from planner_bridge.explanations.no_plan import AnswerLimit, why_no_plan, why_unreachable
 from planner_bridge.model.forbidden_actions import unused_name
 from planner_bridge.model.grounding import ground_action, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep

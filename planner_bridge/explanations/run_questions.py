@@ -1,22 +1,31 @@
-"""Questions about a run, answered from its journal: which function answers which one, for a task and a call of it."""
+"""Questions about a run, answered from its journal: for a task and a call of it.
+
+Why a call is in its plan, began when it did or waits; why there was a new plan; how a task is doing.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import pairwise
 from typing import Final
 from uuid import UUID
 
 from planner_bridge.explanations.answer import Answer, Known, listed
-from planner_bridge.explanations.call_timing import why_now
-from planner_bridge.explanations.history import JournalHistory, RunHistory, TaskHistory
+from planner_bridge.explanations.history import JournalHistory, RunHistory, TaskHistory, Trouble
 from planner_bridge.explanations.needed_call import Course, why_call
-from planner_bridge.explanations.new_plan import not_told, why_failed, why_replanned
 from planner_bridge.model.progression import Happening
 from pnm.core.execution.call_results import CallResult
+from pnm.core.execution.questions import EvaluationContext
 from pnm.core.logic.computed_values import Unanswered
-from pnm.core.machine.plan_graph import ActionCall, Moment
+from pnm.core.logic.conditions import All, conjuncts, evaluate, fluents, observed
+from pnm.core.logic.effects import written
+from pnm.core.logic.expressions import Fluent, fluent_text
+from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, Recovery
 from pnm.core.machine.requests import CallOutcome
-from pnm.errors import InputError, counted, suggestion
+from pnm.core.pictures.timeline import Replan
+from pnm.errors import InputError, PnmError, counted, suggestion
 from pnm.files.database.place import Place
+from pnm.tasks import TaskState
 
 _BEGINNING: Final = 4
 """Characters of an id that are enough to mean its task; fewer are a number, or a mistake."""
@@ -124,3 +133,178 @@ def _doing(history: JournalHistory, task: TaskHistory, run: RunHistory, result: 
     if result.kind is CallOutcome.WAITING:
         return why_now(history, task, run, call)
     return Answer(f"#{call} {run.source.plan.calls[call].action}: {result.outcome}", Known.JOURNAL)
+
+
+# --- when a call begins ---------------------------------------------------------------------------
+# Why a call of a run began when it did, or what it still waits for: orderings, times, resources and conditions, as its journal says.
+
+
+def why_now(history: JournalHistory, task: TaskHistory, run: RunHistory, call: int) -> Answer:
+    """Return why a call began when it did, or why it has not begun."""
+    result, name, began = run.last_results[call], _name(run, call), history.world_began
+    if result.kind is CallOutcome.ALREADY_TRUE:
+        return Answer(f"{name} was not made: its effects held already", Known.JOURNAL)
+    if run.source.plan.calls[call].under_way:
+        return Answer(f"{name} goes on from the run before", Known.JOURNAL)
+    if result.started is None:
+        if run.is_over or task.ending:
+            return Answer(f"{name} never began: its run was over before", Known.JOURNAL)
+        reasons = tuple(_obstacles(history, task, run, call))
+        if not reasons:
+            return Answer(f"{name} has not begun, and the journal names nothing that holds it back", Known.JOURNAL)
+        return Answer(f"{name} waits", Known.JOURNAL, reasons)
+    waited = sorted(_waited(history, run, call, result.started), key=lambda wait: -wait[0])
+    reasons = tuple(Answer(text, Known.JOURNAL) for _, text in waited)
+    since = "it began with its run" if not waited else f"the last that it waited for was: {waited[0][1]}"
+    return Answer(f"{name} began at {result.started - began:.2f} s; {since}", Known.JOURNAL, reasons[1:])
+
+
+def _name(run: RunHistory, call: int) -> str:
+    return f"#{call} {run.source.plan.calls[call].action}"
+
+
+def _orderings(run: RunHistory, call: int) -> Iterator[Ordering]:
+    """Yield the orderings that the start of a call waits for."""
+    for ordering in run.source.plan.orderings:
+        if ordering.after.call == call != ordering.before.call and ordering.after.moment is Moment.START:
+            yield ordering
+
+
+def _waited(history: JournalHistory, run: RunHistory, call: int, started: float) -> Iterator[tuple[float, str]]:
+    """Yield what a call has waited for before it began, with the time at which that was over."""
+    began = history.world_began
+    for ordering in _orderings(run, call):
+        if (time := run.time_of(ordering.before)) is not None:
+            verb = "began" if ordering.before.moment is Moment.START else "ended"
+            later = f", and {ordering.delay:g} s more" if ordering.delay else ""
+            text = f"{_name(run, ordering.before.call)} {verb} at {time - began:.2f} s{later}{_because(run, ordering)}"
+            yield time + ordering.delay, text
+    planned = run.source.plan.calls[call]
+    if planned.release and (origin := run.origin) is not None:
+        text = f"its earliest time, {planned.release:g} s after the beginning of its plan, at {origin + planned.release - began:.2f} s"
+        yield origin + planned.release, text
+    names = frozenset(run.source.bindings.resources(planned.action))
+    for held in history.held.values() if names else ():
+        if held.until is not None and run.time <= held.until <= started and (shared := names & frozenset(held.names)):
+            yield held.until, f"{held.action} gave back {listed(sorted(shared))} at {held.until - began:.2f} s"
+    for trouble in (*run.hindrances, *run.failures):
+        if trouble.step.index == call and trouble.time <= started:
+            cause = trouble.cause
+            seen = f"expected {cause.expected}; observed {cause.observed}"
+            yield trouble.time, f"{cause.cause.value} at {trouble.time - began:.2f} s: {seen}"
+
+
+def _obstacles(history: JournalHistory, task: TaskHistory, run: RunHistory, call: int) -> Iterator[Answer]:
+    """Yield what holds a call back now."""
+    replay, planned = history.execute(), run.source.plan.calls[call]
+    if task.state in (TaskState.PAUSING, TaskState.PAUSED):
+        yield Answer(f"its task is {task.state.word}: {task.reason}", Known.JOURNAL)
+    elif run.executed().run.pausing:
+        yield Answer("nothing of its plan begins while that is looked at again", Known.JOURNAL)
+    for ordering in _orderings(run, call):
+        if run.time_of(ordering.before) is None:
+            verb = "begin" if ordering.before.moment is Moment.START else "end"
+            text = f"{_name(run, ordering.before.call)} has to {verb} before{_because(run, ordering)}"
+            doing = run.last_results[ordering.before.call].kind.value
+            yield Answer(f"{text}; it is: {doing}", Known.JOURNAL)
+    if planned.release and (origin := run.origin) is not None and origin + planned.release > history.time:
+        yield Answer(f"it is not to begin before {origin + planned.release - history.world_began:.2f} s", Known.JOURNAL)
+    names = frozenset(run.source.bindings.resources(planned.action))
+    for claim in replay.resources.held:
+        shared = names & frozenset(claim.names)
+        if shared and claim.request in replay.requests:
+            yield Answer(f"{replay.requests[claim.request].action} has {listed(sorted(shared))}", Known.JOURNAL)
+    context = EvaluationContext(run.executed().run.knowledge, planned.action, run.source.bindings.of(planned.action.name))
+    for part in conjuncts(planned.action.precondition):
+        try:
+            if evaluate(part, context) is not True:
+                yield Answer(f"it needs {part}; observed {observed(part, context)}", Known.JOURNAL)
+        except (Unanswered, PnmError):
+            yield Answer(f"it needs {part}, which has to be asked for", Known.JOURNAL)
+
+
+def _because(run: RunHistory, ordering: Ordering) -> str:
+    """Return for which facts the order is kept."""
+    steps = {step.index: step for step in run.source.plan.every_step}
+    before, after = steps[ordering.before.call], steps[ordering.after.call]
+    if not (isinstance(before, ActionCall) and isinstance(after, ActionCall) and ordering.protects):
+        return ""
+    action = before.action
+    made = written((*action.start_effects, *action.end_effects), run.state)
+    needed = fluents(All((after.action.precondition, after.action.invariant, after.action.end_condition)), run.state)
+    links = [fluent for fluent in ordering.protects if fluent in made and fluent in needed]
+    if links:
+        return f", which brings about {_facts(links)}"
+    return f", because both have to do with {_facts([*ordering.protects])}"
+
+
+def _facts(fluents: list[Fluent]) -> str:
+    return listed([fluent_text(fluent) for fluent in fluents])
+
+
+# --- new plans ------------------------------------------------------------------------------------
+# Why a task was planned anew: what failed, with what was expected and observed, and what the next plan keeps, drops and adds.
+
+
+_SHOWN = 6
+
+
+def why_replanned(history: JournalHistory, task: TaskHistory) -> tuple[Answer, ...]:
+    """Return for each run of a task after the first why it followed the one before."""
+    answers = tuple(_follows(history, number, before, after) for number, (before, after) in enumerate(pairwise(task.own_runs), 2))
+    if answers:
+        return answers
+    if not task.is_told:
+        return (not_told(task),)
+    return (Answer(f"there was no new plan for {task.name}", Known.JOURNAL),)
+
+
+def not_told(task: TaskHistory) -> Answer:
+    """Return what is said of a task whose records are dropped."""
+    return Answer(f"how {task.name} went is not known: its records are not kept any more", Known.JOURNAL)
+
+
+def _follows(history: JournalHistory, number: int, before: RunHistory, after: RunHistory) -> Answer:
+    replan = after.replan or Replan("")
+    text = f"run {number} began at {after.time - history.world_began:.2f} s: {replan.why}"
+    return Answer(text, Known.JOURNAL, (*why_failed(history, before), *_changes(replan)))
+
+
+def why_failed(history: JournalHistory, run: RunHistory) -> Iterator[Answer]:
+    """Yield each failure of a run: what was expected and observed, how often it was tried, and which recovery."""
+    for trouble in run.failures:
+        step = trouble.step
+        name = f"#{step.index} {step.action}" if isinstance(step, ActionCall) else str(step)
+        text = f"{name} failed at {trouble.time - history.world_began:.2f} s: {_cause(trouble)}"
+        yield Answer(text, Known.JOURNAL, tuple(_attempts(history, run, trouble)))
+
+
+def _cause(trouble: Trouble) -> str:
+    cause = trouble.cause
+    return f"{cause.cause.value.replace('_', ' ')}: expected {cause.expected or 'success'}; observed {cause.observed or 'nothing'}"
+
+
+def _attempts(history: JournalHistory, run: RunHistory, failed: Trouble) -> Iterator[Answer]:
+    """Yield what was tried before the failure."""
+    began, step = history.world_began, failed.step
+    if sent := history.sent(run, step.index):
+        times = listed([f"{attempt.sent - began:.2f} s" for attempt in sent], most=_SHOWN)
+        yield Answer(f"it was sent {counted(len(sent), 'time')}, at {times}", Known.JOURNAL)
+    hindered = [trouble for trouble in run.hindrances if trouble.step.index == step.index and trouble.time < failed.time]
+    for trouble in hindered:
+        yield Answer(f"at {trouble.time - began:.2f} s, attempt {trouble.attempt}: {_cause(trouble)}", Known.JOURNAL)
+    for recovery in step.recoveries if isinstance(step, ActionCall) else ():
+        if failed.cause.cause in recovery.causes or any(trouble.cause.cause in recovery.causes for trouble in hindered):
+            yield Answer(f"its plan has a recovery for that: {_recovery(recovery)}", Known.GIVEN)
+
+
+def _recovery(recovery: Recovery) -> str:
+    steps = [str(step.action if isinstance(step, ActionCall) else step) for step in recovery.chain.steps]
+    return ", then ".join([*steps, recovery.then.value])
+
+
+def _changes(replan: Replan) -> Iterator[Answer]:
+    """Yield which calls that were left the new plan keeps and drops, and which it adds."""
+    for verb, calls in (("keeps", replan.kept), ("drops", replan.dropped), ("adds", replan.added)):
+        if calls:
+            yield Answer(f"the plan that followed {verb} {listed([*calls], most=_SHOWN)}", Known.JOURNAL)

@@ -9,8 +9,7 @@ from itertools import product
 from string import Formatter
 from typing import Final, TypeAlias
 
-from planner_bridge.model.once_per_domain import once_per_domain
-from planner_bridge.model.problem import Domain, Problem
+from planner_bridge.model.problem import Domain, Problem, once_per_domain
 from pnm.core.logic.conditions import All, Holds, Not
 from pnm.core.logic.domain import ActionSchema, Declaration
 from pnm.core.logic.expressions import Fluent, Value

@@ -8,8 +8,7 @@ from functools import cache
 from math import isfinite
 from typing import TYPE_CHECKING
 
-from planner_bridge.model.once_per_domain import once_per_domain
-from planner_bridge.model.problem import Domain, Problem
+from planner_bridge.model.problem import Domain, Problem, once_per_domain
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.domain import ActionSchema, ProblemModel, Types
 from pnm.core.logic.effects import TimedChange, names_written

@@ -1,12 +1,21 @@
-"""Plans and planning results, as planners return them."""
+"""Plans and planning results, as planners return them, and plans as text.
+
+The text has one call a line, such as ``0.0: (move r1 hall kitchen) [5.0]``, times optional.
+"""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from enum import Enum
-from typing import Protocol
+from functools import cache
+from operator import attrgetter
+from typing import Final, Protocol
 
-from pnm.errors import counted
+from planner_bridge.model.grounding import initial_knowledge, modelled_duration
+from planner_bridge.model.problem import Problem
+from pnm.core.logic.expressions import State
+from pnm.errors import InputError, Position, counted, suggestion
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,3 +98,77 @@ class CancelToken(Protocol):
 
     def is_set(self) -> bool:
         """Whether to stop."""
+
+
+_LINE: Final = re.compile(r"\s*(?:(?P<time>[0-9.eE+-]+)\s*:)?\s*\((?P<call>[^()]*)\)\s*(?:\[(?P<duration>[0-9.eE+-]+)\])?\s*")
+_GAP: Final = 0.001
+"""Seconds between the end of a call and the start of the next one, where the text has no times."""
+LONGEST: Final = 1_000_000
+"""Characters of a plan."""
+
+
+def read_plan(text: str, problem: Problem, name: str = "plan") -> Plan:
+    """Read a plan with the actions and objects of the problem; empty lines and comments, from a semicolon on, do not count."""
+    if len(text) > LONGEST:
+        raise InputError(f"{name}: {len(text)} characters; a plan may have {LONGEST}")
+    steps: list[PlanStep] = []
+    state, now, names = initial_knowledge(problem), 0.0, _Names(problem)
+    for number, line in enumerate(text.splitlines(), 1):
+        content = line.partition(";")[0]
+        if content.strip():
+            step = _step(content, names, state, Position(name, number, len(content) - len(content.lstrip()) + 1), now)
+            steps.append(step)
+            now = step.start + step.duration + _GAP
+    return Plan(tuple(sorted(steps, key=attrgetter("start"))), problem.is_timed)
+
+
+class _Names:
+    """The names of a problem, found however they are spelled: capitals do not count in PDDL."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.actions = {name.lower(): schema for name, schema in problem.domain.actions.items()}
+        self.of_types = cache(
+            lambda types: {name.lower(): name for kind in types for name in problem.objects_by_type.get(kind, ())},
+        )
+
+
+def _step(line: str, names: _Names, state: State, position: Position, now: float) -> PlanStep:
+    match = _LINE.fullmatch(line)
+    if match is None or not match["call"].split():
+        raise InputError(f"expected a call such as (move r1 hall kitchen), found {line.strip()[:60]!r}", position)
+    action, *given = match["call"].lower().split()
+    schema = names.actions.get(action)
+    if schema is None:
+        known = [one.name for one in names.actions.values()]
+        hint = suggestion(action, known) or f"expected one of {', '.join(known) or 'none, for there is no domain'}"
+        raise InputError(f"there is no action {action!r}; {hint}", position)
+    if len(given) != len(schema.parameters):
+        expected = " ".join(variable.name for variable in schema.parameters) or "none"
+        raise InputError(f"{schema.name} takes {len(schema.parameters)} arguments ({expected}), found {len(given)}", position)
+    arguments: list[str] = []
+    for variable, argument in zip(schema.parameters, given, strict=True):
+        fitting = names.of_types(variable.types)
+        if argument not in fitting:
+            known = sorted(fitting.values())
+            hint = suggestion(argument, known) or f"expected one of {', '.join(known[:8]) or 'none, for there are none'}"
+            raise InputError(f"{argument!r} is no object for {variable.name} of {schema.name}; {hint}", position)
+        arguments.append(fitting[argument])
+    duration = _number(match["duration"], position)
+    if duration is None:
+        duration = modelled_duration(schema, tuple(arguments), state)
+    start = _number(match["time"], position)
+    return PlanStep(schema.name, tuple(arguments), now if start is None else start, duration or 0.0)
+
+
+def _number(text: str | None, position: Position) -> float | None:
+    try:
+        return None if text is None else float(text)
+    except ValueError as error:
+        raise InputError(f"expected a number of seconds, found {text!r}", position) from error
+
+
+def plan_text(plan: Plan) -> str:
+    """Return the plan in the format of the planning competitions."""
+    if not plan.temporal:
+        return "".join(f"({' '.join((step.action, *step.arguments))})\n" for step in plan.steps)
+    return "".join(f"{step.start:.6f}: ({' '.join((step.action, *step.arguments))}) [{step.duration:.6f}]\n" for step in plan.steps)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import wraps
 from math import prod
-from typing import Final, Literal
+from typing import Concatenate, Final, Literal, ParamSpec, TypeVar
+from weakref import ref
 
 from pnm.core.logic.conditions import choices_in
 from pnm.core.logic.domain import DomainModel, Preference, ProblemModel, Types
@@ -98,3 +100,34 @@ class Problem(ProblemModel):
     def has_tasks(self) -> bool:
         """Whether there is a task network, or methods (HDDL)."""
         return bool(self.network or self.domain.hierarchy)
+
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+_KEPT: Final = 2_000
+"""Answers about one domain, at most; then all are found anew."""
+
+
+def once_per_domain(find: Callable[Concatenate[Domain, P], T]) -> Callable[Concatenate[Domain, P], T]:
+    """Return a function that keeps its answers for as long as the domain is in use; domains are told apart by identity.
+
+    The other arguments are positional and hashable. An answer that has a reference to its domain would keep both for good.
+    """
+    kept: dict[int, tuple[ref[Domain], dict[object, T]]] = {}
+
+    @wraps(find)
+    def once(domain: Domain, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        number = id(domain)
+        if number not in kept:
+            kept[number] = ref(domain, lambda _: kept.pop(number, None)), {}
+        answers = kept[number][1]
+        try:
+            return answers[args]
+        except KeyError:
+            if len(answers) >= _KEPT:
+                answers.clear()
+        answer = answers[args] = find(domain, *args, **kwargs)
+        return answer
+
+    return once

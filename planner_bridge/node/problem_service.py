@@ -3,26 +3,36 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import re
+import tempfile
+import threading
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Final
 
 from planner_bridge.explanations.goal_now import packed
 from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.plan import Plan
 from planner_bridge.model.plan_world import with_names_of, world_of_plans
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.model.progression import snapshot
-from planner_bridge.node.plan_request import make_plan
-from planner_bridge.node.problem_folder import ProblemFolder
 from planner_bridge.node.world_queries import SharedWorld
+from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
-from planner_bridge.pddl.read.reader import MAX_BYTES
+from planner_bridge.pddl.reader import MAX_BYTES
+from planner_bridge.planning.solve import solve
+from planner_bridge.tasks.result import code_of_planning
 from planner_bridge.tasks.settings import Settings
+from pnm.clock import in_own_thread
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition
 from pnm.errors import InputError
+from pnm.files.text import read_any_text
 from pnm.language.plan import HandWrittenPlan
-from pnm.tasks import MadePlan
+from pnm.tasks import Code, MadePlan, StepState, TaskStep
 
 
 def load_texts(domain: str, problem: str, folder: ProblemFolder, loaded: Domain) -> Problem:
@@ -192,3 +202,112 @@ class ServedProblem:
         """Pass on every change from now on, as fields of a message; return a function that ends that."""
         self._loaded.world.attend()
         return self._loaded.knowledge.listen(lambda batch: listener(self._loaded.world.changes(batch)) if batch else None)
+
+
+# --- the folder of problems -----------------------------------------------------------------------
+# The folder whose PDDL files the clients of a node load, and to which they save: nothing else can be named, or overwritten.
+
+
+SUFFIX: Final = ".pddl"
+_PROBLEM: Final = re.compile(r"(?:\s|;[^\n]*(?:\n|\Z))*+\(\s*define\s*\(\s*problem\b", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class ProblemFolder:
+    """The folder for problems of a node.
+
+    Args:
+        root: None if the node has no such folder.
+        initial: the file of the problem with which the node begins, which is never overwritten.
+
+    Raises:
+        InputError: there is no such folder.
+    """
+
+    root: Path | None
+    initial: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.root is not None and not os.path.isdir(self.root):
+            raise InputError(f"there is no folder {str(self.root)!r} for problems; expected one that exists in the parameter 'problems'")
+
+    def path_of(self, name: str) -> Path:
+        """Return the path of a PDDL file in the folder, symbolic links resolved; raise an `InputError` for any other."""
+        if self.root is None:
+            raise InputError("the node has no folder for problems; expected one in its parameter 'problems' when it starts")
+        root = self.root.resolve()
+        if not name.strip() or "\0" in name:
+            raise InputError(f"not a path: {name!r}; expected the path of a file in {root}")
+        try:
+            path = (root / name).resolve()
+        except (OSError, RuntimeError) as error:
+            raise InputError(f"not a path: {name[:200]!r} ({error})") from error
+        if root not in path.parents:
+            raise InputError(f"{name[:200]!r} is not in the folder {root}; expected the path of a file in it")
+        if path.suffix != SUFFIX or any(part.startswith(".") for part in path.relative_to(root).parts):
+            raise InputError(f"{name[:200]!r} is not the name of a PDDL file; expected one that ends with {SUFFIX}, and no hidden one")
+        return path
+
+    def write(self, name: str, problem: str) -> Path:
+        """Write the text of a problem to a file atomically, and return its path.
+
+        Raises:
+            InputError: the file is outside of the folder, would overwrite something that is not a problem, or cannot be written.
+        """
+        path = self.path_of(name)
+        try:
+            if self.initial is not None and path.exists() and self.initial.exists() and path.samefile(self.initial):
+                raise InputError(f"{path}: cannot be written: the node begins with this problem; expected another name")
+            if path.exists() and _PROBLEM.match(read_any_text(path, MAX_BYTES)[0]) is None:
+                raise InputError(f"{path}: cannot be written: what is there is not a problem in PDDL; expected another name")
+            handle, draft = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".tmp")
+            try:
+                with open(handle, "w", encoding="utf-8") as file:
+                    file.write(problem)
+                    file.flush()
+                    os.fsync(file.fileno())
+                os.chmod(draft, 0o644)
+                os.replace(draft, path)
+            except BaseException:
+                with suppress(OSError):
+                    os.unlink(draft)
+                raise
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+        return path
+
+
+# --- plan requests --------------------------------------------------------------------------------
+# Plan requests: plans for a goal from the current state, without execution.
+
+
+async def make_plan(world: SharedWorld, settings: Settings, goal: str, planner: str, seconds: float | None) -> MadePlan:
+    """Search for a plan for a goal of the world, as its text or its name; cancelling this ends the planner.
+
+    The settings have the planner and the time limit of requests that name none.
+    """
+    current, cancel = world.current_problem(), threading.Event()
+    planner, timeout = planner or settings.planner, seconds or settings.planner_timeout
+
+    def search() -> MadePlan:
+        problem = replace(current, goal=world.read_goal(goal))
+        result = solve(problem, planner=planner, timeout=timeout, improve=settings.improve, cancel=cancel, executor=settings.executor)
+        if result.plan is None:
+            return MadePlan(code_of_planning(result.status, ()), result.reason, str(problem.goal))
+        return MadePlan(Code.GOAL_REACHED, f"found by {result.planner}", str(problem.goal), _steps(problem, result.plan))
+
+    try:
+        return await in_own_thread(search)
+    finally:
+        cancel.set()
+
+
+def _steps(problem: Problem, plan: Plan) -> tuple[TaskStep, ...]:
+    """Return the steps of a plan, each with the steps that are ordered before it."""
+    before: dict[int, set[int]] = {}
+    for ordering in plan_graph(problem, plan).orderings:
+        before.setdefault(ordering.after.call, set()).add(ordering.before.call)
+    return tuple(
+        TaskStep(step.action, step.arguments, step.start, step.duration, StepState.WAITING, tuple(sorted(before.get(number, ()))))
+        for number, step in enumerate(plan.steps)
+    )

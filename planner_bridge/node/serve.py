@@ -11,34 +11,31 @@ from dataclasses import dataclass
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Any, Final
 from uuid import UUID
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan_world import names_of_world
 from planner_bridge.model.problem import Problem
-from planner_bridge.node.diagnoses import open_diagnoses
-from planner_bridge.node.journal_place import journal_of, left_behind, origin_of
 from planner_bridge.node.node_log import NodeLog, NodeObserver
-from planner_bridge.node.options import PARAMETERS, Options
-from planner_bridge.node.problem_folder import ProblemFolder
-from planner_bridge.node.problem_service import NOTHING, LoadedProblem, ServedProblem
-from planner_bridge.node.robot_files import RobotFiles
+from planner_bridge.node.options import PARAMETERS, Options, RobotFiles, journal_of, left_behind, origin_of
+from planner_bridge.node.problem_service import NOTHING, LoadedProblem, ProblemFolder, ServedProblem
 from planner_bridge.node.world_queries import SharedWorld, read_goals
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.loading import load
 from planner_bridge.planning.solve import check_planner
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.result import TASKS
-from planner_bridge.tasks.scheduling.task_limits import TaskLimits
-from planner_bridge.tasks.scheduling.task_manager import TaskManager
-from planner_bridge.tasks.scheduling.task_start import PREFIX
 from planner_bridge.tasks.settings import Settings
+from planner_bridge.tasks.task_manager import TaskLimits, TaskManager
+from planner_bridge.tasks.task_start import PREFIX
 from pnm.actions.backend import check_ready
 from pnm.clock import continue_from, follow_real_time, run_async, short_pauses
 from pnm.core.broadcast import broadcast
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Bindings
+from pnm.core.readiness import Readiness
 from pnm.errors import InputError, PnmError, RosError
 from pnm.files.database.place import Place, ServerUrl
 from pnm.journal.journal import NO_JOURNAL, Journal
@@ -52,10 +49,12 @@ from pnm.language.plan import merge_bindings, read_world, sources_of
 from pnm.language.runner import PlanRunner, Program
 from pnm.ros.backend import Ros2Backend
 from pnm.ros.node.parameters import ParameterValue
-from pnm.tasks import REMEMBERED, Make, ServedWorld, TaskEnding, Tasks, Wanted
+from pnm.tasks import EVENTS, REMEMBERED, Make, ServedWorld, TaskEnding, Tasks, Wanted
 
 if TYPE_CHECKING:
     from pnm.ros.sim_time import SimClock
+    from pnm.ros.tasks.executor_topics import Diagnosis
+
 
 _log = logging.getLogger(__name__)
 
@@ -403,3 +402,62 @@ async def _close_in_time(close: Callable[[], Awaitable[None]]) -> None:
     with suppress(TimeoutError):
         async with asyncio.timeout(_CLOSING):
             await close()
+
+
+# --- diagnoses ------------------------------------------------------------------------------------
+# How the parts of a node are, for ``/diagnostics``: the node itself, its tasks, and what `pnm check` looks at.
+
+
+async def open_diagnoses(
+    stack: AsyncExitStack,
+    ros: Any,
+    look: Callable[[], Awaitable[Iterable[Readiness]]],
+    tasks: Tasks,
+    state: Callable[[], str],
+    clock: SimClock | None,
+    journal: Journal,
+    options: Options,
+) -> None:
+    """Publish diagnoses until the stack is closed; there is a warning when their type is not installed.
+
+    Args:
+        look: returns how ready action servers and sensors are.
+        state: returns that of the life cycle.
+        clock: that of the simulation whose time is followed, if one is.
+        journal: of the tasks.
+    """
+    from pnm.ros.tasks.executor_topics import (  # here, because rclpy is an extra
+        Diagnosis,
+        Diagnostics,
+        Level,
+        diagnosis_of,
+        diagnosis_of_tasks,
+    )
+
+    served = {name: getattr(options, name) or "" for name in ("domain", "problem", "world", "planner")}
+
+    async def diagnose() -> tuple[Diagnosis, ...]:
+        level, message = (Level.OK, "active") if state() == "active" else (Level.WARN, f"{state()}: goals are rejected")
+        node = Diagnosis("node", level, message, served)
+        trouble = clock.trouble(monotonic()) if clock else ""
+        watched = (Diagnosis("clock", Level.WARN if trouble else Level.OK, trouble or "/clock goes on"),) if clock else ()
+        kept = () if journal is NO_JOURNAL else (diagnosis_of_journal(journal),)
+        return node, *watched, *kept, diagnosis_of_tasks(tasks.status()), *map(diagnosis_of, await look())
+
+    def diagnosis_of_journal(journal: Journal) -> Diagnosis:
+        """Return how the journal is, and whether another node would go on with it if there has been one."""
+        others = journal.stand_bys()
+        if journal.blocked:
+            return Diagnosis("journal", Level.ERROR, journal.blocked)
+        if others.are_missed:
+            missed = f"no other node stands by any more; the last one was {others.names[-1]}, {others.ago:.0f} s ago"
+            return Diagnosis("journal", Level.WARN, missed)
+        return Diagnosis("journal", Level.OK, f"{', '.join(others.names)} stands by" if others.names else "can be written")
+
+    try:
+        diagnostics = Diagnostics(ros, diagnose)
+    except InputError as error:  # a ROS installation has the type, as have the wheels of the extra
+        EVENTS.warning("there are no diagnostics: %s", error)
+        return
+    await diagnostics.open()
+    stack.push_async_callback(diagnostics.close)

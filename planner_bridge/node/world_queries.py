@@ -9,24 +9,60 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
+from time import monotonic
 from typing import Final
 
 from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.problem import Problem
-from planner_bridge.node.timed_state import TimedState
 from planner_bridge.pddl import write_domain, write_problem
-from planner_bridge.pddl.read.formulas import condition
-from planner_bridge.pddl.read.requirements import Requirements
-from planner_bridge.pddl.read.symbols import SymbolTable
-from planner_bridge.pddl.read.terms import TermScope
-from planner_bridge.pddl.syntax.expressions import Group, Node, parse, where, wrong
-from planner_bridge.pddl.syntax.words import number, number_text, operands
+from planner_bridge.pddl.expressions import Group, Node, number, number_text, operands, parse, where, wrong
+from planner_bridge.pddl.formulas import TermScope, condition
+from planner_bridge.pddl.requirements import Requirements
+from planner_bridge.pddl.symbols import SymbolTable
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
 from pnm.core.logic.conditions import Condition, choices_in, evaluate
 from pnm.core.logic.domain import MAX_CHOICES, check_choices
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, State, Unknown, Value, fluent_text, same_value
 from pnm.errors import InputError, Position, suggestion
 from pnm.files.yaml_nodes import load_yaml
+
+# --- a limit for answers --------------------------------------------------------------------------
+# A limit for the time that the answers to questions about a state may take.
+
+
+MAX_SECONDS: Final = 5.0
+"""For the answers to all questions at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class TimedState:
+    """A state that can be asked until a time, on the monotonic clock."""
+
+    state: State
+    until: float
+
+    @staticmethod
+    def begin(state: State) -> TimedState:
+        """Return a state that can be asked for `MAX_SECONDS` from now."""
+        return TimedState(state, monotonic() + MAX_SECONDS)
+
+    def value(self, fluent: Fluent, /) -> Value | Unknown | None:
+        """Return the value of a fluent; raise an `InputError` if the time is over."""
+        self.check()
+        return self.state.value(fluent)
+
+    def objects(self, types: tuple[str, ...], /) -> tuple[str, ...]:
+        """Return the objects of any of the types."""
+        return self.state.objects(types)
+
+    def check(self) -> None:
+        """Raise an `InputError` if the time is over."""
+        if monotonic() > self.until:
+            raise InputError(f"the answers have taken {MAX_SECONDS:g} s; expected fewer or simpler questions")
+
+
+# --- queries and updates --------------------------------------------------------------------------
+
 
 MAX_TEXTS: Final = 10_000
 """Questions or changes at once."""

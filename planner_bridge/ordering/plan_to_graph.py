@@ -1,7 +1,7 @@
 """Plan → plan graph: a deordering of the plan, by its causal links.
 
 The happenings of the plan are added to the causal links in the order of time (`planner_bridge.ordering.causal_links`);
-then actions that enclose others get their delays (`planner_bridge.ordering.enclosing_actions`).
+then actions that enclose others get their delays (`planner_bridge.ordering.causal_links`).
 """
 
 from __future__ import annotations
@@ -11,15 +11,12 @@ from dataclasses import replace
 from typing import Final
 
 from planner_bridge.model.grounding import dynamic_names, initial_knowledge
-from planner_bridge.model.once_per_domain import once_per_domain
 from planner_bridge.model.plan import Plan
-from planner_bridge.model.problem import Domain, Problem
+from planner_bridge.model.problem import Domain, Problem, once_per_domain
 from planner_bridge.model.progression import Happening, calls_of, happenings
-from planner_bridge.ordering.causal_links import CausalLinks, OrderKept
-from planner_bridge.ordering.enclosing_actions import delay_enclosing_starts
-from planner_bridge.ordering.partial_order import PartialOrder
+from planner_bridge.ordering.causal_links import CausalLinks, OrderKept, delay_enclosing_starts
+from planner_bridge.ordering.partial_order import PartialOrder, Writers
 from planner_bridge.ordering.threats import threats
-from planner_bridge.ordering.writers import Writers
 from pnm.core.logic.conditions import fluents, names
 from pnm.core.logic.effects import Set, TimedChange, When, every_effect
 from pnm.core.logic.expressions import Fluent, expression_fluents

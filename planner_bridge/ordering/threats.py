@@ -23,8 +23,7 @@ from typing import NamedTuple, TypeAlias
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.causal_links import CausalLinks, OrderKept
-from planner_bridge.ordering.partial_order import NEAR, PartialOrder
-from planner_bridge.ordering.writers import Writers
+from planner_bridge.ordering.partial_order import NEAR, PartialOrder, Writers
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
 from pnm.core.logic.conditions import Condition, evaluate, fluents
 from pnm.core.logic.effects import Effects, TimedChange, changes, decided

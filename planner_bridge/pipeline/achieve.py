@@ -15,13 +15,12 @@ from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan_world import names_of_world
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.model.simulation import simulated_backend
-from planner_bridge.pddl.write.writer import write_domain, write_problem
+from planner_bridge.pddl.writer import write_domain, write_problem
+from planner_bridge.pipeline.goal_handle import KEPT_NOWHERE, GoalHandle, TaskJournal
 from planner_bridge.pipeline.loading import bindings_for, load
 from planner_bridge.tasks.result import PlanResult, Stopwatch, TaskResult
-from planner_bridge.tasks.scheduling.goal_handle import GoalHandle
-from planner_bridge.tasks.scheduling.task_journal import KEPT_NOWHERE, TaskJournal
-from planner_bridge.tasks.scheduling.task_manager import TaskManager
 from planner_bridge.tasks.settings import Settings, TaskObserver
+from planner_bridge.tasks.task_manager import TaskManager
 from pnm.actions.backend import Backend, ClientBackend, check_ready
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import run_async

@@ -12,11 +12,9 @@ from typing import Final
 
 import kairos
 
-from planner_bridge.model.once_per_domain import once_per_domain
-from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus, PlanStep
-from planner_bridge.model.plan_text import plan_text
-from planner_bridge.model.problem import TOTAL_TIME, Domain, Problem
-from planner_bridge.pddl.write.writer import write_domain, write_problem
+from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus, PlanStep, plan_text
+from planner_bridge.model.problem import TOTAL_TIME, Domain, Problem, once_per_domain
+from planner_bridge.pddl.writer import write_domain, write_problem
 from planner_bridge.planning.normal_form import in_whole_numbers
 from pnm.core.logic.expressions import ValueOf
 from pnm.errors import InputError

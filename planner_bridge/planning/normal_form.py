@@ -13,8 +13,7 @@ from decimal import Decimal
 from itertools import chain, count
 from typing import Any, Final
 
-from planner_bridge.model.once_per_domain import once_per_domain
-from planner_bridge.model.problem import Domain, Metric, Problem
+from planner_bridge.model.problem import Domain, Metric, Problem, once_per_domain
 from pnm.core.logic.conditions import TRUE, All, Compare, Condition, Exists, Holds, Not, conjuncts, every_part, ground, names
 from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import Effects, ForEach, Set, TimedChange, When, ground_effects

@@ -26,11 +26,9 @@ from typing import Any, Final
 from planner_bridge.model.plan import CancelToken, PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.pddl.write.writer import write_domain, write_problem
-from planner_bridge.planning.engine_process import START_LIMIT
-from planner_bridge.planning.engines import ENGINES, Feature, problem_kind, require_installed
+from planner_bridge.pddl.writer import write_domain, write_problem
+from planner_bridge.planning.engines import ENGINES, START_LIMIT, Feature, problem_kind, require_installed, search
 from planner_bridge.planning.kairos import DEFAULT_PLANNER
-from planner_bridge.planning.search import search
 from planner_bridge.planning.validate import validated
 from pnm.errors import InputError, suggestion
 from pnm.files.process import forget_safe_path, safe_path

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Final
 
 from planner_bridge.model.plan import CancelToken, PlanningResult
 from planner_bridge.model.problem import Problem
+from planner_bridge.planning.engines import search
 from planner_bridge.planning.kairos import DEFAULT_PLANNER, IMPROVE, parse_for_kairos
 from planner_bridge.planning.reduction import reduced
-from planner_bridge.planning.search import search
 from planner_bridge.planning.validate import validated
 from pnm.errors import check_kinds, check_seconds
 
@@ -78,7 +78,7 @@ def check_planner(planner: str, cancel: CancelToken | None = None) -> None:
 
         check_members(_portfolio_members(planner))
     else:
-        from planner_bridge.planning.engine_process import check_engine
+        from planner_bridge.planning.engines import check_engine
 
         check_engine(planner, cancel or threading.Event())
 

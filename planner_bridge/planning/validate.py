@@ -33,14 +33,12 @@ from typing import Final
 import kairos
 
 from planner_bridge.model.grounding import ground_step, initial_knowledge
-from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
-from planner_bridge.model.plan_text import plan_text
+from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep, plan_text
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import ConstraintProgression, Happening, NotApplicable, Progression, happenings, snapshot
 from planner_bridge.planning.kairos import DEFAULT_PLANNER, validate
 from planner_bridge.planning.normal_form import calculates_with_whole_numbers, in_whole_numbers
-from planner_bridge.planning.reachability import MAY_BE_UNSET
-from planner_bridge.planning.unreachable import why_unknown, why_unreachable
+from planner_bridge.planning.reachability import MAY_BE_UNSET, why_unknown, why_unreachable
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import TOLERANCE, evaluate, explanation
 from pnm.core.logic.domain import ActionSchema

@@ -13,8 +13,7 @@ from typing import Final
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall
 from planner_bridge.model.grounding import problem_now
-from planner_bridge.model.once_per_domain import once_per_domain
-from planner_bridge.model.problem import Domain, Problem
+from planner_bridge.model.problem import Domain, Problem, once_per_domain
 from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.replanning import Progress, why_not
 from planner_bridge.tasks.result import ConstraintResult, KeptGoal, PreferenceResult, TrajectoryNote, Violation

@@ -9,8 +9,7 @@ from contextlib import contextmanager, suppress
 from math import ulp
 from typing import Final, Protocol, TypeVar
 
-from planner_bridge.ordering.forecast import Forecast
-from planner_bridge.ordering.interference import ReadWriteSets
+from planner_bridge.ordering.interference import Forecast, ReadWriteSets
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.clock import TimeLimit
 from pnm.core.execution.run import Run

@@ -11,8 +11,7 @@ from functools import partial
 from uuid import uuid5
 
 from planner_bridge.model.plan import Plan
-from planner_bridge.model.progression import snapshot
-from planner_bridge.model.projected_state import NotProjectable
+from planner_bridge.model.progression import NotProjectable, snapshot
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
 from planner_bridge.tasks.context import TaskContext

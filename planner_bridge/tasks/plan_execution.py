@@ -8,8 +8,7 @@ from functools import partial
 from types import TracebackType
 from typing import Any, Final, TypeAlias
 
-from planner_bridge.ordering.forecast import Forecast, forecast
-from planner_bridge.ordering.interference import ReadWriteSets, read_write_sets
+from planner_bridge.ordering.interference import Forecast, ReadWriteSets, forecast, read_write_sets
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
 from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.replanning import Progress, why_not

@@ -16,10 +16,16 @@ from planner_bridge.model.forbidden_actions import ANY, ForbiddenCall, forbid
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
-from planner_bridge.model.progression import calls_of
-from planner_bridge.model.projected_state import projected_state
-from planner_bridge.ordering.forecast import Forecast, awaited, with_forecasts
-from planner_bridge.ordering.interference import ReadWriteSets, avoid_interference, optimistic_state, read_write_sets
+from planner_bridge.model.progression import calls_of, projected_state
+from planner_bridge.ordering.interference import (
+    Forecast,
+    ReadWriteSets,
+    avoid_interference,
+    awaited,
+    optimistic_state,
+    read_write_sets,
+    with_forecasts,
+)
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
 from planner_bridge.tasks.context import Conflict, RunningCalls, TaskContext

@@ -1,4 +1,4 @@
-"""`python -m planner_bridge.view PORT WHAT` is the page in a process of its own; see `planner_bridge.view.process`."""
+"""`python -m planner_bridge.view PORT WHAT` is the page in a process of its own; see `planner_bridge.view.serving`."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ import secrets
 import sys
 import threading
 from contextlib import suppress
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from planner_bridge.view.control.channel import Channel
-from planner_bridge.view.control.commands import Controlled
+from planner_bridge.view.commands import Controlled
 from planner_bridge.view.serving import listening, serve_page, url_of
 from pnm.errors import InputError
 from pnm.files.database.place import place_of
 from pnm.files.process import make_streams_safe
+
+if TYPE_CHECKING:
+    from planner_bridge.view.app import Channel
 
 _NICE: Final = 10
 """How much this process makes way for others: what drives robots comes first on a busy machine."""
@@ -35,7 +37,7 @@ def main() -> int:
     token = secrets.token_urlsafe(32)
     _write(url_of(opened) + ("" if controlled is Controlled.NOTHING else f"/#token={token}"))
     if line := sys.stdin.readline():
-        from planner_bridge.view.control.route import Control  # here, because what it needs is an extra, which is there by now
+        from planner_bridge.view.app import Channel, Control  # here, because what it needs is an extra, which is there by now
 
         channel = Channel(_write)
         serve_page(place_of(json.loads(line)), opened, lambda: _left_alone(channel), Control(controlled, token, channel))

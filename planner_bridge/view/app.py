@@ -7,32 +7,49 @@ have named this computer itself (DNS rebinding): so only requests to a name of t
 from __future__ import annotations
 
 import asyncio
+import hmac
+import json
 import re
-from collections.abc import AsyncIterator, Callable
-from dataclasses import asdict
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from dataclasses import asdict, dataclass, field, fields
+from itertools import count
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 from uuid import UUID, uuid4
 
 from starlette.applications import Starlette
 from starlette.requests import Request
-from starlette.responses import FileResponse, Response, StreamingResponse
+from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from planner_bridge.view.call_detail import detail
-from planner_bridge.view.control.route import Control
-from planner_bridge.view.control.shown_json import ShownResponse, shown_json
+from planner_bridge.view.commands import MAX_TEXT, Controlled, Reply
 from planner_bridge.view.follow import Feed, Reader
-from planner_bridge.view.frames import frame
-from planner_bridge.view.shown import View
-from planner_bridge.view.story import Story
-from planner_bridge.view.view import view_of
+from planner_bridge.view.shown import Shown, View
+from planner_bridge.view.story import Story, view_of
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.pictures.plan_picture import plan_svg
-from pnm.errors import InputError, PnmError
+from pnm.errors import InputError, PnmError, printable
 from pnm.files.database.place import Place
+
+if TYPE_CHECKING:
+    from planner_bridge.explanations.answer import Answer
+
+
+def shown_json(value: object) -> str:
+    """Return a value as JSON on one line, in whose texts nothing controls anything or turns the order of letters around."""
+    return printable(json.dumps(value, ensure_ascii=False, allow_nan=False))
+
+
+class ShownResponse(JSONResponse):
+    """An answer to a browser."""
+
+    def render(self, content: Any) -> bytes:
+        """Return the answer as it is sent."""
+        return shown_json(content).encode()
+
 
 PAGE: Final = Path(__file__).parent / "page"
 NAMES: Final = ("127.0.0.1", "localhost")
@@ -134,7 +151,7 @@ class ViewApp:
 
     async def _projected(self) -> KnowledgeBase:
         """Return the world as it will be when what is under way has ended."""
-        from planner_bridge.model.projected_state import projected_state  # here, because it takes its time to import
+        from planner_bridge.model.progression import projected_state  # here, because it takes its time to import
 
         def told(story: Story) -> KnowledgeBase:
             return projected_state(story.world, (run.executed().run for run in story.runs.values() if not run.is_over))
@@ -260,3 +277,168 @@ def _quoted(text: str) -> str:
 
 def _refused(why: str, status: int) -> Response:
     return ShownResponse({"error": why}, status)
+
+
+# --- frames ---------------------------------------------------------------------------------------
+# What is sent to a browser, the whole state or what has changed in it.
+
+
+_HEAD: Final = ("number", "time", "began", "first", "problem", "clock")
+PARTS: Final = tuple(part.name for part in fields(View) if part.name not in _HEAD)
+"""The parts of a view that have things by key."""
+
+
+def frame(before: View | None, after: View) -> dict[str, Any]:
+    """Return the frame that makes of what a browser has seen what is so now: the whole state if it has seen nothing.
+
+    In its parts, None stands for what is not there any more.
+    """
+    parts = {name: _changes({} if before is None else getattr(before, name), getattr(after, name)) for name in PARTS}
+    head: dict[str, Any] = {name: getattr(after, name) for name in _HEAD}
+    return {**head, "is_whole": before is None, "parts": {name: changes for name, changes in parts.items() if changes}}
+
+
+def _changes(before: Mapping[str, Shown], after: Mapping[str, Shown]) -> dict[str, Any]:
+    if before is after:
+        return {}
+    changed: dict[str, Any] = {key: asdict(shown) for key, shown in after.items() if (old := before.get(key)) is not shown and old != shown}
+    return changed | dict.fromkeys(before.keys() - after.keys())
+
+
+# --- commands -------------------------------------------------------------------------------------
+# Those who have the token may have them carried out, and nobody else. They go to the process that has started this one: a line of
+# JSON for every command, and one for its reply.
+
+
+_LIMIT: Final = 30.0
+"""Seconds for a reply."""
+_OPEN: Final = 32
+"""Commands that wait for their replies at the same time: their replies fit into a pipe, so nobody waits to write one."""
+
+
+class Channel:
+    """The end of the page.
+
+    The mutable state is what waits for replies, by the numbers of commands.
+
+    Args:
+        write: writes a line to the other end.
+    """
+
+    def __init__(self, write: Callable[[str], None]) -> None:
+        self._write = write
+        self._numbers = count(1)
+        self._waiting: dict[int, asyncio.Future[Reply]] = {}
+
+    async def ask(self, command: Mapping[str, Any]) -> Reply:
+        """Send a command on, and return the reply."""
+        if len(self._waiting) >= _OPEN:
+            return Reply("too much is asked for at once; try again in a moment")
+        number = next(self._numbers)
+        replied: asyncio.Future[Reply] = asyncio.get_running_loop().create_future()
+        self._waiting[number] = replied
+        try:
+            self._write(json.dumps({"number": number, "command": command}))
+            async with asyncio.timeout(_LIMIT):
+                return await replied
+        except TimeoutError:
+            return Reply(f"there was no answer within {_LIMIT:g} s; what was wanted may still happen")
+        except BrokenPipeError:
+            return Reply("the process that has the tasks has ended")
+        finally:
+            del self._waiting[number]
+
+    def hear(self, line: str) -> None:
+        """Take in a line from the other end, on the event loop."""
+        heard = json.loads(line)
+        waiting = self._waiting.get(heard["number"])
+        if waiting is not None and not waiting.done():
+            waiting.set_result(Reply(**heard["reply"]))
+
+
+_MAX_BODY: Final = 4 * MAX_TEXT
+_LEVELS: Final = 8
+"""How deep a value may be nested that is looked at as a command."""
+_TYPE: Final = "application/json"
+"""Of bodies: no form of another page can have it."""
+
+
+@dataclass(frozen=True)
+class Control:
+    """What may be controlled, by whom, and the way there.
+
+    Args:
+        what: may be controlled.
+        token: its holder may control it.
+        channel: the way to the process that has the tasks.
+    """
+
+    what: Controlled
+    token: str
+    channel: Channel
+    turn: asyncio.Lock = field(default_factory=asyncio.Lock)
+    """Held while something is explained: one thing after the other."""
+
+    async def look(self, request: Request) -> Response:
+        """Answer with what may be controlled."""
+        return self._refusal(request) or ShownResponse({"what": self.what.value})
+
+    async def do(self, request: Request, world: Callable[[], Awaitable[KnowledgeBase]]) -> Response:
+        """Have a command carried out, and answer with the reply; what is explained is explained from a world."""
+        if refusal := self._refusal(request):
+            return refusal
+        if request.headers.get("content-type", "").partition(";")[0].strip() != _TYPE:
+            return _command_refused(f"expected a command as {_TYPE}", 415)
+        body = bytearray()
+        async for part in request.stream():
+            body += part
+            if len(body) > _MAX_BODY:
+                return _command_refused(f"expected {_MAX_BODY} bytes at most", 413)
+        try:
+            command = json.loads(body)
+        except (ValueError, RecursionError):
+            return _command_refused("expected a command as JSON", 400)
+        if _is_deep(command):
+            return _command_refused("expected a command with texts and lists of texts, found lists in lists", 400)
+        reply = await self.channel.ask(command)
+        if reply.problem:
+            try:
+                return ShownResponse({"answers": [answer.as_json() for answer in await self._explained(reply.problem, world)]})
+            except PnmError as error:
+                return _command_refused(str(error), 409)
+        told = {name: value for name, value in reply.as_json().items() if name != "problem"}
+        return ShownResponse(told, 409 if reply.refused else 200)
+
+    async def _explained(self, problem: str, world: Callable[[], Awaitable[KnowledgeBase]]) -> tuple[Answer, ...]:
+        """Explain a problem: in this process, because that takes a processor, which the tasks need."""
+        from planner_bridge.explanations.goal_now import answered  # here, because it takes its time to import
+
+        async with self.turn:
+            return await asyncio.to_thread(answered, problem, await world())
+
+    def _refusal(self, request: Request) -> Response | None:
+        if self.what is Controlled.NOTHING:
+            return _command_refused("this page controls nothing: start it with --view-controls", 403)
+        kind, _, given = request.headers.get("authorization", "").partition(" ")
+        if kind != "Bearer" or not hmac.compare_digest(given.encode("latin-1", "replace"), self.token.encode()):
+            return _command_refused(
+                "only who has the token of this page may do that: it is in the URL that was printed when it was started", 403
+            )
+        return None
+
+
+def _is_deep(value: object, levels: int = _LEVELS) -> bool:
+    """Return whether a value is nested deeper than commands are: the process that has the tasks reads no such thing."""
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return levels == 0 or any(_is_deep(entry, levels - 1) for entry in inner)
+
+
+def _nowhere(_: str) -> None:
+    """Write to nobody."""
+
+
+NO_CONTROL: Final = Control(Controlled.NOTHING, "", Channel(_nowhere))
+
+
+def _command_refused(why: str, status: int) -> Response:
+    return ShownResponse({"refused": why}, status)

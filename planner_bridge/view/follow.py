@@ -18,8 +18,7 @@ from typing import Final, TypeVar
 
 from planner_bridge.tasks.result import TASKS
 from planner_bridge.view.shown import View
-from planner_bridge.view.story import Story
-from planner_bridge.view.view import view_of
+from planner_bridge.view.story import Story, view_of
 from pnm.errors import PnmError
 from pnm.files.database.place import Place
 from pnm.journal.kept import Rewritten

@@ -1,18 +1,52 @@
-"""Serving the page: on this computer alone, until somebody ends it."""
+"""Serving the page: in this process, or in one of its own, where people may control what this one does.
+
+A command goes through the channel of the page's process to the operator in the process that has the tasks.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import json
+import logging
+import select
 import socket
+import subprocess
+import threading
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING, Final
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final, assert_never
+from uuid import uuid4
 
-from pnm.errors import InputError
+from planner_bridge.view.commands import (
+    MAX_PROBLEM,
+    AnswerQuestion,
+    CancelTask,
+    CheckGoal,
+    Command,
+    Controlled,
+    ExplainGoal,
+    PauseTask,
+    Reply,
+    ResumeTask,
+    SendGoal,
+    SettleRequest,
+    StepTask,
+    TellFacts,
+    read_command,
+)
+from pnm.errors import InputError, PnmError
 from pnm.files.database.place import Place
+from pnm.files.process import own_environment, own_python
+from pnm.tasks import ServedWorld, TaskCommands, TaskRefused, Tasks, TaskState, Wanted
 
 if TYPE_CHECKING:
-    from planner_bridge.view.control.route import Control
+    from planner_bridge.view.app import Control
+
+
+# --- serving --------------------------------------------------------------------------------------
+# Serving, in this process: on this computer alone, until somebody ends it.
+
 
 _HOST: Final = "127.0.0.1"
 
@@ -53,8 +87,7 @@ def serve_page(
     """
     import uvicorn
 
-    from planner_bridge.view.app import ViewApp
-    from planner_bridge.view.control.route import NO_CONTROL
+    from planner_bridge.view.app import NO_CONTROL, ViewApp
     from planner_bridge.view.follow import Feed, Reader
 
     class Server(uvicorn.Server):
@@ -88,3 +121,221 @@ def serve_page(
         asyncio.run(serve())
     reader.close()
     past.close()
+
+
+# --- operator -------------------------------------------------------------------------------------
+# The operator: carries out the commands of a page in the process that has the tasks, in the ways that other clients have as well.
+
+
+_SOON: Final = 2.0
+"""Seconds for what robots have to confirm; what takes longer goes on, and the page shows what comes of it."""
+
+_log = logging.getLogger(__name__)
+
+
+class Operator:
+    """Carries out commands on the event loop of the tasks.
+
+    The mutable state is the commands that take their time.
+
+    Args:
+        tasks: what is going on.
+        commands: how tasks are begun, paused, resumed and cancelled here.
+        world: what goals are read in, and facts told to; None where there is only the one task that was begun.
+    """
+
+    def __init__(self, tasks: Tasks, commands: TaskCommands, world: ServedWorld | None = None) -> None:
+        self._tasks = tasks
+        self._commands = commands
+        self._world = world
+        self._going_on: set[asyncio.Task[Reply]] = set()
+
+    async def reply(self, data: object) -> Reply:
+        """Carry out a command, and return the reply to it, at the latest when it has begun."""
+        try:
+            command = read_command(data)
+            work = asyncio.ensure_future(self._carry_out(command))
+            self._going_on.add(work)
+            work.add_done_callback(self._going_on.discard)
+            has_to_be_confirmed = isinstance(command, PauseTask | ResumeTask | CancelTask | StepTask)
+            done, _ = await asyncio.wait((work,), timeout=_SOON if has_to_be_confirmed else None)
+            if done:
+                return work.result()
+            work.add_done_callback(_log_refusal)
+        except InputError as error:
+            position = error.position
+            return Reply(error.message, position.line, position.column) if position else Reply(error.message)
+        except (PnmError, TaskRefused) as refusal:
+            return Reply(str(refusal))
+        except Exception as error:
+            _log.exception("a command of the page cannot be carried out")
+            return Reply(f"{type(error).__name__}: {error}")
+        return Reply()
+
+    async def _carry_out(self, command: Command) -> Reply:
+        match command:
+            case ExplainGoal(goal):
+                problem = await self._served.pack(goal)
+                if len(problem) > MAX_PROBLEM:
+                    raise InputError("the problem is too large to be explained here; `pnm why` takes it")
+                return Reply(problem=problem)
+            case CheckGoal(goal):
+                await self._served.check_goal(goal)
+            case SendGoal(goal, priority):
+                await self._served.check_goal(goal)
+                self._begin(Wanted(uuid4(), goal, priority))
+            case PauseTask(task, at_once):
+                await self._commands.pause(task, at_once=at_once)
+            case ResumeTask(task):
+                await self._commands.resume(task)
+            case CancelTask(task):
+                await self._commands.cancel(task)
+            case StepTask(task):
+                await self._tasks.step(task)
+            case SettleRequest(request, is_done):
+                self._tasks.settle(request, is_done=is_done)
+            case TellFacts(add, remove, forget):
+                await self._served.update(add, remove, forget)
+            case AnswerQuestion(question, text):
+                self._tasks.answer(question, text)
+            case _:
+                assert_never(command)
+        return Reply()
+
+    @property
+    def _served(self) -> ServedWorld:
+        if self._world is None:
+            raise InputError("this run has one goal, and facts of its own; `pnm serve` takes others")
+        return self._world
+
+    def _begin(self, wanted: Wanted) -> None:
+        self._commands.begin(wanted)
+        ended = next((status for status in self._tasks.status() if status.id == wanted.id), None)
+        if ended is not None and ended.state is TaskState.OVER:  # which is kept nowhere if it was never accepted
+            raise TaskRefused(ended.reason)
+
+
+def _log_refusal(work: asyncio.Task[Reply]) -> None:
+    if not work.cancelled() and (error := work.exception()):
+        _log.warning("what was wanted on the page is refused after all: %s", error)
+
+
+# --- process --------------------------------------------------------------------------------------
+# The page in a process of its own, beside the command whose journal it shows: nothing that it does can hold the command up.
+
+
+_READY: Final = 60.0
+"""Seconds in which the process has to say where the page is."""
+_ENDS: Final = 5.0
+"""Seconds in which it has to end."""
+
+
+class PageProcess:
+    """The page, at a port of this computer, until it is closed or this process is dead.
+
+    The mutable state is whether it knows its journal, and who carries out what people want on it, on which event loop.
+
+    Args:
+        port: where it is; any that is free for 0.
+        controlled: what those may control who have its token, which is in its URL then.
+
+    Raises:
+        InputError: the port is in use, or what serves the page is not installed.
+    """
+
+    def __init__(self, port: int, controlled: Controlled = Controlled.NOTHING) -> None:
+        self._process = subprocess.Popen(
+            own_python("-m", "planner_bridge.view", str(port), controlled.value),
+            env=own_environment(),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            start_new_session=True,  # Ctrl-C is for the command, which ends the page
+        )
+        assert self._process.stdout is not None
+        is_said = select.select([self._process.stdout], [], [], _READY)[0]
+        self.url: Final = self._process.stdout.readline().strip() if is_said else ""
+        self._is_told = False
+        self._operator: tuple[Operator, asyncio.AbstractEventLoop] | None = None
+        self._working: set[asyncio.Task[None]] = set()
+        self._writing = threading.Lock()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        if not self.url.startswith("http"):
+            self.close()
+            raise InputError(self.url or "the page could not be started")
+        self._reader.start()
+
+    def follow(self, journal: str) -> None:
+        """Show a journal, which need not be there yet; the first one that is named counts."""
+        if not self._is_told:
+            self._is_told = True
+            self._write(journal)
+
+    def operate(self, operator: Operator) -> None:
+        """Have an operator carry out, on the event loop that runs here, what people want on the page from now on."""
+        self._operator = operator, asyncio.get_running_loop()
+
+    async def ended(self) -> None:
+        """Return when the process has ended."""
+        over, loop = asyncio.Event(), asyncio.get_running_loop()
+
+        def wait() -> None:
+            self._reader.join()
+            with suppress(RuntimeError):  # the loop is over already
+                loop.call_soon_threadsafe(over.set)
+
+        threading.Thread(target=wait, daemon=True).start()
+        await over.wait()
+
+    def close(self) -> None:
+        """End the page."""
+        with suppress(BrokenPipeError):
+            if self._process.stdin is not None:
+                self._process.stdin.close()
+        try:
+            self._process.wait(_ENDS)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        if self._reader.ident is not None:
+            self._reader.join(_ENDS)
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+
+    def __enter__(self) -> PageProcess:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def _read(self) -> None:
+        """Have each command that the page sends carried out, and reply to it."""
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            wanted = json.loads(line)
+            number, refused = wanted["number"], Reply("there is nothing yet that could be controlled")
+            if self._operator is not None:
+                operator, loop = self._operator
+                try:
+                    loop.call_soon_threadsafe(self._begin, operator, number, wanted["command"])
+                    continue
+                except RuntimeError:  # the loop is closed
+                    refused = Reply("it is over: nothing is left that could be controlled")
+            self._reply(number, refused)
+
+    def _begin(self, operator: Operator, number: int, command: object) -> None:
+        async def work() -> None:
+            self._reply(number, await operator.reply(command))
+
+        task = asyncio.ensure_future(work())
+        self._working.add(task)
+        task.add_done_callback(self._working.discard)
+
+    def _reply(self, number: int, reply: Reply) -> None:
+        self._write({"number": number, "reply": reply.as_json()})
+
+    def _write(self, value: Any) -> None:
+        with self._writing, suppress(BrokenPipeError, ValueError):  # it has ended, or is closed
+            if self._process.stdin is not None:
+                self._process.stdin.write(f"{json.dumps(value)}\n")
+                self._process.stdin.flush()

@@ -1,6 +1,6 @@
 """The state that the page shows, after one record of a journal: plain values only, so that it is JSON as it is.
 
-Every part has its things by key; what changes from one moment to the next is told key by key, see `planner_bridge.view.frames`.
+Every part has its things by key; what changes from one moment to the next is told key by key, see `planner_bridge.view.app`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The story that the page tells: the history of a journal, with facts, open questions, and its last records in words.
+"""The story that the page tells: the history of a journal, with facts, open questions, and its last records in words; and its views.
 
 It reaches back to the beginning of the segment before the last one: a segment may begin as soon as a task has ended, and people still
 want to see it then.
@@ -7,17 +7,37 @@ want to see it then.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from math import isfinite
 from typing import Final, TypeVar, cast
 from uuid import UUID
 
-from planner_bridge.explanations.history import JournalHistory
-from planner_bridge.view.shown import EventShown, FactShown, QuestionShown, Shown
+from planner_bridge.explanations.history import Attempt, JournalHistory, RunHistory, TaskHistory, Trouble
+from planner_bridge.tasks.replanning import decision_words
+from planner_bridge.view.shown import (
+    CallShown,
+    EventShown,
+    FactShown,
+    QuestionShown,
+    RequestShown,
+    RunShown,
+    ServerShown,
+    Shown,
+    TaskShown,
+    TroubleShown,
+    View,
+)
+from pnm.core.execution.call_results import CallResult, Failure
 from pnm.core.execution.events import Answered, Ask, Restarted, Withdraw
 from pnm.core.logic.computed_values import Layer
 from pnm.core.logic.expressions import Fluent, Unknown, Value, fluent_text, text_of
-from pnm.core.machine.requests import Ended, OutcomeKind
+from pnm.core.machine.plan_graph import ActionCall
+from pnm.core.machine.requests import CallOutcome, Ended, OutcomeKind
+from pnm.core.pictures import timeline
+from pnm.core.pictures.timeline import TimedCall, TimedPlan, Timeline
+from pnm.files.database.place import Place, place_of
 from pnm.journal import replay as replaying
 from pnm.journal.records import (
     WORLD,
@@ -32,6 +52,7 @@ from pnm.journal.records import (
     TaskOver,
 )
 from pnm.journal.replay import words
+from pnm.tasks import TaskState
 
 EVENTS: Final = 200
 """Records that are shown in words, besides those that are marked."""
@@ -175,3 +196,193 @@ def _said(meta: str) -> str:
     """Return the words of a question."""
     said = json.loads(meta) if meta else None
     return said if isinstance(said, str) else "" if said is None else json.dumps(said, ensure_ascii=False)
+
+
+# --- the view of a story --------------------------------------------------------------------------
+# The view of a story: what is shown after its last record. A pure function, which changes nothing that can be seen.
+
+
+def view_of(story: Story) -> View:
+    """Return what is shown of a story; the same story gives the same view."""
+    return View(
+        story.number,
+        story.time,
+        story.began,
+        story.first,
+        "",
+        story.clock,
+        {id.hex: _task(story, task) for id, task in story.tasks.items()},
+        {id.hex: _run(run) for id, run in story.runs.items()},
+        {f"{call.run}/{call.index}": call for run in story.runs.values() for call in _calls(story, run)},
+        {id.hex: _request(story, id.hex, attempt) for id, attempt in story.attempts.items()},
+        story.facts,
+        _servers(story),
+        story.questions,
+        {key: _trouble(story, run, key, trouble) for run in story.runs.values() for key, trouble in run.troubles.items()},
+        {str(number): event for number, event in story.events.items()},
+    )
+
+
+def _task(story: Story, task: TaskHistory) -> TaskShown:
+    wanted, used = task.accepted.wanted, task.used
+    limit = used.limit if used and isfinite(used.limit) else None
+    return TaskShown(
+        task.name,
+        task.state.word,
+        _reason(task),
+        wanted.priority,
+        task.accepted.wall,
+        None if wanted.deadline is None else task.accepted.wall + wanted.deadline,
+        round(task.seconds(story.time), 6),
+        limit,
+        task.ending.code.word if task.ending else "",
+        tuple(run.id.hex for run in task.runs),
+        task.accepted.order,
+        str(task.counts) if task.runs else "",
+    )
+
+
+def _reason(task: TaskHistory) -> str:
+    """Return why a task is as it is; if nobody has said that, what it does."""
+    if task.reason or task.ending:
+        return task.reason
+    if task.helps:
+        return "a person is asked what is to be done"
+    if not task.runs:
+        return "it has no plan yet: a planner looks for one, or it waits for other tasks" if task.state is TaskState.PLANNING else ""
+    run = task.runs[-1]
+    if task.decision:  # about what follows the last run
+        return decision_words(task.decision)
+    if run.failures:
+        failed = f"{_step(run.failures[-1])} has failed: {run.failures[-1].cause.cause}"
+        return f"{failed}; what else runs comes to its end" if task.state is TaskState.RUNNING else failed
+    going_on = [str(call.action) for call in run.executed().run.open_calls.values()]
+    return f"{', '.join(going_on)} {'run' if len(going_on) > 1 else 'runs'}" if going_on else ""
+
+
+def _run(run: RunHistory) -> RunShown:
+    made, origin = run.made, run.origin
+    return RunShown(made.task.hex, made.name, run.record, run.time, origin, run.is_over, run.replan)
+
+
+def _calls(story: Story, run: RunHistory) -> Iterator[CallShown]:
+    """Yield the calls of a run as they were reached last."""
+    for index, result in run.last_results.items():
+        yield story.once(f"{run.id.hex}/{index}", result, lambda result=result: _call(run, result))  # type: ignore[misc]
+
+
+def _call(run: RunHistory, result: CallResult) -> CallShown:
+    call, action = result.call, result.call.action
+    return CallShown(
+        run.id.hex,
+        call.index,
+        str(action),
+        run.lane(action),
+        result.kind.name.lower(),
+        result.outcome if result.kind is not CallOutcome.ALREADY_TRUE else "not needed: its effects held",
+        result.attempts,
+        result.started,
+        result.ended,
+        call.planned,
+        action.duration,
+        result.assumed,
+    )
+
+
+def _request(story: Story, id: str, attempt: Attempt) -> RequestShown:
+    def show() -> RequestShown:
+        run, outcome = story.runs[attempt.sender], attempt.outcome
+        return RequestShown(
+            attempt.run.hex,
+            attempt.call,
+            str(attempt.action),
+            run.lane(attempt.action),
+            run.server(attempt.action),
+            attempt.number,
+            attempt.record,
+            attempt.sent,
+            attempt.accepted,
+            attempt.ended,
+            outcome.kind.value if outcome else "",
+            outcome.message if outcome else "",
+            attempt.feedback,
+        )
+
+    return story.once(id, attempt, show)
+
+
+def _trouble(story: Story, run: RunHistory, key: str, trouble: Trouble) -> TroubleShown:
+    def show() -> TroubleShown:
+        cause, expected, observed = trouble.cause
+        is_failure, time = trouble.is_failure, trouble.time
+        return TroubleShown(
+            run.id.hex, trouble.step.index, _step(trouble), is_failure, cause.value, expected, observed, time, trouble.followed
+        )
+
+    return story.once(key, trouble, show)
+
+
+def _step(trouble: Trouble) -> str:
+    return str(trouble.step.action if isinstance(trouble.step, ActionCall) else trouble.step)
+
+
+def _servers(story: Story) -> dict[str, ServerShown]:
+    """Return the servers that calls are bound to."""
+    actions: dict[str, dict[str, None]] = {}
+    busy: dict[str, list[str]] = {}
+    failed = Counter[str]()
+    for run in story.runs.values():
+        for server, names in run.servers.items():
+            actions.setdefault(server, {}).update(dict.fromkeys(names))
+    for attempt in story.attempts.values():
+        server = story.runs[attempt.sender].server(attempt.action)
+        actions.setdefault(server, {})[attempt.action.name] = None
+        if attempt.outcome is None and story.runs[attempt.run].results is None:
+            busy.setdefault(server, []).append(str(attempt.action))
+        failed[server] += attempt.outcome is not None and attempt.outcome.kind is not OutcomeKind.SUCCEEDED
+    found = sorted(name for name in actions if name)
+    return {name: ServerShown(tuple(actions[name]), tuple(busy.get(name, ())), failed[name]) for name in found}
+
+
+# --- timelines ------------------------------------------------------------------------------------
+# Timelines of tasks, as the history of a journal tells them.
+
+
+def timelines(journal: Place | str) -> tuple[Timeline, ...]:
+    """Return the timelines of the tasks in a journal, in the order in which they were accepted.
+
+    Raises:
+        JournalError: it is no journal, or one of another version.
+        ReplayDiffers: its runs do something else in this version.
+        Undecodable: this version does not know what its records are made of.
+    """
+    history = JournalHistory.read(place_of(journal) if isinstance(journal, str) else journal)
+    return tuple(_timeline(history, task) for task in history.tasks.values())
+
+
+def _timeline(history: JournalHistory, task: TaskHistory) -> Timeline:
+    began = min((task.time, *(run.time for run in task.runs)))
+    words = f"{task.ending.code.word}: {task.ending.message}" if task.ending else ""
+    end = history.time if task.ended is None else task.ended
+    return Timeline(task.name, tuple(_timed_plan(history, run, began) for run in task.runs), end - began, words)
+
+
+def _timed_plan(history: JournalHistory, run: RunHistory, began: float) -> TimedPlan:
+    """Return the plan of a run in a task that has begun then."""
+    results, origin = run.last_results, (run.time if run.origin is None else run.origin) - began
+    calls = tuple(_timed_call(history, run, call, results[call.index], origin, began) for call in run.source.plan.calls)
+    failures = tuple(str(Failure(trouble.step, *trouble.cause)) for trouble in run.failures)
+    return TimedPlan(run.time - began, calls, run.replan, failures)
+
+
+def _timed_call(history: JournalHistory, run: RunHistory, call: ActionCall, became: CallResult, origin: float, began: float) -> TimedCall:
+    attempts = tuple(_timed_attempt(attempt, began) for attempt in history.sent(run, call.index))
+    name, lane, planned = str(became.call.action), run.lane(call.action), origin + call.planned
+    has_failed, lasts = became.kind is CallOutcome.FAILED, call.action.duration
+    return TimedCall(call.index, name, lane, planned, lasts, attempts, became.outcome, became.is_done, has_failed)
+
+
+def _timed_attempt(attempt: Attempt, began: float) -> timeline.TimedAttempt:
+    if attempt.ended is None or attempt.outcome is None:
+        return timeline.TimedAttempt(attempt.sent - began)
+    return timeline.TimedAttempt(attempt.sent - began, attempt.ended - began, attempt.outcome.kind, attempt.outcome.message)

@@ -16,8 +16,7 @@ from typing import Final, TypeAlias
 
 import yaml
 
-from planner_bridge.pddl.comments.lines import Line, render_lines
-from planner_bridge.pddl.comments.table import NO_NOTE, Note
+from planner_bridge.pddl.comments import NO_NOTE, Line, Note, render_lines
 
 _LETTERS: Final = frozenset("yYnN")
 """YAML 1.1 calls them truth values, too; PyYAML does not."""

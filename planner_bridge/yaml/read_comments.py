@@ -1,6 +1,6 @@
 """The comments of a YAML file, and the things they are about: named as in PDDL, so that they find their place there.
 
-`planner_bridge.pddl.syntax.anchors` has the names of things; where they stand is found here, in the values of the language.
+`planner_bridge.pddl.forms` has the names of things; where they stand is found here, in the values of the language.
 """
 
 from __future__ import annotations
@@ -14,11 +14,19 @@ from typing import Final
 import yaml
 
 from planner_bridge.model.problem import Domain
-from planner_bridge.pddl.comments.table import Anchor, AnchorPath, Comment, LineIndex, Table, attach
-from planner_bridge.pddl.syntax.anchors import ACTION, COMPOUND, fact_anchor, form_anchor, hierarchy_anchor, rule_anchor
-from planner_bridge.pddl.syntax.pretty_print import Form
-from planner_bridge.pddl.write.forms import condition_form, effects_form
-from planner_bridge.pddl.write.writer import change_form, constraint_form, preference_form, rule_form
+from planner_bridge.pddl.comments import Anchor, AnchorPath, Comment, LineIndex, Table, attach
+from planner_bridge.pddl.forms import (
+    ACTION,
+    COMPOUND,
+    Form,
+    condition_form,
+    effects_form,
+    fact_anchor,
+    form_anchor,
+    hierarchy_anchor,
+    rule_anchor,
+)
+from planner_bridge.pddl.writer import change_form, constraint_form, preference_form, rule_form
 from planner_bridge.yaml.read_constraints import is_about_states, read_constraint, read_preference
 from planner_bridge.yaml.write_domain import SCHEMA_MARK
 from pnm.core.logic.domain import ActionSchema

@@ -6,9 +6,9 @@ from collections.abc import Collection, Mapping
 from typing import Final, Literal
 
 from planner_bridge.model.problem import Metric
-from planner_bridge.pddl.read.symbols import CONSTRAINTS
-from planner_bridge.pddl.read.terms import IS_VIOLATED, TOTAL_TIME
-from planner_bridge.pddl.syntax.words import TIME_SPECIFIERS, TimeSpecifier
+from planner_bridge.pddl.expressions import TIME_SPECIFIERS, TimeSpecifier
+from planner_bridge.pddl.formulas import IS_VIOLATED, TOTAL_TIME
+from planner_bridge.pddl.symbols import CONSTRAINTS
 from pnm.core.logic.conditions import Condition
 from pnm.core.logic.domain import Preference
 from pnm.core.logic.expressions import Constant, ValueOf, Variable, expression_fluents

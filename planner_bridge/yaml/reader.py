@@ -12,11 +12,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from planner_bridge.model.problem import Domain, Problem
-from planner_bridge.pddl.comments.table import Table
-from planner_bridge.pddl.read.reader import HIERARCHY, NETWORK
-from planner_bridge.pddl.syntax.expressions import Group
-from planner_bridge.pddl.syntax.expressions import parse as parse_lists
-from planner_bridge.pddl.syntax.words import CONNECTIVES, NAME, NUMBER, with_article
+from planner_bridge.pddl.comments import Table
+from planner_bridge.pddl.expressions import CONNECTIVES, NAME, NUMBER, Group, with_article
+from planner_bridge.pddl.expressions import parse as parse_lists
+from planner_bridge.pddl.reader import HIERARCHY, NETWORK
 from planner_bridge.yaml.read_comments import comments
 from planner_bridge.yaml.read_constraints import is_about_states, read_constraint, read_metric, read_preference
 from pnm.actions.bindings_file import read_binding

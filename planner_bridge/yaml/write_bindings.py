@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from typing import Final
 
-from planner_bridge.pddl.syntax.words import number_text
+from planner_bridge.pddl.expressions import number_text
 from planner_bridge.yaml import emitter
 from planner_bridge.yaml.emitter import Bare, Entry, Value, document, items
 from pnm.core.machine.bindings import DEFAULT, NO_BINDINGS, Binding, Bindings, Foreign, Table, WhenLost

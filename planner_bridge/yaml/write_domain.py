@@ -7,12 +7,10 @@ from dataclasses import replace
 from typing import Final
 
 from planner_bridge.model.problem import Domain, Problem
-from planner_bridge.pddl.comments.table import NO_NOTE, NO_NOTES, Notes, Table, write_with_notes
-from planner_bridge.pddl.syntax.anchors import ACTION, fact_anchor, hierarchy_anchor, rule_anchor
-from planner_bridge.pddl.syntax.pretty_print import flat
-from planner_bridge.pddl.syntax.words import number_text
-from planner_bridge.pddl.write.forms import typed_lines, types_form, variables_form
-from planner_bridge.pddl.write.writer import NO_COMMENTS, change_form, rule_form
+from planner_bridge.pddl.comments import NO_NOTE, NO_NOTES, Notes, Table, write_with_notes
+from planner_bridge.pddl.expressions import number_text
+from planner_bridge.pddl.forms import ACTION, fact_anchor, flat, hierarchy_anchor, rule_anchor, typed_lines, types_form, variables_form
+from planner_bridge.pddl.writer import NO_COMMENTS, change_form, rule_form
 from planner_bridge.yaml.emitter import Bare, Entry, Mapping, Sequence, Value, depth, document, items, single
 from planner_bridge.yaml.write_bindings import LANGUAGE_DEFAULT, binding_entries
 from planner_bridge.yaml.write_formulas import conditions, constraints, duration, effects, expression, preferences, typed

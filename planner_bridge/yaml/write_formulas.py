@@ -6,12 +6,10 @@ from collections.abc import Iterable
 from itertools import groupby
 from typing import Final, assert_never
 
-from planner_bridge.pddl.comments.table import NO_NOTES, Notes
-from planner_bridge.pddl.syntax.anchors import form_anchor
-from planner_bridge.pddl.syntax.pretty_print import flat
-from planner_bridge.pddl.syntax.words import number_text
-from planner_bridge.pddl.write.forms import condition_form, effects_form, types_form, variables_form
-from planner_bridge.pddl.write.writer import constraint_form, preference_form
+from planner_bridge.pddl.comments import NO_NOTES, Notes
+from planner_bridge.pddl.expressions import number_text
+from planner_bridge.pddl.forms import condition_form, effects_form, flat, form_anchor, types_form, variables_form
+from planner_bridge.pddl.writer import constraint_form, preference_form
 from planner_bridge.yaml.emitter import Bare, Entry, Mapping, Sequence, Value, items, single
 from pnm.core.logic.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
 from pnm.core.logic.domain import DurationConstraint, Preference

@@ -13,7 +13,7 @@ from math import inf
 from typing import Final, assert_never
 
 from planner_bridge.model.problem import Domain
-from planner_bridge.pddl.syntax.words import number_text
+from planner_bridge.pddl.expressions import number_text
 from planner_bridge.yaml.emitter import Bare, Entry, Mapping, Sequence, Value, items
 from planner_bridge.yaml.series_parallel import Block, Mesh, Parallel, Series, blocks, reduced
 from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph

@@ -35,9 +35,8 @@ from planner_bridge.pddl import parse_problem
 from planner_bridge.pipeline.loading import load
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.result import TASKS, Stopwatch
-from planner_bridge.tasks.scheduling.task_limits import TaskLimits
-from planner_bridge.tasks.scheduling.task_manager import TaskManager
 from planner_bridge.tasks.settings import OnChange, Settings
+from planner_bridge.tasks.task_manager import TaskLimits, TaskManager
 from pnm.actions.backend import ClientBackend, SimulatedBackend
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.clock import run_async, short_pauses

@@ -24,7 +24,7 @@ sys.path.insert(0, str(ROOT))
 
 from playwright.sync_api import Browser, Page
 
-from planner_bridge.view.process import PageProcess
+from planner_bridge.view.serving import PageProcess
 from pnm.core.execution.machine_index import prepare
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.generate import generate

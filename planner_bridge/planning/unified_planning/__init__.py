@@ -1,8 +1,7 @@
 """Unified-planning: its Problems to ours and back, and its engines, which run in a process of their own.
 
 The only package that imports unified-planning, and only what asks for it loads a module of this
-package: that takes 1 to 3 seconds and 150 MB. `declarations` → `expressions` → `problems` is the
-way out; run as a program this is the process of `planner_bridge.planning.engine_process`, and `engine` what it does.
+package: that takes 1 to 3 seconds and 150 MB. Run as a program this is the process of `planner_bridge.planning.engines`.
 """
 
 from typing import TYPE_CHECKING

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
-from planner_bridge.planning.engine_process import ANSWER, BEGAN, die_with_parent
+from planner_bridge.planning.engines import ANSWER, BEGAN, die_with_parent
 
 
 def main() -> None:
@@ -20,7 +20,7 @@ def main() -> None:
     stub = ModuleType("ConfigSpace")  # it and scipy would be loaded for one annotation, in 60 % of the time to load unified-planning
     stub.ConfigurationSpace = object  # type: ignore[attr-defined]
     sys.modules[stub.__name__] = stub
-    from planner_bridge.planning.unified_planning.engine import ask, look_up  # here, because it takes long and needs the stub
+    from planner_bridge.planning.unified_planning.problems import ask, look_up  # here, because it takes long and needs the stub
 
     Path(BEGAN).touch()
     answer = ask(sys.argv[1], float(sys.argv[2])) if len(sys.argv) > 2 else look_up(sys.argv[1])

@@ -23,8 +23,7 @@ sys.path.insert(0, str(ROOT))
 
 import kairos
 
-from planner_bridge.model.plan import Plan
-from planner_bridge.model.plan_text import plan_text
+from planner_bridge.model.plan import Plan, plan_text
 from planner_bridge.model.problem import Problem
 from planner_bridge.pipeline.loading import load
 from planner_bridge.planning.kairos import IMPROVE, parse_for_kairos

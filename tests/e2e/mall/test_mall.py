@@ -11,7 +11,7 @@ from typing import Final
 import pytest
 
 from planner_bridge.cli import demo as mall_demo
-from planner_bridge.cli.consoles.safe_console import SafeConsole
+from planner_bridge.cli.console import SafeConsole
 from tests.support.e2e.mall.deployment import Mall
 from tests.support.processes import Program, ros_domain
 

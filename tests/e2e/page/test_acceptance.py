@@ -16,7 +16,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from planner_bridge.view.follow import Reader
 from planner_bridge.view.shown import View
-from planner_bridge.view.view import view_of
+from planner_bridge.view.story import view_of
 from pnm.journal.records import TaskAccepted
 from tests.support.e2e.deployment import ProblemDeployment
 from tests.support.e2e.page.journals import steps

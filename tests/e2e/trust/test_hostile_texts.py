@@ -16,10 +16,9 @@ from hypothesis import strategies as st
 from rich.table import Table
 from rich.text import Text
 
-from planner_bridge.cli.consoles.event_lines import EventLines
-from planner_bridge.cli.consoles.safe_console import SafeConsole
+from planner_bridge.cli.console import EventLines, SafeConsole
 from planner_bridge.cli.running_node import Event, EventPrinter, TaskBoard
-from planner_bridge.view.control.shown_json import shown_json
+from planner_bridge.view.app import shown_json
 from planner_bridge.view.follow import Reader
 from pnm.core.pictures.export import quoted
 from pnm.core.pictures.svg import picture, xml

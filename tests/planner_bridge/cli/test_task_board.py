@@ -5,7 +5,7 @@ from uuid import UUID
 
 from rich.console import Console
 
-from planner_bridge.cli.consoles.event_lines import ToldFailures
+from planner_bridge.cli.console import ToldFailures
 from planner_bridge.cli.running_node import Event, TaskBoard
 from pnm.tasks import TraceKind
 

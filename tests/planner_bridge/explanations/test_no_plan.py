@@ -7,8 +7,7 @@ from dataclasses import replace
 import pytest
 
 from planner_bridge.explanations.answer import Answer, Known
-from planner_bridge.explanations.limited_search import AnswerLimit
-from planner_bridge.explanations.no_plan import why_no_plan
+from planner_bridge.explanations.no_plan import AnswerLimit, why_no_plan
 from planner_bridge.model.forbidden_actions import ForbiddenCall, forbid
 from planner_bridge.model.plan import PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem

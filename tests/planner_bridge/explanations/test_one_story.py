@@ -22,7 +22,7 @@ from planner_bridge.tasks.result import TASKS
 from planner_bridge.tasks.settings import Settings
 from planner_bridge.view.follow import Reader
 from planner_bridge.view.shown import View
-from planner_bridge.view.task_timeline import timelines
+from planner_bridge.view.story import timelines
 from pnm.core.pictures.timeline import Timeline
 from pnm.journal import journal as journal_module
 from pnm.journal.kept import DAY

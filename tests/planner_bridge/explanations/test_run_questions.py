@@ -9,8 +9,7 @@ import pytest
 
 from planner_bridge.explanations.answer import Known
 from planner_bridge.explanations.history import JournalHistory
-from planner_bridge.explanations.new_plan import why_replanned
-from planner_bridge.explanations.run_questions import call_meant, explained, task_meant, why_call_of_run, why_so
+from planner_bridge.explanations.run_questions import call_meant, explained, task_meant, why_call_of_run, why_replanned, why_so
 from planner_bridge.pipeline.achieve import achieve
 from planner_bridge.tasks.result import TASKS
 from pnm.actions.faults import read_faults

@@ -15,7 +15,7 @@ from planner_bridge.explanations.history import JournalHistory, RunHistory
 from planner_bridge.explanations.run_questions import explained
 from planner_bridge.pipeline.achieve import achieve
 from planner_bridge.tasks.result import TASKS
-from planner_bridge.view.task_timeline import timelines
+from planner_bridge.view.story import timelines
 from pnm.actions.faults import read_faults
 from pnm.core.execution.call_results import CallResult, Explanation, Failure, Hindered, Sent, Told, action_with, sent_with
 from pnm.core.execution.events import Command, Event, Observer

@@ -6,9 +6,8 @@ import gc
 from dataclasses import replace
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall, forbid
-from planner_bridge.model.once_per_domain import once_per_domain
 from planner_bridge.model.plan import Plan
-from planner_bridge.model.problem import Domain
+from planner_bridge.model.problem import Domain, once_per_domain
 from planner_bridge.planning.kairos import parse_for_kairos, validate
 from tests.support.pddl.problems import rooms
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from planner_bridge.model.plan_text import plan_text, read_plan
+from planner_bridge.model.plan import plan_text, read_plan
 from planner_bridge.pddl import parse_domain, parse_problem
 from pnm.errors import InputError
 

@@ -14,7 +14,7 @@ from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import EPSILON, NotApplicable, Progression, calls_of, happenings, snapshot
-from planner_bridge.ordering.forecast import forecast
+from planner_bridge.ordering.interference import forecast
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.planning.validate import trace, why_invalid

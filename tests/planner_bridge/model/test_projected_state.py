@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from planner_bridge.model.projected_state import NotProjectable, projected_state
+from planner_bridge.model.progression import NotProjectable, projected_state
 from planner_bridge.pipeline.loading import load
 from planner_bridge.tasks.result import TASKS
 from pnm.core.execution.events import Stop

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.pddl.read.reader import MAX_READ
+from planner_bridge.pddl.reader import MAX_READ
 from pnm.core.logic.conditions import choices_in
 from pnm.errors import InputError
 

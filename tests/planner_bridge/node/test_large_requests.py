@@ -13,10 +13,8 @@ import pytest
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
-from planner_bridge.node import timed_state
-from planner_bridge.node.plan_request import make_plan
-from planner_bridge.node.problem_folder import ProblemFolder
-from planner_bridge.node.problem_service import NOTHING, LoadedProblem, ServedProblem
+from planner_bridge.node import world_queries
+from planner_bridge.node.problem_service import NOTHING, LoadedProblem, ProblemFolder, ServedProblem, make_plan
 from planner_bridge.node.world_queries import MAX_CHARACTERS, MAX_GOAL_CHOICES
 from planner_bridge.tasks.settings import Settings
 from pnm.clock import in_own_thread, run_async
@@ -155,7 +153,7 @@ def test_a_request_has_a_budget(tmp_path, monkeypatch):
             await served.query([LONG] * 20)
         with pytest.raises(InputError, match=f"characters at once; expected {MAX_CHARACTERS} at most"):
             await served.update([LONG] * 10, [LONG] * 10, [])
-        monkeypatch.setattr(timed_state, "MAX_SECONDS", -1.0)
+        monkeypatch.setattr(world_queries, "MAX_SECONDS", -1.0)
         with pytest.raises(InputError, match="the answers have taken -1 s; expected fewer or simpler questions"):
             await served.query(["(dark)"] * 3)
 
@@ -183,7 +181,7 @@ def test_a_plan_request_whose_goal_cannot_be_read_raises_what_is_wrong():
 
 def test_the_time_for_answers_is_over_in_the_middle_of_a_question(monkeypatch):
     moments = iter([0.0, *[1.0] * 100, *[9.0] * 10])
-    monkeypatch.setattr(timed_state, "monotonic", lambda: next(moments))
+    monkeypatch.setattr(world_queries, "monotonic", lambda: next(moments))
     with pytest.raises(InputError, match="the answers have taken 5 s"):
         world().query([f"(or {'(dark) ' * 200})"])
     assert len(list(moments)) == 9

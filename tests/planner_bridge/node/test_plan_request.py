@@ -7,7 +7,7 @@ import asyncio
 import pytest
 
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.node.plan_request import make_plan
+from planner_bridge.node.problem_service import make_plan
 from planner_bridge.node.world_queries import SharedWorld
 from planner_bridge.tasks.settings import Settings
 from pnm.errors import InputError

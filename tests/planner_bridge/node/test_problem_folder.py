@@ -11,8 +11,7 @@ import pytest
 
 from planner_bridge.model.grounding import initial_knowledge, problem_now
 from planner_bridge.node.options import PARAMETERS, Options
-from planner_bridge.node.problem_folder import ProblemFolder
-from planner_bridge.node.problem_service import load_texts
+from planner_bridge.node.problem_service import ProblemFolder, load_texts
 from planner_bridge.node.world_queries import SharedWorld
 from planner_bridge.pddl import parse_domain, read_problem
 from pnm.errors import InputError

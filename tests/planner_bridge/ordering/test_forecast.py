@@ -10,8 +10,7 @@ from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import calls_of
-from planner_bridge.ordering.forecast import Forecast, awaited, forecast, with_forecasts
-from planner_bridge.ordering.interference import read_write_sets
+from planner_bridge.ordering.interference import Forecast, awaited, forecast, read_write_sets, with_forecasts
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.planning.solve import solve
 from planner_bridge.planning.validate import why_invalid

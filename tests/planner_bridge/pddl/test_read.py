@@ -6,8 +6,8 @@ import pytest
 
 from planner_bridge.model.problem import Domain, Metric, Problem
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.pddl.syntax.expressions import MAX_DEPTH
-from planner_bridge.pddl.write.writer import write_domain
+from planner_bridge.pddl.expressions import MAX_DEPTH
+from planner_bridge.pddl.writer import write_domain
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not
 from pnm.core.logic.domain import ActionSchema, Declaration, DurationConstraint
 from pnm.core.logic.effects import OPERATIONS, Effect, ForEach, Set, TimedChange, When

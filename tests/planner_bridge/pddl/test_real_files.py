@@ -8,7 +8,7 @@ import kairos
 import pytest
 
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
-from planner_bridge.pddl.write.writer import write_domain, write_problem
+from planner_bridge.pddl.writer import write_domain, write_problem
 from pnm.errors import InputError
 from tests.support.pddl.files import REFUSED, pairs
 from tests.support.pddl.text import SMALL

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain
-from planner_bridge.pddl.syntax.expressions import MAX_DEPTH
+from planner_bridge.pddl.expressions import MAX_DEPTH
 from pnm.errors import InputError
 from tests.support.files import refused
 from tests.support.pddl.text import SMALL

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planner_bridge.pddl.syntax.expressions import MAX_DEPTH, Atom, Group, Node, parse, where
+from planner_bridge.pddl.expressions import MAX_DEPTH, Atom, Group, Node, parse, where
 from pnm.errors import InputError
 from tests.support.files import input_error, refused
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from planner_bridge.model.problem import Metric, Problem
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.pddl.syntax.words import number_text
-from planner_bridge.pddl.write.writer import write_domain, write_problem
+from planner_bridge.pddl.expressions import number_text
+from planner_bridge.pddl.writer import write_domain, write_problem
 from pnm.core.logic.conditions import All, Any, Compare, ForAll, Holds, Implies, Not
 from pnm.core.logic.domain import MAX_CHOICES, ActionSchema, DurationConstraint, Preference
 from pnm.core.logic.effects import ForEach, Set, TimedChange, When

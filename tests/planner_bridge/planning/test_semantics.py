@@ -22,8 +22,7 @@ from unified_planning.io import PDDLReader
 from unified_planning.plans import ActionInstance, SequentialPlan, TimeTriggeredPlan
 
 from planner_bridge.model.grounding import dynamic_names, ground_action, initial_knowledge
-from planner_bridge.model.plan import Plan, PlanStep
-from planner_bridge.model.plan_text import plan_text
+from planner_bridge.model.plan import Plan, PlanStep, plan_text
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.simulation import simulated_backend
 from planner_bridge.ordering.plan_to_graph import plan_graph

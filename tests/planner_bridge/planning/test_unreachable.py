@@ -10,8 +10,8 @@ from planner_bridge.model.grounding import initial_knowledge, problem_now
 from planner_bridge.model.plan import PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.planning.reachability import why_unreachable
 from planner_bridge.planning.solve import solve
-from planner_bridge.planning.unreachable import why_unreachable
 from pnm.core.logic.expressions import UNKNOWN
 from tests.support.pddl.problems import fleet, hard, matches, rooms, tanks
 from tests.support.pddl.random_problems import problems as random_problems

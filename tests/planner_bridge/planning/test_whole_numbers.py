@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from planner_bridge.model.plan import PlanningStatus
 from planner_bridge.model.problem import Problem
-from planner_bridge.pddl.read.reader import parse_domain, parse_problem
+from planner_bridge.pddl.reader import parse_domain, parse_problem
 from planner_bridge.planning.normal_form import calculates_with_whole_numbers, in_whole_numbers
 from planner_bridge.planning.solve import solve
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from planner_bridge.cli.consoles.node_console import TaskConsole
-from planner_bridge.cli.consoles.safe_console import SafeConsole
+from planner_bridge.cli.console import SafeConsole
+from planner_bridge.cli.run_console import TaskConsole
 from planner_bridge.pipeline.achieve import carry_out
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import Fault, FaultKind, Faults

@@ -5,8 +5,8 @@ from __future__ import annotations
 import io
 from dataclasses import replace
 
-from planner_bridge.cli.consoles.run_console import ConsoleObserver, print_result
-from planner_bridge.cli.consoles.safe_console import SafeConsole
+from planner_bridge.cli.console import SafeConsole
+from planner_bridge.cli.run_console import ConsoleObserver, print_result
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.simulation import simulated_backend
 from planner_bridge.pipeline.achieve import achieve_at

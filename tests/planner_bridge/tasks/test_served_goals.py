@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.simulation import simulated_backend
 from planner_bridge.node.problem_service import NOTHING
-from planner_bridge.tasks.scheduling.task_manager import TaskManager
 from planner_bridge.tasks.settings import Settings
+from planner_bridge.tasks.task_manager import TaskManager
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase

@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
+from planner_bridge.view.app import frame
 from planner_bridge.view.follow import Reader
-from planner_bridge.view.frames import frame
 from planner_bridge.view.shown import View
-from planner_bridge.view.view import view_of
+from planner_bridge.view.story import view_of
 from pnm.journal import journal as journal_module
 from tests.support.tasks.scenarios.random_scenarios import run_scenario
 

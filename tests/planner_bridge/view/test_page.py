@@ -13,7 +13,7 @@ from playwright.sync_api import Browser, FloatRect, Page, expect
 
 from planner_bridge.pipeline.achieve import achieve
 from planner_bridge.view.follow import Reader
-from planner_bridge.view.view import view_of
+from planner_bridge.view.story import view_of
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.machine.requests import Ended
 from pnm.journal.records import Happened, TaskOver

@@ -9,8 +9,7 @@ from uuid import UUID
 from planner_bridge.pipeline.achieve import achieve
 from planner_bridge.tasks.settings import Settings
 from planner_bridge.view.follow import Reader
-from planner_bridge.view.story import Story
-from planner_bridge.view.view import view_of
+from planner_bridge.view.story import Story, view_of
 from pnm.core.logic.expressions import UNKNOWN
 from pnm.journal.records import WORLD, KnowledgeBegan, KnowledgeDelta, SharedBegan, TaskAccepted, TaskNoted
 from pnm.knowledge.people import HelpAsked, HelpEnded

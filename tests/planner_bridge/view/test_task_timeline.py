@@ -9,7 +9,7 @@ import pytest
 from planner_bridge.pipeline.achieve import achieve, carry_out
 from planner_bridge.tasks.result import TASKS
 from planner_bridge.tasks.settings import TaskObserver
-from planner_bridge.view.task_timeline import timelines
+from planner_bridge.view.story import timelines
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request

@@ -9,8 +9,7 @@ import pytest
 from planner_bridge.view.call_detail import CallDetail, detail
 from planner_bridge.view.follow import Reader
 from planner_bridge.view.shown import View
-from planner_bridge.view.story import Story
-from planner_bridge.view.view import view_of
+from planner_bridge.view.story import Story, view_of
 from pnm.core.execution.events import Begin
 from pnm.core.machine.requests import Ended
 from pnm.journal.records import Happened, RunMade, TaskAccepted, TaskOver

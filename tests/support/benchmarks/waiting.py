@@ -11,9 +11,9 @@ from uuid import UUID
 
 from planner_bridge.model.simulation import robots_of
 from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.pipeline.goal_handle import GoalHandle
 from planner_bridge.tasks.constraint_monitor import ConstraintMonitor
 from planner_bridge.tasks.result import Stopwatch
-from planner_bridge.tasks.scheduling.goal_handle import GoalHandle
 from planner_bridge.tasks.settings import OnChange, Settings, TaskObserver
 from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import NO_FAULTS

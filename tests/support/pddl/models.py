@@ -7,8 +7,8 @@ from dataclasses import replace
 from hypothesis import strategies as st
 
 from planner_bridge.model.problem import Domain
-from planner_bridge.pddl.read.symbols import CONSTRAINTS
-from planner_bridge.pddl.syntax.words import TIME_SPECIFIERS
+from planner_bridge.pddl.expressions import TIME_SPECIFIERS
+from planner_bridge.pddl.symbols import CONSTRAINTS
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
 from pnm.core.logic.domain import ActionSchema, Declaration, DurationConstraint, Preference
 from pnm.core.logic.effects import OPERATIONS, Effect, ForEach, Set, TimedChange, When

@@ -12,8 +12,8 @@ from uuid import UUID
 
 from planner_bridge.model.problem import Problem
 from planner_bridge.tasks.replanning import Limits
-from planner_bridge.tasks.scheduling.task_limits import TaskLimits
 from planner_bridge.tasks.settings import OnChange, Settings
+from planner_bridge.tasks.task_manager import TaskLimits
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.core.logic.computed_values import MISSING, Layer, Question
 from pnm.core.machine.bindings import Binding, Bindings

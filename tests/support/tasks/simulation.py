@@ -14,9 +14,8 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.model.simulation import simulated_backend
 from planner_bridge.pddl import parse_problem
 from planner_bridge.tasks.result import TASKS
-from planner_bridge.tasks.scheduling.task_limits import TaskLimits
-from planner_bridge.tasks.scheduling.task_manager import TaskManager
 from planner_bridge.tasks.settings import Settings
+from planner_bridge.tasks.task_manager import TaskLimits, TaskManager
 from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import VirtualTimeLoop

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from planner_bridge.pddl.comments.table import Table
-from planner_bridge.pddl.syntax.expressions import tokens
+from planner_bridge.pddl.comments import Table
+from planner_bridge.pddl.expressions import tokens
 
 
 def notes(table: Table) -> list[str]:

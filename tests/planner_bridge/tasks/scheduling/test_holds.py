@@ -10,8 +10,8 @@ from uuid import UUID
 
 import pytest
 
-from planner_bridge.explanations.call_timing import why_now
 from planner_bridge.explanations.history import JournalHistory
+from planner_bridge.explanations.run_questions import why_now
 from planner_bridge.model.plan import Plan
 from planner_bridge.pipeline.achieve import achieve_at
 from planner_bridge.tasks.control import STILL

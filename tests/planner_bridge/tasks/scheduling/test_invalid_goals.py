@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from planner_bridge.tasks.scheduling.task_limits import TaskLimits
-from planner_bridge.tasks.scheduling.task_text import MAX_CALLS
+from planner_bridge.tasks.task_manager import TaskLimits
+from planner_bridge.tasks.task_start import MAX_CALLS
 from pnm.tasks import Code, TaskListener, TaskState, Wanted
 from tests.support.tasks.node import simulated
 from tests.support.tasks.simulation import TaskSimulation

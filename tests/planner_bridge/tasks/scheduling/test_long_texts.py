@@ -10,7 +10,7 @@ from uuid import UUID
 
 import pytest
 
-from planner_bridge.tasks.scheduling.task_text import MAX_CALLS
+from planner_bridge.tasks.task_start import MAX_CALLS
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.logic.conditions import Condition
 from pnm.errors import InputError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
-from planner_bridge.tasks.scheduling.planning_queue import SLOW, PlanningQueue
+from planner_bridge.tasks.context import SLOW, PlanningQueue
 from pnm.clock import run_async
 
 

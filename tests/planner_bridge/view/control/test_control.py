@@ -16,10 +16,9 @@ import pytest
 
 from planner_bridge.explanations.goal_now import packed
 from planner_bridge.pipeline.loading import load
-from planner_bridge.view.control import operator
-from planner_bridge.view.control.commands import Controlled, Reply
-from planner_bridge.view.control.operator import Operator
-from planner_bridge.view.process import PageProcess
+from planner_bridge.view import serving
+from planner_bridge.view.commands import Controlled, Reply
+from planner_bridge.view.serving import Operator, PageProcess
 from pnm.core.knowledge_base import KnowledgeBase, parse_fluent
 from pnm.core.logic.conditions import Holds
 from pnm.core.machine.requests import Accepted, Feedback
@@ -261,7 +260,7 @@ def every(answer: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def test_a_refusal_that_takes_its_time_is_no_consent(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(operator, "_SOON", 0.0)
+    monkeypatch.setattr(serving, "_SOON", 0.0)
 
     class SlowWorld(FakeWorld):
         async def check_goal(self, text: str, /) -> None:

@@ -10,8 +10,8 @@ from uuid import UUID
 import pytest
 
 from planner_bridge.model.simulation import simulated_backend
-from planner_bridge.tasks.scheduling.task_limits import TaskLimits
 from planner_bridge.tasks.settings import Settings
+from planner_bridge.tasks.task_manager import TaskLimits
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase

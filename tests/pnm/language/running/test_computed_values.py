@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from planner_bridge.cli.consoles.safe_console import SafeConsole
+from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.options import Files, Output
 from planner_bridge.cli.run import run_written
 from planner_bridge.model.simulation import simulated_backend

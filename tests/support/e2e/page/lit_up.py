@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from planner_bridge.view.follow import Reader
-from planner_bridge.view.view import view_of
+from planner_bridge.view.story import view_of
 from tests.support.e2e.page.journals import steps
 
 WATCH: Final = """

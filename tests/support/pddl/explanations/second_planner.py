@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Final
 
 from planner_bridge.model.problem import Domain, Problem
-from planner_bridge.pddl.write.writer import write_domain, write_problem
+from planner_bridge.pddl.writer import write_domain, write_problem
 from pnm.core.logic.conditions import All, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjunction, every_part
 from pnm.core.logic.conditions import Any as AnyOf
 from pnm.core.logic.domain import ActionSchema, Declaration

@@ -15,7 +15,7 @@ from uuid import UUID
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.tasks.result import TASKS
-from planner_bridge.tasks.scheduling.task_manager import TaskManager
+from planner_bridge.tasks.task_manager import TaskManager
 from pnm.actions.backend import ClientBackend
 from pnm.clock import FollowingLoop, run_async
 from pnm.journal.kept import JournalChoice

@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Final, TypeAlias
 from uuid import UUID
 
-from planner_bridge.model.plan_text import read_plan
+from planner_bridge.model.plan import read_plan
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.tasks.replanning import Limits
-from planner_bridge.tasks.scheduling.task_limits import TaskLimits
 from planner_bridge.tasks.settings import OnChange, Settings
+from planner_bridge.tasks.task_manager import TaskLimits
 from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange
 from pnm.core.logic.computed_values import MISSING, Question
 from pnm.core.machine.bindings import Binding, Bindings

@@ -11,9 +11,8 @@ from uuid import UUID
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.tasks.result import TASKS
-from planner_bridge.tasks.scheduling.task_limits import TaskLimits
-from planner_bridge.tasks.scheduling.task_manager import TaskManager
 from planner_bridge.tasks.settings import Settings
+from planner_bridge.tasks.task_manager import TaskLimits, TaskManager
 from pnm.actions.backend import SimulatedBackend
 from pnm.actions.simulated_robots import SimulatedRobots
 from pnm.core.logic.conditions import Condition, Holds

@@ -1,0 +1,363 @@
+"""Output on the terminal: of one task, its plan, machine, events and result; of a node, its life cycle and the events of its tasks."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import sys
+from collections.abc import Iterable
+from contextlib import ExitStack
+from typing import Final, NamedTuple
+from uuid import UUID
+
+from planner_bridge.cli.console import INDENT, EventLines, SafeConsole, ToldFailures
+from planner_bridge.cli.options import planner_words, print_warnings, waiting
+from planner_bridge.model.plan import Plan, PlanningResult
+from planner_bridge.node.node_log import NodeObserver, journal_words, standing_words
+from planner_bridge.tasks.replanning import PlanAgain, ResumePlan, decision_words
+from planner_bridge.tasks.result import ConstraintResult, TaskResult, Violation
+from planner_bridge.tasks.settings import TaskObserver
+from planner_bridge.tasks.task import passed_limit
+from planner_bridge.view.serving import Operator, PageProcess
+from pnm.core.execution.call_results import Explanation, Failure, RunResult
+from pnm.core.machine.guards import Rule
+from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.machine.plan_graph import ActionCall, GroundAction
+from pnm.core.machine.requests import Outcome, OutcomeKind, Request
+from pnm.core.machine.verification.verify import Proof
+from pnm.errors import Tolerated, counted
+from pnm.tasks import Code, ServedWorld, TaskCommands, TaskEnding, TaskListener, Tasks, TraceEvent, shortened
+
+_STEP: Final = re.compile(r" *[0-9.]+( s)? +")
+"""When a step of a plan comes, in front of it."""
+
+
+_SOON: Final = 0.2
+"""Seconds within which a call that is being cancelled ends, if its server does nothing more: that it is late is not printed then."""
+
+
+class _News(NamedTuple):
+    """What has happened to a call and is printed with what follows from it: when, in which word, to what, why, and in detail."""
+
+    now: float
+    word: str
+    action: GroundAction
+    cause: str
+    details: str
+
+
+class ConsoleObserver(TaskObserver):
+    """Prints a line per event of a task; shows a spinner while it plans, when the output is a terminal.
+
+    An end without success and what follows from it at once are one line.
+
+    Args:
+        limit: seconds that the planner may take.
+        robots: who performs the actions; printed before the first event, if it is not empty.
+        awaited: what is waited for between a plan and its machine, with the limit; empty for nothing.
+        is_verbose: whether it prints how large machines are, and how they were proved.
+
+    The mutable state is whether that was printed, the time from which seconds count, the spinner, by the numbers of calls their
+    attempts, what was sent, why they are tried again and what is not printed yet, and what was printed of the failures of each action:
+    the same is not printed again but at the end.
+    """
+
+    def __init__(self, console: SafeConsole, limit: float, *, robots: str = "", awaited: str = "", is_verbose: bool = False) -> None:
+        self._console = console
+        self._limit = limit
+        self._robots = robots
+        self._awaited = awaited
+        self._is_verbose = is_verbose
+        self._lines = EventLines(console)
+        self._waiting = ExitStack()
+        self._attempts: dict[int, int] = {}
+        self._actions: dict[int, GroundAction] = {}
+        self._causes: dict[int, Failure] = {}
+        self._news: dict[int, _News] = {}
+        self._printed: set[tuple[str, str]] = set()
+
+    def wait(self, text: str) -> None:
+        """Show what is waited for, with its limit, until something happens."""
+        self._waiting.close()
+        self._waiting.enter_context(waiting(text, self._console))
+
+    def close(self) -> None:
+        """Show nothing any more."""
+        self._waiting.close()
+
+    def began(self, now: float) -> None:
+        """Count seconds from the beginning of the task; a plan that goes on under a planner keeps its own."""
+        if self._lines.began is None:
+            self._lines.began = now
+
+    def planning(self, planner: str) -> None:
+        """Show that a planner is being asked."""
+        self._print_robots()
+        self.wait(planner_words(planner, self._limit))
+
+    def restored(self) -> None:
+        """Print that the task goes on."""
+        self._waiting.close()
+        self._print_robots()
+        self._console.print_text("goes on where another process has left it", "[bold]resumed[/]  ")
+
+    def planned(self, plan: Plan) -> None:
+        """Print the plan."""
+        self._waiting.close()
+        first, *steps = str(plan).splitlines()
+        self._console.print_text(first, "[bold]plan[/]     ")
+        for step in steps:
+            begins = _STEP.match(step)
+            when = begins[0] if begins else ""
+            self._console.print_text(step.removeprefix(when), when)
+        if self._awaited:
+            self.wait(self._awaited)
+
+    def unplanned(self, result: PlanningResult) -> None:
+        """Stop showing that a planner is being asked; the result is printed at the end."""
+        self._waiting.close()
+
+    def blocked(self, reason: str) -> None:
+        """Print why there is no plan, so that people can help."""
+        self._console.print_reason("[bold yellow]help[/]    ", reason)
+
+    def generated(self, machine: PetriNetMachine, proof: Proof) -> None:
+        """Print that the machine is proved, in which calls have numbers of their own."""
+        self._attempts.clear()
+        self._actions.clear()
+        self._causes.clear()
+        self._waiting.close()
+        self._print_robots()
+        self._console.print_text("proved: whatever happens, it ends in the goal or in a named failure", "[bold]machine[/]  ")
+        if self._is_verbose:
+            net = machine.net
+            size = f"{len(net.places)} places, {len(net.transitions)} transitions, {len(machine.orderings)} orderings"
+            self._console.print_text(f"{size}; proved {proof}", " " * INDENT)
+
+    def sent(self, call: ActionCall, request: Request, now: float) -> None:
+        """Print that a call starts, or is tried again and why."""
+        self._attempts[call.index] = request.attempt
+        self._actions[call.index] = request.action
+        if request.attempt == 1:
+            self._print(now, "[blue]start[/] ", str(call.action))
+            return
+        cause = self._causes.pop(call.index, None)
+        self._news.pop(call.index, None)
+        after = f"{cause.cause}{self._new(call.action, cause.details)}" if cause else "a pause"
+        self._print(now, "[yellow]retry[/] ", f"{call.action}: attempt {request.attempt}, after {after}")
+
+    def hindered(self, call: ActionCall, cause: Explanation, now: float) -> None:
+        """Keep the cause, which is printed with what follows from it: that the call is tried again, or fails; alone if nothing does."""
+        self._causes[call.index] = failure = Failure(call, *cause)
+        if call.index in self._news:
+            self._news[call.index] = self._news[call.index]._replace(cause=str(cause.cause), details=failure.details)
+        else:
+            self._wait_for_more(call, _News(now, "[red]wrong[/] ", call.action, str(cause.cause), failure.details))
+
+    def fired(self, transition: str, rule: Rule, now: float) -> None:
+        """Print that a call has passed its limit, unless it ends as soon as it is cancelled: how it ends is printed when that is known."""
+        call, limit = rule.call, passed_limit(rule)
+        if limit is not None and call is not None and call in self._actions:
+            cause = f"it has not ended within {limit:g} s, and is being cancelled"
+            news = self._news[call] = _News(now, "[yellow]late[/]  ", self._actions[call], cause, "")
+            asyncio.get_running_loop().call_later(_SOON, self._print_late, call, news)
+
+    def spared(self, call: ActionCall, now: float) -> None:
+        """Print that a call is not needed."""
+        self._print(now, "[green]spared[/]", f"{call.action}: its effects hold already")
+
+    def ended(self, call: ActionCall, outcome: Outcome, now: float) -> None:
+        """Print how a request ended; of one without success together with what follows."""
+        if outcome.kind is OutcomeKind.SUCCEEDED:
+            self._news.pop(call.index, None)
+            self._print(now, "[green]done[/]  ", str(call.action.operation or call.action))
+        else:
+            self._wait_for_more(call, _News(now, "[red]ended[/] ", call.action, outcome.kind.value, outcome.message))
+
+    def failed(self, failure: Failure, now: float) -> None:
+        """Print that a failure place is marked."""
+        step = failure.call
+        self._news.pop(step.index, None)
+        attempts = self._attempts.pop(step.index, 1)
+        named = step.action if isinstance(step, ActionCall) else step
+        tried = f" in {attempts} attempts" if attempts > 1 else ""
+        self._print(now, "[bold red]failed[/]", f"{named}{tried}: {failure.cause}{self._new(named, failure.details)}")
+
+    def _print(self, now: float, word: str, text: str) -> None:
+        """Print a line, and before it what was waiting for more."""
+        self._print_news()
+        self._lines.print(now, word, text)
+
+    def _wait_for_more(self, call: ActionCall, news: _News) -> None:
+        """Print the news at the end of what happens at this moment, unless it is printed with what follows from it."""
+        self._news[call.index] = news
+        asyncio.get_running_loop().call_soon(self._print_news)
+
+    def _print_late(self, call: int, news: _News) -> None:
+        """Print that a call is late, if nothing has followed yet."""
+        if self._news.get(call) is news:
+            self._print_news()
+
+    def _print_news(self) -> None:
+        """Print what was waiting for more that has not come."""
+        waiting, self._news = self._news, {}
+        for now, word, action, cause, details in waiting.values():
+            self._lines.print(now, word, f"{action}: {cause}{self._new(action, details)}")
+
+    def _print_robots(self) -> None:
+        self._waiting.close()
+        if self._robots:
+            self._console.print_text(self._robots, "[bold]robots[/]   ")
+            self._robots = ""
+
+    def _new(self, step: object, details: str) -> str:
+        """Return the details of a step's failure with a colon before them, unless they were printed already."""
+        if not details or (str(step), details) in self._printed:
+            return ""
+        self._printed.add((str(step), details))
+        return f": {details}"
+
+    def resigned(self, reason: str) -> None:
+        """Print that a planner takes over."""
+        self._console.print_reason("[bold yellow]replan[/]  ", reason)
+
+    def replanning(self, decision: ResumePlan | PlanAgain, result: RunResult) -> None:
+        """Print what follows a failed run."""
+        self._console.print_reason("[bold yellow]replan[/]  ", decision_words(decision))
+
+    def violated(self, violation: Violation, now: float) -> None:
+        """Print that a constraint is violated."""
+        self._print(now, "[bold red]broken[/]", f"{violation.constraint}; observed {violation.observed}")
+
+
+def print_result(console: SafeConsole, result: TaskResult) -> None:
+    """Print how the task ended."""
+    if result.goal_reached:
+        console.print_text("holds", "[bold green]goal[/]     ")
+    else:
+        console.print_reason("[bold red]goal[/]     not reached:", result.reason)
+    assumed = sum(call.assumed for call in result.calls)
+    unreported = f"; {counted(assumed, 'result')} believed, which no sensor confirms (docs/guides/sensing.md)" if assumed else ""
+    lines = [f"{result.counts}{unreported}", *map(_constraint, result.constraints)]
+    for preference in result.preferences:
+        times = f" {counted(preference.violated, 'time')}" if preference.violated else ""
+        lines.append(f"preference {preference.name or '(without a name)'} is {preference.status}{times}")
+    for line in lines:
+        console.print_text(line, " " * INDENT)
+
+
+def _constraint(result: ConstraintResult) -> str:
+    if not result.violations:
+        return f"constraint {result.constraint} is {result.status}"
+    more = len(result.violations) - 1
+    return f"constraint {result.violations[0]}{f', and for {more} more choices of objects' if more else ''}"
+
+
+# --- the console of a node ------------------------------------------------------------------------
+# Output on the terminal for a node with many tasks: its life cycle, and a line per event with the beginning of the task's id.
+
+
+class NodeConsole(NodeObserver):
+    """Prints what happens to a node and to its tasks; warnings about its files go to stderr."""
+
+    def __init__(self, console: SafeConsole) -> None:
+        self._console = console
+
+    def unconfigured(self) -> None:
+        """Print that a lifecycle manager is waited for."""
+        self._console.print("unconfigured: waits for its transitions")
+
+    def tolerated(self, warnings: Iterable[Tolerated]) -> None:
+        """Print warnings on stderr."""
+        print_warnings(warnings)
+
+    def proved(self, plan: str, proof: Proof) -> None:
+        """Print the proof of a plan."""
+        self._console.print_text(f"{plan}: proved {proof}", "[bold]plan[/]     ")
+
+    def journalled(self, place: str, going_on: int | None) -> None:
+        """Print where tasks are kept."""
+        self._console.print(journal_words(place, going_on))
+
+    def standing_by(self, place: str, holder: str) -> None:
+        """Print who holds the journal."""
+        self._console.print(standing_words(place, holder))
+
+    def activated(self, actions: tuple[str, ...]) -> None:
+        """Print the action servers of the node."""
+        text = f"ready: {len(actions)} action servers: {', '.join(actions)}"
+        self._console.print(text)
+
+    def deactivated(self) -> None:
+        """Print that goals are rejected."""
+        self._console.print("inactive: goals are rejected, and tasks are paused")
+
+    def missing(self, server: str) -> None:
+        """Print that a server is missing."""
+        self._console.print_text(f"there is no action server {server} yet", "[bold yellow]missing[/]  ")
+
+    def failed(self, error: BaseException) -> None:
+        """Print why servers cannot be used."""
+        self._console.print_text(str(error), "[bold red]wrong[/]    ")
+
+    def configured(self, tasks: Tasks, commands: TaskCommands, world: ServedWorld) -> None:
+        """Print the events of tasks from now on."""
+        tasks.listen(TaskConsole(self._console))
+
+
+class NodePage(NodeObserver):
+    """Shows a node on a page as soon as it is known which journal is its own, also while another process holds that.
+
+    Args:
+        page: where it is shown.
+        given: the journal as it was given on the command line, with the password that others leave out; empty for none.
+    """
+
+    def __init__(self, page: PageProcess, given: str) -> None:
+        self._page = page
+        self._given = given
+
+    def journalled(self, place: str, going_on: int | None) -> None:
+        """Show the journal."""
+        if place:
+            self._page.follow(self._given or place)
+        else:
+            print("view     there is no journal that could be shown", file=sys.stderr)
+
+    def standing_by(self, place: str, holder: str) -> None:
+        """Show the journal."""
+        self._page.follow(self._given or place)
+
+    def configured(self, tasks: Tasks, commands: TaskCommands, world: ServedWorld) -> None:
+        """Have the page control the tasks, if it may."""
+        self._page.operate(Operator(tasks, commands, world))
+
+
+class TaskConsole(TaskListener):
+    """Prints the events of tasks. The mutable state is a printer for every task that is not over, and what was told."""
+
+    def __init__(self, console: SafeConsole) -> None:
+        self._console = console
+        self._loop = asyncio.get_running_loop()
+        self._began = self._loop.time()
+        self._lines: dict[UUID, EventLines] = {}
+        self._failures = ToldFailures()
+
+    def happened(self, moment: TraceEvent) -> None:
+        """Print an event, but not every transition that fires."""
+        told = self._failures.text(moment.task, moment.kind, moment.subject, moment.text)
+        if not moment.kind.is_frequent and not moment.text.startswith("over: "):  # `ended` prints the result
+            text = ": ".join(filter(None, (moment.subject, told)))
+            self._lines_of(moment.task).print(moment.time, f"{moment.kind.word:<7}", shortened(text))
+
+    def ended(self, task: UUID, ending: TaskEnding) -> None:
+        """Print how a task ended."""
+        word = "[bold green]reached[/]" if ending.code is Code.GOAL_REACHED else f"[bold red]{ending.code.word}[/]"
+        self._lines_of(task).print(self._loop.time(), word, shortened(ending.message))
+        del self._lines[task]
+
+    def _lines_of(self, task: UUID) -> EventLines:
+        """Return the printer of a task."""
+        if task not in self._lines:
+            self._lines[task] = EventLines(self._console, f"{task.hex[:8]}  ", self._began)
+        return self._lines[task]

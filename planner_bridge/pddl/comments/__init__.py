@@ -1,1 +1,0 @@
-"""Comments of PDDL files, kept across PDDL ↔ YAML."""

@@ -1,0 +1,428 @@
+"""PDDL domains and problems: text to model. Model to text is in `planner_bridge.pddl.writer`.
+
+Sections may stand in any order, so a file is first cut into its sections and these are then
+interpreted in the order in which they need each other: types, constants, predicates and
+functions, rules, constraints, actions. Every error is an `InputError` with file, line and
+column; what is not as it should be but can be understood becomes a warning of the model.
+
+Names are compared without case and spelled as first declared, in a problem as in its domain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from itertools import chain, pairwise
+from pathlib import Path
+from typing import Final, Literal, TypeAlias
+
+from planner_bridge.model.problem import Domain, Metric, Problem
+from planner_bridge.pddl.actions import DURATIVE, INSTANTANEOUS, actions
+from planner_bridge.pddl.expressions import (
+    CONNECTIVES,
+    Atom,
+    Group,
+    Node,
+    is_number,
+    new_name,
+    number,
+    operands,
+    show_types,
+    text_of,
+    time,
+    where,
+    wrong,
+)
+from planner_bridge.pddl.formulas import TermScope, condition, constraints, split_preferences
+from planner_bridge.pddl.requirements import REFUSED_IN_INIT, Leniency, Requirements, requirements
+from planner_bridge.pddl.sections import Definition, define
+from planner_bridge.pddl.symbols import (
+    TOTAL_COST,
+    SymbolTable,
+    borrowed_objects,
+    declared_functions,
+    declared_objects,
+    declared_predicates,
+    declared_types,
+)
+from pnm.core.logic.conditions import TRUE, Compare, Condition, every_part, polarities
+from pnm.core.logic.domain import ActionSchema, Declaration, Preference, ProblemModel, check_choices
+from pnm.core.logic.effects import Set, TimedChange, every_effect
+from pnm.core.logic.expressions import Constant, Expression, Fluent, Value, Variable, expression_fluents, fluent_text
+from pnm.core.logic.rules import DerivationRule, Rules
+from pnm.errors import Tolerated, counted
+from pnm.files.text import read_any_text
+
+MAX_BYTES: Final = 50_000_000
+
+DERIVED: Final = ":derived"
+HIERARCHY: Final = (":task", ":method")
+NETWORK: Final = (":htn", ":tasks")
+DOMAIN_SECTIONS: Final = (
+    *(":requirements", ":predicates", ":types", ":constants", ":functions", INSTANTANEOUS, DURATIVE, DERIVED, ":constraints"),
+    *HIERARCHY,
+)
+MAX_READ: Final = 200_000
+"""Choices of objects that the quantifiers of a problem may range over; planners cope with more than questions at run time may ask."""
+PROBLEM_SECTIONS: Final = (*(":domain", ":init", ":goal", ":objects", ":metric", ":constraints", ":requirements", ":length"), *NETWORK)
+_DIRECTIONS: Final[dict[str, Literal["minimize", "maximize"]]] = {"minimize": "minimize", "maximize": "maximize"}
+
+
+def read_domain(path: Path | str) -> Domain:
+    """Read a PDDL domain.
+
+    Raises:
+        InputError: the file cannot be read, is not a domain, or uses PDDL that is not supported.
+    """
+    text, warnings = read_any_text(path, MAX_BYTES)
+    return _domain(define(text, str(path), "domain", DOMAIN_SECTIONS), warnings)
+
+
+def read_problem(path: Path | str, domain: Domain) -> Problem:
+    """Read a PDDL problem for a domain.
+
+    Raises:
+        InputError: the file cannot be read, is not a problem for this domain, or uses PDDL that is not supported.
+    """
+    text, warnings = read_any_text(path, MAX_BYTES)
+    return _problem(define(text, str(path), "problem", PROBLEM_SECTIONS), domain, warnings)
+
+
+def parse_domain(text: str, file: str = "domain.pddl") -> Domain:
+    """Read a PDDL domain from its text.
+
+    >>> parse_domain("(define (domain d) (:predicates (at ?r)))").predicates["at"].parameters
+    (Variable(name='?r', types=('object',)),)
+
+    Raises:
+        InputError: the text is not a domain, or uses PDDL that is not supported.
+    """
+    return _domain(define(text, file, "domain", DOMAIN_SECTIONS))
+
+
+def parse_problem(text: str, domain: Domain, file: str = "problem.pddl") -> Problem:
+    """Read a PDDL problem from its text.
+
+    Raises:
+        InputError: the text is not a problem for this domain, or uses PDDL that is not supported.
+    """
+    return _problem(define(text, file, "problem", PROBLEM_SECTIONS), domain)
+
+
+def _domain(definition: Definition, warnings: tuple[Tolerated, ...] = ()) -> Domain:
+    """Interpret the sections of a domain; `warnings` are those about the characters of the file."""
+    words = requirements(definition.parts(":requirements"))
+    needed = Requirements(words)
+    domain = Domain(definition.name, declared_types(definition.lists(":types"), needed), requirements=words)
+    symbols = SymbolTable(domain, {}, needed)
+    rule_sections = definition.every(DERIVED)
+    predicates = declared_predicates(definition.parts(":predicates"), symbols)
+    domain = replace(
+        domain,
+        constants=declared_objects(definition.lists(":constants"), symbols),
+        predicates=predicates,
+        functions=declared_functions(definition.lists(":functions"), symbols, predicates),
+    )
+    derived = derived_predicates(rule_sections, SymbolTable(domain, domain.constants, needed))
+    domain = replace(domain, predicates={**domain.predicates, **derived})
+    symbols = SymbolTable(domain, domain.constants, needed, lenient=True, derived=frozenset(derived))
+    domain_rules = rules(rule_sections, symbols)
+    hard, soft = constraints(definition.parts(":constraints"), TermScope(symbols))
+    schemas = actions(definition.every(INSTANTANEOUS, DURATIVE), symbols)
+    return replace(
+        domain,
+        functions={**domain.functions, **({TOTAL_COST: symbols.costs} if symbols.costs else {})},
+        borrowed=symbols.borrowed,
+        actions=schemas,
+        rules=domain_rules,
+        constraints=hard,
+        preferences=soft,
+        hierarchy=_verbatim_sections(definition, HIERARCHY, needed),
+        warnings=(*warnings, *definition.whole.source.tolerated),
+    )
+
+
+def _verbatim_sections(definition: Definition, keys: tuple[str, ...], needed: Requirements) -> tuple[str, ...]:
+    """Return the texts of sections that only hierarchical planners read (HDDL)."""
+    sections = definition.every(*keys)
+    for section in sections:
+        needed.need(section, ":hierarchy", ":htn")
+    return tuple(map(text_of, sections))
+
+
+def _problem(definition: Definition, domain: Domain, warnings: tuple[Tolerated, ...] = ()) -> Problem:
+    """Interpret the sections of a problem; `warnings` are those about the characters of the file."""
+    _check_domain_name(definition, domain)
+    if (length := definition.one(":length")) is not None:
+        Leniency.LENGTH.note(length)
+    words = requirements(definition.parts(":requirements"))
+    needed = Requirements((*domain.requirements, *words, ":typing"))
+    shared = SymbolTable(domain, domain.constants, needed)
+    own = borrowed_objects(declared_objects(definition.lists(":objects"), shared), shared, definition.whole)
+    preferences = (*domain.preferences, *(preference for action in domain.actions.values() for preference in action.preferences))
+    symbols = SymbolTable(
+        domain,
+        {**domain.constants, **own},
+        needed,
+        derived=domain.rules.derived,
+        preference_names={preference.name.lower(): preference.name for preference in preferences if preference.name},
+    )
+    network = "\n".join(_verbatim_sections(definition, NETWORK, needed))
+    init, timed = initial_state(definition.parts(":init"), TermScope(symbols))
+    goal, goals = _goal(definition, TermScope(symbols))
+    hard, soft = constraints(definition.parts(":constraints"), TermScope(symbols))
+    metric = _metric(definition, TermScope(symbols, metric=True))
+    problem = Problem(
+        definition.name,
+        replace(domain, functions={**domain.functions, TOTAL_COST: symbols.costs}) if symbols.costs else domain,
+        own,
+        init,
+        timed,
+        goal,
+        metric,
+        hard,
+        (*goals, *soft),
+        network,
+        words,
+    )
+    objects = where((*definition.every(":objects"), definition.whole)[0])
+    for what, choices in problem.ranges():
+        check_choices(choices, objects, f"the quantifiers in {what}", MAX_READ)
+    for fluent in missing_numbers(problem):
+        Leniency.NUMBER_MISSING.note(definition.one(":init") or definition.whole, fluent_text(fluent))
+    return replace(problem, warnings=(*domain.warnings, *warnings, *definition.whole.source.tolerated))
+
+
+def _check_domain_name(definition: Definition, domain: Domain) -> None:
+    section = definition.one(":domain")
+    match section:
+        case Group(items=(_, Atom() as name)):
+            if name.key != domain.name.lower():
+                Leniency.OTHER_DOMAIN.note(name, name, domain.name)
+        case None:
+            Leniency.NO_DOMAIN.note(definition.whole, domain.name)
+        case _:
+            raise wrong(section, f"expected (:domain {domain.name})")
+
+
+def _goal(definition: Definition, scope: TermScope) -> tuple[Condition, tuple[Preference, ...]]:
+    section = definition.one(":goal")
+    if section is None:
+        if not definition.every(*NETWORK):
+            Leniency.NO_GOAL.note(definition.whole)
+        return TRUE, ()
+    if len(section.rest) != 1:
+        raise wrong(section, f"expected (:goal CONDITION), found {len(section.rest)} conditions")
+    return split_preferences(section.rest[0], scope)
+
+
+def _metric(definition: Definition, scope: TermScope) -> Metric | None:
+    section = definition.one(":metric")
+    if section is None:
+        return None
+    match section.rest:
+        case (Atom() as direction, expression) if direction.key in _DIRECTIONS:
+            return Metric(_DIRECTIONS[direction.key], scope.expression(expression))
+        case _:
+            raise wrong(section, "expected (:metric minimize EXPRESSION) or (:metric maximize EXPRESSION)")
+
+
+# --- derived predicates ---------------------------------------------------------------------------
+# The rules of derived predicates must be stratified (PDDL 2.2).
+
+
+def rules(sections: Iterable[Group], symbols: SymbolTable) -> Rules:
+    """Read the rules, which must be stratified, in the order of the file."""
+    read: list[tuple[DerivationRule, Group]] = []
+    for section in sections:
+        symbols.requirements.need(section, ":derived-predicates")
+        head, body = operands(section, 2)
+        if not isinstance(head, Group):
+            raise wrong(head, f"expected a predicate with variables such as (name ?x - type), found {head}")
+        declared = symbols.predicate(head)
+        given = symbols.variables(head.rest)
+        if len(given) != len(declared.parameters):
+            raise wrong(head, f"expected {declared}, found {counted(len(given), 'variable')}")
+        variables = tuple(_narrowed(own, needed, head, symbols) for own, needed in zip(given, declared.parameters, strict=True))
+        read.append((DerivationRule(declared.name, variables, condition(body, TermScope(symbols).inside(variables))), section))
+    _check_stratification(read)
+    return Rules(tuple(rule for rule, _ in read))
+
+
+def derived_predicates(sections: Iterable[Group], symbols: SymbolTable) -> dict[str, Declaration]:
+    """Return every derived predicate; one that is declared nowhere else is declared by the head of its first rule."""
+    derived: dict[str, Declaration] = {}
+    for section in sections:
+        head = section.rest[0] if section.rest else None
+        if not isinstance(head, Group) or not head.head or symbols.find_function(head):
+            continue  # which is refused when the rule is read
+        if symbols.has_predicate(head.head):
+            declared = symbols.predicate(head)
+        elif head.head in {name.lower() for name in derived}:
+            continue
+        else:
+            name = new_name(head.items[0], "predicate", CONNECTIVES)
+            Leniency.DERIVED_UNDECLARED.note(head, name)
+            declared = Declaration(name, symbols.variables(head.rest))
+        derived[declared.name] = declared
+    return derived
+
+
+def _narrowed(given: Variable, needed: Variable, node: Node, symbols: SymbolTable) -> Variable:
+    """Return the variable of a head with its own type, or with that of the declaration where its own is wider or missing."""
+    if all(symbols.domain.matches((kind,), needed.types) for kind in given.types):
+        return given
+    if all(symbols.domain.matches((kind,), given.types) for kind in needed.types):
+        return Variable(given.name, needed.types)
+    raise wrong(node, f"{given.name!r} is of type {show_types(given.types)}; expected {show_types(needed.types)}")
+
+
+def _check_stratification(rules: list[tuple[DerivationRule, Group]]) -> None:
+    """Refuse rules that are not stratified: a fact that follows from its own absence has no meaning (PDDL 2.2)."""
+    derived = {rule.name for rule, _ in rules}
+    needs: dict[str, dict[str, None]] = {}
+    for rule, _ in rules:
+        needs.setdefault(rule.name, {}).update(dict.fromkeys(name for name, _ in polarities(rule.condition) if name in derived))
+    for rule, section in rules:
+        for name, positive in polarities(rule.condition):
+            path = () if positive or name not in derived else _shortest_path(name, rule.name, needs)
+            if path:
+                chain = ", ".join(f"{head!r} from {needed!r}" for head, needed in pairwise(path))
+                circle = f"the derived predicate {rule.name!r} follows from the absence of {name!r}{f', {chain}' if chain else ''}"
+                raise wrong(section, f"{circle}; expected no such circle")
+
+
+def _shortest_path(start: str, end: str, needs: Mapping[str, Iterable[str]]) -> tuple[str, ...]:
+    """Return the shortest path from one derived predicate to another that it needs; empty when there is none."""
+    paths: dict[str, tuple[str, ...]] = {start: (start,)}
+    waiting = [start]
+    while waiting and end not in paths:
+        name = waiting.pop(0)
+        for needed in needs[name]:
+            if needed not in paths:
+                paths[needed] = (*paths[name], needed)
+                waiting.append(needed)
+    return paths.get(end, ())
+
+
+# --- initial state --------------------------------------------------------------------------------
+# The initial state of a PDDL problem: facts, values of functions, and timed initial literals.
+
+
+_Change: TypeAlias = tuple[Fluent, Value]
+
+
+def initial_state(parts: Iterable[Node], scope: TermScope) -> tuple[dict[Fluent, Value], tuple[TimedChange, ...]]:
+    """Read ``(:init ...)``: the state at first, without false facts, and the timed changes by time."""
+    init: dict[Fluent, Value] = {}
+    timed: dict[float, dict[Fluent, Value]] = {}
+    for part in parts:
+        match part:
+            # `at` may also be a predicate; only a timed literal has a number before a list
+            case Group(items=(Atom(), Atom() as moment, Group() as change)) if part.head == "at" and is_number(moment):
+                scope.symbols.requirements.need(part, ":timed-initial-literals", ":timed-initial-fluents")
+                _put(timed.setdefault(time(moment), {}), _change(change, scope), part)
+            case _:
+                _put(init, _change(part, scope), part)
+    true = {fluent: value for fluent, value in init.items() if value is not False}
+    return true, tuple([TimedChange(moment, timed[moment]) for moment in sorted(timed) if timed[moment]])
+
+
+def _change(node: Node, scope: TermScope) -> _Change | None:
+    """Return a fluent and its value; None for one that no condition can read."""
+    match node:
+        case Group() if node.head in ("=", "assign"):
+            target, value = operands(node, 2)
+            if node.head != "=":
+                Leniency.ASSIGN_IN_INIT.note(node, node.head)
+            if scope.symbols.is_undeclared(target):
+                Leniency.VALUE_UNDECLARED.note(node, target)
+                return None
+            declared = scope.symbols.function(target)
+            fluent = scope.function(target)
+            if not declared.values:
+                return fluent, number(value)
+            constant = scope.value(value, declared.values)
+            if not isinstance(constant, Constant):
+                raise wrong(value, f"expected an object, found {value}")
+            return fluent, constant.value
+        case Group() if node.head == "not":
+            (negated,) = operands(node, 1)
+            fact = _fact(negated, scope)
+            return (fact, False) if fact else None
+        case Group() if node.head in REFUSED_IN_INIT and not scope.symbols.has_predicate(node.head):
+            raise REFUSED_IN_INIT[node.head].at(node)
+        case Group():
+            fact = _fact(node, scope)
+            return (fact, True) if fact else None
+        case _:
+            raise wrong(node, f"expected a fact, (= FUNCTION VALUE) or (at TIME ...), found {node}")
+
+
+def _fact(node: Node, scope: TermScope) -> Fluent | None:
+    """Return a fact; None, with a warning, if it is not declared with these arguments."""
+    if isinstance(node, Group):
+        if scope.symbols.is_undeclared(node):
+            Leniency.FACT_UNDECLARED.note(node, node.items[0])
+            return None
+        declared = scope.symbols.predicate(node)
+        if len(node.rest) != len(declared.parameters):
+            Leniency.FACT_ARITY.note(node, declared, counted(len(declared.parameters), "argument"), len(node.rest))
+            return None
+    fluent = scope.fact(node)
+    if fluent[0] in scope.symbols.derived:
+        raise wrong(node, f"{fluent[0]!r} is a derived predicate; it follows from others and cannot be given")
+    return fluent
+
+
+def _put(state: dict[Fluent, Value], change: _Change | None, node: Node) -> None:
+    if change is None:
+        return
+    fluent, value = change
+    before = state.get(fluent, value)
+    if before != value:
+        if isinstance(value, bool):
+            raise wrong(node, f"{fluent_text(fluent)} has another value before; expected one value")
+        Leniency.VALUE_TWICE.note(node, fluent_text(fluent))
+    elif fluent in state:
+        Leniency.FACT_TWICE.note(node, fluent_text(fluent))
+    state[fluent] = value
+
+
+# --- numbers without a value ----------------------------------------------------------------------
+# Numbers that actions read and that have no value in the initial state: such an action cannot be applied, which no planner says.
+#
+# Only functions with at most one parameter are looked at: of others, such as distances, those that are left out mostly say something.
+
+
+def missing_numbers(problem: ProblemModel) -> tuple[Fluent, ...]:
+    """Return the numbers without a value that actions of the domain read, if nothing assigns one later."""
+    actions = problem.domain.actions.values()
+    effects = [effect for action in actions for effect in every_effect((*action.start_effects, *action.end_effects))]
+    assigned = {effect.fluent[0] for effect in effects if isinstance(effect, Set) and effect.operation == "assign"}
+    assigned |= {fluent[0] for change in problem.timed for fluent in change.changes}
+    numbers = {name for name, declared in problem.domain.functions.items() if not declared.values} - assigned
+    read = dict.fromkeys(fluent for action in actions for fluent in numbers_read(problem, action) if fluent[0] in numbers)
+    return tuple(fluent for fluent in read if fluent not in problem.init)
+
+
+def numbers_read(problem: ProblemModel, action: ActionSchema) -> Iterator[Fluent]:
+    """Yield what the action reads with no parameter, or one, for all objects of its type; untyped ones may stand for any object."""
+    types = {variable.name: variable.types for variable in action.parameters if variable.types != ("object",)}
+    for fluent in chain.from_iterable(map(expression_fluents, expressions_in(action))):
+        match fluent:
+            case (_,):
+                yield fluent
+            case (name, variable) if variable in types:
+                yield from ((name, each) for kind in types[variable] for each in problem.objects_by_type.get(kind, ()))
+            case _:
+                pass
+
+
+def expressions_in(action: ActionSchema) -> Iterator[Expression]:
+    """Yield the expressions that the action computes: in its conditions, its duration and its effects."""
+    for part in chain.from_iterable(map(every_part, (action.precondition, action.invariant, action.end_condition))):
+        if isinstance(part, Compare):
+            yield from (part.left, part.right)
+    yield from (constraint.bound for constraint in action.duration or ())
+    yield from (effect.value for effect in every_effect((*action.start_effects, *action.end_effects)) if isinstance(effect, Set))

@@ -1,0 +1,148 @@
+"""What PDDL the reader takes (PDDL 3.1, HDDL): its requirements, the constructs it refuses, and the slips it tolerates.
+
+Everything that is refused as a construct is a member of `Refused`, everything that is read with a warning one of
+`Leniency`, each with its text. To accept a new construct, read it where `Refused.….at` is raised, and delete it here.
+(The two slips of parentheses and spaces that the parser tolerates are in `planner_bridge.pddl.expressions`.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from enum import Enum
+from typing import Final
+
+from planner_bridge.pddl.expressions import Atom, Node, new_name, tolerate, wrong
+from pnm.errors import InputError
+
+_CONTINGENT: Final = "a contingent planner, of which unified-planning brings none,"
+_SIMULATION: Final = "a simulation of change over time"
+
+
+class Refused(Enum):
+    """A construct of PDDL that is not supported: its name, and what would be needed to support it."""
+
+    PROCESS = "processes (:process)", _SIMULATION
+    EVENT = "events (:event)", "changes that happen without an action"
+    CONTINUOUS_EFFECT = "continuous effects (#t)", _SIMULATION
+    DURATION_AT_END = "durations that are decided at the end", "a bound that is only known when the action ends"
+    CONDITIONAL_OVER_ALL = "conditional effects on a condition 'over all'", "a watch over what is not required"
+    SENSING_ACTION = "sensing actions (:observe)", _CONTINGENT
+    ONEOF = "uncertain facts (oneof)", _CONTINGENT
+    UNKNOWN = "uncertain facts (unknown)", _CONTINGENT
+    PROBABILISTIC = "probabilistic effects", "a probabilistic planner"
+    OR_IN_INIT = "uncertain initial states (or in :init)", _CONTINGENT
+    ONEOF_IN_INIT = "uncertain initial states (oneof in :init)", _CONTINGENT
+    UNKNOWN_IN_INIT = "uncertain initial states (unknown in :init)", _CONTINGENT
+
+    def at(self, node: Node) -> InputError:
+        """Return the error for this construct where the node stands."""
+        construct, needed = self.value
+        return wrong(node, f"{construct} are not supported yet; {needed} would be needed")
+
+
+REFUSED_SECTIONS: Final[Mapping[str, Refused]] = {":process": Refused.PROCESS, ":event": Refused.EVENT, ":observe": Refused.SENSING_ACTION}
+REFUSED_HEADS: Final[Mapping[str, Refused]] = {"oneof": Refused.ONEOF, "unknown": Refused.UNKNOWN, "probabilistic": Refused.PROBABILISTIC}
+"""In the place of a predicate or function."""
+REFUSED_IN_INIT: Final[Mapping[str, Refused]] = {
+    "or": Refused.OR_IN_INIT,
+    "oneof": Refused.ONEOF_IN_INIT,
+    "unknown": Refused.UNKNOWN_IN_INIT,
+}
+"""In the initial state, where no predicate has that name."""
+
+
+class Leniency(Enum):
+    """Something that is not as it should be but can be understood: the text of its warning, with places for details."""
+
+    # requirements and sections
+    MISSING_REQUIREMENT = "{} is needed here but not among the :requirements"
+    REQUIREMENT_WITHOUT_COLON = "{} is read as '{}'"
+    UNKNOWN_REQUIREMENT = "unknown requirement '{}'"
+    SECOND_SECTION = "a second {} section, read as part of the first in line {}"
+    OTHER_DOMAIN = "the problem is for a domain {}; this one is {!r}"
+    NO_DOMAIN = "the problem does not name its domain; expected (:domain {})"
+    LENGTH = "':length' is ignored"
+    NO_GOAL = "there is no :goal; any state will do"
+    SEVERAL_CONSTRAINTS = "several constraints without 'and' around them; all of them count"
+
+    # declarations
+    TYPE_WITHOUT_NAMES = "there is no name before the type {}; it is ignored"
+    TYPE_TWICE = "the type {} is declared twice; it is of all the kinds given"
+    OBJECT_TWICE = "the object {!r} is declared twice{}"
+    SYMBOL_TWICE = "the {} {!r} is declared twice, the first time in line {}; it takes the types of both"
+    VARIABLE_TWICE = "the variable {} is there twice"
+    DERIVED_UNDECLARED = "the predicate {!r} is derived here but not among the :predicates"
+
+    # names
+    OBJECT_OF_PROBLEMS = "the object {} is not among the :constants; every problem has to declare it"
+    OTHER_SPELLING = "the {} {} is read as {!r}"
+    TOTAL_COST_UNDECLARED = "the function {} is not declared; it is read as (total-cost) - number"
+    PREDICATE_UNDECLARED = "the predicate {} is not declared; it is read as false"
+
+    # actions
+    MOMENT_INSIDE = "{} is expected inside ({} ...)"
+    DURATION_SECOND = "?duration is expected first"
+    VARS = "the variables of :vars are read as further parameters"
+
+    # initial state
+    FACT_UNDECLARED = "the predicate {} is not declared; the fact is ignored"
+    FACT_ARITY = "{} takes {}, found {}; the fact is ignored"
+    ASSIGN_IN_INIT = "'{}' is read as '='"
+    VALUE_UNDECLARED = "the function {} is not declared; its value is ignored"
+    VALUE_TWICE = "{} has another value before; this one is used"
+    NUMBER_MISSING = "{} has no value at first; actions that need it cannot be applied"
+    FACT_TWICE = "{} is there twice"
+
+    def note(self, node: Node, *details: object) -> None:
+        """Add the warning about the node to those of its file."""
+        tolerate(node, self.value.format(*details))
+
+
+_QUANTIFIED: Final = (":existential-preconditions", ":universal-preconditions")
+_FLUENTS: Final = (":numeric-fluents", ":object-fluents")
+_IMPLIED: Final[Mapping[str, tuple[str, ...]]] = {
+    ":quantified-preconditions": _QUANTIFIED,
+    ":fluents": _FLUENTS,
+    ":timed-initial-literals": (":durative-actions",),
+    ":domain-axioms": (":derived-predicates",),
+    ":adl": (
+        *(":strips", ":typing", ":negative-preconditions", ":disjunctive-preconditions", ":equality"),
+        *(":quantified-preconditions", ":conditional-effects", *_QUANTIFIED),
+    ),
+}
+_KNOWN: Final = frozenset(
+    (
+        *(*_IMPLIED, *_FLUENTS, *_IMPLIED[":adl"], ":durative-actions", ":duration-inequalities", ":continuous-effects"),
+        *(":derived-predicates", ":timed-initial-fluents", ":preferences", ":constraints", ":action-costs", ":goal-utilities"),
+        *(":time", ":contingent", ":non-deterministic", ":probabilistic-effects", ":rewards", ":multi-agent"),
+        *(":hierarchy", ":method-preconditions", ":htn", ":htn-method-prec"),
+    )
+)
+
+
+class Requirements:
+    """The requirements of a file. The mutable state is those that are missing, each of which is reported once."""
+
+    def __init__(self, words: Iterable[str]) -> None:
+        self._allowed = {needed for word in words for needed in (word, *_IMPLIED.get(word, ()))}
+
+    def need(self, node: Node, word: str, *others: str) -> None:
+        """Note that this part needs the requirement; one of the others would do as well."""
+        if word not in self._allowed and self._allowed.isdisjoint(others):
+            self._allowed.add(word)
+            Leniency.MISSING_REQUIREMENT.note(node, word)
+
+
+def requirements(parts: Iterable[Node]) -> tuple[str, ...]:
+    """Read requirements, each with its colon and in lower case; unknown ones are kept."""
+    words: list[str] = []
+    for part in parts:
+        if not isinstance(part, Atom):
+            raise wrong(part, f"expected a requirement such as :typing, found {part}")
+        word = ":" + new_name(Atom(part.key.lstrip(":") or ":", part.offset, part.source), "requirement")
+        if part.text[0] != ":":
+            Leniency.REQUIREMENT_WITHOUT_COLON.note(part, part, word)
+        if word not in _KNOWN:
+            Leniency.UNKNOWN_REQUIREMENT.note(part, word)
+        words.append(word)
+    return tuple(dict.fromkeys(words))

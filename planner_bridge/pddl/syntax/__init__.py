@@ -1,1 +1,0 @@
-"""PDDL as text: s-expressions with positions, sections, words, pretty printing."""

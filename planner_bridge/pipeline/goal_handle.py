@@ -1,0 +1,213 @@
+"""The handle of a goal that is pursued on the event loop that runs here: awaited for its result; paused, resumed, stopped meanwhile."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Generator, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final, cast
+from uuid import uuid4
+
+from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.problem import Problem
+from planner_bridge.tasks.result import TASKS, Stopwatch, TaskResult
+from planner_bridge.tasks.settings import Settings, TaskObserver
+from planner_bridge.tasks.task_manager import TaskManager
+from pnm.actions.backend import Backend, SimulatedBackend, check_ready
+from pnm.clock import continue_from
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.errors import InputError
+from pnm.journal.journal import NO_JOURNAL, Journal
+from pnm.journal.kept import Fenced, JournalChoice
+from pnm.journal.replay import Replay
+from pnm.knowledge.source import Source
+from pnm.knowledge.sources import SourceChoice, Sources, Surroundings, make_source
+from pnm.language.runner import PlanRunner, Program
+from pnm.tasks import Code, TaskState, Wanted
+
+if TYPE_CHECKING:
+    from pnm.journal.resume import Taken
+
+
+@dataclass(frozen=True)
+class TaskJournal:
+    """The journal of one task.
+
+    Args:
+        taken: the journal, which nobody else can write now; None for none.
+        origin: what its world is made from.
+        replay: of what goes on; None if the task begins.
+    """
+
+    taken: Taken | None = None
+    origin: str = ""
+    replay: Replay | None = None
+
+    @staticmethod
+    def of(choice: JournalChoice, origin: str) -> TaskJournal:
+        """Return the journal with the task in it that is not finished, if there is one; raise an `InputError` if it cannot be used."""
+        from pnm.journal.resume import take_up  # here, because it takes its time to import, for which runs without a journal need not wait
+
+        taken = take_up(choice, TASKS, origin)
+        return TaskJournal(taken, origin, taken.replay if taken.replay and taken.replay.unfinished else None)
+
+    def world(self, initial: KnowledgeBase) -> KnowledgeBase:
+        """Return what is known of the world: what another process knew, or the initial knowledge."""
+        return self.replay.world if self.replay else initial
+
+    @contextmanager
+    def opened(self, backend: Backend) -> Iterator[Journal]:
+        """Enter the journal; the time of what goes on in it goes on as well, and simulated robots begin in its world."""
+        if self.taken is None:
+            yield NO_JOURNAL
+            return
+        if self.replay:
+            continue_from(self.replay.now)
+            if isinstance(backend, SimulatedBackend):
+                backend.robots.go_on_from(self.replay.world, self.replay.now - self.replay.began)
+        fenced, task = list[Fenced](), asyncio.current_task()
+
+        def end(why: Fenced) -> None:
+            """Leave what runs alone: another process goes on with it."""
+            fenced.append(why)
+            if task is not None:
+                task.cancel()
+                task.get_loop().call_later(0.0, task.cancel)  # the first one only asks for an end, which this journal does not record
+
+        journal = replace(self.taken, replay=self.replay).write(end)
+        try:
+            yield journal
+        except asyncio.CancelledError:
+            if not fenced:
+                raise
+            raise fenced[0] from None
+        finally:
+            journal.close()
+
+    def runner(
+        self,
+        backend: Backend,
+        world: KnowledgeBase,
+        journal: Journal,
+        programs: Mapping[str, Program] | None = None,
+        source: Source | None = None,
+    ) -> PlanRunner:
+        """Return what carries plans out, with the resources of what goes on; or begin the journal."""
+        runner = PlanRunner(programs or {}, backend, world, source, journal, self.replay.resources if self.replay else None)
+        if self.replay is None:
+            command, seal = (self.taken.choice.command, self.taken.choice.seal) if self.taken else ((), "")
+            journal.begin(world, runner.resources, prefix=runner.prefix, origin=self.origin, command=command, seal=seal)
+        elif self.replay.shared:
+            runner.prefix = self.replay.shared.prefix
+        return runner
+
+    async def carry_out(self, manager: TaskManager, wanted: Wanted, observer: TaskObserver, stopwatch: Stopwatch) -> TaskResult:
+        """Carry out the task that goes on, or the one that is wanted; see `TaskManager.run`."""
+        if self.replay:
+            return await manager.go_on(self.replay, observer, stopwatch)
+        return await manager.run(wanted, observer, stopwatch)
+
+
+KEPT_NOWHERE: Final = TaskJournal()
+
+
+# --- the handle -----------------------------------------------------------------------------------
+
+
+class GoalHandle:
+    """A goal that is pursued on a backend, by a task manager with one task.
+
+    The mutable state is the task manager, once the backend is open, and the asyncio task, once it has begun.
+    """
+
+    def __init__(
+        self,
+        backend: Backend,
+        problem: Problem,
+        settings: Settings,
+        observer: TaskObserver,
+        stopwatch: Stopwatch,
+        journal: TaskJournal = KEPT_NOWHERE,
+    ) -> None:
+        self._journal = journal
+        self._backend = backend
+        self._problem = problem
+        self._settings = settings
+        self._observer = observer
+        self._stopwatch = stopwatch
+        self._manager: TaskManager | None = None
+        self._task: asyncio.Task[TaskResult] | None = None
+
+    def __repr__(self) -> str:
+        return f"<GoalHandle of {self._problem.goal}: {self.state.name.lower()}>"
+
+    def __await__(self) -> Generator[Any, None, TaskResult]:
+        """Wait for the result; cancelling that alone does not stop it."""
+        if self._task is None:
+            raise InputError("the goal has not begun")
+        return asyncio.shield(self._task).__await__()
+
+    def begin(self) -> GoalHandle:
+        """Begin on the running event loop; return the handle itself."""
+        self._task = self._task or asyncio.get_running_loop().create_task(self.run(), name=repr(self))
+        return self
+
+    async def run(self) -> TaskResult:
+        """Pursue the goal to its end.
+
+        Cancelling this stops the task: what is under way is cancelled and waited for; cancelling it again leaves it alone.
+        """
+        with self._journal.opened(self._backend) as journal:
+            return await self._pursue(journal)
+
+    async def _pursue(self, journal: Journal) -> TaskResult:
+        backend, goal = self._backend, self._problem.goal
+        knowledge = self._journal.world(initial_knowledge(self._problem))
+        helper = None
+        try:
+            try:
+                await backend.open(knowledge)
+                await check_ready(backend)
+            except asyncio.CancelledError:
+                cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
+                return TaskResult(Code.CANCELLED, "cancelled", 0, (), self._stopwatch.seconds)
+            if self._settings.ask_for_help:
+                helper = Sources((), make_source(SourceChoice("person"), Surroundings(getattr(backend, "ros", None))))
+            runner = self._journal.runner(backend, knowledge, journal)
+            manager = TaskManager(self._problem, runner, self._settings, lambda _: goal, helper=helper)
+            self._manager = manager
+            return await self._journal.carry_out(manager, Wanted(uuid4(), ""), self._observer, self._stopwatch)
+        finally:
+            if helper is not None:
+                await helper.close()
+            await backend.close()
+
+    @property
+    def state(self) -> TaskState:
+        """How the goal is doing."""
+        if self._task is not None and self._task.done():
+            return TaskState.OVER
+        return next((status.state for status in self._manager.status()), TaskState.PLANNING) if self._manager else TaskState.QUEUED
+
+    @property
+    def reason(self) -> str:
+        """Why it is in this state: what it waits for, what failed."""
+        return next((status.reason for status in self._manager.status()), "") if self._manager else ""
+
+    async def pause(self, *, at_once: bool = False) -> None:
+        """Start nothing more, and return when what is under way has ended; `at_once` cancels it, to begin it anew later."""
+        if self._manager is not None:
+            await self._manager.pause(None, at_once=at_once)
+
+    async def resume(self) -> None:
+        """Go on after a pause: with the rest of the plan if that still works."""
+        if self._manager is not None:
+            await self._manager.resume(None)
+
+    async def stop(self) -> TaskResult:
+        """Cancel what is under way, wait until it is over, and return the result; a second time, leave it alone."""
+        if self._task is None:
+            raise InputError("the goal has not begun")
+        self._task.cancel()
+        return await self

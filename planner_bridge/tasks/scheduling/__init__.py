@@ -1,1 +1,0 @@
-"""Many tasks at once: the task manager, preemption, the planning queue, interference of plans."""

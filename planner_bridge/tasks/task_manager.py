@@ -1,0 +1,529 @@
+"""Several tasks at once, in one world with shared robots: goals with priorities; pause, resume, preempt, cancel.
+
+A task makes way for one of higher priority that needs what it has, or whose plan is in conflict with its own: it is paused, and
+goes on by itself when that one is over. Among equals the first one is served first.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Collection, Coroutine
+from dataclasses import dataclass, replace
+from time import time
+from uuid import UUID
+
+from planner_bridge.model.problem import Problem
+from planner_bridge.tasks.context import PlanningQueue, Preemption
+from planner_bridge.tasks.control import Execution, Watchdog
+from planner_bridge.tasks.result import Stopwatch, TaskResult, join_reasons
+from planner_bridge.tasks.settings import Settings, TaskObserver
+from planner_bridge.tasks.task import StartTask, Task
+from planner_bridge.tasks.task_start import TaskStart, TaskText
+from pnm.clock import stop_then_cancel
+from pnm.core.broadcast import broadcast
+from pnm.core.knowledge_base import Layered
+from pnm.core.logic.conditions import Condition
+from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.machine.requests import OutcomeKind
+from pnm.core.net.net import Marking
+from pnm.core.resources import who_keeps
+from pnm.errors import InputError
+from pnm.journal.journal import Journal
+from pnm.journal.kept import JournalError
+from pnm.journal.replay import Replay, ReplayedTask
+from pnm.knowledge.source import Asker, Source
+from pnm.knowledge.sources import Sources
+from pnm.language.runner import PlanRunner
+from pnm.tasks import (
+    EVENTS,
+    REMEMBERED,
+    SHORT,
+    Code,
+    OnConflict,
+    TaskEnding,
+    TaskListener,
+    TaskRefused,
+    TaskState,
+    TaskStatus,
+    TaskStep,
+    TraceEvent,
+    TraceKind,
+    Wanted,
+)
+
+_log = logging.getLogger(__name__)
+
+
+class TaskManager:
+    """Carries out tasks in one world, as `pnm.tasks.Tasks`.
+
+    The mutable state is what the constructor sets under "state".
+
+    Args:
+        problem: the domain and the objects of goals; its initial state is not looked at.
+        runner: carries out the plans that are loaded; all tasks share its world, backend, which is open, resources, source and journal.
+        settings: planner, bindings, limits and policies.
+        read_goal: reads a goal; raises InputError.
+        helper: the person who is asked for help when a task cannot go on; None for none.
+        limits: how many tasks there may be.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        runner: PlanRunner,
+        settings: Settings,
+        read_goal: Callable[[str], Condition],
+        *,
+        helper: Source | None = None,
+        limits: TaskLimits | None = None,
+    ) -> None:
+        self._limits = limits or TaskLimits()
+        self._resources = runner.resources
+        self._journal = runner.journal
+        self._people = [source for source in (runner.source, helper) if isinstance(source, Sources)]
+        self._loop = asyncio.get_running_loop()
+        # state
+        self._tasks = TaskList()
+        self._work: dict[UUID, asyncio.Task[None]] = {}
+        self._ending: set[UUID] = set()
+        """Tasks that have ended, which is not kept yet."""
+        self._beside: set[asyncio.Task[None]] = set()
+        self._listeners: list[TaskListener] = []
+        self._order = 0
+        self._is_held = False
+        self._queue: PlanningQueue[Task] = PlanningQueue(lambda task: task.rank)
+        self._preemption = Preemption(self._tasks.active, self._resources, self._queue)
+        self._start = TaskStart(problem, runner, settings, read_goal, self._preemption, self._limits.on_conflict, helper)
+        self._listeners += [StateLog(self._journal), self._preemption, EventLog()]
+        self._listener = broadcast(TaskListener, self._listeners)
+        self._stop_listening = self._resources.listen(self._preemption.preempt_holders)
+
+    def __repr__(self) -> str:
+        return f"<TaskManager {len(self._tasks.active)} tasks>"
+
+    def begin(self, wanted: Wanted, /) -> None:
+        """Begin a task. Whatever is wrong with it ends it, with a code and a reason."""
+        self._order += 1
+        self._begin(Task(wanted, self._order, self._listener, self._loop.time))
+
+    def restore(self, replay: Replay, observers: tuple[TaskObserver, ...] = (), stopwatch: Stopwatch | None = None) -> None:
+        """Go on with the tasks of another process, which has died: its knowledge and its resources are those of this task manager.
+
+        The observers listen to all of them, and the stopwatch measures where their time goes.
+        """
+        self._start.began, self._is_held = replay.began, replay.is_held
+        unreadable: list[tuple[Task, ReplayedTask, TaskEnding]] = []  # the problem, or the plans, are not those with which it was accepted
+        for kept in replay.tasks.values():
+            wanted, self._order = kept.accepted.wanted, max(self._order, kept.accepted.order)
+            task = Task(wanted, kept.accepted.order, self._listener, self._loop.time, observers, stopwatch or Stopwatch())
+            task.restore(kept)
+            if task.ending:
+                self._tasks.remember(task)
+            elif wrong := self._understand(task, self._start.reader(task), kept):
+                unreadable.append((task, kept, wrong))
+            else:
+                self._restore(task, kept)
+        for task, kept, wrong in unreadable:  # when the others are there, for ends let those that wait begin
+            for replayed in (one for one in kept.runs if not one.is_over):  # requests that are out are given up, and recalled
+                self._journal.retired(replayed.run)
+                replayed.run.retire()
+            self._list(task, time() - kept.accepted.wall)
+            self._end(task, wrong)
+        self._start.recall(replay.withheld)
+        self._admit()
+
+    async def run(self, wanted: Wanted, observer: TaskObserver, stopwatch: Stopwatch) -> TaskResult:
+        """Carry out a task and return its result. Cancelling this stops the task; cancelling it again leaves it alone.
+
+        Args:
+            wanted: what the task is about.
+            observer: listens to the task.
+            stopwatch: measures where its time goes.
+
+        Raises:
+            InputError: there is something wrong with the task; nothing was started.
+        """
+        self._order += 1
+        task = Task(wanted, self._order, self._listener, self._loop.time, (observer,), stopwatch)
+        observer.managed(self)
+        self._begin(task)
+        return await self._result_of(task)
+
+    async def go_on(self, replay: Replay, observer: TaskObserver, stopwatch: Stopwatch) -> TaskResult:
+        """Carry the one task of another process on, and return its result; see `run` and `restore`."""
+        observer.managed(self)
+        self.restore(replay, (observer,), stopwatch)
+        (task,) = (self._tasks.of(kept.accepted.wanted.id) for kept in replay.unfinished)
+        observer.restored()
+        return await self._result_of(task)
+
+    async def _result_of(self, task: Task) -> TaskResult:
+        """Wait for the result of a task; cancelling this stops it."""
+        if work := self._work.get(task.id):
+            await stop_then_cancel(work, lambda: self._stop(task, Code.CANCELLED, "cancelled"))
+        if task.result is None:
+            raise task.error or InputError(task.control.reason)
+        return task.result
+
+    async def pause(self, task: UUID | None, /, *, at_once: bool, why: str = "paused on request", is_kept: bool = True) -> None:
+        """Start nothing more of a task, or of all; return when nothing of it is under way."""
+        if task is None:  # tasks that come later begin paused as well
+            self._is_held = True
+        chosen = self._tasks.chosen(task)
+        # A task that is paused already keeps its reason: it is not this request that stops it.
+        reasons = [active_task.control.reason if active_task.is_held else why for active_task in chosen]
+        for active_task in chosen:
+            active_task.is_held = True
+            self._queue.leave(active_task)
+        for held in (*([None] if task is None else []), *(active_task.id for active_task in chosen)) if is_kept else ():
+            self._journal.held(held, is_held=True)
+        await asyncio.gather(*(one.control.pause(reason, at_once=at_once) for one, reason in zip(chosen, reasons, strict=True)))
+        self._queue.changed()
+
+    async def resume(self, task: UUID | None, /, *, but: Collection[UUID] = ()) -> None:
+        """Let a task that was paused go on, or all but these."""
+        chosen = [active_task for active_task in self._tasks.chosen(task) if active_task.id not in but]
+        if task is None:
+            self._is_held = False
+            self._journal.held(None, is_held=False)
+        elif not chosen[0].is_held:
+            control = chosen[0].control
+            why = f", {control.reason}" if control.reason else ""
+            raise TaskRefused(f"nobody has paused the task {task}: it is {control.state.word}{why}")
+        for active_task in chosen:
+            active_task.is_held = False
+            self._journal.held(active_task.id, is_held=False)
+        self._preemption.update_all()  # not resumed directly, nor one after the other: which of them go on is decided for all at once
+        self._admit()
+
+    async def cancel(self, task: UUID | None, /, *, why: str = "cancelled on request") -> None:
+        """End a task, or all; return when what was under way has confirmed it, or the limit for that has passed."""
+        chosen = self._tasks.chosen(task)
+        for active_task in chosen:  # all are asked to end before the first is waited for, so that they end side by side
+            self._stop(active_task, Code.CANCELLED, why)
+        for active_task in chosen:
+            await active_task.control.over.wait()
+
+    async def step(self, task: UUID, /) -> None:
+        """Let one request of a task leave that an operator has paused; return when nothing is under way any more."""
+        (chosen,) = self._tasks.chosen(task)
+        if not chosen.is_held:
+            raise TaskRefused(f"the task {task} is not paused on request")
+        await chosen.control.step()
+        self._queue.changed()
+
+    def settle(self, request: UUID, /, *, is_done: bool) -> None:
+        """Have a request that is under way count as succeeded or failed, because a person says so, once its server is done with it."""
+        self._tasks.execution_of(request).executor.settle(request, OutcomeKind.SUCCEEDED if is_done else OutcomeKind.ABORTED)
+
+    def answer(self, question: UUID, text: str, /) -> None:
+        """Answer a question to a person; raise a `SourceError` for a text that is no answer to it."""
+        if not any(source.answer(question, text) for source in self._people):
+            raise TaskRefused("nobody waits for an answer to that any more")
+
+    def status(self) -> tuple[TaskStatus, ...]:
+        """Return the status of all tasks that are not over, in the order in which they are served, and of those that ended last."""
+        return self._tasks.status()
+
+    def plan(self, task: UUID, /) -> tuple[int, tuple[TaskStep, ...]]:
+        """Return the number of plans that the task has had before, and the steps of its plan; none when it has none."""
+        active_task = self._tasks.active.get(task)
+        return (max(0, active_task.plans - 1), active_task.steps) if active_task else (0, ())
+
+    def net(self, task: UUID, /) -> tuple[int, PetriNetMachine, Marking] | None:
+        """Return the number of nets that the task has had before, the net that it has now, and its marking."""
+        return self._tasks.active[task].net if task in self._tasks.active else None
+
+    def listen(self, listener: TaskListener, /) -> Callable[[], None]:
+        """Have a listener listen from now on; return what stops that."""
+        self._listeners.append(listener)
+        return lambda: self._listeners.remove(listener)
+
+    def begin_anew(self, problem: Problem) -> None:
+        """Pursue goals in the world of another problem from now on.
+
+        Raises:
+            InputError: there are tasks, or requests that were given up; or it cannot be kept.
+        """
+        if self._journal.blocked:
+            raise InputError(self._journal.blocked)
+        if busy := f"there are {number} tasks" if (number := len(self._tasks.active)) else who_keeps(self._resources.withheld):
+            raise InputError(f"{busy}; that must be over before another problem is loaded")
+        self._start.problem, self._start.began = problem, self._loop.time()
+
+    def knowledge_of(self, request: UUID) -> tuple[Layered, Asker] | None:
+        """Return the knowledge of the run that has sent a request, and as whom it asks; None unless the request is open."""
+        return self._tasks.knowledge_of(request)
+
+    async def close(self) -> None:
+        """Cancel all tasks, and wait until they are over; leave them alone when this is cancelled."""
+        tasks = tuple(self._tasks.active.values())
+        for reading in self._beside:
+            reading.cancel()
+        for task in tasks:
+            self._stop(task, Code.CANCELLED, "the task manager is being shut down")
+        try:
+            for task in tasks:
+                if task.id not in self._ending:  # if that cannot be kept, the next process comes to the same end
+                    await task.control.over.wait()
+        except asyncio.CancelledError:
+            for work in self._work.values():
+                work.cancel()
+            raise
+        finally:
+            self._stop_listening()
+
+    # --- beginning ------------------------------------------------------------------------------
+
+    def _begin(self, task: Task) -> None:
+        task.note(TraceKind.GOAL, "", task.status.title)
+        waiting = sum(not other.control.has_begun for other in self._tasks.active.values())
+        if task.id in self._tasks.active:
+            self._end(task, TaskEnding(Code.ERROR, "there is a task of this id already"))
+            return
+        if waiting >= self._limits.queue and self._is_full:
+            self._end(task, TaskEnding(Code.QUEUE_FULL, f"{waiting} tasks are waiting already"))
+            return
+        read = self._start.reader(task)
+        if not (is_long := len(task.wanted.text) > SHORT) and (wrong := self._understand(task, read)):
+            self._end(task, wrong)
+            return
+        try:
+            self._journal.accepted(task.wanted, task.order)
+        except JournalError as error:
+            self._end(task, TaskEnding(Code.ERROR, str(error)))
+            return
+        task.is_held = self._is_held
+        self._list(task, 0.0)
+        if task.is_held:
+            self._hold(task)
+        if is_long:
+            self._go_beside(self._understand_beside(task, read))
+        self._admit()
+
+    def _go_beside(self, work: Coroutine[None, None, None]) -> None:
+        going = self._loop.create_task(work)
+        self._beside.add(going)
+        going.add_done_callback(self._beside.discard)
+
+    def _list(self, task: Task, passed: float) -> None:
+        """List a task, some seconds after it was accepted: from here on its deadline can end it, even before it is admitted."""
+        self._tasks.active[task.id] = task
+        if task.wanted.deadline is not None:
+            reason = f"the goal was not reached within {task.wanted.deadline:g} s"
+            left = max(0.0, task.wanted.deadline - passed)
+            task.deadline = self._loop.call_later(left, self._stop, task, Code.DEADLINE_MISSED, reason)
+        task.entered(TaskState.QUEUED, "")
+
+    def _restore(self, task: Task, kept: ReplayedTask) -> None:
+        """Go on with a task where another process has left it."""
+        task.is_held = kept.is_held
+        self._list(task, time() - kept.accepted.wall)
+        if task.start and any(replayed.run.begun for replayed in kept.runs):  # what it has begun may still go on
+            if task.is_held:
+                self._hold(task)
+            self._set_out(task, task.start)
+
+    def _hold(self, task: Task) -> None:
+        """Have a task be paused from the beginning."""
+        task.control.hold()
+        self._go_beside(task.control.pause("paused on request", at_once=False))
+
+    async def _understand_beside(self, task: Task, read: Callable[[], TaskText]) -> None:
+        """Read a long text in a thread; the task may be over meanwhile."""
+        reading = asyncio.ensure_future(asyncio.to_thread(read))
+        try:
+            await asyncio.wait((reading,))
+        finally:
+            reading.cancel()
+        if task.ending is None:
+            if wrong := self._understand(task, reading.result):
+                self._end(task, wrong)
+            self._admit()
+
+    def _understand(self, task: Task, read: Callable[[], TaskText], kept: ReplayedTask | None = None) -> TaskEnding | None:
+        """Note what carries the task out, as its text says; return its ending if that is wrong."""
+        try:
+            task.start = self._start.start(task, read(), kept)
+        except InputError as error:
+            task.error = error
+            return TaskEnding(Code.INVALID_GOAL, str(error))
+        except Exception as error:
+            _log.exception("%s cannot begin", task.name)
+            task.error = error
+            return TaskEnding(Code.ERROR, f"{type(error).__name__}: {error}")
+        return None
+
+    @property
+    def _is_full(self) -> bool:
+        return sum(task.control.has_begun for task in self._tasks.active.values()) >= self._limits.active
+
+    def _admit(self) -> None:
+        for task in self._tasks.in_order():
+            if task.start and not task.control.has_begun and not task.is_held and not self._is_full:
+                self._set_out(task, task.start)
+
+    def _set_out(self, task: Task, start: StartTask) -> None:
+        task.control.begin(TaskState.RUNNING if task.wanted.is_plan else TaskState.PLANNING)
+        task.watchdog = Watchdog(task.control, lambda: self._end_still(task))
+        self._work[task.id] = self._loop.create_task(self._carry_out(task, start))
+
+    async def _carry_out(self, task: Task, start: StartTask) -> None:
+        ending = TaskEnding(Code.ERROR, "an internal error; the log says more")
+        try:
+            task.result = await start()
+            ending = task.result.ending()
+        except InputError as error:
+            task.error = error
+            ending = TaskEnding(Code.INVALID_GOAL if task.wanted.is_plan else Code.PLANNER_ERROR, str(error))
+        except Exception as error:
+            task.error = error
+            if not task.observers:  # which get the error themselves
+                _log.exception("%s cannot be done", task.name)
+        except asyncio.CancelledError:
+            stopped = task.control.stopped
+            reasons = join_reasons(stopped.reason if stopped else "", "what it runs is left alone")
+            ending = TaskEnding(stopped.code if stopped else Code.CANCELLED, reasons)
+            if not task.is_abandoned:
+                raise
+        finally:
+            del self._work[task.id]
+            self._end(task, ending)
+
+    # --- ending ---------------------------------------------------------------------------------
+
+    def _stop(self, task: Task, code: Code, reason: str) -> None:
+        """End a task, which may still have to confirm it."""
+        if task.control.has_begun:
+            task.control.stop(code, reason)
+        else:
+            self._end(task, TaskEnding(code, reason))
+
+    def _end_still(self, task: Task) -> None:
+        """End a task that stands still, in order; leave it alone if that does not end it either."""
+        _log.error("%s: %s", task.name, task.why_still)
+        if task.control.stopped:
+            task.is_abandoned = True
+            self._work[task.id].cancel()
+        else:
+            self._stop(task, Code.ERROR, task.why_still)
+
+    def _end(self, task: Task, ending: TaskEnding) -> None:
+        """End a task; nobody hears of that before it is kept."""
+        if self._tasks.active.get(task.id) is not task:  # it was never accepted, for the id is that of another one, say
+            self._ended(task, ending)
+        elif task.id not in self._ending:
+            self._ending.add(task.id)
+            ending = replace(ending, replans=task.replans)
+            self._journal.over(task.id, ending, lambda: self._ended(task, ending))
+
+    def _ended(self, task: Task, ending: TaskEnding) -> None:
+        if self._tasks.active.get(task.id) is task:
+            del self._tasks.active[task.id]
+            self._ending.discard(task.id)
+        self._queue.leave(task)
+        self._tasks.remember(task)
+        task.end(ending)  # listed as past before its listeners know, so that they find it when they ask
+        self._queue.changed()
+        self._preemption.update_all()
+        self._admit()
+
+
+# --- logs -----------------------------------------------------------------------------------------
+# The log of what happens to tasks: a line per event, at the level that it deserves. And their states, for the journal.
+
+
+class EventLog(TaskListener):
+    """Logs the events of tasks to `pnm.tasks.EVENTS`."""
+
+    def happened(self, moment: TraceEvent) -> None:
+        """Log an event, but not all feedback and every transition that fires."""
+        if not moment.kind.is_frequent:
+            text = ": ".join(filter(None, (moment.kind.word, moment.subject, moment.text)))
+            EVENTS.log(moment.level, "%s %s", moment.task.hex[:8], text)
+
+
+class StateLog(TaskListener):
+    """Keeps the states of tasks in a journal: whoever reads it tells the same of a task as its status does."""
+
+    def __init__(self, journal: Journal) -> None:
+        self._journal = journal
+
+    def entered(self, task: UUID, state: TaskState, reason: str) -> None:
+        """Keep the state of a task."""
+        self._journal.entered(task, state, reason)
+
+
+# --- the list of tasks ----------------------------------------------------------------------------
+# The tasks that are not over, and those that ended last.
+
+
+class TaskList:
+    """The tasks of a task manager. The mutable state is the tasks that are not over, by their identities, and those that ended last."""
+
+    def __init__(self) -> None:
+        self.active: dict[UUID, Task] = {}
+        self.past: list[Task] = []
+
+    def chosen(self, task: UUID | None) -> list[Task]:
+        """Return one task, or all that are not over; raise `TaskRefused` if there is no such task."""
+        if task is None:
+            return list(self.active.values())
+        if task not in self.active:
+            over = any(past.id == task for past in self.past)
+            raise TaskRefused(f"the task {task} is over" if over else f"there is no task {task}")
+        return [self.active[task]]
+
+    def in_order(self) -> list[Task]:
+        """Return the tasks that are not over, in the order in which they are served."""
+        return sorted(self.active.values(), key=lambda task: task.rank)
+
+    def status(self) -> tuple[TaskStatus, ...]:
+        """Return the status of all tasks that are not over, in the order in which they are served, and of those that ended last."""
+        return tuple(task.status for task in (*self.in_order(), *self.past))
+
+    def of(self, id: UUID) -> Task:
+        """Return a task of this identity, which is not over, or has ended just now."""
+        return self.active.get(id) or next(past for past in self.past if past.id == id)
+
+    def knowledge_of(self, request: UUID) -> tuple[Layered, Asker] | None:
+        """Return the knowledge of the run that has sent a request, and as whom it asks; None unless the request is open."""
+        for task in self.active.values():
+            run = task.control.run
+            if run is not None and request in run.open_requests:
+                return run.knowledge, Asker(run.id, task.wanted.text)
+        return None
+
+    def execution_of(self, request: UUID) -> Execution:
+        """Return the execution of the plan that has sent a request; raise `TaskRefused` unless it is open."""
+        for task in self.active.values():
+            if (execution := task.control.execution) and (call := execution.executor.run.open_calls.get(request)):
+                if call.action.operation is not None:
+                    raise TaskRefused(f"{call.action.operation} is about knowledge: no server does it")
+                return execution
+        raise TaskRefused("no call of a task has that request under way")
+
+    def remember(self, task: Task) -> None:
+        """List a task that is over."""
+        self.past = [*self.past[1 - REMEMBERED :], task]
+
+
+# --- limits ---------------------------------------------------------------------------------------
+# How many tasks a task manager takes, and what it does about conflicts.
+
+
+@dataclass(frozen=True, slots=True)
+class TaskLimits:
+    """The limits of a task manager.
+
+    Args:
+        active: the number of tasks that go on at the same time.
+        queue: the number of tasks that wait besides.
+        on_conflict: what to do about a goal that is in conflict with those of other tasks, if the goal does not specify it.
+    """
+
+    active: int = 20
+    queue: int = 100
+    on_conflict: OnConflict = OnConflict.PLAN_AROUND

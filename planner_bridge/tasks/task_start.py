@@ -1,0 +1,304 @@
+"""How tasks start: by their text, as a goal, as a plan that is sent, or as a plan that is loaded; each with its context."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from math import inf
+from pathlib import Path
+from typing import Final, TypeAlias
+from uuid import UUID, uuid4
+
+from planner_bridge.model.forbidden_actions import ForbiddenCall
+from planner_bridge.model.grounding import problem_now
+from planner_bridge.model.plan import Plan, read_plan
+from planner_bridge.model.problem import Problem
+from planner_bridge.ordering.interference import Forecast, ReadWriteSets, read_write_sets
+from planner_bridge.tasks.context import Scheduler, TaskContext
+from planner_bridge.tasks.goal_loop import GoalLoop
+from planner_bridge.tasks.replanning import History
+from planner_bridge.tasks.result import Episode, KeptGoal, PlanResult, code_of_run, goal_of
+from planner_bridge.tasks.settings import OnChange, Settings
+from planner_bridge.tasks.task import StartTask, Task
+from planner_bridge.yaml.reader import read
+from pnm.actions.backend import schedule
+from pnm.core.knowledge_base import Layered
+from pnm.core.logic.conditions import TRUE, Condition
+from pnm.core.machine.failure_causes import Cause
+from pnm.core.machine.plan_graph import ActionCall
+from pnm.core.machine.requests import NOT_REATTACHED, CallOutcome, Ended, ReattachingClient, Report, Request
+from pnm.errors import InputError
+from pnm.executor import Executor
+from pnm.journal.replay import ReplayedTask
+from pnm.knowledge.source import Source
+from pnm.language.runner import PlanRun, PlanRunner
+from pnm.tasks import Code, OnConflict, TaskState, Wanted
+
+PREFIX: Final = 4
+"""Bytes that the identities of all requests of a process have in common."""
+
+
+@dataclass
+class TaskStart:
+    """Starts tasks in one world. The arguments are those of `TaskManager`; the problem, and when it began, change with the world."""
+
+    problem: Problem
+    runner: PlanRunner
+    settings: Settings
+    read_goal: Callable[[str], Condition]
+    scheduler: Scheduler
+    on_conflict: OnConflict
+    helper: Source | None
+    began: float = field(default_factory=lambda: asyncio.get_running_loop().time())
+
+    def reader(self, task: Task) -> Callable[[], TaskText]:
+        """Return what reads the text of a task, in any thread."""
+        return partial(read_text, task.wanted, self.read_goal, self.runner.programs, self._now() if task.wanted.is_plan else self.problem)
+
+    def start(self, task: Task, text: TaskText, kept: ReplayedTask | None) -> StartTask:
+        """Return what carries out a task with this text, where another process has left it.
+
+        Raises:
+            InputError: there is no such plan, or it has no such parameter.
+        """
+        match text:
+            case None:
+                return PlanTask(self.runner, self._context(task, TRUE, None), kept).carry_out
+            case Plan() as plan:
+                context = partial(self._context, task, TRUE, kept, on_change=OnChange.LAZY)
+                return lambda: GoalLoop(context(), given=plan, kept=goal_of(kept)).pursue()
+            case goal:
+                task.goal = str(goal)
+                return lambda: GoalLoop(self._context(task, goal, kept), kept=goal_of(kept)).pursue()
+
+    def recall(self, requests: Iterable[Request]) -> None:
+        """Cancel requests that another process has given up; their resources are free when their servers say that they are over."""
+
+        def hear(report: Report) -> None:
+            if isinstance(report, Ended):
+                self.runner.journal.confirmed(report.request, self.runner.resources)
+
+        client = self.runner.backend.client
+        for request in requests:
+            if isinstance(client, ReattachingClient):
+                client.reattach(request, hear, accepted=True)
+                client.cancel(request.id)
+            else:
+                hear(Ended(request.id, NOT_REATTACHED))
+
+    def _now(self, at: float | None = None) -> Problem:
+        return problem_now(self.problem, self.runner.world, (asyncio.get_running_loop().time() if at is None else at) - self.began)
+
+    def _context(self, task: Task, goal: Condition, kept: ReplayedTask | None, *, on_change: OnChange | None = None) -> TaskContext:
+        runner = self.runner
+        since = kept.replay.now if kept and kept.notes else None  # facts that change by themselves have done so until then
+        return TaskContext(
+            task,
+            replace(self._now(since), goal=goal),
+            kept.runs[-1].run.knowledge if kept and kept.runs else Layered(runner.world),
+            runner.backend,
+            replace(self.settings, on_change=on_change or self.settings.on_change),
+            runner.resources,
+            runner.source,
+            self.helper,
+            self.scheduler,
+            task.wanted.on_conflict or self.on_conflict,
+            lambda: UUID(bytes=runner.prefix + uuid4().bytes[PREFIX:]),
+            runner.journal,
+            since,
+        )
+
+
+# --- the text of a task ---------------------------------------------------------------------------
+# A goal, a plan as a text of calls, or the name of a plan that is loaded. Read in any thread.
+
+
+MAX_CALLS: Final = 1000
+"""Calls of a plan that is sent as a text."""
+
+TaskText: TypeAlias = Condition | Plan | None
+"""A goal, a plan, or None for a plan that is loaded."""
+
+
+def read_text(wanted: Wanted, read_goal: Callable[[str], Condition], loaded: Collection[str], now: Problem) -> TaskText:
+    """Read the text of a task.
+
+    Args:
+        wanted: the task.
+        read_goal: reads a goal; raises InputError.
+        loaded: the names of the plans that are loaded.
+        now: has the actions and objects of a plan as a text.
+
+    Raises:
+        InputError: the text is no goal, or no plan.
+    """
+    if not wanted.is_plan:
+        return read_goal(wanted.text)
+    if wanted.text in loaded or (loaded and "(" not in wanted.text):
+        return None
+    if not now.domain.actions:
+        raise InputError("a plan that is sent as a text needs a domain with actions, and none is loaded")
+    if wanted.parameters:
+        raise InputError(f"a plan that is sent as a text has no parameters; found {', '.join(wanted.parameters)}")
+    plan = read_plan(wanted.text, now)
+    if len(plan.steps) > MAX_CALLS:
+        raise InputError(f"the plan has {len(plan.steps)} calls; expected {MAX_CALLS} at most")
+    return plan
+
+
+# --- hand-written plans ---------------------------------------------------------------------------
+# A hand-written plan carried out as a task.
+#
+# A recovery of the plan may end with `replan`: the plan has failed then, and a planner searches for another way to its goal.
+
+
+class PlanTask:
+    """The execution of a hand-written plan, and of the plans of a planner that follow it.
+
+    When it is paused at once, a plan that it calls is cancelled and begins anew later.
+
+    Args:
+        runner: carries out the plan.
+        context: of the task.
+        kept: the task as another process left it, if it goes on here.
+
+    Raises:
+        InputError: there is no such plan, or it has no such parameter.
+    """
+
+    def __init__(self, runner: PlanRunner, context: TaskContext, kept: ReplayedTask | None = None) -> None:
+        wanted, observer = context.task.wanted, context.observer
+        self._runner = runner
+        self._context = context
+        self._kept = kept
+        self._plan_run: PlanRun
+        begun = [replayed for replayed in kept.runs if replayed.run.begun] if kept else []
+        if begun:
+            runner.kept |= {replayed.made.caller: replayed for replayed in begun if replayed.made.caller is not None}
+            self._plan_run = runner.go_on_with(begun[0], wanted.text, observer)
+        else:
+            self._plan_run = runner.prepare_run(wanted.text, wanted.parameters, observer, task=wanted.id, priority=wanted.priority)
+
+    async def carry_out(self) -> PlanResult:
+        """Carry the plan out and return how it ended.
+
+        Raises:
+            InputError: a parameter has no value; nothing was started.
+        """
+        context, plan_run = self._context, self._plan_run
+        program = plan_run.program
+        with context.control.executing(self):
+            context.control.limit_time(plan_run.limit)
+            with context.control.waiting():
+                await self._runner.check(plan_run)
+                await context.backend.refresh()
+            context.observer.generated(program.machine, program.proof)
+            context.control.enter(TaskState.RUNNING)
+            origin = plan_run.executor.run.origin  # of a run with which another process has begun
+            began = asyncio.get_running_loop().time() if origin is None else origin
+            context.observer.began(began)
+            stop_time = schedule(context.world, program.plan.timed, began, -inf if self._kept is None else self._kept.replay.now)
+            try:
+                with context.task.stopwatch.of("execute"):
+                    run = await self._runner.execute(plan_run)
+            finally:
+                stop_time()
+        stopped = self._context.control.stopped
+        code = code_of_run(run, stopped.code if stopped else Code.TIMED_OUT)  # what else stops it is its own limit
+        reason = stopped.reason if stopped and run.stopped and not run.goal else run.reason
+        cause = "" if run.goal or run.stopped else run.failures[0].cause if run.failures else Cause.GOAL_FALSE
+        episode = Episode(self._plan_run.program.machine, run)
+        seconds, variables = self._context.task.stopwatch.seconds, self._plan_run.variables
+        result = PlanResult(code, reason, 0, (episode,), seconds, began, results=self._plan_run.results, variables=variables, cause=cause)
+        if context.control.stopped or not any(failure.replan for failure in run.failures):
+            return result
+        return await self._replanned(result)
+
+    # --- while it is carried out ------------------------------------------------------------------
+
+    @property
+    def executor(self) -> Executor:
+        """The executor of the plan."""
+        return self._plan_run.executor
+
+    @property
+    def footprint(self) -> ReadWriteSets:
+        """What the plan needs and changes: all calls that it may still reach; during a pause, those that are still under way."""
+        return self._context.under_way(self.executor.run) if self._context.control.is_paused else self._needed
+
+    @property
+    def _needed(self) -> ReadWriteSets:
+        run = self.executor.run
+        plan, calls = run.machine.plan, run.interim_result().calls
+        is_flat = len(plan.every_step) == len(plan.calls)
+        ended = {result.call.index for result in calls if result.ended is not None} if is_flat else set()
+        return read_write_sets([call for call in plan.calls if call.index not in ended], plan.goal, self._context.world)
+
+    @property
+    def forecast(self) -> Forecast:
+        """What the plan needs; when it is done with that depends on loops, choices and people."""
+        return Forecast(self.footprint)
+
+    @property
+    def running(self) -> tuple[tuple[str, str], ...]:
+        """The calls that are under way, those in plans that it calls as well, each with what its server has said last."""
+        return self._plan_run.running
+
+    @property
+    def awaits_answers(self) -> bool:
+        """Whether nothing goes on before a person has answered."""
+        return self._plan_run.awaits_answers
+
+    def resume(self) -> None:
+        """Go on after a pause."""
+        self.executor.resume()
+
+    def why_no_step(self) -> str:
+        """Return why nothing of the plan may begin now: others are at work with what it needs."""
+        others = self._context.scheduler.conflicts(self._context.task, lambda: self._needed)
+        return f"the plan is in conflict with {', '.join(other.name for other in others)}" if others else ""
+
+    # --- its end ----------------------------------------------------------------------------------
+
+    async def _replanned(self, result: PlanResult) -> PlanResult:
+        """Have a planner find another way to the goal of the plan, from the world as it is now."""
+        context = self._context
+        context.observer.resigned(result.reason)
+        asking = (failure.call for failure in result.failures if failure.replan)  # for another plan: they are given up
+        given_up = {ForbiddenCall.of(call.action): context.settings.limits.forbid_after for call in asking if isinstance(call, ActionCall)}
+        unconfirmed = (call_result.call.action for call_result in result.calls if call_result.kind is CallOutcome.UNCONFIRMED)
+        history = History(given_up, frozenset(map(ForbiddenCall.of, unconfirmed)))
+        try:
+            problem = await self._problem(result.began)
+            loop = GoalLoop(replace(context, problem=problem, since=None), history=history, kept=self._kept_goal())
+            rest = await loop.pursue()
+        except InputError as error:
+            return replace(result, reason=f"{result.reason}; no planner can be asked: {error}")
+        return replace(
+            result,
+            code=rest.code,
+            reason=rest.reason,
+            plans=rest.plans,
+            episodes=(*result.episodes, *rest.episodes),
+            constraints=rest.constraints,
+            preferences=rest.preferences,
+        )
+
+    def _kept_goal(self) -> KeptGoal | None:
+        """Return what another process has done after the plan had failed; None if nothing."""
+        later = [replayed for replayed in self._kept.runs[1:] if replayed.made.caller is None] if self._kept else []
+        return goal_of(replace(self._kept, runs=later)) if self._kept and (later or self._kept.notes) else None
+
+    async def _problem(self, began: float) -> Problem:
+        """Return the problem of reaching the plan's goal from the world as it is, with the timed changes that are still to come."""
+        plan = self._plan_run.program.plan
+        if plan.goal == TRUE:
+            raise InputError(f"the plan {plan.name} has no goal")
+        if not plan.domain_file:
+            raise InputError(f"the plan {plan.name} has no domain")
+        contents = await self._context.control.in_thread(partial(read, Path(plan.domain_file)))
+        described = contents.problem or Problem(plan.name, contents.domain)
+        elapsed = asyncio.get_running_loop().time() - began
+        return replace(problem_now(replace(described, timed=plan.timed), self._context.world, elapsed), goal=plan.goal)
