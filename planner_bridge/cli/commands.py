@@ -29,6 +29,7 @@ from planner_bridge.cli.options import (
     planning,
     planning_within,
     print_json,
+    print_warnings,
     problem_in,
     searching,
     write,
@@ -197,9 +198,14 @@ def net(
         raise InputError("--format json has the whole net and its calls; expected --format dot or svg with --level calls")
     chosen = chosen_files(domain, problem, plan_file)
     if isinstance(chosen, Path):
-        from planner_bridge.cli.run import machine_of
+        from pnm.actions.bindings_file import read_bindings
+        from pnm.language.plan import chosen_plan, read_plans
 
-        machine = machine_of(chosen, name, bindings)
+        plans = read_plans(chosen)
+        plan = plans[chosen_plan(plans, name)]
+        print_warnings(plan.warnings)
+        own = read_bindings(bindings).before(plan.bindings) if bindings else plan.bindings
+        machine = generate(plan.graph, own, on_failure=plan.on_failure)
     else:
         loaded = problem_in(*chosen)
         bound = bindings_for(chosen[0], bindings, loaded.vocabulary)

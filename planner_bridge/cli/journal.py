@@ -30,11 +30,10 @@ from planner_bridge.cli.options import (
     view_option,
     write,
 )
-from planner_bridge.node.options import latest_journal
+from planner_bridge.node.node_journal import latest_journal
 from planner_bridge.tasks.result import TASKS
-from planner_bridge.view.story import timelines
+from planner_bridge.view.story import timelines_svg
 from pnm.core.knowledge_base import statement_text
-from pnm.core.pictures.timeline import timeline_svg
 from pnm.errors import InputError, printable
 from pnm.files.database.place import Place, place_of
 from pnm.journal.codec import Undecodable
@@ -70,8 +69,8 @@ def replay(journal: str | None, last: int | None, as_json: bool, timeline: Path 
             raise InputError("expected --view or --timeline, not both")
         check_output(timeline, force=force)
         with errors_of_journals():
-            told = timelines(chosen_journal(journal))
-        write(timeline, timeline_svg(*told), force=force)
+            picture = timelines_svg(chosen_journal(journal))
+        write(timeline, picture, force=force)
         return 0
     if view is not None:
         return _show(chosen_journal(journal), view)

@@ -27,7 +27,8 @@ from planner_bridge.cli.options import (
     set_option,
     write_files,
 )
-from planner_bridge.pipeline.achieve import readiness, readiness_for_plan
+from planner_bridge.pipeline.achieve import readiness
+from planner_bridge.pipeline.carry_out import readiness_for_plan
 from planner_bridge.pipeline.loading import bindings_for
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.bindings_file import read_bindings

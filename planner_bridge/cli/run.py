@@ -1,4 +1,4 @@
-"""`pnm run` of a goal or of a hand-written plan, and `pnm net --plan`."""
+"""`pnm run` of a goal or of a hand-written plan."""
 
 from __future__ import annotations
 
@@ -48,7 +48,8 @@ from planner_bridge.cli.options import (
     write,
 )
 from planner_bridge.cli.run_console import ConsoleObserver, print_result
-from planner_bridge.pipeline.achieve import Actions, achieve, carry_out
+from planner_bridge.pipeline.achieve import Actions, achieve
+from planner_bridge.pipeline.carry_out import carry_out
 from planner_bridge.pipeline.loading import bindings_for
 from planner_bridge.planning.solve import check_planner
 from planner_bridge.tasks.replanning import Limits
@@ -60,14 +61,12 @@ from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import NO_FAULTS, read_faults
 from pnm.clock import run_async
 from pnm.core.broadcast import broadcast
-from pnm.core.machine.generate import generate
-from pnm.core.machine.machine import OnFailure, PetriNetMachine
+from pnm.core.machine.machine import OnFailure
 from pnm.errors import InputError
 from pnm.files.database.place import Place, without_password
 from pnm.journal.kept import Durability, JournalChoice
 from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import NO_SENSING
-from pnm.language.plan import chosen_plan, read_plans
 from pnm.tasks import Code, Tasks
 
 
@@ -221,10 +220,9 @@ def looked_at(
 
 def _draw(journal: JournalChoice, timeline: Path, *, force: bool) -> None:
     """Draw the timeline of the last task of a journal."""
-    from planner_bridge.view.story import timelines  # here, because most runs are not drawn
-    from pnm.core.pictures.timeline import timeline_svg
+    from planner_bridge.view.story import timelines_svg  # here, because most runs are not drawn
 
-    write(timeline, timeline_svg(*timelines(journal.place)[-1:]), force=force)
+    write(timeline, timelines_svg(journal.place, only_last=True), force=force)
 
 
 class _RunOnPage(TaskObserver):
@@ -277,15 +275,6 @@ def print_ending(result: TaskResult, console: SafeConsole, output: Output, page:
     if page and result.code is not Code.CANCELLED:
         _stay(page)
     return 0 if result.goal_reached else 1
-
-
-def machine_of(file: Path, name: str | None, bindings: Path | None) -> PetriNetMachine:
-    """Return the machine of a hand-written plan."""
-    plans = read_plans(file)
-    plan = plans[chosen_plan(plans, name)]
-    print_warnings(plan.warnings)
-    chosen = read_bindings(bindings).before(plan.bindings) if bindings else plan.bindings
-    return generate(plan.graph, chosen, on_failure=plan.on_failure)
 
 
 def run_written(

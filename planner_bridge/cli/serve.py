@@ -67,8 +67,8 @@ def serve(files: tuple[Path, ...], view: int | None, controls: bool, **given: Pa
     # here, because these take their time to import, which `pnm serve --help` need not wait for
     from planner_bridge.cli.console import SafeConsole
     from planner_bridge.cli.run_console import NodeConsole, NodePage
+    from planner_bridge.node.node_journal import NONE
     from planner_bridge.node.node_log import NodeObserver
-    from planner_bridge.node.options import NONE
     from planner_bridge.node.serve import serve
     from planner_bridge.view.commands import Controlled
     from planner_bridge.view.serving import PageProcess

@@ -4,43 +4,27 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import threading
-from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import AsyncExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
-from hashlib import sha256
-from pathlib import Path
-from time import monotonic
 from typing import TYPE_CHECKING, Any, Final
 from uuid import UUID
 
-from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.model.plan_world import names_of_world
 from planner_bridge.model.problem import Problem
-from planner_bridge.node.node_log import NodeLog, NodeObserver
-from planner_bridge.node.options import PARAMETERS, Options, RobotFiles, journal_of, left_behind, origin_of
+from planner_bridge.node.node_context import NodeContext, open_context
+from planner_bridge.node.node_log import NodeLog, NodeObserver, open_diagnoses
+from planner_bridge.node.options import PARAMETERS, Options
 from planner_bridge.node.problem_service import NOTHING, LoadedProblem, ProblemFolder, ServedProblem
 from planner_bridge.node.world_queries import SharedWorld, read_goals
-from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.pipeline.loading import load
-from planner_bridge.planning.solve import check_planner
 from planner_bridge.tasks.replanning import Limits
-from planner_bridge.tasks.result import TASKS
 from planner_bridge.tasks.settings import Settings
 from planner_bridge.tasks.task_manager import TaskLimits, TaskManager
-from planner_bridge.tasks.task_start import PREFIX
-from pnm.actions.backend import check_ready
-from pnm.clock import continue_from, follow_real_time, run_async, short_pauses
+from pnm.clock import follow_real_time, run_async, short_pauses
 from pnm.core.broadcast import broadcast
 from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.machine.bindings import Bindings
-from pnm.core.readiness import Readiness
-from pnm.errors import InputError, PnmError, RosError
-from pnm.files.database.place import Place, ServerUrl
-from pnm.journal.journal import NO_JOURNAL, Journal
-from pnm.journal.kept import DAY, Fenced, JournalChoice
-from pnm.journal.lease import is_locked
+from pnm.errors import InputError, PnmError
+from pnm.journal.kept import Fenced
 from pnm.journal.replay import Replay
 from pnm.journal.resume import stand_by
 from pnm.knowledge.source import Asker
@@ -48,8 +32,9 @@ from pnm.knowledge.sources import Sources, Surroundings, open_sources
 from pnm.language.plan import merge_bindings, read_world, sources_of
 from pnm.language.runner import PlanRunner, Program
 from pnm.ros.backend import Ros2Backend
+from pnm.knowledge.source import Asker
 from pnm.ros.node.parameters import ParameterValue
-from pnm.tasks import EVENTS, REMEMBERED, Make, ServedWorld, TaskEnding, Tasks, Wanted
+from pnm.tasks import REMEMBERED, Make, ServedWorld, TaskEnding, Tasks, Wanted
 
 if TYPE_CHECKING:
     from pnm.ros.sim_time import SimClock
@@ -63,33 +48,6 @@ _PREPARED: Final = 1.0
 """Seconds to find the action servers that plans need; the node offers its plans then, even if some servers are missing."""
 _CLOSING: Final = 0.5
 """Seconds more for tasks that did not end within the parameter ``cancel`` when the node is shut down."""
-
-
-@dataclass(frozen=True)
-class NodeContext:
-    """The resources that all tasks of a node share."""
-
-    options: Options
-    files: RobotFiles
-    problem: Problem | None
-    runner: PlanRunner
-    """Runs the plans of the world."""
-    bindings: Bindings
-    backend: Ros2Backend
-    knowledge: KnowledgeBase
-    sources: Sources
-    journal: Journal
-    replay: Replay | None
-    """What another process has begun, and goes on here."""
-    plan_actions: Mapping[str, str]
-    """The actions of plans, by plan."""
-
-    origin: str
-    """What the world was made from at the start of the node."""
-
-    def begin_journal(self, anew: Callable[[], None] = lambda: None, loaded: tuple[str, ...] = ()) -> None:
-        """Begin the journal anew, in the world as `anew` leaves it; it is not that of the files if other domain and problem were loaded."""
-        self.journal.begin(self.knowledge, self.runner.resources, anew, prefix=self.runner.prefix, origin=self.origin, loaded=loaded)
 
 
 def kept_tasks(replay: Replay | None) -> list[tuple[Wanted, TaskEnding | None]]:
@@ -142,20 +100,14 @@ async def make_task_manager(context: NodeContext) -> NodeApi:
         limits=TaskLimits(options.max_tasks, options.max_queue, options.on_conflict),
     )
 
-    async def check(problem: Problem) -> Callable[[], Awaitable[None]]:
-        _, sensing = await asyncio.to_thread(context.files.read, problem.vocabulary, strangers=True)
-        await context.backend.check_sensors(sensing, initial_knowledge(problem).objects)
-        await check_ready(context.backend, context.runner.actions, names_of_world(problem, plans))
-        return partial(context.backend.sense_objects, sensing)
-
     def begin_anew(problem: Problem, initial: KnowledgeBase) -> None:
         manager.begin_anew(problem)  # may refuse, so it comes before the first change
         world = SharedWorld(problem, initial)
         replace = partial(context.knowledge.begin_anew, initial.facts(), initial.objects_by_type(), initial.rules)
         context.begin_journal(replace, (world.domain_text(), world.problem_text()))
-        context.backend.declare(names_of_world(problem, plans))
+        context.backend.declare(context.names_of(problem))
 
-    world = ServedProblem(loaded, folder, begin_anew, check)
+    world = ServedProblem(loaded, folder, begin_anew, context.check)
 
     return NodeApi(manager, loaded.make, world, manager.knowledge_of, manager.restore, manager.close)
 
@@ -239,7 +191,8 @@ class ServingNode:
         if self._clock is not None:
             self._clock.follow()
         async with AsyncExitStack() as stack:
-            context = await self._open_context(stack)
+            context = await open_context(self._ros, self._options, self._observer, self.fenced.set_result, stack)
+            self._actions = context.actions
             await self._open_node(context, stack)
             self._open = stack.pop_all()
 
@@ -272,6 +225,7 @@ class ServingNode:
             self._open.pop_all()
         await self._open.aclose()
 
+<<<<<<< HEAD
     async def _open_context(self, stack: AsyncExitStack) -> NodeContext:
         options = self._options
         cancel = threading.Event()
@@ -357,6 +311,8 @@ class ServingNode:
             continue_from(replay.now)
         return journal, replay
 
+=======
+>>>>>>> 75314f69 (The node's context and journal are opened apart from its life cycle)
     async def _open_node(self, context: NodeContext, stack: AsyncExitStack) -> None:
         from pnm.ros.tasks.task_node import TaskNode  # here, because rclpy is an extra
 
@@ -402,6 +358,7 @@ async def _close_in_time(close: Callable[[], Awaitable[None]]) -> None:
     with suppress(TimeoutError):
         async with asyncio.timeout(_CLOSING):
             await close()
+<<<<<<< HEAD
 
 
 # --- diagnoses ------------------------------------------------------------------------------------
@@ -461,3 +418,5 @@ async def open_diagnoses(
         return
     await diagnostics.open()
     stack.push_async_callback(diagnostics.close)
+=======
+>>>>>>> 75314f69 (The node's context and journal are opened apart from its life cycle)

@@ -1,15 +1,13 @@
-"""A goal or a hand-written plan, from its files to its result: a task manager with one task."""
+"""A goal, from its files to its result: a task manager with one task. What `pnm run` does."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import replace
-from hashlib import sha256
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, cast
-from uuid import uuid4
+from typing import Any, Literal, TypeAlias
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan_world import names_of_world
@@ -18,28 +16,21 @@ from planner_bridge.model.simulation import simulated_backend
 from planner_bridge.pddl.writer import write_domain, write_problem
 from planner_bridge.pipeline.goal_handle import KEPT_NOWHERE, GoalHandle, TaskJournal
 from planner_bridge.pipeline.loading import bindings_for, load
-from planner_bridge.tasks.result import PlanResult, Stopwatch, TaskResult
+from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import Settings, TaskObserver
-from planner_bridge.tasks.task_manager import TaskManager
-from pnm.actions.backend import Backend, ClientBackend, check_ready
+from pnm.actions.backend import Backend, ClientBackend
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import Condition
 from pnm.core.machine.bindings import NO_BINDINGS
-from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import ActionClient
 from pnm.core.readiness import Readiness
-from pnm.errors import InputError, Tolerated, check_kinds, suggestion
-from pnm.files.database.place import place_of
+from pnm.errors import InputError, check_kinds, suggestion
 from pnm.journal.kept import JournalChoice
 from pnm.knowledge.sensor_model import NO_SENSING
-from pnm.knowledge.sources import Sources, Surroundings, open_sources
-from pnm.language.plan import HandWrittenPlan, called_plans, chosen_plan, merge_bindings, read_plans, sources_of
-from pnm.language.runner import PlanRunner, Program
+from pnm.language.plan import HandWrittenPlan
 from pnm.ros.backend import Ros2Backend
-from pnm.tasks import Code, Wanted
 
 Actions: TypeAlias = Literal["simulated", "ros2"] | ActionClient
 """What performs actions: simulated robots under virtual time, the action servers of ROS 2, or a client in Python."""
@@ -121,15 +112,8 @@ def _goal_handle(
     for name in sorted(settings.bindings.actions.keys() - loaded.domain.actions.keys()):
         hint = suggestion(name, loaded.domain.actions)
         raise InputError(f"there is no action {name!r} in the domain, of which the bindings speak{hint and f'; {hint}'}")
-    kept = _journal_of(journal, write_domain(loaded.domain), write_problem(loaded)) if journal else KEPT_NOWHERE
+    kept = TaskJournal.of(journal, write_domain(loaded.domain), write_problem(loaded)) if journal else KEPT_NOWHERE
     return GoalHandle(backend_of(actions, loaded, settings, faults), loaded, settings, observer, stopwatch, kept)
-
-
-def _journal_of(journal: JournalChoice | Path | str, *origin: str) -> TaskJournal:
-    """Return the journal of a task, whose world these texts describe; raise an `InputError` if it cannot be used."""
-    choice = JournalChoice(place_of(str(journal))) if isinstance(journal, Path | str) else journal
-    check_kinds("the journal", {"journal": (choice, JournalChoice)})
-    return TaskJournal.of(choice, sha256("\0".join(origin).encode()).hexdigest())
 
 
 async def achieve_at(
@@ -150,131 +134,16 @@ def readiness(problem: Problem, settings: Settings, wait: float = 0.0) -> tuple[
         RosError: ROS 2 is not there.
     """
     backend = backend_of("ros2", problem, settings, NO_FAULTS)
-    return run_async(_look(backend, initial_knowledge(problem), (), wait))
+    return run_async(readiness_of(backend, initial_knowledge(problem), (), wait))
 
 
-def readiness_for_plan(
-    file: Path, name: str | None, settings: Settings, wait: float = 0.0, parameters: Mapping[str, object] | None = None
-) -> tuple[Readiness, ...]:
-    """Return how ready the action servers and sensors for a hand-written plan are, and for the plans it calls; see `readiness`."""
-    plans = {plan: _with_settings(described, settings, None) for plan, described in read_plans(file).items()}
-    chosen = chosen_plan(plans, name)
-    bound = replace(settings, bindings=merge_bindings(plans.values()))
-    backend, world = backend_of("ros2", plans[chosen], bound, NO_FAULTS, tuple(plans.values())), initial_knowledge(plans[chosen])
-    programs = {called: Program.of(plans[called]) for called in called_plans(plans, chosen)}
-    return run_async(_look(backend, world, PlanRunner(programs, backend, world).actions_with(chosen, parameters or {}), wait))
-
-
-async def _look(backend: Backend, world: KnowledgeBase, actions: Iterable[GroundAction], wait: float) -> tuple[Readiness, ...]:
+async def readiness_of(backend: Backend, world: KnowledgeBase, actions: Iterable[GroundAction], wait: float) -> tuple[Readiness, ...]:
+    """Return how ready a backend is for actions in a world; `wait` seconds are given to what is missing to appear."""
     try:
         await backend.open(world)
         return await backend.check(actions, wait)
     finally:
         await backend.close()
-
-
-def carry_out(
-    file: Path,
-    name: str | None = None,
-    parameters: Mapping[str, object] | None = None,
-    *,
-    actions: Actions = "simulated",
-    faults: Faults = NO_FAULTS,
-    settings: Settings | None = None,
-    observer: TaskObserver | None = None,
-    on_failure: OnFailure | None = None,
-    knowledge: Path | None = None,
-    answers: Iterable[tuple[str, object]] = (),
-    warn: Callable[[Iterable[Tolerated]], None] | None = None,
-    journal: JournalChoice | Path | str | None = None,
-) -> PlanResult:
-    """Carry out a hand-written plan of a file.
-
-    Args:
-        file: a plan file of the language.
-        name: of the plan, if there are several.
-        parameters: variables that the run knows from the beginning.
-        actions: simulated robots under virtual time, the action servers of ROS 2, or an action client.
-        faults: what goes wrong in simulation.
-        settings: bindings that come before those of the files, limits, and the planner, for when the plan asks for one.
-        observer: notified of every event.
-        on_failure: what running actions do when one has failed, in place of the plans' own policy.
-        knowledge: the file in which global knowledge is kept, in place of what the plan chose.
-        answers: names of questions and what people would answer, who are not asked then.
-        warn: called with the warnings about the files.
-        journal: the file that the run is kept in: if the process dies, the next call with the same plan and file goes on.
-
-    Raises:
-        InputError: an input is wrong; nothing was started.
-    """
-    with suppress(RuntimeError):
-        asyncio.get_running_loop()
-        raise InputError("an event loop is running here, and this needs one of its own: call it by `await asyncio.to_thread(...)`")
-    settings, observer, stopwatch = settings or Settings(), observer or TaskObserver(), Stopwatch()
-    check_kinds("carry_out", {"settings": (settings, Settings), "observer": (observer, TaskObserver), "faults": (faults, Faults)})
-    with stopwatch.of("parse"):
-        plans = {name: _with_settings(plan, settings, on_failure) for name, plan in read_plans(file).items()}
-        chosen = chosen_plan(plans, name)
-    if warn:
-        warn(plans[chosen].warnings)
-    with stopwatch.of("translate"):
-        programs = {name: Program.of(plans[name]) for name in called_plans(plans, chosen)}
-    bound = replace(settings, bindings=merge_bindings(plans.values()))
-    backend = backend_of(actions, plans[chosen], bound, faults, tuple(plans.values()))
-    wanted = Wanted(uuid4(), chosen, parameters=parameters or {}, is_plan=True)
-    origin = file.read_text(encoding="utf-8"), chosen, repr(sorted(wanted.parameters.items()))
-    kept = _journal_of(journal, *origin) if journal else KEPT_NOWHERE
-
-    def opened() -> Sources:
-        surroundings = Surroundings(getattr(backend, "ros", None), file.parent, tuple(answers))
-        return open_sources(sources_of(plans.values()), surroundings, knowledge)
-
-    task = _carry_out_at(backend, opened, programs, wanted, bound, observer=observer, stopwatch=stopwatch, kept=kept)
-    return run_async(task, virtual=actions == "simulated")
-
-
-async def _carry_out_at(
-    backend: Backend,
-    opened: Callable[[], Sources],
-    programs: Mapping[str, Program],
-    wanted: Wanted,
-    settings: Settings,
-    *,
-    observer: TaskObserver,
-    stopwatch: Stopwatch,
-    kept: TaskJournal,
-) -> PlanResult:
-    """Carry out one of the programs on a backend, with sources of knowledge that are opened when it is open."""
-    world, is_prepared = kept.world(initial_knowledge(programs[wanted.text].plan)), False
-    with kept.opened(backend) as journal:
-        try:
-            await backend.open(world)
-            sources = opened()
-            try:
-                asked = PlanRunner(programs, backend, world, sources)  # of which nothing is kept
-                await check_ready(backend, asked.actions)
-                await asked.check(asked.prepare_run(wanted.text, wanted.parameters))  # before anything is prepared
-                runner = kept.runner(backend, world, journal, programs, sources)
-                await backend.share(runner.prefix, runner.knowledge_of, sources)
-                await runner.prepare()
-                is_prepared = True
-                nothing = Problem(wanted.text, Domain(wanted.text))
-                helper = sources if settings.ask_for_help else None
-                manager = TaskManager(nothing, runner, settings, _no_goal, helper=helper)
-                return cast("PlanResult", await kept.carry_out(manager, wanted, observer, stopwatch))
-            finally:
-                await sources.close()
-        except asyncio.CancelledError:
-            if is_prepared:  # and has been cancelled twice
-                raise
-            cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
-            return PlanResult(Code.CANCELLED, "cancelled", 0, (), stopwatch.seconds)
-        finally:
-            await backend.close()
-
-
-def _no_goal(text: str) -> Condition:
-    raise InputError(f"there are no goals here: {text}")
 
 
 def backend_of(
@@ -302,10 +171,3 @@ def backend_of(
         case _:
             hint = suggestion(actions, ("simulated", "ros2")) if isinstance(actions, str) else ""
             raise InputError(f"expected actions 'simulated', 'ros2' or an ActionClient, found {actions!r}{hint and f'; {hint}'}")
-
-
-def _with_settings(plan: HandWrittenPlan, settings: Settings, on_failure: OnFailure | None) -> HandWrittenPlan:
-    """Return the plan with settings that come before its own; of two time limits the shorter one counts."""
-    limits = [limit for limit in (plan.timeout, settings.limits.seconds) if limit is not None]
-    bindings = settings.bindings.before(plan.bindings)
-    return replace(plan, bindings=bindings, timeout=min(limits, default=None), on_failure=on_failure or plan.on_failure)

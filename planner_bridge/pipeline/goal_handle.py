@@ -6,6 +6,8 @@ import asyncio
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from hashlib import sha256
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 from uuid import uuid4
 
@@ -17,7 +19,8 @@ from planner_bridge.tasks.task_manager import TaskManager
 from pnm.actions.backend import Backend, SimulatedBackend, check_ready
 from pnm.clock import continue_from
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.errors import InputError
+from pnm.errors import InputError, check_kinds
+from pnm.files.database.place import place_of
 from pnm.journal.journal import NO_JOURNAL, Journal
 from pnm.journal.kept import Fenced, JournalChoice
 from pnm.journal.replay import Replay
@@ -45,12 +48,20 @@ class TaskJournal:
     replay: Replay | None = None
 
     @staticmethod
-    def of(choice: JournalChoice, origin: str) -> TaskJournal:
-        """Return the journal with the task in it that is not finished, if there is one; raise an `InputError` if it cannot be used."""
+    def of(journal: JournalChoice | Path | str, *origin: str) -> TaskJournal:
+        """Return the journal with the task in it that is not finished, if there is one; raise an `InputError` if it cannot be used.
+
+        Args:
+            journal: where it is.
+            origin: the texts that its world is made from.
+        """
         from pnm.journal.resume import take_up  # here, because it takes its time to import, for which runs without a journal need not wait
 
-        taken = take_up(choice, TASKS, origin)
-        return TaskJournal(taken, origin, taken.replay if taken.replay and taken.replay.unfinished else None)
+        choice = JournalChoice(place_of(str(journal))) if isinstance(journal, Path | str) else journal
+        check_kinds("the journal", {"journal": (choice, JournalChoice)})
+        digest = sha256("\0".join(origin).encode()).hexdigest()
+        taken = take_up(choice, TASKS, digest)
+        return TaskJournal(taken, digest, taken.replay if taken.replay and taken.replay.unfinished else None)
 
     def world(self, initial: KnowledgeBase) -> KnowledgeBase:
         """Return what is known of the world: what another process knew, or the initial knowledge."""

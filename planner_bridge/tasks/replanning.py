@@ -77,6 +77,12 @@ class History:
     fruitless: int = 0
     """Runs in a row in which no call succeeded."""
 
+    @staticmethod
+    def of_plan(given_up: Iterable[GroundAction], unconfirmed: Iterable[GroundAction], limits: Limits) -> History:
+        """Return the history after a hand-written plan that has given actions up, and left others that may still be at work."""
+        failed = {ForbiddenCall.of(action): limits.forbid_after for action in given_up}
+        return History(failed, frozenset(map(ForbiddenCall.of, unconfirmed)))
+
     def after(self, calls: Iterable[CallResult], failures: Iterable[Failure], bindings: Bindings = NO_BINDINGS) -> History:
         """Return the history with one more failed run."""
         calls, failures = tuple(calls), tuple(failures)

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Final, TypeAlias
 from uuid import UUID, uuid4
 
-from planner_bridge.model.forbidden_actions import ForbiddenCall
 from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.plan import Plan, read_plan
 from planner_bridge.model.problem import Problem
@@ -267,9 +266,9 @@ class PlanTask:
         context = self._context
         context.observer.resigned(result.reason)
         asking = (failure.call for failure in result.failures if failure.replan)  # for another plan: they are given up
-        given_up = {ForbiddenCall.of(call.action): context.settings.limits.forbid_after for call in asking if isinstance(call, ActionCall)}
+        given_up = (call.action for call in asking if isinstance(call, ActionCall))
         unconfirmed = (call_result.call.action for call_result in result.calls if call_result.kind is CallOutcome.UNCONFIRMED)
-        history = History(given_up, frozenset(map(ForbiddenCall.of, unconfirmed)))
+        history = History.of_plan(given_up, unconfirmed, context.settings.limits)
         try:
             problem = await self._problem(result.began)
             loop = GoalLoop(replace(context, problem=problem, since=None), history=history, kept=self._kept_goal())

@@ -360,6 +360,12 @@ def timelines(journal: Place | str) -> tuple[Timeline, ...]:
     return tuple(_timeline(history, task) for task in history.tasks.values())
 
 
+def timelines_svg(journal: Place, *, only_last: bool = False) -> str:
+    """Return the picture of the timelines of the tasks in a journal, or of that of the last one alone."""
+    told = timelines(journal)
+    return timeline.timeline_svg(*told[-1:] if only_last else told)
+
+
 def _timeline(history: JournalHistory, task: TaskHistory) -> Timeline:
     began = min((task.time, *(run.time for run in task.runs)))
     words = f"{task.ending.code.word}: {task.ending.message}" if task.ending else ""

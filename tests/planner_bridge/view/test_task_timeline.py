@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from planner_bridge.pipeline.achieve import achieve, carry_out
+from planner_bridge.pipeline.achieve import achieve
+from planner_bridge.pipeline.carry_out import carry_out
 from planner_bridge.tasks.result import TASKS
 from planner_bridge.tasks.settings import TaskObserver
 from planner_bridge.view.story import timelines

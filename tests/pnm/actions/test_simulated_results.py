@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from planner_bridge.pipeline.achieve import carry_out
+from planner_bridge.pipeline.carry_out import carry_out
 from planner_bridge.tasks.result import PlanResult
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.errors import InputError

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from planner_bridge.cli.journal import replay
-from planner_bridge.pipeline.achieve import carry_out
+from planner_bridge.pipeline.carry_out import carry_out
 from planner_bridge.tasks.result import TASKS
 from pnm.journal.replay import Replay
 from pnm.journal.resume import replay_steps

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from planner_bridge.pipeline.achieve import carry_out
+from planner_bridge.pipeline.carry_out import carry_out
 from pnm.core.logic.computed_values import Layer, Question, Uncomputable, operate
 from pnm.knowledge.people import ScriptedAnswers, TerminalSource
 from pnm.knowledge.source import Asker, SourceError

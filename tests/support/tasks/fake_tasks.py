@@ -14,7 +14,8 @@ from functools import partial
 from pathlib import Path
 from uuid import UUID
 
-from planner_bridge.node.serve import NodeApi, NodeContext, make_task_manager
+from planner_bridge.node.node_context import NodeContext
+from planner_bridge.node.serve import NodeApi, make_task_manager
 from pnm.core.knowledge_base import KnowledgeBase, parse_fluent
 from pnm.core.logic.computed_values import Layer, Question
 from pnm.core.logic.expressions import Fluent, Unknown, Value, fluent_text

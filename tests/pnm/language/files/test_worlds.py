@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from planner_bridge.pipeline.achieve import carry_out
+from planner_bridge.pipeline.carry_out import carry_out
 from pnm.errors import InputError
 from pnm.language import read_plans, read_world
 
