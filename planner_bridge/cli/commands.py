@@ -13,27 +13,8 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from planner_bridge.cli.options import (
-    FILE,
-    Seconds,
-    as_json_option,
-    bindings_option,
-    check_output,
-    chosen_files,
-    command,
-    faults_option,
-    files,
-    files_or_plan,
-    force_option,
-    output_options,
-    planning,
-    planning_within,
-    print_json,
-    print_warnings,
-    problem_in,
-    searching,
-    write,
-)
+from planner_bridge.cli import options
+from planner_bridge.cli.options import command
 from pnm.errors import InputError
 from pnm.files.database.place import without_password
 from pnm.files.private import hide_arguments
@@ -82,8 +63,8 @@ def app() -> None:
 
 
 @app.command(epilog="Example: pnm plan domain.pddl problem.pddl --format svg -o plan.svg")
-@files
-@planning_within(0.04)  # people look, and no robot moves
+@options.files
+@options.planning_within(0.04)  # people look, and no robot moves
 @click.option(
     "--format",
     "written_as",
@@ -92,8 +73,8 @@ def app() -> None:
     show_default=True,
     help="dot and svg draw its calls and their orderings",
 )
-@output_options
-@as_json_option
+@options.output_options
+@options.as_json_option
 @command
 def plan(
     *,
@@ -115,9 +96,9 @@ def plan(
     if as_json and (written_as != "text" or output):
         raise InputError("--json prints a plan as JSON; expected no --format or --output with it")
     if output:
-        check_output(output, force=force)
-    loaded = problem_in(domain, problem)
-    with searching(planner, planner_timeout):
+        options.check_output(output, force=force)
+    loaded = options.problem_in(domain, problem)
+    with options.searching(planner, planner_timeout):
         result = solve(loaded, planner=planner, timeout=planner_timeout, improve=improve)
     if as_json:
         steps = [
@@ -126,7 +107,7 @@ def plan(
         ]
         found = {"cost": result.plan.cost, "is_best": result.plan.is_best} if result.plan else {}
         fields = {"status": result.status.value, "message": result.message, "planner": result.planner, **found}
-        print_json({**fields, "steps": steps if result.plan else None})
+        options.print_json({**fields, "steps": steps if result.plan else None})
     elif result.plan is None:
         from planner_bridge.cli.console import SafeConsole  # here and below: a plan alone needs neither rich nor pictures
 
@@ -136,7 +117,7 @@ def plan(
         from pnm.core.pictures.plan_picture import plan_dot, plan_svg
 
         graph = plan_graph(loaded, result.plan)
-        write(output, plan_svg(graph) if written_as == "svg" else plan_dot(graph), force=force)
+        options.write(output, plan_svg(graph) if written_as == "svg" else plan_dot(graph), force=force)
     else:
         lines = [f"plan     {result.plan}"]
         if result.planner != planner:
@@ -145,12 +126,12 @@ def plan(
             lines.append(f"note     {result.message}")
         if improve < IMPROVE and planner == DEFAULT_PLANNER and result.plan.steps and not result.plan.is_best:
             lines.append(f"note     --improve {IMPROVE:g}, the default of pnm run, may find a better one")
-        write(output, "\n".join((*lines, "")), force=force)
+        options.write(output, "\n".join((*lines, "")), force=force)
     return 0 if result.plan else 2 if result.status is PlanningStatus.INVALID else 1
 
 
 @app.command(epilog="Example: pnm net domain.pddl problem.pddl --format svg -o plan.svg")
-@files_or_plan
+@options.files_or_plan
 @click.option(
     "--format",
     "written_as",
@@ -160,10 +141,10 @@ def plan(
     help="json has everything; dot and svg are pictures",
 )
 @click.option("--level", type=click.Choice(["calls", "net"]), help="of a picture: calls and their orderings (default), or the whole net")
-@output_options
+@options.output_options
 @click.option("-v", "--verbose", is_flag=True, help="list the transitions that can never fire, with the reason")
-@bindings_option
-@planning
+@options.bindings_option
+@options.planning
 @command
 def net(
     *,
@@ -196,20 +177,20 @@ def net(
 
     if written_as == "json" and level == "calls":
         raise InputError("--format json has the whole net and its calls; expected --format dot or svg with --level calls")
-    chosen = chosen_files(domain, problem, plan_file)
+    chosen = options.chosen_files(domain, problem, plan_file)
     if isinstance(chosen, Path):
         from pnm.actions.bindings_file import read_bindings
         from pnm.language.plan import chosen_plan, read_plans
 
         plans = read_plans(chosen)
         plan = plans[chosen_plan(plans, name)]
-        print_warnings(plan.warnings)
+        options.print_warnings(plan.warnings)
         own = read_bindings(bindings).before(plan.bindings) if bindings else plan.bindings
         machine = generate(plan.graph, own, on_failure=plan.on_failure)
     else:
-        loaded = problem_in(*chosen)
+        loaded = options.problem_in(*chosen)
         bound = bindings_for(chosen[0], bindings, loaded.vocabulary)
-        with searching(planner, planner_timeout):
+        with options.searching(planner, planner_timeout):
             result = solve(loaded, planner=planner, timeout=planner_timeout, improve=improve)
         if result.plan is None:
             from planner_bridge.cli.console import SafeConsole
@@ -227,19 +208,19 @@ def net(
             text = net_svg(machine)
         case _:
             text = plan_svg(machine.plan) if written_as == "svg" else plan_dot(machine.plan)
-    write(output, text, force=force)
+    options.write(output, text, force=force)
     never = f"{len(proof.never)} of {len(machine.net.transitions)} transitions can never fire"
     print(f"proved {proof}; {never}{'' if verbose else ', -v lists them'}", *(proof.never if verbose else ()), sep="\n", file=sys.stderr)
     return 0
 
 
 @app.command(epilog="Example: pnm simulate domain.pddl problem.pddl --faults faults.yaml")
-@files
-@bindings_option
-@faults_option
-@click.option("--speed", type=Seconds(0.001), help="simulated seconds per real second; default 20, or 1 with timed facts")
-@click.option("--log", type=FILE, help="a new file for the true events, one JSON object a line")
-@force_option
+@options.files
+@options.bindings_option
+@options.faults_option
+@click.option("--speed", type=options.Seconds(0.001), help="simulated seconds per real second; default 20, or 1 with timed facts")
+@click.option("--log", type=options.FILE, help="a new file for the true events, one JSON object a line")
+@options.force_option
 @command
 def simulate(
     *, domain: Path, problem: Path, bindings: Path | None, faults: Path | None, speed: float | None, log: Path | None, force: bool
@@ -253,8 +234,8 @@ def simulate(
     from planner_bridge.pipeline.loading import bindings_for
 
     if log:
-        check_output(log, force=force)
-    loaded = problem_in(domain, problem)
+        options.check_output(log, force=force)
+    loaded = options.problem_in(domain, problem)
     bound = bindings_for(domain, bindings, loaded.vocabulary)
     return play(loaded, bound, faults_for(loaded, faults), speed or (1.0 if loaded.timed else 20.0), log)
 

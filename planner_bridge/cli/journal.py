@@ -17,19 +17,9 @@ from typing import Any, Final
 import click
 from rich.text import Text
 
+from planner_bridge.cli import options
 from planner_bridge.cli.console import SafeConsole
-from planner_bridge.cli.options import (
-    ADOPT,
-    FILE,
-    ViewingCommand,
-    check_output,
-    command,
-    force_option,
-    seal_of,
-    timeline_option,
-    view_option,
-    write,
-)
+from planner_bridge.cli.options import command
 from planner_bridge.node.node_journal import latest_journal
 from planner_bridge.tasks.result import TASKS
 from planner_bridge.view.story import timelines_svg
@@ -48,13 +38,13 @@ from pnm.tasks import Code
 journal_argument = click.argument("journal", required=False)
 
 
-@click.command(cls=ViewingCommand, epilog="Examples: pnm replay tasks.journal --to 120; pnm replay tasks.journal --view")
+@click.command(cls=options.ViewingCommand, epilog="Examples: pnm replay tasks.journal --to 120; pnm replay tasks.journal --view")
 @journal_argument
 @click.option("--to", "last", type=click.IntRange(1), help="stop after this record, and print the state")
 @click.option("--json", "as_json", is_flag=True, help="print only one JSON object per record")
-@timeline_option
-@force_option
-@view_option
+@options.timeline_option
+@options.force_option
+@options.view_option
 @command
 def replay(journal: str | None, last: int | None, as_json: bool, timeline: Path | None, force: bool, view: int | None) -> int:
     """Execute the runs of a journal again.
@@ -67,10 +57,10 @@ def replay(journal: str | None, last: int | None, as_json: bool, timeline: Path 
     if timeline is not None:
         if view is not None:
             raise InputError("expected --view or --timeline, not both")
-        check_output(timeline, force=force)
+        options.check_output(timeline, force=force)
         with errors_of_journals():
             picture = timelines_svg(chosen_journal(journal))
-        write(timeline, picture, force=force)
+        options.write(timeline, picture, force=force)
         return 0
     if view is not None:
         return _show(chosen_journal(journal), view)
@@ -121,7 +111,7 @@ def journal_files() -> None:
 
 
 _old = click.argument("journal", metavar="JOURNAL")
-_new = click.argument("to", metavar="TO", type=FILE)
+_new = click.argument("to", metavar="TO", type=options.FILE)
 
 
 @journal_files.command(epilog="Example: pnm journal check tasks.journal")
@@ -248,7 +238,7 @@ def resume_run(journal: Place, *, adopts: bool, is_trusted: bool) -> int:
     if ending := tasks[-1].ending:
         _print_task(tasks[-1], SafeConsole())
         return 0 if ending.code is Code.GOAL_REACHED else 1
-    if not (is_trusted or (seal and hmac.compare_digest(seal, seal_of(command)))):
+    if not (is_trusted or (seal and hmac.compare_digest(seal, options.seal_of(command)))):
         _ask(journal, folder, given)
     place = str(journal.resolve()) if isinstance(journal, Path) else journal.text
     try:
@@ -256,7 +246,7 @@ def resume_run(journal: Place, *, adopts: bool, is_trusted: bool) -> int:
     except OSError as error:
         raise InputError(f"{journal}: its command was given in {folder}: {error.strerror}") from error
     print(f"in {printable(folder)}: {_words(given)}", file=sys.stderr)
-    return int(run.main([*given, "--journal", place, *([ADOPT] if adopts else [])], "pnm run", standalone_mode=False) or 0)
+    return int(run.main([*given, "--journal", place, *([options.ADOPT] if adopts else [])], "pnm run", standalone_mode=False) or 0)
 
 
 def _ask(journal: Place, folder: str, given: Sequence[str]) -> None:

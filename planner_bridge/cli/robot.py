@@ -10,23 +10,8 @@ from typing import Final
 import click
 from rich.text import Text
 
+from planner_bridge.cli import options
 from planner_bridge.cli.console import SafeConsole
-from planner_bridge.cli.options import (
-    FILE,
-    Seconds,
-    as_json_option,
-    bindings_option,
-    chosen_files,
-    command,
-    files_or_plan,
-    force_option,
-    plan_parameters,
-    print_json,
-    problem_in,
-    sensing_option,
-    set_option,
-    write_files,
-)
 from planner_bridge.pipeline.achieve import readiness
 from planner_bridge.pipeline.carry_out import readiness_for_plan
 from planner_bridge.pipeline.loading import bindings_for
@@ -43,9 +28,9 @@ _STYLES: Final = {ReadyState.READY: "green", ReadyState.UNFIT: "bold red"}
 
 
 @click.command(epilog="Example: pnm init my_robot")
-@click.argument("folder", type=FILE)
-@force_option
-@command
+@click.argument("folder", type=options.FILE)
+@options.force_option
+@options.command
 def init(folder: Path, force: bool) -> int:
     """Write first files for a running robot.
 
@@ -69,7 +54,7 @@ def init(folder: Path, force: bool) -> int:
         folder.mkdir(exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: not a folder, and none can be made there: {error.strerror}") from error
-    write_files({folder / name: text for name, text in texts.items()}, force=force)
+    options.write_files({folder / name: text for name, text in texts.items()}, force=force)
     decisions = sum(text.count("decide: ") for text in texts.values())
     files = f"{folder / 'domain.pddl'} {folder / 'problem.pddl'}"
     print(f"{decisions} lines need a decision: look for `decide`. Then: pnm check {files} --sensing {folder / 'sensing.yaml'}")
@@ -77,13 +62,13 @@ def init(folder: Path, force: bool) -> int:
 
 
 @click.command(epilog="Example: pnm check domain.pddl problem.pddl --sensing sensing.yaml")
-@files_or_plan
-@set_option
-@bindings_option
-@sensing_option
-@click.option("--wait", type=Seconds(0), default=0.0, help="seconds for missing servers and sensors to appear")
-@as_json_option
-@command
+@options.files_or_plan
+@options.set_option
+@options.bindings_option
+@options.sensing_option
+@click.option("--wait", type=options.Seconds(0), default=0.0, help="seconds for missing servers and sensors to appear")
+@options.as_json_option
+@options.command
 def check(
     *,
     domain: Path | None,
@@ -100,18 +85,18 @@ def check(
 
     Sends nothing. Exit status: 0 everything is ready, 1 something is missing, there twice or silent, 2 something can never work.
     """
-    chosen = chosen_files(domain, problem, plan_file)
+    chosen = options.chosen_files(domain, problem, plan_file)
     if isinstance(chosen, Path):
         sensors = read_sensing(sensing) if sensing else NO_SENSING
         settings = Settings(bindings=read_bindings(bindings) if bindings else NO_BINDINGS, sensing=sensors)
-        rows = readiness_for_plan(chosen, name, settings, wait, plan_parameters(given))
+        rows = readiness_for_plan(chosen, name, settings, wait, options.plan_parameters(given))
     else:
-        loaded = problem_in(*chosen)
+        loaded = options.problem_in(*chosen)
         sensors = read_sensing(sensing, loaded.vocabulary) if sensing else NO_SENSING
         settings = Settings(bindings=bindings_for(chosen[0], bindings, loaded.vocabulary), sensing=sensors)
         rows = readiness(loaded, settings, wait)
     if as_json:
-        print_json({"ready": all(row.state is ReadyState.READY for row in rows), "rows": [row.as_json() for row in rows]})
+        options.print_json({"ready": all(row.state is ReadyState.READY for row in rows), "rows": [row.as_json() for row in rows]})
     else:
         print_table(SafeConsole(), rows)
     states = {row.state for row in rows}

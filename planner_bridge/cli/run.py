@@ -11,42 +11,9 @@ from tempfile import TemporaryDirectory
 
 import click
 
+from planner_bridge.cli import options
 from planner_bridge.cli.console import SafeConsole
-from planner_bridge.cli.options import (
-    ADOPT,
-    GIVEN,
-    Files,
-    Output,
-    RepeatableCommand,
-    Seconds,
-    announce,
-    as_json_option,
-    bindings_option,
-    check_output,
-    chosen_files,
-    command,
-    controlled_by,
-    controls_option,
-    faults_for,
-    faults_option,
-    files_or_plan,
-    force_option,
-    journal_options,
-    knowledge_option,
-    named_values,
-    plan_parameters,
-    planning,
-    print_json,
-    print_warnings,
-    problem_in,
-    quiet_option,
-    seal_of,
-    sensing_option,
-    set_option,
-    timeline_option,
-    view_option,
-    write,
-)
+from planner_bridge.cli.options import ADOPT, GIVEN, Files, Output, Seconds, command
 from planner_bridge.cli.run_console import ConsoleObserver, print_result
 from planner_bridge.pipeline.achieve import Actions, achieve
 from planner_bridge.pipeline.carry_out import carry_out
@@ -71,16 +38,17 @@ from pnm.tasks import Code, Tasks
 
 
 @click.command(
-    cls=RepeatableCommand, epilog="Examples: pnm run domain.pddl problem.pddl --actions ros2; pnm run --plan tea.yaml --set guest=Ada"
+    cls=options.RepeatableCommand,
+    epilog="Examples: pnm run domain.pddl problem.pddl --actions ros2; pnm run --plan tea.yaml --set guest=Ada",
 )
-@files_or_plan
-@set_option
+@options.files_or_plan
+@options.set_option
 @click.option("--actions", type=click.Choice(["simulated", "ros2"]), default="simulated", show_default=True, help="which robots to use")
-@bindings_option
-@faults_option
-@knowledge_option
-@sensing_option
-@planning
+@options.bindings_option
+@options.faults_option
+@options.knowledge_option
+@options.sensing_option
+@options.planning
 @click.option("--sim-time", is_flag=True, help="follow /clock, like nodes with use_sim_time: a paused simulation pauses all limits")
 @click.option("--replans", type=click.IntRange(0), default=10, show_default=True, help="new machines after the first, at most")
 @click.option(
@@ -94,14 +62,14 @@ from pnm.tasks import Code, Tasks
     help="treatment of running actions after a failure; by default that of a hand-written plan, or else drain",
 )
 @click.option("--answer", "answers", metavar="NAME=VALUE", multiple=True, help="an answer in place of a person's; several are used in turn")
-@journal_options
-@timeline_option
-@force_option
-@view_option
-@controls_option
+@options.journal_options
+@options.timeline_option
+@options.force_option
+@options.view_option
+@options.controls_option
 @click.option("-v", "--verbose", is_flag=True, help="print the size of machines, and the states that their proof explored")
-@quiet_option
-@as_json_option
+@options.quiet_option
+@options.as_json_option
 @command
 def run(
     *,
@@ -152,10 +120,10 @@ def run(
     limits = Limits(replans=replans, seconds=seconds, patience=patience)
     failing = policy or OnFailure.DRAIN
     settings = Settings(planner, planner_timeout, improve, limits=limits, on_failure=failing, ask_for_help=ask_for_help, sim_time=sim_time)
-    chosen = chosen_files(domain, problem, plan_file)
+    chosen = options.chosen_files(domain, problem, plan_file)
     if not isinstance(chosen, Path) and (name or given or answers or knowledge):
         raise InputError("--name, --set, --answer and --knowledge belong to hand-written plans; expected --plan and a file")
-    controlled = controlled_by(view, Controlled.RUN, controls=controls)
+    controlled = options.controlled_by(view, Controlled.RUN, controls=controls)
     with looked_at(choice, view, timeline, controlled, force=force) as (kept, page):
         others = Files(bindings, faults, knowledge, sensing, kept, page)
         if isinstance(chosen, Path):
@@ -167,10 +135,10 @@ def run_problem(domain: Path, problem: Path, files: Files, *, actions: Actions, 
     """Plan, execute and replan, print the result, and return the exit status."""
     console, stopwatch = SafeConsole(), Stopwatch()
     with stopwatch.of("parse"):
-        loaded = problem_in(domain, problem)
+        loaded = options.problem_in(domain, problem)
         sensors = read_sensing(files.sensing, loaded.vocabulary) if files.sensing else NO_SENSING
         settings = replace(settings, bindings=bindings_for(domain, files.bindings, loaded.vocabulary), sensing=sensors)
-        faults = faults_for(loaded, files.faults)
+        faults = options.faults_for(loaded, files.faults)
     with observed(output, console, settings, actions, files.page) as observer:
         result = achieve(
             None, loaded, actions=actions, faults=faults, settings=settings, observer=observer, stopwatch=stopwatch, journal=files.journal
@@ -182,7 +150,7 @@ def journal_choice(place: Place, durability: str | None, *, adopts: bool) -> Jou
     """Return the journal of a run; another process would go on with what the command was given here, but adopts nothing unasked."""
     given = [without_password(argument) for argument in click.get_current_context().meta[GIVEN] if argument != ADOPT]
     command, durable = (os.getcwd(), *given), Durability.of(durability) if durability else None
-    return JournalChoice(place, durable, command=command, seal=seal_of(command), adopts=adopts)
+    return JournalChoice(place, durable, command=command, seal=options.seal_of(command), adopts=adopts)
 
 
 @contextmanager
@@ -205,13 +173,13 @@ def looked_at(
         yield journal, None
         return
     if timeline is not None:
-        check_output(timeline, force=force)
+        options.check_output(timeline, force=force)
     with ExitStack() as stack:
         kept = journal or JournalChoice(Path(stack.enter_context(TemporaryDirectory(prefix="pnm-run-"))) / "run.journal")
         page = None
         if view is not None:
             page = stack.enter_context(PageProcess(view, controlled))
-            announce(page)
+            options.announce(page)
             page.follow(str(kept.place) if isinstance(kept.place, Path) else kept.place.text)
         yield kept, page
         if timeline is not None:
@@ -222,7 +190,7 @@ def _draw(journal: JournalChoice, timeline: Path, *, force: bool) -> None:
     """Draw the timeline of the last task of a journal."""
     from planner_bridge.view.story import timelines_svg  # here, because most runs are not drawn
 
-    write(timeline, timelines_svg(journal.place, only_last=True), force=force)
+    options.write(timeline, timelines_svg(journal.place, only_last=True), force=force)
 
 
 class _RunOnPage(TaskObserver):
@@ -259,7 +227,7 @@ def _stay(page: PageProcess) -> None:
     """Keep the page until a signal, such as Ctrl-C."""
 
     async def stay() -> None:
-        announce(page, " stays until Ctrl-C")
+        options.announce(page, " stays until Ctrl-C")
         await page.ended()
 
     with suppress(KeyboardInterrupt):
@@ -269,7 +237,7 @@ def _stay(page: PageProcess) -> None:
 def print_ending(result: TaskResult, console: SafeConsole, output: Output, page: PageProcess | None = None) -> int:
     """Print the result of a task, for people or as one JSON object; keep its page, unless it was cancelled; return the exit status."""
     if output is Output.JSON:
-        print_json(result.as_json())
+        options.print_json(result.as_json())
     else:
         print_result(console, result)
     if page and result.code is not Code.CANCELLED:
@@ -300,15 +268,15 @@ def run_written(
         result = carry_out(
             file,
             name,
-            plan_parameters(given),
+            options.plan_parameters(given),
             actions=actions,
             faults=read_faults(files.faults, None) if files.faults else NO_FAULTS,
             settings=settings,
             on_failure=on_failure,
             observer=observer,
             knowledge=files.knowledge,
-            answers=named_values(answers, "--answer"),
-            warn=print_warnings,
+            answers=options.named_values(answers, "--answer"),
+            warn=options.print_warnings,
             journal=files.journal,
         )
     return print_ending(result, console, output, files.page)

@@ -29,36 +29,15 @@ from pnm.core.net.no_collection import no_collection
 from pnm.core.pictures.timeline import Replan, replan
 from pnm.errors import PnmError
 from pnm.files.database.place import Place
+from pnm.journal import records
 from pnm.journal import replay as replaying
-from pnm.journal.records import (
-    WORLD,
-    Became,
-    EndConfirmed,
-    Happened,
-    KnowledgeBegan,
-    KnowledgeDelta,
-    MachineSource,
-    Record,
-    RunMade,
-    RunRetired,
-    RunSucceeded,
-    SharedBegan,
-    TaskAccepted,
-    TaskEntered,
-    TaskHeld,
-    TaskNoted,
-    TaskOver,
-    TimeCounted,
-    base_of,
-    change,
-)
 from pnm.journal.replay import Replay, ReplayedRun
 from pnm.journal.resume import damage, steps_after
 from pnm.journal.store import KeptJournal
 from pnm.knowledge.people import HelpAsked, HelpEnded
 from pnm.tasks import TaskEnding, TaskState
 
-_FREES: Final = (Happened, EndConfirmed, RunRetired, RunSucceeded)
+_FREES: Final = (records.Happened, records.EndConfirmed, records.RunRetired, records.RunSucceeded)
 """Records with which resources are given, or given back."""
 
 
@@ -152,8 +131,8 @@ class RunHistory:
 
     record: int
     time: float
-    made: RunMade
-    source: MachineSource
+    made: records.RunMade
+    source: records.MachineSource
     state: KnowledgeBase
     executed: Callable[[], ReplayedRun]
     replan: Replan | None = None
@@ -266,7 +245,7 @@ class TaskHistory:
         runs: its runs, in the order in which they were made.
     """
 
-    accepted: TaskAccepted
+    accepted: records.TaskAccepted
     time: float
     runs: list[RunHistory]
     is_told: bool = True
@@ -317,11 +296,11 @@ class JournalHistory:
             read how much before.
     """
 
-    def __init__(self, source: Callable[[str], MachineSource] | None = None, reach: int | None = None) -> None:
+    def __init__(self, source: Callable[[str], records.MachineSource] | None = None, reach: int | None = None) -> None:
         self._source = source
-        self._sources: dict[str, MachineSource] = {}
+        self._sources: dict[str, records.MachineSource] = {}
         self._replay = Replay(self._sources.__getitem__)
-        self._pending: deque[tuple[int, float, Record]] = deque()
+        self._pending: deque[tuple[int, float, records.Record]] = deque()
         """The records that the replay has not executed yet."""
         self.step: replaying.ReplayStep | None = None
         """The record that was executed last."""
@@ -386,19 +365,19 @@ class JournalHistory:
         self.execute()
         return self._held
 
-    def apply(self, number: int, time: float, record: Record) -> replaying.ReplayStep:
+    def apply(self, number: int, time: float, record: records.Record) -> replaying.ReplayStep:
         """Note what a record tells; it is executed once somebody asks for the state after it."""
         self.number, self.time, self._observed = number, max(self.time, time), 0
         self._pending.append((number, time, record))
         self._note(time, record)
         return replaying.ReplayStep(number, time, record)
 
-    def _execute(self, number: int, time: float, record: Record) -> replaying.ReplayStep:
+    def _execute(self, number: int, time: float, record: records.Record) -> replaying.ReplayStep:
         step = self._replay.apply(number, time, record)
-        if isinstance(record, SharedBegan):
+        if isinstance(record, records.SharedBegan):
             self._replay.forget()
             self._held, self._holding = {}, set()
-        elif isinstance(record, RunMade):
+        elif isinstance(record, records.RunMade):
             self._executed[record.run] = self._replay.runs[record.run]
         elif isinstance(record, _FREES):
             self._note_resources(self._replay.now)
@@ -408,14 +387,14 @@ class JournalHistory:
         self.execute()
         return self._executed[id]
 
-    def task_of(self, record: Record) -> UUID | None:
+    def task_of(self, record: records.Record) -> UUID | None:
         """Return the task that a record is about; None if it is about none."""
         match record:
-            case Happened(run) if run in self.runs:
+            case records.Happened(run) if run in self.runs:
                 return self.runs[run].made.task
-            case RunMade(_, task) | TaskNoted(task) | TaskOver(task):
+            case records.RunMade(_, task) | records.TaskNoted(task) | records.TaskOver(task):
                 return task
-            case TaskAccepted(wanted):
+            case records.TaskAccepted(wanted):
                 return wanted.id
             case _:
                 return None
@@ -424,37 +403,37 @@ class JournalHistory:
         """Return the requests that a run has sent for a call."""
         return [self.attempts[request] for request in run.sent.get(call, ())]
 
-    def _note(self, time: float, record: Record) -> None:
+    def _note(self, time: float, record: records.Record) -> None:
         begins, self._begins = self._begins, False
         match record:
-            case Happened():
+            case records.Happened():
                 self._note_event(self.runs[record.run], time, record)
-            case SharedBegan(began=began):
+            case records.SharedBegan(began=began):
                 self.world_began = began
                 self._begin_segment()
-            case KnowledgeBegan(base) if base == WORLD:
-                self.world, self._begins = base_of(record), begins
-            case KnowledgeDelta(base) if base == WORLD:
-                change(self.world, record)
-            case RunMade():
+            case records.KnowledgeBegan(base) if base == records.WORLD:
+                self.world, self._begins = records.base_of(record), begins
+            case records.KnowledgeDelta(base) if base == records.WORLD:
+                records.change(self.world, record)
+            case records.RunMade():
                 self._note_run(record)
-            case RunSucceeded(run, successor, results):
+            case records.RunSucceeded(run, successor, results):
                 self._note_results(self.runs[run], results)
                 self._hand_over(self.runs[successor])
-            case RunRetired(run, results):
+            case records.RunRetired(run, results):
                 self._note_results(self.runs[run], results)
-            case TaskAccepted():
+            case records.TaskAccepted():
                 self._begins = begins
                 self._accept(record)
-            case TaskHeld():
+            case records.TaskHeld():
                 self._begins = begins
-            case TaskEntered(id, state, reason) if id in self.tasks:
+            case records.TaskEntered(id, state, reason) if id in self.tasks:
                 self.tasks[id].state, self.tasks[id].reason = state, reason
-            case TaskNoted(id, note) if id in self.tasks:
+            case records.TaskNoted(id, note) if id in self.tasks:
                 self._note_task(self.tasks[id], note)
-            case TimeCounted(of, used) if of in self.tasks:
+            case records.TimeCounted(of, used) if of in self.tasks:
                 self.tasks[of].used = used
-            case TaskOver(id, ending):
+            case records.TaskOver(id, ending):
                 self._begins = begins
                 self._end(self.tasks[id], ending, is_told=not begins or self.segments[-1][0] == 1)
             case _:
@@ -477,7 +456,7 @@ class JournalHistory:
 
     # --- tasks ------------------------------------------------------------------------------------
 
-    def _accept(self, accepted: TaskAccepted) -> None:
+    def _accept(self, accepted: records.TaskAccepted) -> None:
         id = accepted.wanted.id
         if id not in self.tasks or self.tasks[id].accepted != accepted:  # else it is said again
             made = [run for run in self.runs.values() if run.made.task == id and run.record >= self.segments[-1][0]]  # of a plan, before it
@@ -513,7 +492,7 @@ class JournalHistory:
 
     # --- runs -------------------------------------------------------------------------------------
 
-    def _note_run(self, made: RunMade) -> None:
+    def _note_run(self, made: records.RunMade) -> None:
         if (source := self._sources.get(made.machine)) is None:
             assert self._source is not None, "a history reads machines where it reads records"
             source = self._sources[made.machine] = self._source(made.machine)
@@ -537,13 +516,13 @@ class JournalHistory:
             if taken.request in self.attempts:
                 self.attempts[taken.request] = self.attempts[taken.request]._replace(run=new.id, call=call)
 
-    def _note_results(self, run: RunHistory, results: Iterable[Became]) -> None:
+    def _note_results(self, run: RunHistory, results: Iterable[records.Became]) -> None:
         run.results = {one.call: one.of(run.source.plan) for one in results}
 
-    def _note_event(self, run: RunHistory, time: float, record: Happened) -> None:
+    def _note_event(self, run: RunHistory, time: float, record: records.Happened) -> None:
         for delta in record.deltas:
-            if delta.base == WORLD:
-                change(self.world, delta)
+            if delta.base == records.WORLD:
+                records.change(self.world, delta)
         for told in record.told:
             match told:
                 case Sent():
@@ -594,7 +573,7 @@ class JournalHistory:
         self._holding = self._held.keys() & now.keys()
 
 
-def _replan(before: RunHistory, after: MachineSource, decision: Decision | None) -> Replan:
+def _replan(before: RunHistory, after: records.MachineSource, decision: Decision | None) -> Replan:
     """Return why a run follows another one, and what becomes of the calls that were left of that."""
     left = (str(result.call.action) for result in before.last_results.values() if not result.is_done)
     return replan(decision_words(decision), left, (str(call.action) for call in after.plan.calls))

@@ -26,19 +26,12 @@ from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.errors import InputError, PnmError
 from pnm.journal.kept import Fenced
 from pnm.journal.replay import Replay
-from pnm.journal.resume import stand_by
-from pnm.knowledge.source import Asker
-from pnm.knowledge.sources import Sources, Surroundings, open_sources
-from pnm.language.plan import merge_bindings, read_world, sources_of
-from pnm.language.runner import PlanRunner, Program
-from pnm.ros.backend import Ros2Backend
 from pnm.knowledge.source import Asker
 from pnm.ros.node.parameters import ParameterValue
 from pnm.tasks import REMEMBERED, Make, ServedWorld, TaskEnding, Tasks, Wanted
 
 if TYPE_CHECKING:
     from pnm.ros.sim_time import SimClock
-    from pnm.ros.tasks.executor_topics import Diagnosis
 
 
 _log = logging.getLogger(__name__)
@@ -225,94 +218,6 @@ class ServingNode:
             self._open.pop_all()
         await self._open.aclose()
 
-<<<<<<< HEAD
-    async def _open_context(self, stack: AsyncExitStack) -> NodeContext:
-        options = self._options
-        cancel = threading.Event()
-        try:
-            await asyncio.to_thread(check_planner, options.planner, cancel)
-        finally:
-            cancel.set()
-        world = read_world(options.world, options.world_name) if options.world else None
-        plans = tuple(world.plans.values()) if world else ()
-        problem = load(options.domain, options.problem) if options.domain and options.problem else None
-        models = (*plans, *((problem,) if problem else ()))
-        self._observer.tolerated(dict.fromkeys(warning for model in models for warning in model.warnings))
-        programs = {plan.name: Program.of(plan) for plan in plans}
-        for name, program in programs.items():
-            self._observer.proved(name, program.proof)
-        files = RobotFiles.of(options)
-        own, sensing = files.read(problem.vocabulary if problem else None)
-        bindings = own.before(merge_bindings(plans))
-        node, domain_id = await self._ros.ask(lambda: (self._ros.node.get_fully_qualified_name(), self._ros.node.context.get_domain_id()))
-        place = journal_of(options.journal, node, domain_id, origin := origin_of(options))
-        plan_actions = await self._alone(programs, place)
-        journal, replay = await self._resume(place, node, origin, stack)
-        if replay and replay.shared and replay.shared.loaded:  # in place of that of the files
-            domain, text = replay.shared.loaded
-            problem = parse_problem(text, parse_domain(domain))
-            own, sensing = files.read(problem.vocabulary, strangers=True)
-            bindings = own.before(merge_bindings(plans))
-        knowledge = replay.world if replay else initial_knowledge(*((problem,) if problem else ()), *plans)
-        own_prefix = sha256(node.encode()).digest()[:PREFIX]
-        prefix = (replay.shared.prefix if replay and replay.shared else b"") or own_prefix
-        kept = replay.open_requests if replay else ()
-        backend = Ros2Backend(
-            bindings, sensing, names_of_world(problem, plans), self._ros, prefix=prefix, kept=kept, may_act=journal.may_act
-        )
-        stack.push_async_callback(backend.close)
-        await backend.open(knowledge)
-        folder = (options.world or options.domain or Path()).parent
-        sources = open_sources(sources_of(plans), Surroundings(self._ros, folder), options.knowledge)
-        stack.push_async_callback(sources.close)
-        runner = PlanRunner(programs, backend, knowledge, sources, journal, replay.resources if replay else None)
-        runner.prefix = prefix
-        await check_ready(backend, runner.actions)
-        context = NodeContext(options, files, problem, runner, bindings, backend, knowledge, sources, journal, replay, plan_actions, origin)
-        if replay is None:
-            context.begin_journal()
-        return context
-
-    async def _alone(self, plans: Iterable[str], place: Place | None) -> Mapping[str, str]:
-        """Return the actions of plans, by plan; raise an error if another node has the name of this one, or one of its actions.
-
-        Who holds the journal has the names, and this node stands by for it. In a fleet there are others that stand by as well.
-        """
-        from pnm.ros.node.lifecycle import check_alone  # here, because rclpy is an extra
-        from pnm.ros.tasks.task_node import action_names
-
-        plan_actions: Mapping[str, str]
-        task_actions, plan_actions = await self._ros.ask(partial(action_names, self._ros, plans))
-        self._actions = (*task_actions, *plan_actions.values())
-        if not isinstance(place, ServerUrl):
-            try:
-                await check_alone(self._ros, self._actions)
-            except RosError:
-                if place is None or not is_locked(place):
-                    raise
-        return plan_actions
-
-    async def _resume(self, place: Place | None, node: str, origin: str, stack: AsyncExitStack) -> tuple[Journal, Replay | None]:
-        """Open the journal when no other process holds it; the time of what goes on in it goes on as well."""
-        if place is None:
-            self._observer.journalled("", None)
-            return NO_JOURNAL, None
-        options = self._options
-        if isinstance(place, Path) and not options.journal:
-            for words in left_behind(place):
-                _log.warning("%s", words)
-        kept = options.keep_days * DAY
-        choice = JournalChoice(place, options.durability, kept, lease=options.lease, node=node, adopts=options.adopt)
-        taken = await stand_by(choice, TASKS, origin, partial(self._observer.standing_by, str(place)))
-        journal, replay = taken.write(self.fenced.set_result), taken.replay
-        stack.callback(journal.close)
-        self._observer.journalled(str(place), len(replay.unfinished) if replay else None)
-        if replay:
-            continue_from(replay.now)
-        return journal, replay
-
-=======
->>>>>>> 75314f69 (The node's context and journal are opened apart from its life cycle)
     async def _open_node(self, context: NodeContext, stack: AsyncExitStack) -> None:
         from pnm.ros.tasks.task_node import TaskNode  # here, because rclpy is an extra
 
@@ -358,65 +263,3 @@ async def _close_in_time(close: Callable[[], Awaitable[None]]) -> None:
     with suppress(TimeoutError):
         async with asyncio.timeout(_CLOSING):
             await close()
-<<<<<<< HEAD
-
-
-# --- diagnoses ------------------------------------------------------------------------------------
-# How the parts of a node are, for ``/diagnostics``: the node itself, its tasks, and what `pnm check` looks at.
-
-
-async def open_diagnoses(
-    stack: AsyncExitStack,
-    ros: Any,
-    look: Callable[[], Awaitable[Iterable[Readiness]]],
-    tasks: Tasks,
-    state: Callable[[], str],
-    clock: SimClock | None,
-    journal: Journal,
-    options: Options,
-) -> None:
-    """Publish diagnoses until the stack is closed; there is a warning when their type is not installed.
-
-    Args:
-        look: returns how ready action servers and sensors are.
-        state: returns that of the life cycle.
-        clock: that of the simulation whose time is followed, if one is.
-        journal: of the tasks.
-    """
-    from pnm.ros.tasks.executor_topics import (  # here, because rclpy is an extra
-        Diagnosis,
-        Diagnostics,
-        Level,
-        diagnosis_of,
-        diagnosis_of_tasks,
-    )
-
-    served = {name: getattr(options, name) or "" for name in ("domain", "problem", "world", "planner")}
-
-    async def diagnose() -> tuple[Diagnosis, ...]:
-        level, message = (Level.OK, "active") if state() == "active" else (Level.WARN, f"{state()}: goals are rejected")
-        node = Diagnosis("node", level, message, served)
-        trouble = clock.trouble(monotonic()) if clock else ""
-        watched = (Diagnosis("clock", Level.WARN if trouble else Level.OK, trouble or "/clock goes on"),) if clock else ()
-        kept = () if journal is NO_JOURNAL else (diagnosis_of_journal(journal),)
-        return node, *watched, *kept, diagnosis_of_tasks(tasks.status()), *map(diagnosis_of, await look())
-
-    def diagnosis_of_journal(journal: Journal) -> Diagnosis:
-        """Return how the journal is, and whether another node would go on with it if there has been one."""
-        others = journal.stand_bys()
-        if journal.blocked:
-            return Diagnosis("journal", Level.ERROR, journal.blocked)
-        if others.are_missed:
-            missed = f"no other node stands by any more; the last one was {others.names[-1]}, {others.ago:.0f} s ago"
-            return Diagnosis("journal", Level.WARN, missed)
-        return Diagnosis("journal", Level.OK, f"{', '.join(others.names)} stands by" if others.names else "can be written")
-
-    try:
-        diagnostics = Diagnostics(ros, diagnose)
-    except InputError as error:  # a ROS installation has the type, as have the wheels of the extra
-        EVENTS.warning("there are no diagnostics: %s", error)
-        return
-    await diagnostics.open()
-    stack.push_async_callback(diagnostics.close)
-=======
->>>>>>> 75314f69 (The node's context and journal are opened apart from its life cycle)

@@ -16,19 +16,7 @@ from uuid import UUID
 
 from planner_bridge.explanations.history import Attempt, JournalHistory, RunHistory, TaskHistory, Trouble
 from planner_bridge.tasks.replanning import decision_words
-from planner_bridge.view.shown import (
-    CallShown,
-    EventShown,
-    FactShown,
-    QuestionShown,
-    RequestShown,
-    RunShown,
-    ServerShown,
-    Shown,
-    TaskShown,
-    TroubleShown,
-    View,
-)
+from planner_bridge.view import shown
 from pnm.core.execution.call_results import CallResult, Failure
 from pnm.core.execution.events import Answered, Ask, Restarted, Withdraw
 from pnm.core.logic.computed_values import Layer
@@ -38,19 +26,8 @@ from pnm.core.machine.requests import CallOutcome, Ended, OutcomeKind
 from pnm.core.pictures import timeline
 from pnm.core.pictures.timeline import TimedCall, TimedPlan, Timeline
 from pnm.files.database.place import Place, place_of
+from pnm.journal import records
 from pnm.journal import replay as replaying
-from pnm.journal.records import (
-    WORLD,
-    Happened,
-    KnowledgeBegan,
-    KnowledgeDelta,
-    MachineSource,
-    Record,
-    RunMade,
-    SharedBegan,
-    TaskAccepted,
-    TaskOver,
-)
 from pnm.journal.replay import words
 from pnm.tasks import TaskState
 
@@ -59,7 +36,7 @@ EVENTS: Final = 200
 _SEGMENTS: Final = 2
 """How many it reaches back to."""
 
-T = TypeVar("T", bound=Shown)
+T = TypeVar("T", bound=shown.Shown)
 
 
 class Story(JournalHistory):
@@ -69,36 +46,36 @@ class Story(JournalHistory):
         source: returns the source of the machine of a key.
     """
 
-    def __init__(self, source: Callable[[str], MachineSource] | None = None) -> None:
+    def __init__(self, source: Callable[[str], records.MachineSource] | None = None) -> None:
         super().__init__(source, _SEGMENTS)
-        self.facts: Mapping[str, FactShown] = {}
+        self.facts: Mapping[str, shown.FactShown] = {}
         """A new mapping whenever one of them changes."""
-        self.events: dict[int, EventShown] = {}
+        self.events: dict[int, shown.EventShown] = {}
         self.clock: float | None = None
         """The time of day when the clock of the records was 0, as long as one process writes them."""
-        self._questions: dict[str, QuestionShown] = {}
+        self._questions: dict[str, shown.QuestionShown] = {}
         """Those of runs."""
-        self._shown: dict[str, tuple[object, Shown]] = {}
+        self._shown: dict[str, tuple[object, shown.Shown]] = {}
         """What was shown last, and of what it was made: of most things nothing has changed since."""
 
     @property
-    def questions(self) -> dict[str, QuestionShown]:
+    def questions(self) -> dict[str, shown.QuestionShown]:
         """The questions that are open: those of runs, and those to a person about tasks."""
         about_tasks = {
-            help.asked.question.hex: QuestionShown("a person", help.asked.text, task.name, help.since, help.asked.choices)
+            help.asked.question.hex: shown.QuestionShown("a person", help.asked.text, task.name, help.since, help.asked.choices)
             for task in self.tasks.values()
             for help in task.helps.values()
         }
         return self._questions | about_tasks
 
-    def apply(self, number: int, time: float, record: Record) -> replaying.ReplayStep:
+    def apply(self, number: int, time: float, record: records.Record) -> replaying.ReplayStep:
         """Note what a record tells, and execute it, for it is shown what the runs want; raises as `Replay.apply` does."""
         super().apply(number, time, record)
         replay, step = self.execute(), self.step
         assert step is not None, "this record was executed"
         self._tell(step)
         task, mark = self.task_of(record), self._mark(record)
-        self.events[number] = EventShown(self.time, task.hex if task else "", words(step, replay), mark)
+        self.events[number] = shown.EventShown(self.time, task.hex if task else "", words(step, replay), mark)
         if (old := self.events.get(number - EVENTS)) and not old.mark:
             del self.events[number - EVENTS]
         return step
@@ -109,32 +86,32 @@ class Story(JournalHistory):
             known = self._shown[key] = made_of, show()
         return cast("T", known[1])
 
-    def _mark(self, record: Record) -> str:
+    def _mark(self, record: records.Record) -> str:
         """Return how a record is marked on the way through them."""
         match record:
-            case TaskOver():  # also when it is said again, or what is shown would depend on what was read before
+            case records.TaskOver():  # also when it is said again, or what is shown would depend on what was read before
                 return "end"
-            case RunMade(run) if self.runs[run].replan is not None:
+            case records.RunMade(run) if self.runs[run].replan is not None:
                 return "replan"
-            case Happened(event=Ended(outcome=outcome)) if outcome.kind is not OutcomeKind.SUCCEEDED:
+            case records.Happened(event=Ended(outcome=outcome)) if outcome.kind is not OutcomeKind.SUCCEEDED:
                 return "failure"
-            case Happened(run) if any(trouble.record == self.number and trouble.is_failure for trouble in self.runs[run].latest):
+            case records.Happened(run) if any(trouble.record == self.number and trouble.is_failure for trouble in self.runs[run].latest):
                 return "failure"
             case _:
                 return ""
 
     def _tell(self, step: replaying.ReplayStep) -> None:
         match step.record:
-            case SharedBegan():
+            case records.SharedBegan():
                 self.events = {number: event for number, event in self.events.items() if number >= self.first}
                 self._questions, self._shown = {}, {}
-            case KnowledgeBegan(base, facts) if base == WORLD:
+            case records.KnowledgeBegan(base, facts) if base == records.WORLD:
                 self.facts = {fluent_text(fluent): self._fact(fluent, value, is_initial=True) for fluent, value in facts.items()}
-            case KnowledgeDelta():
+            case records.KnowledgeDelta():
                 self._tell_facts(step.record)
-            case TaskAccepted(wall=wall):
+            case records.TaskAccepted(wall=wall):
                 self.clock = wall - self.time
-            case Happened(run, event, deltas=deltas):
+            case records.Happened(run, event, deltas=deltas):
                 for delta in deltas:
                     self._tell_facts(delta)
                 self._tell_questions(run, event, step)
@@ -154,16 +131,16 @@ class Story(JournalHistory):
             match command:
                 case Ask(id, question) if question.layer is Layer.PERSON:
                     text = f"{question.name}: {_said(question.meta)}" if _said(question.meta) else question.name
-                    self._questions[id.hex] = QuestionShown("a person", text, name, self.time)
+                    self._questions[id.hex] = shown.QuestionShown("a person", text, name, self.time)
                 case Ask(id, question):
-                    self._questions[id.hex] = QuestionShown("a source of knowledge", str(question), name, self.time)
+                    self._questions[id.hex] = shown.QuestionShown("a source of knowledge", str(question), name, self.time)
                 case Withdraw(id):
                     self._questions.pop(id.hex, None)
                 case _:
                     pass
 
-    def _tell_facts(self, delta: KnowledgeDelta) -> None:
-        if delta.base != WORLD:
+    def _tell_facts(self, delta: records.KnowledgeDelta) -> None:
+        if delta.base != records.WORLD:
             return
         facts = dict(self.facts)
         if delta.sensed:
@@ -171,10 +148,10 @@ class Story(JournalHistory):
             facts = {name: replace(fact, source=_source(is_sensed=sensed.get(name, False))) for name, fact in facts.items()}
         self.facts = facts | {fluent_text(fluent): self._fact(fluent, value) for fluent, value in delta.facts.items()}
 
-    def _fact(self, fluent: Fluent, value: Value | Unknown, *, is_initial: bool = False) -> FactShown:
+    def _fact(self, fluent: Fluent, value: Value | Unknown, *, is_initial: bool = False) -> shown.FactShown:
         before = self.facts.get(fluent_text(fluent))
         was = "" if before is None or not isinstance(value, Unknown) else before.was or before.value
-        return FactShown(value_words(value), _source(is_sensed=self.world.is_sensed(fluent)), self.time, is_initial, was)
+        return shown.FactShown(value_words(value), _source(is_sensed=self.world.is_sensed(fluent)), self.time, is_initial, was)
 
 
 def value_words(value: Value | Unknown) -> str:
@@ -202,9 +179,9 @@ def _said(meta: str) -> str:
 # The view of a story: what is shown after its last record. A pure function, which changes nothing that can be seen.
 
 
-def view_of(story: Story) -> View:
+def view_of(story: Story) -> shown.View:
     """Return what is shown of a story; the same story gives the same view."""
-    return View(
+    return shown.View(
         story.number,
         story.time,
         story.began,
@@ -223,10 +200,10 @@ def view_of(story: Story) -> View:
     )
 
 
-def _task(story: Story, task: TaskHistory) -> TaskShown:
+def _task(story: Story, task: TaskHistory) -> shown.TaskShown:
     wanted, used = task.accepted.wanted, task.used
     limit = used.limit if used and isfinite(used.limit) else None
-    return TaskShown(
+    return shown.TaskShown(
         task.name,
         task.state.word,
         _reason(task),
@@ -260,20 +237,20 @@ def _reason(task: TaskHistory) -> str:
     return f"{', '.join(going_on)} {'run' if len(going_on) > 1 else 'runs'}" if going_on else ""
 
 
-def _run(run: RunHistory) -> RunShown:
+def _run(run: RunHistory) -> shown.RunShown:
     made, origin = run.made, run.origin
-    return RunShown(made.task.hex, made.name, run.record, run.time, origin, run.is_over, run.replan)
+    return shown.RunShown(made.task.hex, made.name, run.record, run.time, origin, run.is_over, run.replan)
 
 
-def _calls(story: Story, run: RunHistory) -> Iterator[CallShown]:
+def _calls(story: Story, run: RunHistory) -> Iterator[shown.CallShown]:
     """Yield the calls of a run as they were reached last."""
     for index, result in run.last_results.items():
         yield story.once(f"{run.id.hex}/{index}", result, lambda result=result: _call(run, result))  # type: ignore[misc]
 
 
-def _call(run: RunHistory, result: CallResult) -> CallShown:
+def _call(run: RunHistory, result: CallResult) -> shown.CallShown:
     call, action = result.call, result.call.action
-    return CallShown(
+    return shown.CallShown(
         run.id.hex,
         call.index,
         str(action),
@@ -289,10 +266,10 @@ def _call(run: RunHistory, result: CallResult) -> CallShown:
     )
 
 
-def _request(story: Story, id: str, attempt: Attempt) -> RequestShown:
-    def show() -> RequestShown:
+def _request(story: Story, id: str, attempt: Attempt) -> shown.RequestShown:
+    def show() -> shown.RequestShown:
         run, outcome = story.runs[attempt.sender], attempt.outcome
-        return RequestShown(
+        return shown.RequestShown(
             attempt.run.hex,
             attempt.call,
             str(attempt.action),
@@ -311,11 +288,11 @@ def _request(story: Story, id: str, attempt: Attempt) -> RequestShown:
     return story.once(id, attempt, show)
 
 
-def _trouble(story: Story, run: RunHistory, key: str, trouble: Trouble) -> TroubleShown:
-    def show() -> TroubleShown:
+def _trouble(story: Story, run: RunHistory, key: str, trouble: Trouble) -> shown.TroubleShown:
+    def show() -> shown.TroubleShown:
         cause, expected, observed = trouble.cause
         is_failure, time = trouble.is_failure, trouble.time
-        return TroubleShown(
+        return shown.TroubleShown(
             run.id.hex, trouble.step.index, _step(trouble), is_failure, cause.value, expected, observed, time, trouble.followed
         )
 
@@ -326,7 +303,7 @@ def _step(trouble: Trouble) -> str:
     return str(trouble.step.action if isinstance(trouble.step, ActionCall) else trouble.step)
 
 
-def _servers(story: Story) -> dict[str, ServerShown]:
+def _servers(story: Story) -> dict[str, shown.ServerShown]:
     """Return the servers that calls are bound to."""
     actions: dict[str, dict[str, None]] = {}
     busy: dict[str, list[str]] = {}
@@ -341,7 +318,7 @@ def _servers(story: Story) -> dict[str, ServerShown]:
             busy.setdefault(server, []).append(str(attempt.action))
         failed[server] += attempt.outcome is not None and attempt.outcome.kind is not OutcomeKind.SUCCEEDED
     found = sorted(name for name in actions if name)
-    return {name: ServerShown(tuple(actions[name]), tuple(busy.get(name, ())), failed[name]) for name in found}
+    return {name: shown.ServerShown(tuple(actions[name]), tuple(busy.get(name, ())), failed[name]) for name in found}
 
 
 # --- timelines ------------------------------------------------------------------------------------
