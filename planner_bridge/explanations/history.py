@@ -351,7 +351,15 @@ class JournalHistory:
             while self._pending:
                 number, time, record = self._pending[0]  # which stays if it cannot be executed: there is no state after it
                 try:
-                    self.step = self._execute(number, time, record)
+                    step = self._replay.apply(number, time, record)
+                    if isinstance(record, records.SharedBegan):
+                        self._replay.forget()
+                        self._held, self._holding = {}, set()
+                    elif isinstance(record, records.RunMade):
+                        self._executed[record.run] = self._replay.runs[record.run]
+                    elif isinstance(record, _FREES):
+                        self._note_resources(self._replay.now)
+                    self.step = step
                 except PnmError:
                     raise
                 except Exception as error:
@@ -371,17 +379,6 @@ class JournalHistory:
         self._pending.append((number, time, record))
         self._note(time, record)
         return replaying.ReplayStep(number, time, record)
-
-    def _execute(self, number: int, time: float, record: records.Record) -> replaying.ReplayStep:
-        step = self._replay.apply(number, time, record)
-        if isinstance(record, records.SharedBegan):
-            self._replay.forget()
-            self._held, self._holding = {}, set()
-        elif isinstance(record, records.RunMade):
-            self._executed[record.run] = self._replay.runs[record.run]
-        elif isinstance(record, _FREES):
-            self._note_resources(self._replay.now)
-        return step
 
     def _run(self, id: UUID) -> ReplayedRun:
         self.execute()
@@ -473,22 +470,18 @@ class JournalHistory:
         match note:
             case GoalNote(plans=plans, decision=decision):
                 task.plans = plans
-                if decision is not None:
-                    self._note_decision(task, decision)
+                if decision is not None:  # a run that succeeds one that goes on is made before that is kept
+                    last = task.own_runs[-1] if task.own_runs else None
+                    if last and last.replan and not last.is_decided and last.results is None:
+                        last.replan, last.is_decided = replace(last.replan, why=decision_words(decision)), True
+                    else:
+                        task.decision = decision
             case HelpAsked(request=request):
                 task.helps[request] = Help(note, self.time)
             case HelpEnded(request=request):
                 task.helps.pop(request, None)
             case _:
                 pass
-
-    def _note_decision(self, task: TaskHistory, decision: Decision) -> None:
-        """Note why another run follows; one that succeeds a run that goes on is made before that is kept."""
-        last = task.own_runs[-1] if task.own_runs else None
-        if last and last.replan and not last.is_decided and last.results is None:
-            last.replan, last.is_decided = replace(last.replan, why=decision_words(decision)), True
-        else:
-            task.decision = decision
 
     # --- runs -------------------------------------------------------------------------------------
 

@@ -21,7 +21,7 @@ from pnm.core.logic.conditions import fluents, names
 from pnm.core.logic.effects import Set, TimedChange, When, every_effect
 from pnm.core.logic.expressions import Fluent, expression_fluents
 from pnm.core.logic.trajectory import instances, names_in
-from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph, PlanGraphError
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, PlanEvent, PlanGraph, PlanGraphError
 from pnm.core.net.no_collection import no_collection
 from pnm.errors import check_kinds
 
@@ -108,13 +108,6 @@ def _with_lasting_effects(calls: Sequence[ActionCall], order: PartialOrder, link
         start, end = (order.number(index, moment) for moment in (Moment.START, Moment.END))
         lasting[index] = frozenset(fluent for fluent in started if not writers[fluent].between(start, end))
     return tuple([replace(call, lasting=lasting[call.index]) if lasting.get(call.index) else call for call in calls])
-
-
-def total_order(problem: Problem, plan: Plan) -> PlanGraph:
-    """Return the calls of a sequential plan in their total order."""
-    calls = calls_of(problem, plan)
-    ends = (Ordering(PlanEvent(index, Moment.END), PlanEvent(index + 1, Moment.START)) for index in range(len(calls) - 1))
-    return PlanGraph(tuple(calls), tuple(ends), problem.goal, problem.domain.rules)
 
 
 def causal_links(problem: Problem, actions: Sequence[GroundAction]) -> CausalLinks:

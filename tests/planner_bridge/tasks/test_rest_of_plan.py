@@ -11,7 +11,8 @@ import pytest
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Problem
-from planner_bridge.ordering.plan_to_graph import plan_graph, total_order
+from planner_bridge.model.progression import calls_of
+from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.achieve import achieve, achieve_at
 from planner_bridge.tasks.replanning import MAX_SHORTENED, Decision, History, Limits, PlanAgain, Progress, ResumePlan, decide, shortened
@@ -25,6 +26,7 @@ from pnm.core.logic.expressions import Variable
 from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.machine import OnFailure
+from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
 from pnm.core.machine.requests import CallOutcome
 from tests.support.pddl.problems import ROOMS, matches, rooms
 from tests.support.runs.simulated import LateBackend
@@ -174,7 +176,8 @@ def test_calls_that_are_needless_are_left_out_of_what_is_not_too_long(calls: int
     text = f"(define (problem q) (:domain d) (:objects {' '.join(places)} - p) (:init (lit) (at p0)) (:goal (and (lit) (at {places[-1]}))))"
     problem, ways = parse_problem(text, domain), pairwise(places)
     plan = Plan((PlanStep("light"), *(PlanStep("go", way, float(number + 1)) for number, way in enumerate(ways))))
-    progress = Progress.beginning(total_order(problem, plan))
+    ends = (Ordering(PlanEvent(index, Moment.END), PlanEvent(index + 1, Moment.START)) for index in range(calls - 1))
+    progress = Progress.beginning(PlanGraph(tuple(calls_of(problem, plan)), tuple(ends), problem.goal, problem.domain.rules))
     assert len(shortened(progress, initial_knowledge(problem)).rest) == calls - left_out
 
 
