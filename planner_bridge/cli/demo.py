@@ -23,7 +23,7 @@ from rich.text import Text
 
 from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.run_console import ConsoleObserver, print_result
-from planner_bridge.model.simulation import simulated_backend
+from planner_bridge.model.world import simulated_backend
 from planner_bridge.pipeline.achieve import achieve_at
 from planner_bridge.pipeline.loading import load
 from planner_bridge.tasks.settings import Settings

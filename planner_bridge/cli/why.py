@@ -16,9 +16,8 @@ from planner_bridge.cli.options import FILE, Seconds, as_json_option, command, p
 from planner_bridge.explanations.answer import Answer, Known
 from planner_bridge.explanations.goal_now import why_goal
 from planner_bridge.explanations.history import JournalHistory
-from planner_bridge.explanations.needed_call import why_call_of_plan
+from planner_bridge.explanations.needed_call import why_call_of_plan, why_not
 from planner_bridge.explanations.no_plan import SECONDS, AnswerLimit
-from planner_bridge.explanations.other_action import why_not
 from planner_bridge.explanations.run_questions import call_meant, task_meant, why_call_of_run, why_replanned, why_so
 from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.plan import Plan, PlanStep, read_plan

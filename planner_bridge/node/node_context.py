@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.model.plan_world import names_of_world
 from planner_bridge.model.problem import Problem
+from planner_bridge.model.world import names_of_world
 from planner_bridge.node.node_journal import checked_names, journal_of, origin_of, resume
 from planner_bridge.node.node_log import NodeObserver
 from planner_bridge.node.options import Options, RobotFiles

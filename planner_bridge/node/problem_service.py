@@ -16,9 +16,9 @@ from typing import Final
 from planner_bridge.explanations.goal_now import packed
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan
-from planner_bridge.model.plan_world import with_names_of, world_of_plans
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.model.progression import snapshot
+from planner_bridge.model.world import with_names_of, world_of_plans
 from planner_bridge.node.world_queries import SharedWorld
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem

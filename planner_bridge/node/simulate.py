@@ -19,7 +19,7 @@ from typing import Final, TextIO
 
 from planner_bridge.model.grounding import ground_action, initial_knowledge, modelled_duration
 from planner_bridge.model.problem import Problem
-from planner_bridge.model.simulation import robots_of
+from planner_bridge.model.world import robots_of
 from pnm.actions.faults import Faults
 from pnm.actions.simulated_robots import SimulatedRobots, arguments_of, result_of
 from pnm.clock import run_async

@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.model.plan_world import names_of_world
 from planner_bridge.model.problem import Domain, Problem
-from planner_bridge.model.simulation import simulated_backend
+from planner_bridge.model.world import names_of_world, simulated_backend
 from planner_bridge.pddl.writer import write_domain, write_problem
 from planner_bridge.pipeline.goal_handle import KEPT_NOWHERE, GoalHandle, TaskJournal
 from planner_bridge.pipeline.loading import bindings_for, load

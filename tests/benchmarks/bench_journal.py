@@ -30,7 +30,7 @@ sys.path.insert(0, str(ROOT))
 from planner_bridge.explanations.history import JournalHistory
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
-from planner_bridge.model.simulation import robots_of
+from planner_bridge.model.world import robots_of
 from planner_bridge.pddl import parse_problem
 from planner_bridge.pipeline.loading import load
 from planner_bridge.tasks.replanning import Limits

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from planner_bridge.model.simulation import simulated_backend
+from planner_bridge.model.world import simulated_backend
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.generate import generate

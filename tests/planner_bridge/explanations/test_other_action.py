@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 
 from planner_bridge.explanations.answer import Answer, Best, Known, Unsolvable
+from planner_bridge.explanations.needed_call import Forced, why_not
 from planner_bridge.explanations.no_plan import AnswerLimit
-from planner_bridge.explanations.other_action import Forced, why_not
 from planner_bridge.model.plan import PlanningResult, PlanningStatus, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.solve import solve

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Problem
-from planner_bridge.model.simulation import simulated_backend
+from planner_bridge.model.world import simulated_backend
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.tasks.replanning import PlanAgain, Progress, ResumePlan, why_not

@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable
 import pytest
 
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.model.plan_world import names_of_world
+from planner_bridge.model.world import names_of_world
 from planner_bridge.node.problem_service import NOTHING, LoadedProblem, ProblemFolder, ServedProblem
 from planner_bridge.tasks.settings import Settings
 from pnm.clock import run_async

@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from planner_bridge.model.simulation import simulated_backend
+from planner_bridge.model.world import simulated_backend
 from planner_bridge.pipeline.achieve import achieve, achieve_async
 from planner_bridge.pipeline.goal_handle import GoalHandle
 from planner_bridge.tasks.result import Stopwatch

@@ -8,7 +8,7 @@ from typing import Final
 import kairos
 import pytest
 
-from planner_bridge.model.simulation import simulated_backend
+from planner_bridge.model.world import simulated_backend
 from planner_bridge.pddl import write_domain, write_problem
 from planner_bridge.pipeline.achieve import achieve_at
 from planner_bridge.pipeline.loading import load

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.planning.reduction import MAX_STEPS, reduced
-from planner_bridge.planning.solve import solve
+from planner_bridge.planning.solve import MAX_STEPS, reduced, solve
 from planner_bridge.planning.validate import why_invalid
 from tests.support.pddl.problems import rooms
 

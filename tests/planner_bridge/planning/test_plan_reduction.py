@@ -13,8 +13,8 @@ from planner_bridge.model.grounding import ground_action, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import NotApplicable, Progression
-from planner_bridge.planning import reduction, solve
-from planner_bridge.planning.reduction import indispensable, reduced
+from planner_bridge.planning import solve
+from planner_bridge.planning.solve import indispensable, reduced
 from pnm.core.logic.conditions import evaluate
 from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
 from tests.support.pddl.problems import rooms
@@ -96,7 +96,7 @@ def test_when_the_time_is_over_the_plan_stays_as_it_is_by_then(looks: int) -> No
     problem = world("(clean b)")
     steps = [*TO_AND_FRO, ("move", "r1", "a", "b"), ("sweep", "r1", "b")]
     plan = Plan(tuple(PlanStep(name, tuple(arguments)) for name, *arguments in steps))
-    with patch.object(reduction.time, "monotonic", side_effect=count().__next__):
+    with patch.object(solve.time, "monotonic", side_effect=count().__next__):
         result = reduced(problem, PlanningResult(PlanningStatus.SOLVED, plan), until=looks).plan
     assert result is not None
     left = [ground_action(problem.domain.actions[step.action], step.arguments) for step in result.steps]
@@ -105,7 +105,7 @@ def test_when_the_time_is_over_the_plan_stays_as_it_is_by_then(looks: int) -> No
 
 
 def test_the_limit_of_a_search_counts_for_that_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
-    ends, now = list[float](), reduction.time.monotonic()
+    ends, now = list[float](), solve.time.monotonic()
 
     def note(problem: Problem, result: PlanningResult, parsed: object, *, until: float) -> PlanningResult:
         ends.append(until)
@@ -113,4 +113,4 @@ def test_the_limit_of_a_search_counts_for_that_as_well(monkeypatch: pytest.Monke
 
     monkeypatch.setattr(solve, "reduced", note)
     assert solve.solve(world("(clean b)"), timeout=20.0, improve=0.0).plan
-    assert now + 20.0 <= ends[0] <= reduction.time.monotonic() + 20.0
+    assert now + 20.0 <= ends[0] <= solve.time.monotonic() + 20.0

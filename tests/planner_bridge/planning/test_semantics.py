@@ -24,7 +24,7 @@ from unified_planning.plans import ActionInstance, SequentialPlan, TimeTriggered
 from planner_bridge.model.grounding import dynamic_names, ground_action, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanStep, plan_text
 from planner_bridge.model.problem import Problem
-from planner_bridge.model.simulation import simulated_backend
+from planner_bridge.model.world import simulated_backend
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem, write_domain, write_problem
 from planner_bridge.planning.kairos import validate

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planner_bridge.model.problem import Problem
-from planner_bridge.model.simulation import robots_of
+from planner_bridge.model.world import robots_of
 from planner_bridge.tasks.constraint_monitor import ConstraintMonitor
 from planner_bridge.tasks.replanning import Limits
 from pnm.actions.backend import SimulatedBackend

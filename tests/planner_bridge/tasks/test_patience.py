@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from planner_bridge.model.simulation import robots_of, simulated_backend
+from planner_bridge.model.world import robots_of, simulated_backend
 from planner_bridge.pipeline.achieve import achieve_at
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings, TaskObserver

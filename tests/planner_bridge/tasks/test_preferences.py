@@ -8,7 +8,7 @@ from dataclasses import replace
 from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.run_console import ConsoleObserver, print_result
 from planner_bridge.model.problem import Problem
-from planner_bridge.model.simulation import simulated_backend
+from planner_bridge.model.world import simulated_backend
 from planner_bridge.pipeline.achieve import achieve_at
 from planner_bridge.tasks.settings import Settings
 from pnm.clock import run_async

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall, forbid
-from planner_bridge.model.simulation import simulated_backend
+from planner_bridge.model.world import simulated_backend
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.achieve import achieve_at
 from planner_bridge.tasks.replanning import GiveUp, History, Limits, PlanAgain, ResumePlan

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.model.simulation import simulated_backend
+from planner_bridge.model.world import simulated_backend
 from planner_bridge.node.problem_service import NOTHING
 from planner_bridge.tasks.settings import Settings
 from planner_bridge.tasks.task_manager import TaskManager

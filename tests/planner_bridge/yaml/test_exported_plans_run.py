@@ -7,7 +7,7 @@ from typing import Final
 
 import pytest
 
-from planner_bridge.model.simulation import simulated_backend
+from planner_bridge.model.world import simulated_backend
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pipeline.achieve import achieve_at
 from planner_bridge.pipeline.loading import load

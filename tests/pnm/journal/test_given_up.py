@@ -6,7 +6,7 @@ import asyncio
 from pathlib import Path
 from uuid import UUID
 
-from planner_bridge.model.simulation import simulated_backend
+from planner_bridge.model.world import simulated_backend
 from planner_bridge.tasks.result import TASKS
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import Fault, FaultKind, Faults

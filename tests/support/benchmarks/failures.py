@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from planner_bridge.model.problem import Problem
-from planner_bridge.model.simulation import robots_of
+from planner_bridge.model.world import robots_of
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.achieve import achieve_at
 from planner_bridge.tasks.replanning import Limits

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Final, TypeVar
 from uuid import UUID
 
-from planner_bridge.model.simulation import robots_of
+from planner_bridge.model.world import robots_of
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.goal_handle import GoalHandle
 from planner_bridge.tasks.constraint_monitor import ConstraintMonitor

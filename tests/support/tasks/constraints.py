@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.problem import Problem
-from planner_bridge.model.simulation import simulated_backend
+from planner_bridge.model.world import simulated_backend
 from planner_bridge.pipeline.achieve import achieve_at
 from planner_bridge.tasks.constraint_monitor import ConstraintMonitor
 from planner_bridge.tasks.replanning import Limits

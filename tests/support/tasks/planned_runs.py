@@ -10,7 +10,7 @@ from uuid import uuid4
 from planner_bridge.model.grounding import initial_knowledge, problem_now
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Problem
-from planner_bridge.model.simulation import simulated_backend
+from planner_bridge.model.world import simulated_backend
 from planner_bridge.tasks.replanning import Decision, History, Limits, Progress, decide
 from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import NO_FAULTS, Faults, HiddenChange

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from planner_bridge.model.problem import Problem
-from planner_bridge.model.simulation import simulated_backend
+from planner_bridge.model.world import simulated_backend
 from planner_bridge.pipeline.achieve import achieve_at
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.result import TaskResult

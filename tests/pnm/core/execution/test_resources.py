@@ -12,7 +12,7 @@ from uuid import UUID
 
 import pytest
 
-from planner_bridge.model.simulation import simulated_backend
+from planner_bridge.model.world import simulated_backend
 from planner_bridge.node.simulate import LoggedRobots
 from pnm.actions.simulated_robots import SimulatedRobots, SimulatedWorld
 from pnm.clock import run_async

@@ -9,7 +9,7 @@ from uuid import UUID
 
 import pytest
 
-from planner_bridge.model.simulation import simulated_backend
+from planner_bridge.model.world import simulated_backend
 from planner_bridge.tasks.settings import Settings
 from planner_bridge.tasks.task_manager import TaskLimits
 from pnm.actions.faults import Fault, FaultKind, Faults

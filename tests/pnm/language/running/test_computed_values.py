@@ -13,7 +13,7 @@ import pytest
 from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.options import Files, Output
 from planner_bridge.cli.run import run_written
-from planner_bridge.model.simulation import simulated_backend
+from planner_bridge.model.world import simulated_backend
 from planner_bridge.pipeline.carry_out import carry_out
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings

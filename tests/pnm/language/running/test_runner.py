@@ -8,7 +8,7 @@ from uuid import uuid4
 
 import pytest
 
-from planner_bridge.model.simulation import simulated_backend
+from planner_bridge.model.world import simulated_backend
 from planner_bridge.pipeline.carry_out import carry_out
 from pnm.actions.backend import schedule
 from pnm.actions.faults import Fault, FaultKind, Faults

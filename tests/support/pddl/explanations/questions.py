@@ -10,9 +10,8 @@ from random import Random
 
 from planner_bridge.explanations.answer import Answer
 from planner_bridge.explanations.goal_now import what_would_help
-from planner_bridge.explanations.needed_call import why_call_of_plan, why_plan
+from planner_bridge.explanations.needed_call import why_call_of_plan, why_not, why_plan
 from planner_bridge.explanations.no_plan import SECONDS, AnswerLimit, why_no_plan
-from planner_bridge.explanations.other_action import why_not
 from planner_bridge.model.grounding import dynamic_names, ground_action, initial_knowledge
 from planner_bridge.model.plan import PlanStep
 from planner_bridge.model.problem import Problem

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 from uuid import UUID
 
-from planner_bridge.model.simulation import robots_of
+from planner_bridge.model.world import robots_of
 from planner_bridge.tasks.result import TASKS
 from pnm.actions.simulated_robots import RobotLog, SimulatedRobots
 from pnm.core.logic.conditions import evaluate

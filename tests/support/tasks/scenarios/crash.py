@@ -14,7 +14,7 @@ from uuid import UUID
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
-from planner_bridge.model.simulation import simulated_backend
+from planner_bridge.model.world import simulated_backend
 from planner_bridge.pddl import parse_problem
 from planner_bridge.tasks.result import TASKS
 from planner_bridge.tasks.settings import Settings

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from planner_bridge.model.problem import Problem
-from planner_bridge.model.simulation import robots_of
+from planner_bridge.model.world import robots_of
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import Faults

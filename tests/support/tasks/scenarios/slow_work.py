@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 from planner_bridge.model.problem import Problem
-from planner_bridge.model.simulation import robots_of
+from planner_bridge.model.world import robots_of
 from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import Faults
 from pnm.clock import VirtualTimeLoop

@@ -1,4 +1,7 @@
-"""The world of hand-written plans as a problem without actions: facts of it can be queried and updated as PDDL, and reports checked."""
+"""The world of problems and hand-written plans: as a problem, and as the one in which simulated robots work.
+
+Plans become a problem without actions: facts of it can be queried and updated as PDDL, and reports checked.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,18 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Final, TypeAlias
 
+from planner_bridge.model.grounding import dynamic_names, initial_knowledge
 from planner_bridge.model.problem import Domain, Problem
+from pnm.actions.backend import SimulatedBackend
+from pnm.actions.faults import NO_FAULTS, Faults
+from pnm.actions.simulated_robots import SimulatedRobots, SimulatedWorld
 from pnm.core.logic.computed_values import fluents_in
 from pnm.core.logic.conditions import Compare, Computed, Condition, Holds, every_part
 from pnm.core.logic.domain import Declaration, Vocabulary
-from pnm.core.logic.effects import Effects, Set, When, every_effect
+from pnm.core.logic.effects import Effects, Set, When, every_effect, names_written
 from pnm.core.logic.expressions import DURATION, UNDEFINED, Constant, Fluent, Value, Variable, expression_fluents
 from pnm.core.logic.rules import Rules
+from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import Conditional
 from pnm.errors import InputError
 from pnm.language.plan import HandWrittenPlan
@@ -154,3 +162,33 @@ def _in_effects(effects: Effects) -> Iterator[Use]:
                 yield from _in_condition(condition)
             case _:
                 pass
+
+
+# --- simulated robots -----------------------------------------------------------------------------
+# Simulated robots for a problem or a hand-written plan.
+
+
+def simulated_backend(described: Problem | HandWrittenPlan, bindings: Bindings, faults: Faults = NO_FAULTS) -> SimulatedBackend:
+    """Return an execution backend of simulated robots, in the initial world of the problem or plan."""
+    return SimulatedBackend(robots_of(described, bindings, faults), bindings.assumed)
+
+
+def robots_of(described: Problem | HandWrittenPlan, bindings: Bindings, faults: Faults, *, speed: float = 1.0) -> SimulatedRobots:
+    """Return simulated robots in the initial world of the problem or plan."""
+    if isinstance(described, Problem):
+        changing = dynamic_names(described)
+    else:
+        calls = described.graph.calls
+        changing = names_written(tuple(effect for call in calls for effect in (*call.action.start_effects, *call.action.end_effects)))
+        changing |= dynamic_names(described.declared)  # a planner that takes over may use any action of the domain
+    hidden = {fluent[0] for change in faults.changes for fluent in change.changes}
+    return SimulatedRobots(
+        SimulatedWorld(initial_knowledge(described), changing | hidden),
+        faults,
+        bindings,
+        described.timed,
+        # In PDDL an action without a duration is instantaneous where there are times; otherwise nothing is known of how long it takes.
+        untimed=0.0 if isinstance(described, Problem) and described.is_timed else 1.0,
+        speed=speed,
+        capacities={} if isinstance(described, Problem) else described.graph.capacities,
+    )
