@@ -27,7 +27,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class TimeUsed:
-    """How much of a limit is used.
+    """The used part of a limit.
 
     Args:
         limit: its seconds.
@@ -63,7 +63,7 @@ class TimeLimit:
         self._used = 0.0
         """Until the time began to count last."""
         self._since: float | None = None
-        """When that was, while it counts."""
+        """The time of that, while it counts."""
         self._has_begun = False
         self._is_paused = False
         self._timer: asyncio.TimerHandle | None = None

@@ -15,7 +15,7 @@ class PnmError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """Where in a file something stands; lines and columns count from 1. Without them, the file as a whole."""
+    """A position in a file; lines and columns count from 1. Without them, the file as a whole."""
 
     file: str
     line: int = 0

@@ -96,7 +96,7 @@ class Executor:
         self._leaving: list[Callable[[], None]] = []
         self._waiting: set[KnowledgeChanged | ResourcesChanged] = set()
         self._progress: asyncio.Event | None = None
-        """What those wait for who wait until something has happened."""
+        """The events for those who wait until something has happened."""
         self.ended = False
         """Whether the run was carried out, and is not any more."""
 
@@ -357,7 +357,7 @@ class Executor:
 
 
 def _raised_by(ask: Callable[..., None], request: Request | UUID, *arguments: object) -> str:
-    """Return what asking a client about one request has raised, which concerns no other; empty if it has been asked."""
+    """Return the error of a client about one request, which concerns no other; empty if it has been asked."""
     try:
         ask(request, *arguments)
     except Exception as error:

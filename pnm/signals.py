@@ -34,7 +34,7 @@ CANCELLED: Final = 1
 
 
 class LastWords:
-    """How a program ends that leaves at once: what it says then, unless that has been said, and with which status.
+    """The immediate end of a program: its last words, unless they were said, and its status.
 
     The mutable state is those, whether they are said, and whether this process is such a program: what is no program of ours leaves
     when its caller does.

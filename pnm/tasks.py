@@ -19,7 +19,7 @@ from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.net.net import Marking
 
 EVENTS: Final = logging.getLogger("pnm.events")
-"""What happens to tasks and to the node that carries them out, for handlers here: `/rosout`, by `pnm.ros.node.ros_thread`."""
+"""The log of tasks and of their node, for handlers here: `/rosout`, by `pnm.ros.node.ros_thread`."""
 EVENTS.propagate = False  # commands print it in their own way
 EVENTS.addHandler(logging.NullHandler())  # else Python prints warnings that have no handler
 
@@ -44,7 +44,7 @@ class NumberedWord(IntEnum):
 
 
 class Code(NumberedWord):
-    """How a task ended; the numbers are those of ``pnm_interfaces/action/AchieveGoal``."""
+    """The end of a task; the numbers are those of ``pnm_interfaces/action/AchieveGoal``."""
 
     GOAL_REACHED = 0
     INVALID_GOAL = 1
@@ -65,7 +65,7 @@ class Code(NumberedWord):
 
 
 class TaskState(NumberedWord):
-    """How a task is doing; the numbers are those of ``pnm_interfaces/msg/TaskStatus``."""
+    """The state of a task; the numbers are those of ``pnm_interfaces/msg/TaskStatus``."""
 
     QUEUED = 0
     PLANNING = 1
@@ -78,7 +78,7 @@ class TaskState(NumberedWord):
 
 
 class StepState(NumberedWord):
-    """How far a call of a plan has come; the numbers are those of ``pnm_interfaces/msg/PlanStep``."""
+    """The progress of a call of a plan; the numbers are those of ``pnm_interfaces/msg/PlanStep``."""
 
     WAITING = 0
     RUNNING = 1
@@ -88,7 +88,7 @@ class StepState(NumberedWord):
 
 
 class OnConflict(NumberedWord):
-    """What to do about a goal that cannot be pursued beside others; the numbers are those of ``pnm_interfaces/action/AchieveGoal``."""
+    """The treatment of a goal in conflict with others; the numbers are those of ``pnm_interfaces/action/AchieveGoal``."""
 
     DEFAULT = 0
     """As the task manager has it."""
@@ -99,7 +99,7 @@ class OnConflict(NumberedWord):
 
 
 class TraceKind(NumberedWord):
-    """What kind of thing has happened to a task; the numbers are those of ``pnm_interfaces/msg/TraceEvent``."""
+    """The kind of an event of a task; the numbers are those of ``pnm_interfaces/msg/TraceEvent``."""
 
     GOAL = 0
     STATE = 1
@@ -159,13 +159,13 @@ class TaskStatus:
     ended: int = 0
     replans: int = 0
     restarts: int = 0
-    """How often a plan that is loaded was begun anew."""
+    """The number of times that a loaded plan was begun anew."""
     parameters: Mapping[str, object] = field(default_factory=dict)
     """The parameters of a loaded plan."""
     feedback: tuple[str, ...] = ()
-    """What the server of each running call has reported last, on one line; empty for nothing."""
+    """The last feedback of the server of each running call, on one line; empty for none."""
     code: Code | None = None
-    """How it has ended; None while it is not over."""
+    """Its end; None while it is not over."""
 
     @property
     def title(self) -> str:
@@ -195,7 +195,7 @@ class TaskStep:
     after: tuple[int, ...] = ()
     """The positions of the calls that must have started or ended before."""
     started: float | None = None
-    """When it was sent first, on the clock of the event loop; None if it was not."""
+    """The time at which it was sent first, on the clock of the event loop; None if it was not."""
     ended: float | None = None
     attempts: int = 0
     limit: float = 0.0
@@ -230,7 +230,7 @@ class TraceEvent:
 
 @dataclass(frozen=True, slots=True)
 class TaskEnding:
-    """How a task ended."""
+    """The end of a task."""
 
     code: Code
     message: str
@@ -289,7 +289,7 @@ class TaskRefused(Exception):
 
 
 class TaskCommands(Protocol):
-    """What people and programs may want of the tasks of a process. To be used on the event loop's thread."""
+    """The orders that people and programs may give for the tasks of a process. To be used on the event loop's thread."""
 
     def begin(self, wanted: Wanted, /) -> None:
         """Begin a task, or raise `TaskRefused` if none may now. Whatever is wrong with it ends it, with a code and a reason."""
@@ -375,7 +375,7 @@ class ServedWorld(Protocol):
     """Knowledge and problem of a process. To be used on the event loop's thread; what is wrong is an `InputError`."""
 
     async def query(self, questions: Sequence[str], /) -> Sequence[tuple[str, str]]:
-        """Return what is known of each question, in order; of everything that is known, when there are none.
+        """Return the knowledge for each question, in order; all facts, when there are none.
 
         Args:
             questions: conditions in PDDL, or functions.
@@ -385,7 +385,7 @@ class ServedWorld(Protocol):
         """
 
     async def check_goal(self, goal: str, /) -> None:
-        """Say what is wrong with the goal of a task, if something is."""
+        """Raise an error for a mistake in the goal of a task."""
 
     async def pack(self, goal: str, /) -> str:
         """Return the problem as the world is now, with this goal, as a text for another process of the same program."""

@@ -49,7 +49,7 @@ class SafeConsole(Console):
         return super().render_str(printable_lines(text), **options)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """Yield what is printed of anything; control characters only where the console itself moves the cursor."""
+        """Yield printable text; control characters only where the console itself moves the cursor."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else segment._replace(text=printable_lines(segment.text))
 
@@ -118,7 +118,7 @@ class ToldFailures:
     ends: dict[tuple[UUID, str], str] = field(default_factory=dict)
 
     def text(self, task: UUID, kind: int, subject: str, text: str) -> str:
-        """Return what is to be said of an event of a task, behind its subject."""
+        """Return the text of an event of a task, without its subject."""
         match kind:
             case TraceKind.ENDED:
                 self.ends[task, subject] = text

@@ -67,9 +67,9 @@ def show_delivery(console: SafeConsole) -> int:
 # --- the mall ---
 
 NEEDED: Final = {"rclpy": "pip install 'petri-net-machines[ros2]'", "pnm_interfaces": "pip install ./ros/pnm_interfaces"}
-"""What is imported by the processes, and how it is installed."""
+"""The packages of the processes, and their installation."""
 SPEED: Final = "1.2"
-"""How many times faster than real time the robot is."""
+"""The speed of the robot relative to real time."""
 BEGINNING: Final = 60.0
 """Seconds that a process may take until it is ready."""
 LIMIT: Final = 120.0
@@ -90,7 +90,7 @@ SCRIPT: Final = {
     ],
 }
 _SPEECH: Final = {"describe_route": "The way to {1} is as follows …", "ask_understood": "Do you know the way to {1} now?", "say": "{0}"}
-"""What the robot says when it begins an action, given its arguments."""
+"""The words of the robot at the beginning of an action, given its arguments."""
 _STATES: Final = {"RUNNING": "green", "PAUSED": "yellow", "OVER": "bold green"}
 """The states of tasks that are printed, and their colours."""
 
@@ -181,7 +181,7 @@ class StoryPrinter:
     console: SafeConsole
     began: float | None = None
     names: dict[str, str] = field(default_factory=dict)
-    """What tasks are about, by their ids."""
+    """The subjects of tasks, by their ids."""
     states: dict[str, str] = field(default_factory=dict)
     paused: int = 0
     requests: int = 0
@@ -190,7 +190,7 @@ class StoryPrinter:
     clashes: int = 0
 
     def done(self, line: Mapping[str, Any]) -> None:
-        """Print what the robot does."""
+        """Print the acts of the robot."""
         self.clashes += "clash" in line
         name, _, arguments = line["call"].rstrip(")").partition("(")
         if line["event"] == "start" and name in _SPEECH:
@@ -201,7 +201,7 @@ class StoryPrinter:
             self._print(line, "[bold cyan]robot[/]  ", f"breaks off: {name}({arguments})")
 
     def seen(self, line: Mapping[str, Any]) -> None:
-        """Print what the visitor does and sees."""
+        """Print the acts and the view of the visitor."""
         match line["event"]:
             case "request":
                 self.requests += 1

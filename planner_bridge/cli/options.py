@@ -335,17 +335,17 @@ def faults_for(problem: Problem, file: Path | None) -> Faults:
 
 
 def searching(planner: str, limit: float) -> AbstractContextManager[object]:
-    """Return what shows on stderr, while it is entered, that a planner is being asked; see `waiting`."""
+    """Return a display on stderr, while it is entered, of the planner's search; see `waiting`."""
     return waiting(planner_words(planner, limit)) if sys.stderr.isatty() else nullcontext()
 
 
 def planner_words(planner: str, limit: float) -> str:
-    """Return what is being waited for while a planner is asked."""
+    """Return the words for waiting for a planner."""
     return f"{planner} is looking for a plan, {limit:g} s at most"
 
 
 def waiting(text: str, console: Console | None = None) -> AbstractContextManager[object]:
-    """Return what shows, while it is entered, what is being waited for with its limit, and for how long already; on terminals only.
+    """Return a display, while it is entered, of waiting, its limit and its seconds so far; on terminals only.
 
     Args:
         text: what is waited for, with its limit.

@@ -208,7 +208,7 @@ class _RunOnPage(TaskObserver):
 def observed(
     output: Output, console: SafeConsole, settings: Settings, actions: Actions, page: PageProcess | None
 ) -> Iterator[TaskObserver]:
-    """Yield what prints the events of a task while this is entered, or listens to them without printing, and has a page control it."""
+    """Yield the printer of a task's events, or a listener that prints nothing, while this is entered; a page may control the task."""
     observers: list[TaskObserver] = [_RunOnPage(page)] if page else []
     if output not in (Output.EVENTS, Output.NUMBERS):
         yield broadcast(TaskObserver, observers)

@@ -29,7 +29,7 @@ from pnm.errors import Tolerated, counted
 from pnm.tasks import Code, ServedWorld, TaskCommands, TaskEnding, TaskListener, Tasks, TraceEvent, shortened
 
 _STEP: Final = re.compile(r" *[0-9.]+( s)? +")
-"""When a step of a plan comes, in front of it."""
+"""The time of a step of a plan, in front of it."""
 
 
 _SOON: Final = 0.2
@@ -37,7 +37,7 @@ _SOON: Final = 0.2
 
 
 class _News(NamedTuple):
-    """What has happened to a call and is printed with what follows from it: when, in which word, to what, why, and in detail."""
+    """An event of a call, printed together with its consequence: time, word, subject, reason and details."""
 
     now: float
     word: str
@@ -199,7 +199,7 @@ class ConsoleObserver(TaskObserver):
             self._print_news()
 
     def _print_news(self) -> None:
-        """Print what was waiting for more that has not come."""
+        """Print the events that still waited for a consequence."""
         waiting, self._news = self._news, {}
         for now, word, action, cause, details in waiting.values():
             self._lines.print(now, word, f"{action}: {cause}{self._new(action, details)}")
@@ -222,7 +222,7 @@ class ConsoleObserver(TaskObserver):
         self._console.print_reason("[bold yellow]replan[/]  ", reason)
 
     def replanning(self, decision: ResumePlan | PlanAgain, result: RunResult) -> None:
-        """Print what follows a failed run."""
+        """Print the consequence of a failed run."""
         self._console.print_reason("[bold yellow]replan[/]  ", decision_words(decision))
 
     def violated(self, violation: Violation, now: float) -> None:

@@ -61,7 +61,7 @@ class Event:
 
 @dataclass
 class TaskBoard:
-    """What is going on now, as it is shown below the events on a terminal: tasks, and their calls under way with seconds and feedback.
+    """The running tasks and calls, shown below the events on a terminal, with seconds and feedback.
 
     The mutable state is the goal and the state of each task that is not over, and since when its calls are under way, with what
     their servers have said last.

@@ -15,7 +15,7 @@ from planner_bridge.model.problem import Problem
 
 
 class Known(Enum):
-    """How a statement is known."""
+    """The source of a statement."""
 
     GIVEN = "given"
     """It stands in the domain, in the problem, or in what is known of the world."""

@@ -45,7 +45,7 @@ def answered(text: str, world: KnowledgeBase) -> tuple[Answer, ...]:
 
 
 def why_goal(problem: Problem, found: PlanningResult, limit: AnswerLimit) -> tuple[Answer, ...]:
-    """Return what each call of a plan is for; or why there is none, and what would help.
+    """Return the purpose of each call of a plan; or why there is none, and what would help.
 
     Args:
         problem: with the goal.

@@ -75,7 +75,7 @@ class Attempt(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """What a step was hindered by, or has failed with.
+    """A hindrance or a failure of a step.
 
     Args:
         step: which one.
@@ -146,7 +146,7 @@ class RunHistory:
     sent: dict[int, list[UUID]] = field(default_factory=dict)
     """The requests that it has sent, by call."""
     requests: int = 0
-    """How many of them went to action servers."""
+    """The number of calls for action servers."""
     troubles: dict[str, Trouble] = field(default_factory=dict)
     """By record, and their number in it."""
     open: dict[str, None] = field(default_factory=dict)
@@ -161,7 +161,7 @@ class RunHistory:
 
     @property
     def last_results(self) -> Mapping[int, CallResult]:
-        """What has become of its calls, by number; of those reached several times, the last time."""
+        """The results of its calls, by number; the last result of repeated calls."""
         if self.results is None:
             run = self.executed().run
             return {call.index: run.result_of(call.index) for call in self.source.plan.calls}
@@ -189,12 +189,12 @@ class RunHistory:
 
     @property
     def failures(self) -> tuple[Trouble, ...]:
-        """What has failed in it."""
+        """Its failures."""
         return tuple(trouble for trouble in self.troubles.values() if trouble.is_failure)
 
     @property
     def hindrances(self) -> tuple[Trouble, ...]:
-        """What has hindered it, also what has led to failures."""
+        """Its hindrances, also those that have led to failures."""
         found = (trouble.hindrance if trouble.is_failure else trouble for trouble in self.troubles.values())
         return tuple(trouble for trouble in found if trouble is not None)
 
@@ -229,7 +229,7 @@ class RunHistory:
         return {server: tuple(names) for server, names in found.items()}
 
     def follow(self, what: str, step: int | None = None) -> None:
-        """Note what has followed the open troubles, of one step or of all."""
+        """Note the consequence of the open troubles, of one step or of all."""
         for key in [key for key in self.open if step in (None, self.troubles[key].step.index)]:
             self.troubles[key] = replace(self.troubles[key], followed=what)
             del self.open[key]
@@ -254,20 +254,20 @@ class TaskHistory:
     reason: str = ""
     """Why it is in this state, if that was said."""
     decision: Decision | None = None
-    """What was decided after the last run; None while it goes on."""
+    """The decision after the last run; None while it goes on."""
     plans: int = 0
-    """How many a planner has found."""
+    """The number of plans that a planner has found."""
     helps: dict[UUID | None, Help] = field(default_factory=dict)
     """The questions to a person that are open, by the lost request that they are about; None for one how it goes on."""
     used: TimeUsed | None = None
-    """How much of its limit is used."""
+    """The used part of its limit."""
     ending: TaskEnding | None = None
     ended: float | None = None
-    """When it was over."""
+    """The time of its end."""
 
     @property
     def name(self) -> str:
-        """What it is about."""
+        """Its subject."""
         return self.accepted.wanted.text or "the goal of the problem"
 
     @property
@@ -281,7 +281,7 @@ class TaskHistory:
 
     @property
     def counts(self) -> TaskCounts:
-        """How often what has happened."""
+        """Counts of events."""
         own = self.own_runs
         requests, failures = sum(run.requests for run in own), sum(len(run.failures) for run in own)
         return TaskCounts(self.plans, max(0, len(own) - 1), requests, failures, has_run=bool(own))
@@ -308,7 +308,7 @@ class JournalHistory:
         self.world = KnowledgeBase()
         """The knowledge that all runs share."""
         self.world_began = 0.0
-        """When the world began, which may have been in an earlier segment."""
+        """The beginning of the world, which may be in an earlier segment."""
         self.number = 0
         self.time = 0.0
         self.segments: list[tuple[int, float]] = []
@@ -319,7 +319,7 @@ class JournalHistory:
         self._held: dict[UUID, HeldResources] = {}
         self._reach = reach
         self._observed = 0
-        """How many troubles the record that is being replayed has brought."""
+        """The number of troubles in the record that is being replayed."""
         self._holding: set[UUID] = set()
         """The requests that have something."""
         self._begins = False
@@ -342,7 +342,7 @@ class JournalHistory:
 
     @property
     def began(self) -> float:
-        """When that was."""
+        """Its time."""
         return self.segments[0][1] if self.segments else 0.0
 
     def execute(self) -> Replay:
@@ -369,12 +369,12 @@ class JournalHistory:
 
     @property
     def held(self) -> Mapping[UUID, HeldResources]:
-        """What requests have, or had, for themselves."""
+        """The resources of requests, now or earlier."""
         self.execute()
         return self._held
 
     def apply(self, number: int, time: float, record: records.Record) -> replaying.ReplayStep:
-        """Note what a record tells; it is executed once somebody asks for the state after it."""
+        """Note a record; it is executed once somebody asks for the state after it."""
         self.number, self.time, self._observed = number, max(self.time, time), 0
         self._pending.append((number, time, record))
         self._note(time, record)
@@ -545,7 +545,7 @@ class JournalHistory:
         run.follow(f"tried again, attempt {number}", index)
 
     def _note_trouble(self, run: RunHistory, told: Hindered) -> None:
-        """Note what a step was hindered by, or has failed with. A failure takes the place of the hindrance that led to it."""
+        """Note a hindrance or a failure of a step. A failure replaces the hindrance that led to it."""
         step, cause, is_failure = run.steps[told.step], told.cause, told.is_failure
         if isinstance(step, ActionCall):
             step = sent_with(step, told.arguments)

@@ -35,7 +35,7 @@ _SHOWN: Final = 6
 
 @dataclass(frozen=True, slots=True)
 class CallNeed:
-    """What a later call, or the goal, needs of an earlier call."""
+    """A need of a later call, or of the goal, for an earlier call."""
 
     by: int | None
     """The number of the later call; None for the goal."""
@@ -69,11 +69,11 @@ class Course:
 
     @cached_property
     def as_it_is(self) -> frozenset[tuple[int | None, Condition]]:
-        """What is not fulfilled although nothing is left out: what is given up, and changed beside the plan."""
+        """Needs that are not fulfilled although nothing is left out: given up, or changed beside the plan."""
         return frozenset(self._unmet(None))
 
     def needs(self, call: int) -> tuple[CallNeed, ...]:
-        """Return what needs the call itself, in the order of time."""
+        """Return the needs for the call itself, in the order of time."""
         if call not in self._needs:
             found: dict[int | None, dict[Condition, None]] = {}
             for by, condition in self._unmet(call):
@@ -144,7 +144,7 @@ def why_call_of_plan(problem: Problem, plan: Plan, call: int) -> Answer:
 
 
 def _otherwise(problem: Problem, action: GroundAction) -> tuple[Answer, ...]:
-    """Return what else there may be for which a planner has a call."""
+    """Return other possible purposes of a call for a planner."""
     if problem.has_preferences:
         return (Answer(f"whether {action} fulfils a preference was not looked at", Known.NOT_PROVED),)
     return ()
@@ -183,7 +183,7 @@ def _need(course: Course, need: CallNeed) -> Answer:
 
 
 def why_plan(problem: Problem, plan: Plan) -> Answer:
-    """Return what each call of a plan is for."""
+    """Return the purpose of each call of a plan."""
     if not plan.steps:
         return Answer(
             "there is nothing to do: the goal is empty, holds already, or comes by itself", Known.PLAN, (), (Solves(problem, plan),)
@@ -315,7 +315,7 @@ def _now(problem: Problem, action: PlanStep) -> Iterator[Answer]:
 
 
 def _compared(problem: Problem, asked: Forced, plan: Plan, its: Plan, now: tuple[Answer, ...]) -> Answer:
-    """Return how a plan that has to use the action compares with one that has not."""
+    """Return a comparison of a plan that has to use the action with one that has not."""
     action, other = asked.action, asked.plan(its)
     claims: tuple[Claim, ...] = (Solves(problem, plan), Solves(problem, other))
     worth, its_worth = _worth(problem, plan), _worth(problem, its)
@@ -338,7 +338,7 @@ def _compared(problem: Problem, asked: Forced, plan: Plan, its: Plan, now: tuple
 
 
 def _worth(problem: Problem, plan: Plan) -> float | None:
-    """Return what counts of a plan."""
+    """Return the value of a plan that is compared."""
     if problem.has_preferences or (problem.metric and problem.metric.expression != ValueOf(TOTAL_TIME)):
         return plan.cost
     return plan.makespan if plan.temporal else float(len(plan.steps))

@@ -37,7 +37,7 @@ class AnswerLimit:
 
     end: float
     _reached: dict[int, tuple[Problem, Reachability | None]] = field(default_factory=dict, repr=False)
-    """What was looked at already, by the identity of the problem: mutable state."""
+    """The problems that were looked at, by identity: mutable state."""
 
     @staticmethod
     def of(seconds: float) -> AnswerLimit:
@@ -61,7 +61,7 @@ class AnswerLimit:
         return solve(problem, timeout=max(_LEAST, self.left * share), improve=min(improve, self.left * share))
 
     def reached(self, problem: Problem) -> Reachability | None:
-        """Return what can be reached of a problem, and what its goal lacks; None if there is not enough time to say."""
+        """Return the reachable facts of a problem, and those that its goal lacks; None if there is not enough time."""
         if id(problem) not in self._reached:
             reachability = Reachability(problem, problem.unknown)
             try:
@@ -159,7 +159,7 @@ class DeadEnds:
         return self._proved(condition, f"{condition} can never be true{_closed(others)}", reasons)
 
     def lacks(self, condition: Condition, env: Environment = NOTHING, truth: bool = True) -> tuple[Condition, ...]:
-        """Return what of a condition, or of its opposite, can never be true; alternatives are left together."""
+        """Return the parts of a condition, or of its opposite, that can never be true; alternatives are left together."""
         if not self.reachability.of(condition, env, truth):
             return ()
         if literal := literal_of(condition, env, truth):
@@ -180,7 +180,7 @@ class DeadEnds:
         return Answer(text, Known.RELAXATION, reasons, (Unsolvable(asked),))
 
     def _end(self, literal: GoalLiteral) -> str:
-        """Return what there is to say of a fact that nothing brings about; empty if there are actions for that."""
+        """Return the words for a fact that no action makes true; empty if there are such actions."""
         condition, mentioned = literal.condition, fluents(literal.condition, self.reachability.state)
         if guarded := [self.problem.guards[fluent] for fluent in mentioned & self.problem.guards.keys()]:
             return f"{listed(guarded)} must not be used any more"

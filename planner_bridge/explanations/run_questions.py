@@ -111,7 +111,7 @@ def explained(place: Place, task: UUID, call: tuple[UUID, int] | None = None, la
 
 
 def why_so(history: JournalHistory, task: TaskHistory) -> tuple[Answer, ...]:
-    """Return how a task is doing and why: how it has ended, or what runs and what waits for what; and its new plans."""
+    """Return the state of a task and its reasons: its end, or its running and waiting calls; and its new plans."""
     replans = why_replanned(history, task) if len(task.own_runs) > 1 else ()
     if task.ending is not None:
         ended = Answer(f"{task.name} is over: {task.ending.code.word}: {task.ending.message}", Known.JOURNAL)
@@ -128,7 +128,7 @@ def why_so(history: JournalHistory, task: TaskHistory) -> tuple[Answer, ...]:
 
 
 def _doing(history: JournalHistory, task: TaskHistory, run: RunHistory, result: CallResult) -> Answer:
-    """Return what a call that is not done is doing."""
+    """Return the state of a call that is not done."""
     call = result.call.index
     if result.kind is CallOutcome.WAITING:
         return why_now(history, task, run, call)
@@ -171,7 +171,7 @@ def _orderings(run: RunHistory, call: int) -> Iterator[Ordering]:
 
 
 def _waited(history: JournalHistory, run: RunHistory, call: int, started: float) -> Iterator[tuple[float, str]]:
-    """Yield what a call has waited for before it began, with the time at which that was over."""
+    """Yield everything that a call has waited for before it began, with the time of its end."""
     began = history.world_began
     for ordering in _orderings(run, call):
         if (time := run.time_of(ordering.before)) is not None:
@@ -195,7 +195,7 @@ def _waited(history: JournalHistory, run: RunHistory, call: int, started: float)
 
 
 def _obstacles(history: JournalHistory, task: TaskHistory, run: RunHistory, call: int) -> Iterator[Answer]:
-    """Yield what holds a call back now."""
+    """Yield everything that holds a call back now."""
     replay, planned = history.execute(), run.source.plan.calls[call]
     if task.state in (TaskState.PAUSING, TaskState.PAUSED):
         yield Answer(f"its task is {task.state.word}: {task.reason}", Known.JOURNAL)
@@ -260,7 +260,7 @@ def why_replanned(history: JournalHistory, task: TaskHistory) -> tuple[Answer, .
 
 
 def not_told(task: TaskHistory) -> Answer:
-    """Return what is said of a task whose records are dropped."""
+    """Return the words for a task whose records are dropped."""
     return Answer(f"how {task.name} went is not known: its records are not kept any more", Known.JOURNAL)
 
 
@@ -285,7 +285,7 @@ def _cause(trouble: Trouble) -> str:
 
 
 def _attempts(history: JournalHistory, run: RunHistory, failed: Trouble) -> Iterator[Answer]:
-    """Yield what was tried before the failure."""
+    """Yield the attempts before the failure."""
     began, step = history.world_began, failed.step
     if sent := history.sent(run, step.index):
         times = listed([f"{attempt.sent - began:.2f} s" for attempt in sent], most=_SHOWN)

@@ -62,7 +62,7 @@ class Plan:
 
 
 class PlanningStatus(Enum):
-    """How a search for a plan ended."""
+    """The result of a search for a plan."""
 
     SOLVED = "solved"
     UNSOLVABLE = "proved unsolvable"

@@ -16,7 +16,7 @@ from pnm.core.logic.trajectory import Constraint
 from pnm.errors import Position, Tolerated
 
 TOTAL_TIME: Final[Fluent] = ("total-time",)
-"""What metrics call the time that a plan takes, or the number of its steps."""
+"""The names that metrics use for the duration of a plan, or its number of steps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class Domain(DomainModel):
     borrowed: Mapping[str, Borrowed] = field(default_factory=dict)
     """Objects that only problems declare."""
     warnings: tuple[Tolerated, ...] = field(default=(), compare=False, repr=False)
-    """What in the file was tolerated though it is not as it should be."""
+    """The tolerated mistakes in the file."""
 
     def __repr__(self) -> str:
         return f"<Domain {self.name}: {len(self.actions)} actions, {len(self.fluents)} predicates and functions>"
@@ -74,7 +74,7 @@ class Problem(ProblemModel):
     guards: Mapping[Fluent, str] = field(default_factory=dict)
     """Facts of the initial state that only keep actions from being used: for each, which calls these are, in words."""
     warnings: tuple[Tolerated, ...] = field(default=(), compare=False, repr=False)
-    """What in the file, and in that of the domain, was tolerated though it is not as it should be."""
+    """The tolerated mistakes in the file, and in that of the domain."""
 
     def __repr__(self) -> str:
         return f"<Problem {self.name} of {self.domain.name}: {len(self.objects)} objects, goal {self.goal}>"

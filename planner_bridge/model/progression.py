@@ -231,7 +231,7 @@ def projected_state(state: KnowledgeBase, runs: Iterable[RunView], beside: Itera
 
 
 def _still_to_come(run: RunView, call: ActionCall, simulated: KnowledgeBase, reported: KnowledgeBase) -> Changes:
-    """Return what a call that has ended is still going to change, as far as the domain says."""
+    """Return the changes still to come of a call that has ended, as far as the domain says."""
     changed = changes(call.action.end_effects, simulated)
     waits = any(ordering.after == PlanEvent(call.index, Moment.END) for ordering in run.machine.plan.orderings)
     # what nothing reports was written when it ended, if its end in the plan has to wait for others

@@ -50,13 +50,13 @@ class NodeContext:
     sources: Sources
     journal: Journal
     replay: Replay | None
-    """What another process has begun, and goes on here."""
+    """The tasks that another process has begun, and that go on here."""
     actions: tuple[str, ...]
     """The actions of the node, those of plans among them."""
     plan_actions: Mapping[str, str]
     """The actions of plans, by plan."""
     origin: str
-    """What the world was made from at the start of the node."""
+    """The source of the world at the start of the node."""
 
     def begin_journal(self, anew: Callable[[], None] = lambda: None, loaded: tuple[str, ...] = ()) -> None:
         """Begin the journal anew, in the world as `anew` leaves it; it is not that of the files if other domain and problem were loaded."""

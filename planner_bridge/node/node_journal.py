@@ -41,7 +41,7 @@ def journals_folder() -> Path:
 
 
 def origin_of(options: Options) -> str:
-    """Return what the world of a node is made from: a digest of its files. Goals with names are among them, for tasks have these names."""
+    """Return a digest of the files of a node's world. Named goals are among them, because tasks have these names."""
     files = (options.domain, options.problem, options.world, options.goals)
     return sha256(b"\0".join(file.read_bytes() for file in files if file)).hexdigest()
 

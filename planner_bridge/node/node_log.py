@@ -41,7 +41,7 @@ class NodeObserver:
         """Note that the node waits for a lifecycle manager."""
 
     def tolerated(self, warnings: Iterable[Tolerated]) -> None:
-        """Note what is doubtful in the files that were read."""
+        """Note the doubtful parts of the files."""
 
     def proved(self, plan: str, proof: Proof) -> None:
         """Note that the machine of a plan is verified."""
@@ -146,7 +146,7 @@ async def open_diagnoses(
         return node, *watched, *kept, diagnosis_of_tasks(tasks.status()), *map(diagnosis_of, await look())
 
     def diagnosis_of_journal(journal: Journal) -> Diagnosis:
-        """Return how the journal is, and whether another node would go on with it if there has been one."""
+        """Return the state of the journal, and whether another node stands by if there was one."""
         others = journal.stand_bys()
         if journal.blocked:
             return Diagnosis("journal", Level.ERROR, journal.blocked)

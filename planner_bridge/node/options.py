@@ -132,7 +132,7 @@ class Options:
 
 @dataclass(frozen=True)
 class RobotFiles:
-    """What stood in the files of bindings and sensors when the node was configured; None without such a file."""
+    """The contents of the files of bindings and sensors when the node was configured; None without such a file."""
 
     bindings: Mapped | None
     sensing: Mapped | None

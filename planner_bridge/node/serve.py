@@ -52,7 +52,7 @@ def kept_tasks(replay: Replay | None) -> list[tuple[Wanted, TaskEnding | None]]:
 
 @dataclass(frozen=True)
 class NodeApi:
-    """What a node offers over ROS 2: tasks, plan requests, and the knowledge of its world."""
+    """The offers of a node over ROS 2: tasks, plan requests, and the knowledge of its world."""
 
     tasks: Tasks
     make: Make

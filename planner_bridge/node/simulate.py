@@ -34,7 +34,7 @@ from pnm.tasks import EVENTS
 
 DEFAULT_TYPE = "pnm_interfaces/action/GroundAction"
 _LOGGED: Final = frozenset({"start", "end", "clash"})
-"""What is logged as an event; changes of facts, and all facts at the end, are in the log file only."""
+"""The events in the log; changes of facts, and all facts at the end, are in the log file only."""
 
 
 def play(problem: Problem, bindings: Bindings, faults: Faults, speed: float, log: Path | None) -> int:
@@ -187,7 +187,7 @@ class LoggedRobots:
     robots: SimulatedRobots
     log: TextIO | None
     _clashes: int = 0
-    """How many are in the log."""
+    """The number of entries in the log."""
     _began: float = field(default_factory=lambda: asyncio.get_running_loop().time())
 
     def __post_init__(self) -> None:

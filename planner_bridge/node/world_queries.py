@@ -79,7 +79,7 @@ class WantedChange:
     """A change of a fact as a client wants it."""
 
     node: Node
-    """Where it says so."""
+    """The position of this statement."""
     fluent: Fluent
     value: Value | Unknown
     is_removed: bool
@@ -128,7 +128,7 @@ class SharedWorld:
         return answers
 
     def read_changes(self, add: Sequence[str] = (), remove: Sequence[str] = (), forget: Sequence[str] = ()) -> list[WantedChange]:
-        """Read what shall be recorded: facts as true, as false, and as unknown.
+        """Read the facts to record: as true, as false, and as unknown.
 
         Functions are written with their value: ``(= (battery r1) 0.8)``; to remove ``(= (location r1) hall)`` changes
         nothing while the location is another one.

@@ -67,15 +67,15 @@ class CausalLinks:
     """The events of the calls, by number: they are asked for all the time."""
     ends: list[PlanEvent] = field(init=False)
     writes: dict[PlanEvent, frozenset[Fluent]] = field(init=False)
-    """What each event may write that can order anything, whether or not the conditions of its effects hold."""
+    """Everything that each event may write and that can order anything, whether or not the conditions of its effects hold."""
     reads: dict[PlanEvent, frozenset[Fluent]] = field(init=False)
-    """What each event reads that can order anything; early conditions of end effects are decided at the start, so it reads them."""
+    """Everything that each event reads and that can order anything; early conditions of end effects are decided and read at the start."""
     throughout: list[tuple[tuple[Condition, frozenset[Fluent]], ...]] = field(init=False)
     """The parts of what must hold from the start of each call to its end, with what of their fluents can order anything."""
     writer: dict[Fluent, PlanEvent] = field(default_factory=dict)
     """The event that wrote the fluent last."""
     changed_at: dict[Fluent, float] = field(default_factory=dict)
-    """When the fluent changed by itself since."""
+    """The time at which the fluent changed by itself since."""
     readers: dict[Fluent, list[_FluentReader]] = field(default_factory=dict)
     open_conditions: list[tuple[int, frozenset[Fluent], float]] = field(default_factory=list)
     """Parts of over-all conditions on several fluents: the call, the fluents, and the time until which they must hold."""
@@ -110,7 +110,7 @@ class CausalLinks:
             self.throughout.append(tuple([(part, relevant_of(fluents(part, knowledge))) for part in parts]))
 
     def relevant_of(self, fluents: frozenset[Fluent]) -> frozenset[Fluent]:
-        """Return what the fluents rest on, as far as it can order anything."""
+        """Return the bases of the fluents, as far as they can order anything."""
         return frozenset([fluent for fluent in self.knowledge.rests_on(fluents) if fluent[0] in self.relevant]) if fluents else fluents
 
     def add_timed_change(self, time: float, changed: Mapping[Fluent, Value]) -> None:

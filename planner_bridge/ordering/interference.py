@@ -24,7 +24,7 @@ from pnm.core.logic.expressions import NOTHING, Constant, Environment, Fluent, S
 from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, PlanEvent, PlanGraph
 
 NEVER: Final[Mapping[Fluent, float]] = {}
-"""When others are done with what they need, of which nothing is known."""
+"""The time at which others are done with their needs, if nothing is known."""
 SOON: Final = 0.01
 """Seconds from now at which something changes at the earliest, for planners that know nothing that changes at once."""
 
@@ -200,7 +200,7 @@ def _arguments_written(predicate: str, value: bool, effects: Effects) -> list[tu
 
 @dataclass(frozen=True)
 class Forecast:
-    """What is expected of a plan that is being carried out.
+    """The forecast of a plan that is being carried out.
 
     Args:
         needed: what the rest of it reads and writes.
@@ -214,7 +214,7 @@ class Forecast:
 
 
 def forecast(plan: PlanGraph, events: Sequence[PlanEvent], left: Mapping[int, float], state: KnowledgeBase) -> Forecast:
-    """Return what is expected of a plan, each call of which takes its planned duration.
+    """Return the forecast of a plan, each call of which takes its planned duration.
 
     Args:
         plan: what is being carried out.
@@ -261,7 +261,7 @@ def with_forecasts(problem: Problem, forecasts: Iterable[Forecast]) -> Problem:
 
 
 def awaited(mine: ReadWriteSets, other: Forecast) -> tuple[Fluent, float] | None:
-    """Return what a plan has to wait for because another one changes or reads it, and for how many seconds; None for nothing."""
+    """Return the fluents that a plan has to wait for because another one changes or reads them, with the seconds; None for nothing."""
     shared = (_read(mine) & other.needed.writes.keys()) | (_read(other.needed) & mine.writes.keys())
     last = max(shared & other.released.keys(), key=lambda fluent: (other.released[fluent], fluent), default=None)
     return None if last is None else (last, other.released[last])

@@ -27,7 +27,7 @@ from pnm.errors import check_kinds
 
 _BEGUN: Final = -2.0
 _OVER: Final = -1.0
-"""When, on the clock of the plan, running calls begin and end as far as their order to the others matters."""
+"""The times, on the clock of the plan, at which running calls begin and end as far as their order to the others matters."""
 
 _NETWORK: Final[Fluent] = ("order of tasks",)
 """Stands for a fluent that every event writes."""

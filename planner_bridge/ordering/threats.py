@@ -59,7 +59,7 @@ class _Intrusion:
     span: _Span
     writer: int
     others: tuple[_Need, ...]
-    """What else decides whether the condition holds."""
+    """The other conditions that decide whether the condition holds."""
     leaves_true: bool
 
 
@@ -75,12 +75,12 @@ class _Trace:
     """Whether the state is the one after all calls that are under way, and not the one before their ends."""
     needs: list[_Need] = field(default_factory=list)
     changed: list[Mapping[Fluent, _Value]] = field(default_factory=list)
-    """What every happening writes."""
+    """The fluents that every happening writes."""
     writers: dict[Fluent, Writers[_Value]] = field(default_factory=dict)
     spans: dict[int, list[_Span]] = field(default_factory=dict)
     """By the happening with which they begin."""
     begun: dict[_Span, tuple[_Need, ...]] = field(default_factory=dict)
-    """What each span needs when it begins."""
+    """The needs of each span when it begins."""
     end_effects: dict[int, Effects] = field(default_factory=dict)
     """Of calls that have started, with their early conditions decided."""
 
@@ -189,7 +189,7 @@ def is_harmless(trace: _Trace, intrusion: _Intrusion) -> bool:
 
 
 def threats(graph: PlanGraph, order: PartialOrder, problem: Problem, links: CausalLinks, *, projected: bool) -> Iterator[str]:
-    """Yield what may go wrong in some order that the graph allows.
+    """Yield the conflicts in any order that the graph allows.
 
     Args:
         graph: the plan.

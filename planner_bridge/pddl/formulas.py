@@ -33,7 +33,7 @@ from pnm.errors import InputError, counted
 
 _MANY: Final = (range(2, sys.maxsize), "at least 2")
 OPERANDS: Final[Mapping[str, tuple[range, str]]] = {"+": _MANY, "*": _MANY, "-": (range(1, 3), "1 or 2"), "/": (range(2, 3), "2")}
-"""How many operands each operator of arithmetic takes."""
+"""The number of operands of each arithmetic operator."""
 TOTAL_TIME: Final = "total-time"
 IS_VIOLATED: Final = "is-violated"
 _ANY: Final = ("object",)

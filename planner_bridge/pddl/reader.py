@@ -407,7 +407,7 @@ def missing_numbers(problem: ProblemModel) -> tuple[Fluent, ...]:
 
 
 def numbers_read(problem: ProblemModel, action: ActionSchema) -> Iterator[Fluent]:
-    """Yield what the action reads with no parameter, or one, for all objects of its type; untyped ones may stand for any object."""
+    """Yield everything that the action reads with at most one parameter, for all objects of its type; untyped ones may be any object."""
     types = {variable.name: variable.types for variable in action.parameters if variable.types != ("object",)}
     for fluent in chain.from_iterable(map(expression_fluents, expressions_in(action))):
         match fluent:

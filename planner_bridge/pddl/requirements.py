@@ -1,4 +1,4 @@
-"""What PDDL the reader takes (PDDL 3.1, HDDL): its requirements, the constructs it refuses, and the slips it tolerates.
+"""The PDDL that the reader accepts (PDDL 3.1, HDDL): requirements, refused constructs, and tolerated mistakes.
 
 Everything that is refused as a construct is a member of `Refused`, everything that is read with a warning one of
 `Leniency`, each with its text. To accept a new construct, read it where `Refused.….at` is raised, and delete it here.

@@ -55,7 +55,7 @@ _PLACES: Final[Mapping[str, str]] = {
     "is-violated": "in :metric",
     **dict.fromkeys(CONSTRAINTS, "in :constraints"),
 }
-"""Where words may stand that are neither predicates nor functions."""
+"""The positions of words that are neither predicates nor functions."""
 
 
 @dataclass
@@ -216,7 +216,7 @@ Lists: TypeAlias = Iterable[Sequence[Node]]
 @dataclass(frozen=True, slots=True)
 class _TypeHierarchy:
     first: dict[str, Node] = field(default_factory=dict)
-    """Where each type is named first."""
+    """The first position of each type."""
     spelled: dict[str, str] = field(default_factory=lambda: {"object": "object"})
     supertypes: dict[str, dict[str, None]] = field(default_factory=dict)
     """For every type in order, the types written behind its ``-``, in order."""

@@ -32,7 +32,7 @@ from pnm.language.plan import HandWrittenPlan
 from pnm.ros.backend import Ros2Backend
 
 Actions: TypeAlias = Literal["simulated", "ros2"] | ActionClient
-"""What performs actions: simulated robots under virtual time, the action servers of ROS 2, or a client in Python."""
+"""The performer of actions: simulated robots under virtual time, the action servers of ROS 2, or a client in Python."""
 
 
 def achieve(
@@ -126,7 +126,7 @@ async def achieve_at(
 
 
 def readiness(problem: Problem, settings: Settings, wait: float = 0.0) -> tuple[Readiness, ...]:
-    """Return how ready the action servers and sensors for a problem are in the ROS graph; `wait` seconds are given to them to appear.
+    """Return the readiness of the action servers and sensors for a problem in the ROS graph; `wait` gives them seconds to appear.
 
     Raises:
         InputError: an input is wrong.

@@ -34,7 +34,7 @@ from pnm.tasks import Code, Wanted
 def readiness_for_plan(
     file: Path, name: str | None, settings: Settings, wait: float = 0.0, parameters: Mapping[str, object] | None = None
 ) -> tuple[Readiness, ...]:
-    """Return how ready the action servers and sensors for a hand-written plan are, and for the plans it calls; see `readiness`."""
+    """Return the readiness of the action servers and sensors for a hand-written plan and the plans it calls; see `readiness`."""
     plans = {plan: _with_settings(described, settings, None) for plan, described in read_plans(file).items()}
     chosen = chosen_plan(plans, name)
     bound = replace(settings, bindings=merge_bindings(plans.values()))

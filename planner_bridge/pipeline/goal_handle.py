@@ -64,7 +64,7 @@ class TaskJournal:
         return TaskJournal(taken, digest, taken.replay if taken.replay and taken.replay.unfinished else None)
 
     def world(self, initial: KnowledgeBase) -> KnowledgeBase:
-        """Return what is known of the world: what another process knew, or the initial knowledge."""
+        """Return the knowledge of the world: that of another process, or the initial knowledge."""
         return self.replay.world if self.replay else initial
 
     @contextmanager
@@ -104,7 +104,7 @@ class TaskJournal:
         programs: Mapping[str, Program] | None = None,
         source: Source | None = None,
     ) -> PlanRunner:
-        """Return what carries plans out, with the resources of what goes on; or begin the journal."""
+        """Return the executor of plans, with the resources that go on; or begin the journal."""
         runner = PlanRunner(programs or {}, backend, world, source, journal, self.replay.resources if self.replay else None)
         if self.replay is None:
             command, seal = (self.taken.choice.command, self.taken.choice.seal) if self.taken else ((), "")
@@ -196,7 +196,7 @@ class GoalHandle:
 
     @property
     def state(self) -> TaskState:
-        """How the goal is doing."""
+        """The state of the goal."""
         if self._task is not None and self._task.done():
             return TaskState.OVER
         return next((status.state for status in self._manager.status()), TaskState.PLANNING) if self._manager else TaskState.QUEUED

@@ -51,7 +51,7 @@ class Feature(Enum):
 
 
 def problem_kind(problem: Problem) -> frozenset[Feature]:
-    """Return what a planner must handle to find a plan, whatever the metric (unified-planning's `ProblemKind`)."""
+    """Return the features that a planner must support for a plan, whatever the metric (unified-planning's `ProblemKind`)."""
     problem = replace(problem, metric=None)
     domain = problem.domain
     used = functions_in_use(problem)
@@ -198,7 +198,7 @@ def check_engine(engine: str, cancel: CancelToken) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Ended:
-    """What an engine process left behind."""
+    """The remains of an engine process."""
 
     answer: dict[str, Any] | None
     status: int | None

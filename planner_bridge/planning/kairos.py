@@ -25,7 +25,7 @@ IMPROVE: Final = 2.0
 _POLL: Final = 0.05
 """Seconds between two looks at the cancel token."""
 _ADVICE: Final = re.compile(r"\s[^.()]*\(SolveOptions::\w+\)\.|\s\(see the note before\)")
-"""What Kairos says of its options, and of its own output."""
+"""The statements of Kairos about its options and its output."""
 _WORTH: Final = 0.02
 """Share of the time that a plan takes for which a better one is looked for; an action without a duration counts as a second."""
 _LEAST: Final = 0.05
@@ -49,7 +49,7 @@ _STATUS: Final[Mapping[kairos.Status, PlanningStatus]] = {
     kairos.Status.CANCELLED: PlanningStatus.CANCELLED,
     kairos.Status.INTERNAL_ERROR: PlanningStatus.CRASHED,
 }
-"""What a search that has found no plan ended with."""
+"""The ends of a search that has found no plan."""
 
 
 def parse_for_kairos(problem: Problem) -> kairos.Problem:

@@ -80,14 +80,14 @@ class Achiever(NamedTuple):
 
 @dataclass
 class Way:
-    """How a literal may become true: what is lacking for it, and what would make it true then; None if that is the literal itself."""
+    """A way for a literal to become true: its missing conditions, and its cause; None if that is the literal itself."""
 
     weight: int
     lack: Lack
     achievers: list[Achiever]
     by: Achiever | None = None
     needed_by: dict[_Use, None] = field(default_factory=dict)
-    """What is looked at again when it lacks less."""
+    """The ways to look at again when it lacks less."""
 
 
 @dataclass(eq=False, slots=True)
@@ -120,13 +120,13 @@ class Reachability:
         self._timed = {(fluent, truth) for fluent, value in timed for truth in ({value} if isinstance(value, bool) else (True, False))}
         self._in_tables = {fluent[0] for fluent in problem.init}
         self._changes = defaultdict[str, list[_Change]](list)
-        """What actions do, by the name of the fluent."""
+        """The effects of actions, by the name of the fluent."""
         for change in _changes(problem):
             self._changes[change.effect.fluent[0]].append(change)
         self._ways: dict[GoalLiteral, Way] = {}
         self._waiting = deque[_Use]()
         self._use: _Use | None = None
-        """What is looked at."""
+        """The ways to look at."""
         self.count = 0
         self._steps = 0
 
@@ -165,7 +165,7 @@ class Reachability:
         return frozenset().union(*lacks) if is_every else min(lacks, key=self.cost, default=frozenset({condition}))
 
     def cost(self, lack: Lack) -> int:
-        """Return how far the conditions are from true."""
+        """Return the cost of making the conditions true."""
         return sum(self.way(literal).weight if (literal := literal_of(condition)) else 2 for condition in lack)
 
     def likelihood(self, achiever: Achiever) -> tuple[int, int, str]:
@@ -174,7 +174,7 @@ class Reachability:
         return self.cost(lack), len(lack), achiever.name
 
     def lacking(self, condition: Condition, env: Environment = NOTHING, truth: bool = True) -> tuple[Condition, ...]:
-        """Return what of the condition cannot be reached; of alternatives the cheapest."""
+        """Return the unreachable part of the condition; of alternatives the cheapest."""
         if not self.of(condition, env, truth):
             return ()
         if literal := literal_of(condition, env, truth):
@@ -199,7 +199,7 @@ class Reachability:
                 return [], True
 
     def way(self, literal: GoalLiteral) -> Way:
-        """Return how the literal may become true."""
+        """Return a way for the literal to become true."""
         if literal not in self._ways:
             self._ways[literal] = way = Way(0, frozenset(), [])
             if not self.may_be(literal):
@@ -240,7 +240,7 @@ class Reachability:
         return [fluent for fluent in mentioned if fluent[0] not in self._changing and self.state.value(fluent) is None]
 
     def achievers(self, literal: GoalLiteral) -> Iterator[Achiever]:
-        """Yield what may make the literal true."""
+        """Yield the ways to make the literal true."""
         subject, truth = literal
         if isinstance(subject, tuple) and subject[0] in self.state.rules.derived:
             for rule in self.state.rules.rules:
@@ -309,7 +309,7 @@ class _Change(NamedTuple):
 
 
 def _changes(problem: Problem) -> Iterator[_Change]:
-    """Yield what actions do."""
+    """Yield the effects of actions."""
     for schema in problem.domain.actions.values():
         at_end, defined = All((schema.precondition, schema.invariant, schema.end_condition)), _defined(schema)
         for effects, needed in ((schema.start_effects, schema.precondition), (schema.end_effects, at_end)):
@@ -318,7 +318,7 @@ def _changes(problem: Problem) -> Iterator[_Change]:
 
 
 def _defined(schema: ActionSchema) -> tuple[Condition, ...]:
-    """Return what must have a value if the action is to be possible: its duration, and the numbers that it always changes."""
+    """Return the fluents that need a value for the action: in its duration, and the numbers that it always changes."""
     changes = [*assignments(schema.start_effects, schema.parameters), *assignments(schema.end_effects, schema.parameters)]
     values = [change.value for change in changes if change.is_plain and change.fluent[0].lower() != MAY_BE_UNSET]
     expressions = [*(constraint.bound for constraint in schema.duration or ()), *values]
@@ -349,7 +349,7 @@ _LENGTH: Final = 400
 
 
 class _Ending(Enum):
-    """How a way to the goal ends: the words for one condition or call, and for several."""
+    """The ends of a way to the goal: the words for one condition or call, and for several."""
 
     NEVER = "is never true", "are never true"
     UNKNOWN = "is unknown", "are unknown"
@@ -429,7 +429,7 @@ def _nearest(reachability: Reachability, way: Way) -> Achiever:
 
 
 def _endings(reachability: Reachability, problem: Problem, lack: Condition) -> Iterator[_Said]:
-    """Yield what there is to say of a condition that does not hold."""
+    """Yield the explanations of a condition that does not hold."""
     literal, mentioned = literal_of(lack), fluents(lack, reachability.state)
     if guarded := [problem.guards[fluent] for fluent in mentioned & problem.guards.keys()]:
         yield from ((_Ending.FORBIDDEN, call) for call in guarded)

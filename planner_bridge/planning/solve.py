@@ -246,7 +246,7 @@ class _Elimination:
 
 
 def _cost(problem: Problem, plan: Plan, state: State) -> float | None:
-    """Return what the metric makes of a plan that leads to the state; None where time is all that counts."""
+    """Return the metric's value of a plan that leads to the state; None where only time counts."""
     if problem.metric is None or problem.metric.expression == ValueOf(TOTAL_TIME):
         return None
     total_time = plan.makespan if plan.temporal else float(len(plan.steps))

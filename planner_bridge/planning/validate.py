@@ -158,7 +158,7 @@ def _steps(problem: Problem, plan: Plan) -> list[_Step]:
 
 
 def _wrong(step: PlanStep, problem: Problem, objects: Mapping[str, frozenset[str]]) -> str:
-    """Return what is wrong with the step as it is written; empty when nothing is."""
+    """Return the mistake of the step as it is written; empty for none."""
     schema = problem.domain.actions.get(step.action)
     if schema is None:
         return "is no action of the domain"

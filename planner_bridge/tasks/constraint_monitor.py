@@ -81,7 +81,7 @@ class ConstraintMonitor:
         # state
         self._looked = False
         self._changes: int | None = None
-        """How many changes of the world there were at the last look; None if all have to be looked at."""
+        """The number of changes of the world at the last look; None if all have to be looked at."""
         self._times: dict[int, float] = {}
         """For ground constraints by position, when to look at them again even if nothing changes."""
         self._queue: list[tuple[float, int]] = []
@@ -97,7 +97,7 @@ class ConstraintMonitor:
 
     @property
     def note(self) -> tuple[tuple[ConstraintProgress, ...], dict[int, Violation]]:
-        """What is known of the ground constraints, in their order, and the violations of some, by position."""
+        """The state of the ground constraints, in their order, and the violations of some, by position."""
         self.has_news = False
         violations = {position: watched.violation for position, watched in enumerate(self._ground) if watched.violation}
         return tuple(watched.progress for watched in self._ground), violations
@@ -196,7 +196,7 @@ class ConstraintMonitor:
     # --- at its end ----------------------------------------------------------------------------
 
     def constraint_results(self, now: float) -> tuple[ConstraintResult, ...]:
-        """Return what became of every constraint if the task ends now."""
+        """Return the result of every constraint if the task ends now."""
         if not self._looked:
             return tuple(ConstraintResult(constraint, "not monitored") for constraint, _ in self._constraints)
         results: list[ConstraintResult] = []
@@ -211,7 +211,7 @@ class ConstraintMonitor:
         return Violation(watched.constraint, now, observed_of(watched.constraint, self._knowledge))
 
     def preference_results(self, now: float) -> tuple[PreferenceResult, ...]:
-        """Return what became of the preferences of every name if the task ends now; those of actions are not monitored."""
+        """Return the results of the preferences of every name if the task ends now; those of actions are not monitored."""
         names = dict.fromkeys(preference.name for preference, _ in self._preferences)
         of_actions = dict.fromkeys(preference.name for schema in self._problem.domain.actions.values() for preference in schema.preferences)
         if not self._looked:
@@ -250,7 +250,7 @@ class TaskMonitor:
         # state
         self.began = 0.0
         self._since = 0.0
-        """When the world was as the problem of the context has it."""
+        """The time of the world in the problem of the context."""
         self.limit = TimeLimit(
             context.settings.limits.allowed(),
             lambda seconds: context.control.stop(Code.TIMED_OUT, f"the limit of {seconds:g} s is reached"),

@@ -84,7 +84,7 @@ class Scheduler(Protocol):
         """Return the conflicts in which neither task has been preempted for the other yet."""
 
     def forecasts(self, task: Task) -> Mapping[Task, Forecast]:
-        """Return what is expected of the plans of other active tasks that do not yield to this one."""
+        """Return the forecasts of the plans of other active tasks that do not yield to this one."""
 
     def runs(self) -> tuple[Run, ...]:
         """Return the current runs of all tasks."""
@@ -137,7 +137,7 @@ class TaskContext:
     new_run_id: Callable[[], UUID]
     journal: Journal
     since: float | None = None
-    """When the world was as the problem has it, on the clock of the event loop, if not when the task begins here."""
+    """The time of the world in the problem, on the clock of the event loop, if the task does not begin here."""
 
     @property
     def control(self) -> TaskControl:
@@ -156,11 +156,11 @@ class TaskContext:
 
     @property
     def present(self) -> KnowledgeBase:
-        """What is known of the world, with what calls have begun and sensors have not reported yet: what plans are judged by."""
+        """The knowledge of the world, with the unreported start effects of running calls: the base for judging plans."""
         return present_state(self.world, self.scheduler.runs())
 
     def under_way(self, run: Run) -> ReadWriteSets:
-        """Return what the calls of a run need and change that are still under way."""
+        """Return the needs and changes of the running calls of a run."""
         return read_write_sets(run.unsettled, TRUE, self.world)
 
     def unusable(self, history: History) -> frozenset[ForbiddenCall]:
@@ -236,7 +236,7 @@ class Preemption(TaskListener):
         return tuple(conflict for conflict in self.conflicts(task, footprint) if conflict.task not in settled)
 
     def forecasts(self, task: Task) -> Mapping[Task, Forecast]:
-        """Return what is expected of the plans of other active tasks that do not yield to this one."""
+        """Return the forecasts of the plans of other active tasks that do not yield to this one."""
         ahead = [other for other in self._others(task) if not other.yields_to(task)]
         return {other: expected for other in ahead if (expected := other.control.forecast) is not None}
 

@@ -48,11 +48,11 @@ class Execution(Protocol):
 
     @property
     def footprint(self) -> ReadWriteSets:
-        """What the rest of the plan needs and changes."""
+        """The needs and changes of the rest of the plan."""
 
     @property
     def forecast(self) -> Forecast:
-        """When the plan is expected to be done with what it needs, and what it leaves behind then."""
+        """The time at which the plan is expected to be done with its needs, and its results then."""
 
     @property
     def running(self) -> tuple[tuple[str, str], ...]:
@@ -123,14 +123,14 @@ class TaskControl:
 
     @property
     def footprint(self) -> ReadWriteSets | None:
-        """What the rest of the plan needs and changes, or during a pause what is still under way; None while there is no plan."""
+        """The needs and changes of the rest of the plan, or of its running calls during a pause; None while there is no plan."""
         if self.execution:
             return self.execution.footprint
         return self.reserved() if self.reserved else None
 
     @property
     def forecast(self) -> Forecast | None:
-        """What is expected of the plan; None while there is none. A wait for people takes as long as they do."""
+        """The forecast of the plan; None while there is none. A wait for people takes as long as they do."""
         if self.execution and not self.execution.awaits_answers:
             return self.execution.forecast
         return None if self.footprint is None else Forecast(self.footprint)

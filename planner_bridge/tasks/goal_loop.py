@@ -56,7 +56,7 @@ from pnm.tasks import Code, TaskState
 
 
 class Outstanding(Enum):
-    """What is due after a look at a run that goes on."""
+    """The work that is due after a look at a run that goes on."""
 
     NOTHING = "nothing"
     """It was replaced, it need not be, or it is to come to its end first."""

@@ -64,7 +64,7 @@ class PlanExecution(Observer):
         self._is_due = False
         """Whether the run is still to be replaced, and could not be."""
         self._tried: tuple[UnderWay, ...] | None = None
-        """What it would have handed over then; None if it could not be handed over."""
+        """The part that it would have handed over then; None if it could not be handed over."""
         self._is_held = False
         self._news = ""
         self.set_off_by = ""
@@ -126,7 +126,7 @@ class PlanExecution(Observer):
 
     @property
     def footprint(self) -> ReadWriteSets:
-        """What the rest of the plan needs and changes; during a pause, what is still under way."""
+        """The needs and changes of the rest of the plan; during a pause, of its running calls."""
         if self._context.control.is_paused:
             return self._context.under_way(self.run)
         progress = self.progress
@@ -134,7 +134,7 @@ class PlanExecution(Observer):
 
     @property
     def forecast(self) -> Forecast:
-        """When the plan is expected to be done with what it needs; a call that is late is expected to take as long again as it is late."""
+        """The time at which the plan is expected to be done with its needs; a late call is expected to take as long again as it is late."""
         progress, now, left = self.progress, asyncio.get_running_loop().time(), dict[int, float]()
         for result in (result for result in progress.calls if result.call.index in progress.under_way):
             began = now if result.started is None else result.started

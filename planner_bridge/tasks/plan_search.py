@@ -379,5 +379,5 @@ class PlanSearch:
 
 
 def _needed(now: Problem, plan: Plan, under_way: list[ActionCall]) -> Footprint:
-    """Return what a plan needs and changes, beside calls that are under way."""
+    """Return the needs and changes of a plan, beside running calls."""
     return cache(lambda: read_write_sets((*under_way, *calls_of(now, plan)), now.goal, initial_knowledge(now)))

@@ -33,7 +33,7 @@ MAX_SHORTENED: Final = 100
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """How long a task is pursued."""
+    """The limits of a task."""
 
     replans: int = 10
     """New nets after the first, whether or not a planner was asked."""
@@ -54,13 +54,13 @@ class Limits:
         check_seconds("a new plan", self.backoff, self.longest_backoff, self.patience)
 
     def allowed(self, planned: float = 0.0) -> float:
-        """Return how many seconds a task may take, given the seconds of its plan: three times as long by default."""
+        """Return the seconds of a task, given those of its plan: three times as long by default."""
         return max(3600.0, 3.0 * planned) if self.seconds is None else self.seconds
 
 
 @dataclass(frozen=True)
 class History:
-    """What a task remembers about its failures."""
+    """The memory of a task about its failures."""
 
     failed: dict[ForbiddenCall, int] = field(default_factory=dict)
     unconfirmed: frozenset[ForbiddenCall] = frozenset()
@@ -188,7 +188,7 @@ Decision = ResumePlan | PlanAgain | GiveUp
 
 
 def decision_words(decision: Decision | None) -> str:
-    """Return what follows a run, in the words in which everybody is told; None is a plan that was found without a decision."""
+    """Return the decision after a run, in the words for everybody; None is a plan that was found without a decision."""
     match decision:
         case ResumePlan(rest, because):
             goes_on = f"the rest of the plan still works: going on with {counted(len(rest.calls), 'call')} in a new machine"

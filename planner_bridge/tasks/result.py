@@ -88,7 +88,7 @@ class Episode:
 
 @dataclass(frozen=True, slots=True)
 class TaskCounts:
-    """How often what has happened in a task.
+    """The counts of events in a task.
 
     Args:
         plans: that a planner has found, or that were given to begin with.
@@ -111,21 +111,21 @@ class TaskCounts:
 
 @dataclass(frozen=True, repr=False)
 class TaskResult:
-    """How a task ended, episode by episode."""
+    """The result of a task, episode by episode."""
 
     code: Code
     reason: str
     plans: int
-    """How often a planner found a plan."""
+    """The number of plans that a planner found."""
     episodes: tuple[Episode, ...]
     seconds: dict[str, float]
-    """Where the time went: parse, plan, translate, verify, execute."""
+    """The time of each stage: parse, plan, translate, verify, execute."""
     began: float = 0.0
-    """When the task began, on the clock of its calls."""
+    """The beginning of the task, on the clock of its calls."""
     constraints: tuple[ConstraintResult, ...] = ()
-    """What became of the constraints of domain and problem."""
+    """The results of the constraints of domain and problem."""
     preferences: tuple[PreferenceResult, ...] = ()
-    """What became of the preferences, name by name."""
+    """The results of the preferences, name by name."""
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.code.word}: {len(self.calls)} calls, {self.replans} replans, {len(self.failures)} failures>"
@@ -141,7 +141,7 @@ class TaskResult:
 
     @property
     def calls(self) -> tuple[CallResult, ...]:
-        """What became of the calls of all episodes; of a call that was handed on, where it ended."""
+        """The results of the calls of all episodes; a call that was handed on is in the episode of its end."""
         return tuple(call for episode in self.episodes for call in episode.result.calls if call.kind is not CallOutcome.HANDED_OVER)
 
     @property
@@ -151,12 +151,12 @@ class TaskResult:
 
     @property
     def replans(self) -> int:
-        """How many new machines followed the first."""
+        """The number of new machines after the first."""
         return max(0, len(self.episodes) - 1)
 
     @property
     def counts(self) -> TaskCounts:
-        """How often what has happened."""
+        """Counts of events."""
         requests = sum(call.attempts for call in self.calls if call.call.action.operation is None)
         return TaskCounts(self.plans, self.replans, requests, len(self.failures), has_run=bool(self.episodes))
 
@@ -200,7 +200,7 @@ class TaskResult:
 
 @dataclass(frozen=True, repr=False)
 class PlanResult(TaskResult):
-    """How a hand-written plan ended."""
+    """The result of a hand-written plan."""
 
     results: Mapping[str, object] = field(default_factory=dict)
     """The variables that the plan gives back."""
@@ -265,7 +265,7 @@ class Violation:
 
 @dataclass(frozen=True, slots=True)
 class ConstraintResult:
-    """What became of a constraint of the domain or the problem."""
+    """The result of a constraint of the domain or the problem."""
 
     constraint: Constraint
     status: ConstraintStatus
@@ -275,12 +275,12 @@ class ConstraintResult:
 
 @dataclass(frozen=True, slots=True)
 class PreferenceResult:
-    """What became of the preferences of one name."""
+    """The result of the preferences of one name."""
 
     name: str
     status: ConstraintStatus
     violated: int | None = None
-    """How many of their instances, which is what ``(is-violated name)`` counts; None when they are not monitored."""
+    """The number of their violated instances, as in ``(is-violated name)``; None when they are not monitored."""
 
 
 @dataclass
@@ -290,9 +290,9 @@ class TaskLog:
     history: History = field(default_factory=History)
     episodes: list[Episode] = field(default_factory=list)
     plans: int = 0
-    """How many have been found, or given."""
+    """The number of plans that were found, or given."""
     helped: int = 0
-    """How often a person has helped."""
+    """The number of times that a person has helped."""
 
     @property
     def failures(self) -> list[Failure]:
@@ -324,7 +324,7 @@ class TaskLog:
 
 @dataclass(frozen=True, slots=True)
 class GoalNote:
-    """What a goal remembers from one run to the next.
+    """The memory of a goal from one run to the next.
 
     Args:
         history: of its failures.
@@ -341,7 +341,7 @@ class GoalNote:
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryNote:
-    """What has become of the constraints and preferences of a task.
+    """The results of the constraints and preferences of a task.
 
     Args:
         began: when the task began, on the clock of the event loop.

@@ -1,4 +1,4 @@
-"""What a task is given, who listens to it, and how it ends."""
+"""The settings, the listeners and the end of a task."""
 
 from __future__ import annotations
 
@@ -64,17 +64,17 @@ class TaskObserver(Observer):
 
 
 class OnChange(Enum):
-    """When a plan is looked at again because facts have changed."""
+    """The time at which a plan is looked at again because facts have changed."""
 
     EAGER = "eager"
     """At once, if the plan has to do with them."""
     LAZY = "lazy"
-    """When a call needs them, and fails."""
+    """The moment at which a call needs them, and fails."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How a task is pursued."""
+    """The ways to pursue a task."""
 
     planner: str = DEFAULT_PLANNER
     planner_timeout: float = 30.0

@@ -32,7 +32,7 @@ TRACE: Final = 200
 
 
 def step_state(outcome: CallOutcome) -> StepState:
-    """Return how far a call with this outcome has come."""
+    """Return the progress of a call with this outcome."""
     match outcome:
         case CallOutcome.WAITING | CallOutcome.SUSPENDED:
             return StepState.WAITING
@@ -88,14 +88,14 @@ class Task(TaskObserver):
     ending: TaskEnding | None = None
     result: TaskResult | None = None
     error: Exception | None = None
-    """What went wrong, if there is no result."""
+    """The mistake, if there is no result."""
     trace: deque[TraceEvent] = field(default_factory=lambda: deque(maxlen=TRACE))
     deadline: asyncio.TimerHandle | None = None
     watchdog: Watchdog | None = None
     came_in: float = field(init=False)
-    """When it came in."""
+    """The time of its arrival."""
     replanned: str = ""
-    """When its plan was replaced last, and why."""
+    """The time and the reason of the last new plan."""
     is_abandoned: bool = False
     """Whether it was left alone because it could not be ended in order."""
 
@@ -106,7 +106,7 @@ class Task(TaskObserver):
 
     @property
     def replans(self) -> int:
-        """How many nets have followed the first."""
+        """The number of nets after the first."""
         return max(0, self.nets - 1)
 
     @property
@@ -226,7 +226,7 @@ class Task(TaskObserver):
         self.listener.happened(event)
 
     def restore(self, kept: ReplayedTask) -> None:
-        """Note what has become of the task in another process: its plans, the calls that have ended, and its ending if it is over."""
+        """Note the progress of the task in another process: its plans, the calls that have ended, and its ending if it is over."""
         begun = sum(replayed.run.begun and replayed.made.caller is None for replayed in kept.runs)
         self.nets = begun - self.wanted.is_plan if kept.ending is None else kept.ending.replans + 1  # a plan is said again to be there
         decided = [note.decision for note in kept.notes if isinstance(note, GoalNote) and note.decision]
@@ -289,7 +289,7 @@ class Task(TaskObserver):
         self.listener.changed(self.id)
 
     def progressed(self, call: ActionCall, feedback: str, now: float) -> None:
-        """Tell what the server of a call says; too much for the trace of the task."""
+        """Tell the feedback of a call's server; too much for the trace of the task."""
         self.listener.happened(TraceEvent(self.id, now, TraceKind.FEEDBACK, str(call.action), feedback))
 
     def ended(self, call: ActionCall, outcome: Outcome, now: float) -> None:

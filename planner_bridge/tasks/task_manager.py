@@ -344,7 +344,7 @@ class TaskManager:
             self._admit()
 
     def _understand(self, task: Task, read: Callable[[], TaskText], kept: ReplayedTask | None = None) -> TaskEnding | None:
-        """Note what carries the task out, as its text says; return its ending if that is wrong."""
+        """Note the executor of the task, by its text; return its ending if that is wrong."""
         try:
             task.start = self._start.start(task, read(), kept)
         except InputError as error:

@@ -1,4 +1,4 @@
-"""How tasks start: by their text, as a goal, as a plan that is sent, or as a plan that is loaded; each with its context."""
+"""The start of tasks: by their text, as a goal, as a plan that is sent, or as a plan that is loaded; each with its context."""
 
 from __future__ import annotations
 
@@ -53,11 +53,11 @@ class TaskStart:
     began: float = field(default_factory=lambda: asyncio.get_running_loop().time())
 
     def reader(self, task: Task) -> Callable[[], TaskText]:
-        """Return what reads the text of a task, in any thread."""
+        """Return the reader of a task's text, in any thread."""
         return partial(read_text, task.wanted, self.read_goal, self.runner.programs, self._now() if task.wanted.is_plan else self.problem)
 
     def start(self, task: Task, text: TaskText, kept: ReplayedTask | None) -> StartTask:
-        """Return what carries out a task with this text, where another process has left it.
+        """Return the executor of a task with this text, where another process has left it.
 
         Raises:
             InputError: there is no such plan, or it has no such parameter.
@@ -224,7 +224,7 @@ class PlanTask:
 
     @property
     def footprint(self) -> ReadWriteSets:
-        """What the plan needs and changes: all calls that it may still reach; during a pause, those that are still under way."""
+        """The needs and changes of all calls that the plan may still reach; during a pause, of the running ones."""
         return self._context.under_way(self.executor.run) if self._context.control.is_paused else self._needed
 
     @property
@@ -237,7 +237,7 @@ class PlanTask:
 
     @property
     def forecast(self) -> Forecast:
-        """What the plan needs; when it is done with that depends on loops, choices and people."""
+        """The needs of the plan; their end depends on loops, choices and people."""
         return Forecast(self.footprint)
 
     @property
@@ -286,7 +286,7 @@ class PlanTask:
         )
 
     def _kept_goal(self) -> KeptGoal | None:
-        """Return what another process has done after the plan had failed; None if nothing."""
+        """Return the decision of another process after the failure of the plan; None for none."""
         later = [replayed for replayed in self._kept.runs[1:] if replayed.made.caller is None] if self._kept else []
         return goal_of(replace(self._kept, runs=later)) if self._kept and (later or self._kept.notes) else None
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from planner_bridge.view.app import Channel
 
 _NICE: Final = 10
-"""How much this process makes way for others: what drives robots comes first on a busy machine."""
+"""The priority of this process below others: processes that drive robots come first on a busy machine."""
 
 
 def main() -> int:

@@ -53,7 +53,7 @@ class ShownResponse(JSONResponse):
 
 PAGE: Final = Path(__file__).parent / "page"
 NAMES: Final = ("127.0.0.1", "localhost")
-"""What this computer is called in requests that are answered."""
+"""The names of this computer in requests that are answered."""
 HEADERS: Final = {
     "content-security-policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
@@ -73,7 +73,7 @@ T = TypeVar("T")
 
 
 class _Asked(NamedTuple):
-    """What is asked about: a task, a call by its run and its number, as they were after a record."""
+    """The subject of a question: a task, or a call by its run and its number, after a record."""
 
     task: UUID
     call: tuple[UUID, int]
@@ -358,14 +358,14 @@ class Channel:
 
 _MAX_BODY: Final = 4 * MAX_TEXT
 _LEVELS: Final = 8
-"""How deep a value may be nested that is looked at as a command."""
+"""The depth of a nested value that may be a command."""
 _TYPE: Final = "application/json"
 """Of bodies: no form of another page can have it."""
 
 
 @dataclass(frozen=True)
 class Control:
-    """What may be controlled, by whom, and the way there.
+    """The controls of the page: what, by whom, and how.
 
     Args:
         what: may be controlled.

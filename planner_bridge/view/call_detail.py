@@ -202,7 +202,7 @@ def _read(story: Story, fluent: Fluent, context: EvaluationContext) -> FactRead:
 
 
 def _source(read: frozenset[Fluent], context: EvaluationContext) -> str:
-    """Return how the fluents of a condition are known."""
+    """Return the source of the fluents of a condition."""
     derived = {fluent for fluent in read if fluent[0] in context.world.rules.derived}
     ways = {
         "derived": bool(derived),

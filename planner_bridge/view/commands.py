@@ -19,7 +19,7 @@ MAX_PROBLEM: Final = 20_000
 
 
 class Controlled(Enum):
-    """What the page may control."""
+    """The part that the page may control."""
 
     NOTHING = "nothing"
     RUN = "run"
@@ -30,7 +30,7 @@ class Controlled(Enum):
 
 @dataclass(frozen=True, slots=True)
 class CheckGoal:
-    """Say what is wrong with a goal, and do nothing."""
+    """A goal to be checked only: mistakes are reported."""
 
     goal: str
 
@@ -196,4 +196,4 @@ _READERS: Final[Mapping[str, Callable[[Mapping[str, object]], Command]]] = {
     "tell": lambda data: TellFacts(_texts(data, "add"), _texts(data, "remove"), _texts(data, "forget")),
     "answer": lambda data: AnswerQuestion(_id(data, "question"), _text(data, "text")),
 }
-"""What is read under ``do``."""
+"""The values of ``do``."""

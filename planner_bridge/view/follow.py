@@ -50,7 +50,7 @@ class Reader:
         self._view = View()
 
     def newest(self) -> View:
-        """Return what is shown after the last record; the same object if nothing has changed."""
+        """Return the view after the last record; the same object if nothing has changed."""
         with self._lock:
             problem = ""
             try:
@@ -64,7 +64,7 @@ class Reader:
             return self._view
 
     def at(self, number: int, tell: Callable[[Story], T]) -> T | None:
-        """Return what a function tells of the story after a record; None if that is not kept, or not there yet.
+        """Return a function of the story after a record; None if that was dropped, or is not there yet.
 
         Raises:
             JournalError: it cannot be read.
@@ -135,7 +135,7 @@ class Reader:
 
 
 class Feed:
-    """What browsers are told: the view after the last record, whenever it is another one, as long as somebody watches.
+    """The messages to browsers: the view after the last record, whenever it changes, while somebody watches.
 
     To be used on one event loop. The mutable state is the view, how many watch, and what reads for them.
     """
@@ -172,7 +172,7 @@ class Feed:
                 self._reading = None
 
     async def asked(self, number: int, tell: Callable[[Story], T], past: Reader) -> T | None:
-        """Return what is told of the story after a record: by the reader of what is new if it stands there, else by another one.
+        """Return a function of the story after a record: by the reader of new records if it stands there, else by another one.
 
         Raises:
             PnmError: the journal cannot be read, or not replayed.
@@ -185,7 +185,7 @@ class Feed:
             await asyncio.sleep(PERIOD if is_news else _IDLE)
 
     async def newest(self) -> View:
-        """Return what is shown after the last record; if that cannot be told by a fault of ours, why, and that is the end of it."""
+        """Return the view after the last record; after a fault of ours its reason, and end."""
         try:
             view = await asyncio.to_thread(self._reader.newest)
         except Exception as error:

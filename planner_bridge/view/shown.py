@@ -146,7 +146,7 @@ class FactShown:
     is_initial: bool
     """Whether it has been so from the beginning of what is shown: since then at least."""
     was: str = ""
-    """What was known last of what is unknown now; empty if that is nothing."""
+    """The last known value of an unknown fluent; empty for none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +156,7 @@ class ServerShown:
     actions: tuple[str, ...]
     busy: tuple[str, ...]
     failed: int
-    """How many requests it has not carried out."""
+    """The number of requests that it has not carried out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +172,7 @@ class QuestionShown:
 
 @dataclass(frozen=True, slots=True)
 class TroubleShown:
-    """What a call was hindered by, or has failed with.
+    """A hindrance or a failure of a call.
 
     Args:
         run: which run.

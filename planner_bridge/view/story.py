@@ -34,7 +34,7 @@ from pnm.tasks import TaskState
 EVENTS: Final = 200
 """Records that are shown in words, besides those that are marked."""
 _SEGMENTS: Final = 2
-"""How many it reaches back to."""
+"""The number of records that it reaches back to."""
 
 T = TypeVar("T", bound=shown.Shown)
 
@@ -56,7 +56,7 @@ class Story(JournalHistory):
         self._questions: dict[str, shown.QuestionShown] = {}
         """Those of runs."""
         self._shown: dict[str, tuple[object, shown.Shown]] = {}
-        """What was shown last, and of what it was made: of most things nothing has changed since."""
+        """The last view and its sources: most parts have not changed since."""
 
     @property
     def questions(self) -> dict[str, shown.QuestionShown]:
@@ -69,7 +69,7 @@ class Story(JournalHistory):
         return self._questions | about_tasks
 
     def apply(self, number: int, time: float, record: records.Record) -> replaying.ReplayStep:
-        """Note what a record tells, and execute it, for it is shown what the runs want; raises as `Replay.apply` does."""
+        """Note and execute a record, because the page shows the wishes of the runs; raises as `Replay.apply` does."""
         super().apply(number, time, record)
         replay, step = self.execute(), self.step
         assert step is not None, "this record was executed"
@@ -81,13 +81,13 @@ class Story(JournalHistory):
         return step
 
     def once(self, key: str, made_of: object, show: Callable[[], T]) -> T:
-        """Return how a thing is shown: as it was, if it is made of the same as then."""
+        """Return the view of a thing: the last one, if its sources are the same."""
         if (known := self._shown.get(key)) is None or known[0] != made_of:
             known = self._shown[key] = made_of, show()
         return cast("T", known[1])
 
     def _mark(self, record: records.Record) -> str:
-        """Return how a record is marked on the way through them."""
+        """Return the mark of a record for going through them."""
         match record:
             case records.TaskOver():  # also when it is said again, or what is shown would depend on what was read before
                 return "end"
@@ -155,7 +155,7 @@ class Story(JournalHistory):
 
 
 def value_words(value: Value | Unknown) -> str:
-    """Return what a fact is, in words."""
+    """Return a fact in words."""
     match value:
         case bool():
             return "true" if value else "false"
@@ -180,7 +180,7 @@ def _said(meta: str) -> str:
 
 
 def view_of(story: Story) -> shown.View:
-    """Return what is shown of a story; the same story gives the same view."""
+    """Return the view of a story; the same story gives the same view."""
     return shown.View(
         story.number,
         story.time,

@@ -178,5 +178,5 @@ def _flow(value: Value) -> str | None:
 
 
 def depth(value: Value) -> int:
-    """Return how many lists and mappings are inside each other."""
+    """Return the depth of nested lists and mappings."""
     return 1 + max((depth(entry.value) for entry in value.entries), default=0) if isinstance(value, Sequence | Mapping) else 0

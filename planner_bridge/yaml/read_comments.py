@@ -57,7 +57,7 @@ def comments(text: str, nodes: Iterable[yaml.Node], document: Mapped, domain: Do
 
 
 def _remarks(text: str, nodes: Iterable[yaml.Node]) -> Iterator[Comment]:
-    """Yield what begins with ``#`` outside of scalars."""
+    """Yield the texts that begin with ``#`` outside of scalars."""
     spans: list[tuple[int, int]] = []
     waiting = [*nodes]
     while waiting:
@@ -83,7 +83,7 @@ class _Outline:
     """The columns of things, by which a comment stands under one of them, or above what follows."""
 
     starts: dict[AnchorPath, int]
-    """Where things begin."""
+    """The beginnings of things."""
     lines: LineIndex
 
     def thing_above(self, remark: Comment, last: Anchor | None, following: Anchor | None) -> AnchorPath | None:

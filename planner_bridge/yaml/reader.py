@@ -45,7 +45,7 @@ class Contents:
     problem: Problem | None
     comments: Table
     bindings: Bindings
-    """How its actions are bound to servers."""
+    """The bindings of its actions to servers."""
 
     def of(self, kind: str) -> Table:
         """Return the comments of the domain, or of the problem."""

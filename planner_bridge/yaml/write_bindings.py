@@ -14,7 +14,7 @@ from pnm.core.machine.bindings import DEFAULT, NO_BINDINGS, Binding, Bindings, F
 from pnm.core.message_fields import Comparison, Every, FieldValue, Flag, Negation, Some
 
 LANGUAGE_DEFAULT: Final = Binding(retries=0)
-"""What an action in the language has that says nothing."""
+"""The keys of an action in the language without information."""
 
 
 def binding_entries(binding: Binding, usual: Binding, *, type_key: str) -> Iterator[Entry]:

@@ -25,7 +25,7 @@ from pnm.language.grammar import RESERVED
 SCHEMA_MARK: Final = "# yaml-language-server:"
 """Begins a comment that is for editors."""
 SCHEMA: Final = ""
-"""Where editors find the JSON Schema of these files; empty as long as there is none."""
+"""The URL of the JSON Schema of these files for editors; empty as long as there is none."""
 
 
 def write_domain(domain: Domain, table: Table = NO_COMMENTS, bindings: Bindings = NO_BINDINGS) -> str:

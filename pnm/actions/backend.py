@@ -44,7 +44,7 @@ class Backend(Protocol):
     async def check(
         self, actions: Iterable[GroundAction] = (), wait: float = 0.0, known: Vocabulary | None = None
     ) -> tuple[Readiness, ...]:
-        """Return how ready the servers of all declared actions and of these, and all sensors are.
+        """Return the readiness of the servers of all declared actions and of these, and of all sensors.
 
         What is not there yet is waited for, for `wait` seconds. `known` has other declared names than those that are in use.
         """

@@ -167,7 +167,7 @@ def read_binding(keys: BindingKeys) -> Binding:
 
 
 def _source(node: Node) -> object:
-    """Return what a goal field is filled from; it may be inside of others."""
+    """Return the source of a goal field; it may be inside of others."""
     if (parts := _table(node)) is not None:
         of, rows = parts
         return Table(_source(of), {name: _source(row) for name, _, row in rows.entries()})
@@ -184,7 +184,7 @@ def _source(node: Node) -> object:
 
 
 def _table(node: Node) -> tuple[Node, Mapped] | None:
-    """Return what a table looks at, and its rows; None for anything else."""
+    """Return the key of a table, and its rows; None for anything else."""
     if not node.is_mapping or node.mapped().nodes.keys() != {"of", "table"}:
         return None
     of, rows = node.mapped().needed("of"), node.mapped().needed("table")

@@ -173,7 +173,7 @@ class SimulatedRobots:
     speed: float = 1.0
     """Seconds of the world per second of the clock."""
     capacities: Mapping[str, int] = field(default_factory=dict)
-    """How many jobs may use a resource at the same time; one for those not listed."""
+    """The number of jobs that may use a resource at the same time; one for those not listed."""
     clashes: list[str] = field(default_factory=list)
     """Resources that more jobs used at once than their capacity allows: a mistake of the client."""
     log: RobotLog = field(default_factory=RobotLog)
@@ -417,7 +417,7 @@ def returned(request: Request, world: SimulatedWorld) -> dict[str, object]:
 
 
 _CLOSE = 1e-6
-"""How much numbers may differ: a float32 keeps seven digits."""
+"""The allowed difference of numbers: a float32 keeps seven digits."""
 
 
 def arguments_of(goal: Mapping[str, object], message: Mapping[str, object]) -> dict[str, str] | None:

@@ -60,7 +60,7 @@ class KnowledgeBase:
         self._changed: list[Fluent] = []
         """The fluents that have changed last, in order."""
         self._forgotten = 0
-        """How many changes came before these."""
+        """The number of changes before these."""
         self._derived_facts = DerivedFacts(rules, self._facts, self.objects)
 
     def __repr__(self) -> str:
@@ -196,7 +196,7 @@ class KnowledgeBase:
 
     @property
     def changes(self) -> int:
-        """How many changes there were so far."""
+        """The number of changes so far."""
         return self._forgotten + len(self._changed)
 
     def changed_since(self, changes: int) -> Sequence[Fluent] | None:
@@ -349,7 +349,7 @@ class Readers(Generic[Reader]):
 
     def __init__(self) -> None:
         self.reads: dict[Reader, Reads] = {}
-        """What each of them reads."""
+        """The fluents that each of them reads."""
         self._of: dict[Fluent | str, set[Reader]] = {}
         self._of_all: set[Reader] = set()
 

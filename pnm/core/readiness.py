@@ -10,7 +10,7 @@ from pnm.errors import InputError, Position
 
 
 class ReadyState(Enum):
-    """How ready an action server or a sensor is."""
+    """The readiness of an action server or a sensor."""
 
     READY = "ready"
     ABSENT = "absent"
@@ -41,7 +41,7 @@ class Readiness:
     advice: str = ""
     """Why it is not ready, and what to do about it."""
     waits: str = ""
-    """What becomes of it while it is not there, as the rest of a sentence about it; empty if it is not waited for."""
+    """The consequence while it is missing, as the rest of a sentence about it; empty if it is not waited for."""
     position: Position | None = None
     """Of the binding or of the sensor in its file."""
     is_sensor: bool = False
@@ -51,7 +51,7 @@ class Readiness:
 
     @property
     def where(self) -> str:
-        """Where in a file it has to be changed; empty if it need not."""
+        """The position in a file to change; empty for none."""
         return f"{self.position}: " if self.position and self.state is ReadyState.UNFIT else ""
 
     def as_json(self) -> dict[str, object]:

@@ -26,7 +26,7 @@ from pnm.errors import PnmError, RunError, counted
 
 Place = TypeVar("Place", bound=Hashable)
 _Rank: TypeAlias = tuple[int, float, UUID]
-"""How a claim stands in line, the least in front: higher priorities, then earlier claims; with its request."""
+"""The position of a claim in line, the least in front: higher priorities, then earlier claims; with its request."""
 
 _ONE_EACH: Final[Mapping[str, int]] = {}
 
@@ -81,7 +81,7 @@ class Resources:
         self._told: set[UUID] = set()
         """Of those in line, the requests that were told that their turn has come, or that what they wait for is withheld."""
         self._joined = 0
-        """How many claims have come into line so far."""
+        """The number of claims so far."""
         self._listeners: defaultdict[UUID | None, list[Callable[[], None]]] = defaultdict(list)
         """By task, those that listen to its claims; None for all."""
 
@@ -96,7 +96,7 @@ class Resources:
         return tuple(claim for _, claim in sorted(self._line.values(), key=itemgetter(0)))
 
     def capacity(self, name: str) -> int:
-        """Return how many requests may have the resource at the same time."""
+        """Return the number of requests that may share the resource."""
         return self._capacities.get(name, 1)
 
     @property
@@ -333,7 +333,7 @@ class RunClaims(Generic[Place]):
         """For every call that has resources, the request that has them."""
 
     def claim(self, request: UUID, names: tuple[str, ...]) -> Claim:
-        """Return what the request claims."""
+        """Return the claims of the request."""
         return Claim(self._task, request, self._priority, names)
 
     def are_free(self, place: Place, claim: Claim) -> bool:

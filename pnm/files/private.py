@@ -1,4 +1,4 @@
-"""What only this user may read: files with mode 0600 in folders with 0700, one of them with a secret; and arguments of this process."""
+"""Private files of this user, with mode 0600 in folders with 0700, one of them with a secret; and arguments of this process."""
 
 from __future__ import annotations
 

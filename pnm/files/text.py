@@ -11,7 +11,7 @@ from typing import Final
 from pnm.errors import InputError, Position, Tolerated
 
 _ALIKE: Final = 0.8
-"""How like a name a file has to be called to be suggested; more than other names, for endings are the same."""
+"""The required likeness of a suggested file name; more than for other names, because endings are the same."""
 
 
 def read_text(path: Path | str, limit: int) -> str:

@@ -240,7 +240,7 @@ class Node:
 
     @property
     def position(self) -> Position:
-        """Where the value stands."""
+        """The position of the value."""
         return position(self.raw, self.file)
 
     def position_of(self, word: str) -> Position:
@@ -282,7 +282,7 @@ class Node:
 
     @property
     def written(self) -> str:
-        """How a scalar is written in the file, without quotes; empty for lists and mappings."""
+        """The text of a scalar in the file, without quotes; empty for lists and mappings."""
         return self.raw.value if isinstance(self.raw, yaml.ScalarNode) else ""
 
     def texts(self, *left_out: str) -> Iterator[Node]:
@@ -326,7 +326,7 @@ _HINTS: Final = {
     "mapping values are not allowed": "a text with ': ' in it needs quotes, unless the line above lacks its colon",
     "<block end>": "it is indented otherwise than what it stands beside",
 }
-"""What usually is the mistake, by words of the parser's message; the first that fits."""
+"""The usual mistakes, by words of the parser's message; the first that fits."""
 
 CORE: Final = "tag:yaml.org,2002:"
 TEXTS: Final = frozenset({"str", "timestamp", "value", "merge"})

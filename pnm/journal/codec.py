@@ -135,7 +135,7 @@ class Codec:
         return write
 
     def _short(self, field: Field[Any]) -> _Short | None:
-        """Return how a field is written whose type says what it has, so that no tag need say it."""
+        """Return the writer of a field whose type says its content, so that no tag need say it."""
         match field.type:
             case "UUID":
                 return _Short(_hex, _uuid)
@@ -168,7 +168,7 @@ class Codec:
     # --- reading ------------------------------------------------------------------------------
 
     def _hook(self) -> Callable[[dict[str, Any]], Any]:
-        """Return what reads an object whose own values have been read; lists in it are tuples from now on."""
+        """Return the reader of an object whose own values have been read; lists in it are tuples from now on."""
         readers = self._readers
 
         def read(entry: dict[str, Any]) -> Any:
@@ -193,7 +193,7 @@ class Codec:
         return read
 
     def _field_reader(self, field: Field[Any]) -> Callable[[Any], Any] | None:
-        """Return what reads a field; None if it holds no array."""
+        """Return the reader of a field; None if it holds no array."""
         if (short := self._short(field)) is not None:
             return short.read
         array = _ARRAY_OF.fullmatch(str(field.type))
@@ -231,7 +231,7 @@ def _then(reader: Callable[[dict[str, Any]], Any]) -> Callable[[dict[str, Any]],
 
 
 class _Writers(dict[type, Callable[[Any], str]]):
-    """What writes the values of a class as JSON text, made at the first of them. There are no JSON values in between: they cost as much."""
+    """The writer of the values of a class as JSON text, made at the first of them, without JSON values in between: they cost as much."""
 
     def __init__(self, make: Callable[[type], Callable[[Any], str]]) -> None:
         super().__init__(
@@ -251,7 +251,7 @@ class _Writers(dict[type, Callable[[Any], str]]):
 
 
 class _Short(NamedTuple):
-    """How the values of a field are written and read whose type says what they are."""
+    """The writer and the reader of a field whose type says its content."""
 
     write: Callable[[Any], str]
     read: Callable[[Any], Any]

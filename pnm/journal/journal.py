@@ -72,7 +72,7 @@ class RunOptions(TypedDict):
 
 
 class WorldOptions(TypedDict, total=False):
-    """What a journal begins with besides, as in `pnm.journal.records.SharedBegan`."""
+    """The further beginning of a journal, as in `pnm.journal.records.SharedBegan`."""
 
     prefix: bytes
     origin: str
@@ -218,7 +218,7 @@ class WrittenJournal(Journal):
         self._parts: dict[str, str] = {}
         self._known_parts: set[str] = set()
         self._waiting: deque[tuple[Perform, tuple[Command, ...]]] = deque()
-        """What waits for these records to be kept."""
+        """Everybody who waits for these records to be kept."""
         self._bases = dict(replay.bases) if replay else {}
         """The knowledge bases that are followed, by number."""
         self._numbers = max(replay.bases, default=WORLD) if replay else WORLD
@@ -231,7 +231,7 @@ class WrittenJournal(Journal):
         self._is_replaced = False
         """Whether another world takes the place of the one that is followed."""
         self._due: asyncio.Handle | None = None
-        """What writes in a moment, or tries it again."""
+        """The writer of the next moment, or of the next attempt."""
         self.blocked = ""
         self._is_astray = False
         """Whether its file was not found when nothing was to be written."""
@@ -241,7 +241,7 @@ class WrittenJournal(Journal):
         self._resources = replay.resources if replay else Resources()
         self._shared = replay.shared if replay else None
         self._segment_began, self._length = (replay.segment_began, replay.length) if replay else (0.0, 0)
-        """When the segment has begun, and its records."""
+        """The beginning of the segment, and its records."""
         self._segment_wall = file.segment_wall
         """The time of day when it has."""
         self._fresh = 0

@@ -1,4 +1,4 @@
-"""What is kept of a journal, how safely, who may write it, and what can go wrong with that."""
+"""The settings of a journal: its parts, its durability, its writer, and its errors."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DAY: Final = 86400.0
 KEPT: Final = 7 * DAY
 """Seconds for which records are kept that nothing under way needs, unless something else is chosen."""
 LISTED: Final = 50
-"""How many times longer tasks are listed than their records are kept."""
+"""The factor by which tasks are listed longer than their records are kept."""
 _ANEW: Final = 5.0
 """Seconds for which a process that stood by may not be seen because it connects anew."""
 LEASE: Final = 5.0
@@ -73,7 +73,7 @@ def journal_errors(place: Place, verb: str) -> Iterator[None]:
 
 
 class Durability(Enum):
-    """What committed records survive."""
+    """The crashes that committed records survive."""
 
     PROCESS_CRASH = "NORMAL"
     """The death of the process, as by SIGKILL."""

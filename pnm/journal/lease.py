@@ -28,7 +28,7 @@ _SAFE: Final = 0.9
 _LOOK: Final = 1.0
 """Seconds until it is looked again whether a file is there."""
 _OFTEN: Final = 3
-"""How often a lease is renewed in its time."""
+"""The number of renewals of a lease in its time."""
 _CLOCK: Final = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
 """The clock that goes on while the computer sleeps, where there is one."""
 

@@ -75,7 +75,7 @@ class KnowledgeDelta:
     variables: Mapping[str, object] = field(default_factory=dict)
     """Variables and their new values; None for those that were forgotten."""
     sensed: Mapping[str, float] = field(default_factory=dict)
-    """What is sensed from now on, and how many seconds late."""
+    """The sensed predicates from now on, and their lag in seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +109,7 @@ class RunMade:
 
 @dataclass(frozen=True, slots=True)
 class MachineSource:
-    """What a machine is generated from."""
+    """The source of a machine."""
 
     plan: PlanGraph
     bindings: Bindings
@@ -186,7 +186,7 @@ class EndConfirmed:
 
 @dataclass(frozen=True, slots=True)
 class TimeCounted:
-    """How much of its limit a task has used, or a run of a plan."""
+    """The used part of the limit of a task, or of a run of a plan."""
 
     of: UUID
     used: TimeUsed
@@ -287,12 +287,12 @@ def change(base: KnowledgeBase, delta: KnowledgeDelta) -> None:
 
 
 def knowledge_now(number: int, base: KnowledgeBase) -> KnowledgeBegan:
-    """Return what a knowledge base is now."""
+    """Return the content of a knowledge base now."""
     return KnowledgeBegan(number, base.facts(), base.variables(), base.objects_by_type(), base.sensed_names(), base.rules)
 
 
 def follow(number: int, base: KnowledgeBase, changed: Callable[[KnowledgeDelta], None]) -> KnowledgeBegan:
-    """Return what a knowledge base is now, and have a function called with every change from now on."""
+    """Return the content of a knowledge base now, and have a function called with every later change."""
     before, sensed_before = base.variables(), base.sensed_names()
 
     def note(facts: Mapping[Fluent, Value | Unknown]) -> None:

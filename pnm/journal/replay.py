@@ -113,11 +113,11 @@ class ReplayedRun:
     result: RunResult | None = None
     is_over: bool = False
     used: TimeUsed | None = None
-    """How much of its limit is used, if it has one."""
+    """The used part of its limit, if it has one."""
 
     @property
     def left_at(self) -> float:
-        """When its process has left it."""
+        """The time at which its process has left it."""
         return self.replay.now
 
 
@@ -127,14 +127,14 @@ class ReplayedTask:
 
     accepted: TaskAccepted
     time: float
-    """When that was."""
+    """Its time."""
     replay: Replay = field(repr=False)
     is_held: bool = False
     runs: list[ReplayedRun] = field(default_factory=list)
     notes: list[object] = field(default_factory=list)
     ending: TaskEnding | None = None
     used: TimeUsed | None = None
-    """How much of its limit is used."""
+    """The used part of its limit."""
 
 
 @dataclass
@@ -154,9 +154,9 @@ class Replay:
     is_held: bool = False
     """Whether an operator has paused all tasks."""
     began: float = 0.0
-    """When the world began, on the clock of the event loop."""
+    """The beginning of the world, on the clock of the event loop."""
     segment_began: float = 0.0
-    """When the segment began."""
+    """The beginning of the segment."""
     length: int = 0
     """The records of the segment."""
     now: float = 0.0
@@ -166,7 +166,7 @@ class Replay:
     _machines: dict[str, tuple[MachineSource, PetriNetMachine]] = field(default_factory=dict)
     """Machines and what they are made from, by key."""
     _deltas: list[KnowledgeDelta] | None = None
-    """What the run that handles an event changes."""
+    """The changes by the run that handles an event."""
 
     @property
     def world(self) -> KnowledgeBase:
@@ -319,7 +319,7 @@ def _differ(number: int, verb: str, here: tuple[object, ...], then: tuple[object
 
 
 def words(step: ReplayStep, replay: Replay) -> tuple[str, ...]:
-    """Return what a record says, a line for everything that has come of it; `replay` has replayed it just now."""
+    """Return the words for a record, a line for each consequence; `replay` has replayed it just now."""
     record = step.record
     match record:
         case SharedBegan():

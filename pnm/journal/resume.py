@@ -153,7 +153,7 @@ def steps_after(kept: KeptJournal, codec: Codec, apply: Apply, after: int) -> It
 
 
 def damage(journal: str, after: int, error: Exception) -> Damaged:
-    """Return what to raise if the record after this one leads to an error that no record of a whole journal does."""
+    """Return the error to raise if the record after this one leads to an error that no record of a whole journal does."""
     why = str(error)[:_LONG] if isinstance(error, PnmError) else "what follows does not fit the records before it"
     return Damaged(f"{journal} is damaged behind record {after}: {why}")
 
@@ -176,7 +176,7 @@ def summaries(place: Place, codec: Codec) -> tuple[TaskSummary, ...]:
 
 
 def command_of(place: Place, codec: Codec) -> tuple[tuple[str, ...], str] | None:
-    """Return what the command line was given that has begun a journal, in which folder first, and the seal of that.
+    """Return the arguments of the command that has begun a journal, with its folder first, and their seal.
 
     It is empty if the journal is that of a node, None if there is nothing in it yet.
 

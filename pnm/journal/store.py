@@ -49,7 +49,7 @@ _log = logging.getLogger(__name__)
 
 
 class Home(NamedTuple):
-    """Where a journal belongs.
+    """The owner of a journal.
 
     Args:
         node: its node; empty for a run.
@@ -74,7 +74,7 @@ class Home(NamedTuple):
 
 
 class _Commit(NamedTuple):
-    """What was kept in a transaction.
+    """The records of a transaction.
 
     Args:
         first: the number of the first record.
@@ -376,7 +376,7 @@ def _check_there(place: Place, lock: FileLock) -> None:
 
 
 class Holding(NamedTuple):
-    """Who holds a journal.
+    """The holder of a journal.
 
     Args:
         epoch: the latest.
@@ -415,7 +415,7 @@ class KeptJournal:
             (epoch, holder, _), last = self.holding(), self.last()
             # of a journal that was just begun, the log comes after the first look for it
             self._lacks = _lacks(left, epoch, last, holder, log_is_there=log_is_there or _has_log(place))
-            """What is not there any more, until that was said."""
+            """The missing files, until they were reported."""
         except BaseException:
             self.close()
             raise

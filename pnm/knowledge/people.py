@@ -262,18 +262,18 @@ HELP: Final = (TRY_AGAIN, GIVE_UP)
 YES: Final = "yes"
 NO: Final = "no"
 _TIMES: Final = 3
-"""How often a question is asked whose answers mean nothing."""
+"""The number of times that a question with meaningless answers is asked."""
 
 """Characters of a wrong answer that are repeated."""
 
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """What a person advises; without an answer the task gives up."""
+    """The advice of a person; without an answer the task gives up."""
 
     try_again: bool
     why: str
-    """Who or what it comes from, in words."""
+    """Its source, in words."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ class Asker:
     plan: str = ""
     """Its plan, as shown to a person."""
     question: UUID | None = None
-    """What a question is known by, also when it is asked again by another process."""
+    """The identity of a question, also when it is asked again by another process."""
 
 
 class Source(Protocol):

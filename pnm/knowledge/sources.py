@@ -1,4 +1,4 @@
-"""Where answers come from that a run does not have itself: the knowledge all runs share, and people.
+"""The sources of answers that a run does not have itself: the knowledge all runs share, and people.
 
 `Sources` sends every question to the right one; `open_sources` makes it from the names that a file chose, which
 `register_source` adds to. None of the sources ever blocks the event loop, and every wait has a limit.

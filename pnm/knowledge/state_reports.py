@@ -71,7 +71,7 @@ class StalenessWatchdog:
 MAX_INSTANCES: Final = 10_000
 """Fluents of one name that become unknown when it is stale; if there are more, only the recorded ones do."""
 RETURNS: Final = 3
-"""How often the count of reports goes back before they count as those of several senders."""
+"""The number of steps back in the count of reports before they count as those of several senders."""
 _ABSENT: Final[Mapping[FluentKind, Value | Unknown]] = {FluentKind.FACT: False, FluentKind.OBJECT: UNDEFINED, FluentKind.NUMBER: UNKNOWN}
 
 _log = logging.getLogger(__name__)
@@ -145,7 +145,7 @@ class StateReports:
         self._senders[name] = sequence, returns
 
     def readiness(self, topic: str, kinds: Collection[str]) -> tuple[Readiness, ...]:
-        """Return how ready the topic of these reports is, once it was heard; its publishers have these types."""
+        """Return the readiness of the topic of these reports, once it was heard; its publishers have these types."""
         heard = ", ".join(sorted(self._watchdogs.keys() | self._before.keys()))
         row = Readiness(heard, topic, ", ".join(kinds), ReadyState.STALE, is_sensor=True)
         if self._before:

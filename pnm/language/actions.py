@@ -38,9 +38,9 @@ class LanguageAction:
     binding: Binding = DEFAULT
     resources: tuple[str, ...] = ()
     returns: tuple[tuple[str, Data], ...] = ()
-    """What a simulated server answers, by result field."""
+    """The answers of a simulated server, by result field."""
     recoveries: Node | None = None
-    """What the domain has about recovering, for `pnm.language.plan_tree` to read."""
+    """The recoveries of the domain, for `pnm.language.plan_tree` to read."""
 
     @property
     def name(self) -> str:

@@ -27,9 +27,9 @@ class LanguageDomain:
     sources: tuple[SourceChoice, ...] = ()
     """The sources of knowledge that the file chose."""
     warnings: tuple[Tolerated, ...] = ()
-    """What in the file was tolerated though it is not as it should be."""
+    """The tolerated mistakes in the file."""
     file: str = ""
-    """Where it was read from."""
+    """Its source file."""
 
 
 def domain_from(top: Mapped, warnings: tuple[Tolerated, ...] = ()) -> LanguageDomain:

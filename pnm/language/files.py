@@ -27,7 +27,7 @@ from pnm.language.formulas.scope import read_typed, unknown
 from pnm.language.grammar import ActionKind, DomainKeys, NamedPlan, PlanKeys, Recipe
 
 ANCHORS: Final = {"base_action": {}, **{kind.value: {"type": kind.value} for kind in CLASSES.values()}}
-"""What ``*ros_action`` and the like stand for in files that do not define them."""
+"""The meanings of ``*ros_action`` and the like in files that do not define them."""
 MAX_EXCERPT: Final = 100_000
 """Characters of an excerpt; longer texts are not mended."""
 _LONE_KEY: Final = re.compile(r"( *)-( +)[^\s#'\"\[{][^#'\"\[{]*:\s*\Z")
@@ -93,7 +93,7 @@ _DOMAIN: Final = tuple(DomainKeys.known)
 _SERVERS: Final = ("ActionServer", "SimpleActionServer", "BasicControllerPluginServer", "DAPluginServer")
 """The classes that files for the original implementation name; every plan becomes a ROS 2 action server."""
 _CALLED: Final = Binding(retries=0, timeout=86_400.0, cancel=60.0)
-"""How a plan is called by another: its own limits, and those of its calls, end it sooner than these."""
+"""The call of a plan by another: its own limits, and those of its calls, end it sooner than these."""
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ _CLASS: Final = ClassName.json(or_null=True)
 
 
 class ActionKind(Enum):
-    """How an action is executed."""
+    """The execution of an action."""
 
     ROS = "ros_action"
     """An action server."""
@@ -245,7 +245,7 @@ class Document(
 
 
 class Place(Keys):
-    """Where a step stands."""
+    """The position of a step."""
 
     id = text("a name for the step, for others of the same list to wait for")
     after = written(_WAITS, "ids of the steps that this one waits for, in place of all before it")
@@ -373,4 +373,4 @@ class ConditionalChain(Chain):
 
 
 COMMANDS: Final = {**{then.value: then for then in Then}, "restart_action": Then.RETRY}
-"""How a chain ends."""
+"""The end of a chain."""

@@ -36,12 +36,12 @@ def filled_operation(operation: KnowledgeOperation, values: Mapping[str, Data]) 
 _LONGEST: Final = 1e12
 """Seconds of a duration at most: a clock that shows so much still tells tenths of a millisecond apart."""
 EFFECT_RETRIES: Final = 3
-"""How often a call is repeated by default because its effects are missing."""
+"""The default number of repetitions of a call with missing effects."""
 
 
 @dataclass(frozen=True)
 class Facts:
-    """What durations are computed from: the facts at the beginning."""
+    """The facts for computing durations: those at the beginning."""
 
     facts: Mapping[Fluent, Value]
 
@@ -56,7 +56,7 @@ class Facts:
 
 @dataclass(frozen=True)
 class Substitution:
-    """What one call gives the parameters of its action, with ``?``."""
+    """The values that one call gives the parameters of its action, with ``?``."""
 
     values: Mapping[str, Data]
     """Whatever the step gives."""
@@ -78,7 +78,7 @@ class Substitution:
 
 
 def ground_action(step: CallStep, outer: Mapping[str, Data], facts: Facts) -> tuple[GroundAction, Substitution]:
-    """Return what the step does, and what it gives the parameters.
+    """Return the action of the step, and its values for the parameters.
 
     In a chain of recovery, `outer` is what the call that recovers gives its parameters, with ``?``; `facts` are those at the beginning.
     Raises `InputError` if a fact is computed from a parameter that is not known in the plan.
@@ -108,7 +108,7 @@ def ground_action(step: CallStep, outer: Mapping[str, Data], facts: Facts) -> tu
 
 
 def outer_values(action: LanguageAction, own: Substitution) -> dict[str, Data]:
-    """Return what parameters stand for in the chains of a call: what it is given, or what it will find."""
+    """Return the values of parameters in the chains of a call: its own, or those that it will find."""
     names = (variable.name for variable in action.schema.parameters)
     queries: dict[str, Data] = {name: Query(Literal.of(name[1:]), Layer.ALL) for name in names}
     return {**queries, **own.values}

@@ -61,20 +61,20 @@ class HandWrittenPlan:
     calls: frozenset[str] = frozenset()
     """The other plans it calls."""
     warnings: tuple[Tolerated, ...] = ()
-    """What in the files was tolerated though it is not as it should be."""
+    """The tolerated mistakes in the files."""
     declared: ProblemModel = NOTHING_DECLARED
     """The model of its domain."""
     domain_file: str = ""
-    """Where its domain was read from; empty if it has none."""
+    """The source file of its domain; empty if it has none."""
 
     @property
     def goal(self) -> Condition:
-        """What must hold at the end."""
+        """The condition at the end."""
         return self.graph.goal
 
     @property
     def rules(self) -> Rules:
-        """What derives facts."""
+        """The rules for derived facts."""
         return self.graph.rules
 
 

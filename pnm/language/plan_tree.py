@@ -27,7 +27,7 @@ from pnm.language.grammar import COMMANDS, Chain, ConditionalChain, RecoveryKeys
 
 @dataclass(frozen=True, slots=True)
 class Wait:
-    """What a step waits for: the end, or the start, of another step of the same list."""
+    """A condition for a step: the end, or the start, of another step of the same list."""
 
     id: str
     position: Position
@@ -38,14 +38,14 @@ class Wait:
 
 @dataclass(frozen=True, slots=True)
 class StepPlacement:
-    """Where a step stands."""
+    """The position of a step."""
 
     position: Position
     id: str | None = None
     after: tuple[Wait, ...] | None = None
-    """What its start waits for; None for the step before it."""
+    """The conditions for its start; None for the step before it."""
     end_after: tuple[Wait, ...] = ()
-    """What its end waits for: only a call has one that can wait."""
+    """The conditions for its end: only a call has one that can wait."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class GivenValue:
 
 @dataclass(frozen=True, slots=True)
 class WrittenRecovery:
-    """What is done about some causes of failure."""
+    """The reactions to some causes of failure."""
 
     position: Position
     causes: frozenset[Cause]
@@ -151,7 +151,7 @@ ReadSteps: TypeAlias = Callable[[tuple[Node, ...], Position], SequenceStep]
 
 
 def read_recoveries(node: Node, scope: FormulaScope, read_steps: ReadSteps) -> tuple[WrittenRecovery, ...]:
-    """Read what is done when a call fails: ``before``, ``during`` and ``after``; the scope has the parameters of the call."""
+    """Read the reactions to a failure of a call: ``before``, ``during`` and ``after``; the scope has the parameters of the call."""
     if node.is_null:
         return ()
     keys = RecoveryKeys(node.mapped())

@@ -152,7 +152,7 @@ class PlanRun:
 
     @property
     def variables(self) -> dict[str, object]:
-        """What the run knows by itself."""
+        """The knowledge of the run itself."""
         return self.executor.run.knowledge.local.variables()
 
     @property
@@ -302,7 +302,7 @@ class PlanRunner:
             plan_run.limit.close()
 
     def knowledge_of(self, request: UUID) -> tuple[Layered, Asker] | None:
-        """Return what the run knows whose request this is, and whom it asks as; None when it is not, or no longer, open."""
+        """Return the knowledge of the run with this request, and the action that asks; None when it is not, or no longer, open."""
         for plan_run in self.going_on:
             run = plan_run.executor.run
             if request in run.open_requests:

@@ -50,7 +50,7 @@ from pnm.language.plan_tree import (
 _OPTIONS: Final = tuple(Call.known)
 """The keys of a step beside the one that names its action or block."""
 _INSERTED: Final = re.compile(r"\$\{(?P<first>[A-Za-z_]\w*)\}|\$(?P<second>[A-Za-z_]\w*)|\{(?P<third>[A-Za-z_]\w*)\}")
-"""How other languages write the value of a variable inside of a text."""
+"""The notation of other languages for the value of a variable inside of a text."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class StepReader:
 
     @cached_property
     def scope(self) -> FormulaScope:
-        """What values and conditions may use."""
+        """The names that values and conditions may use."""
         return FormulaScope(self.declared, dict.fromkeys(self.variables, ("object",)))
 
     def steps(self, node: Node) -> SequenceStep:
@@ -179,7 +179,7 @@ class StepReader:
         )
 
     def recoveries(self, action: LanguageAction, node: Node) -> tuple[WrittenRecovery, ...]:
-        """Read what is done when calls of the action fail."""
+        """Read the reactions to failures of the action's calls."""
         inner = StepReader(self.actions, self.declared, frozenset(variable.name for variable in action.schema.parameters))
         return read_recoveries(node, inner.scope, inner.sequence)
 

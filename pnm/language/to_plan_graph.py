@@ -63,7 +63,7 @@ class _Region:
 
     @property
     def flow(self) -> Flow:
-        """What has been made."""
+        """The results so far."""
         return Flow(tuple(self.steps), tuple(self.orderings))
 
 
@@ -233,7 +233,7 @@ class _After:
     """Of the other one."""
     delay: float = 0.0
     own: Moment = Moment.START
-    """What waits for it."""
+    """The steps that wait for it."""
 
     @property
     def is_plain(self) -> bool:
@@ -242,7 +242,7 @@ class _After:
 
 
 def _waits(steps: tuple[WrittenStep, ...], *, in_sequence: bool) -> list[tuple[_After, ...]]:
-    """Return what each step waits for: in a sequence, if it does not name any, all before it that wait for no later one themselves."""
+    """Return the conditions of each step: in a sequence, if it names none, all before it that wait for no later one themselves."""
     numbers = {step.place.id: number for number, step in enumerate(steps) if step.place.id is not None}
     written = [_written_waits(step, steps, numbers) for step in steps]
     over: dict[int, list[int]] = {number: [] for number in range(len(steps) + 1)}  # the steps that can be over from this one on

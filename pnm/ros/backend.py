@@ -122,7 +122,7 @@ class Ros2Backend:
     async def check(
         self, actions: Iterable[GroundAction] = (), wait: float = 0.0, known: Vocabulary | None = None
     ) -> tuple[Readiness, ...]:
-        """Return how ready the servers of all declared actions and of these, and all sensors are.
+        """Return the readiness of the servers of all declared actions and of these, and of all sensors.
 
         What is not there is looked for until this node has discovered the others, and for `wait` seconds.
 
@@ -153,7 +153,7 @@ class Ros2Backend:
             await self._sensors.open()
 
     async def look(self, actions: Iterable[GroundAction] = (), known: Vocabulary | None = None) -> tuple[Readiness, ...]:
-        """Return how ready they are at this moment, as far as this node has discovered the others; see `check`."""
+        """Return the present readiness, as far as this node has discovered the others; see `check`."""
         known = known or self._known or Vocabulary({})
         every = dict.fromkeys((*server_calls(known, self._bindings), *actions))
         calls = [call for call in every if self._bindings.names_server(call)]
@@ -246,7 +246,7 @@ def server_calls(known: Vocabulary, bindings: Bindings) -> Iterator[GroundAction
 
 @dataclass(frozen=True, slots=True)
 class ValueSources:
-    """What goal fields may be filled from."""
+    """The possible sources of goal fields."""
 
     known: Vocabulary
     """The declared names; of actions that it does not know, only a plan knows what goals are filled from."""
@@ -298,7 +298,7 @@ def server_readiness(
     sources: ValueSources,
     patience: float,
 ) -> Readiness:
-    """Return how ready the server of one action is, given the bindings of all actions that it performs."""
+    """Return the readiness of the server of one action, given the bindings of all actions that it performs."""
     binding, there = bound[action.name], graph.servers.get(server, ())
     wanted = next((one.type for one in (binding, *bound.values()) if one.type), None)
     row = Readiness(action.name, server, wanted or ", ".join(there), ReadyState.UNFIT, position=binding.position)
@@ -402,7 +402,7 @@ def sensor_readiness(uses: Iterable[SensorUse], graph: GraphSnapshot) -> Iterato
 
 
 def sensor_row(use: SensorUse, kind: str, known: Mapping[str, tuple[str, ...]]) -> Readiness:
-    """Return how ready one sensor is, given the topics or services that are there."""
+    """Return the readiness of one sensor, given the present topics or services."""
     sensor, there = use.instance.sensor, known.get(use.name, ())
     first, *others = [part.name if isinstance(part, Stored) else fluent_text(part.fluent) for part in sensor.statements]
     wanted = sensor.type

@@ -35,7 +35,7 @@ _FINE: Final = ("SUCCESS", "SUCCEEDED", "STATUS_SUCCEEDED", "DONE", "OK", "NONE"
 _REASONS: Final = frozenset({"message", "error_msg", "error_message", "error_string", "reason"})
 _MESSAGE: Final = re.compile(r"\w+/\w+")
 _DEPTH: Final = 2
-"""How deep fields of results are looked at."""
+"""The depth to which fields of results are looked at."""
 
 
 @dataclass

@@ -31,11 +31,11 @@ RETURN: Final = 120.0
 """Seconds for a node that has died to be back with its tasks."""
 _ACHIEVE: Final = GroundAction("achieve_goal")
 _NOBODY: Final = UUID(int=0)
-"""What stands for all tasks."""
+"""The id that stands for all tasks."""
 
 
 class NodeClient:
-    """What a person wants of `pnm serve`, over the services, topics and actions that the node has for all.
+    """A client of `pnm serve`, over the services, topics and actions that the node has for all.
 
     Args:
         ros: the thread of a node of its own, in the namespace of the other one.

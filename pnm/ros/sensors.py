@@ -105,7 +105,7 @@ class SensorRecorder:
 
 @dataclass(frozen=True, slots=True)
 class SensorUse:
-    """How one sensor is doing."""
+    """The state of one sensor."""
 
     instance: Instance
     name: str
@@ -410,7 +410,7 @@ class Sensors:
             recorder.is_open = True
 
     def uses(self) -> tuple[SensorUse, ...]:
-        """Return how the sensors, once they are open, are doing."""
+        """Return the states of the sensors, once they are open."""
         return tuple(
             SensorUse(one.recorder.instance, one.name, one.recorder.heard.is_set(), one.recorder.refused, one.recorder.is_stale)
             for one in self._sensors

@@ -44,7 +44,7 @@ class SimClock:
         self.now = 0.0
         self._moved = 0.0
         self._since: tuple[float, float] | None = None
-        """What it showed when its pace began, and the real time of that; None until it is heard."""
+        """Its time when its pace began, and the real time of that; None until it is heard."""
         self._publishers = 1
         self._jump, self._jumped = "", -inf
         self._still = ""
@@ -84,7 +84,7 @@ class SimClock:
         return self._still
 
     def trouble(self, real: float) -> str:
-        """Return what is wrong with it now; empty if it goes on."""
+        """Return its present fault; empty if it goes on."""
         return self._still or (self._jump if real - self._jumped < PERIOD else "")
 
     def _tell_jump(self, what: str, shown: float, real: float) -> str:

@@ -213,7 +213,7 @@ def intention(call: ActionCall, knowledge: EvaluationContext) -> Intention:
 
 
 def finished(action: GroundAction, intended: Intention, knowledge: EvaluationContext) -> Changes:
-    """Return what the end of the action changes.
+    """Return the changes at the end of the action.
 
     A durative action's end effects read the state at its end. An instantaneous action's conditions and
     objects were decided when it was sent; its numbers change from what they are now, for others may
@@ -275,7 +275,7 @@ def may_be_late(part: Condition, action: GroundAction, knowledge: EvaluationCont
 
 
 def lag_of_effects(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: EvaluationContext) -> float:
-    """Return how many seconds late the reports about the effects and the end condition may come."""
+    """Return the seconds by which reports about the effects and the end condition may be late."""
     return knowledge.world.lag({*(fluent[0] for fluent in wanted), *names(action.end_condition), *names(action.expected)})
 
 
@@ -291,11 +291,11 @@ class ConstantEffects(NamedTuple):
     """Effects of a call that are the same in every state."""
 
     intention: Intention
-    """What the call is going to change where nothing of it is sensed."""
+    """The changes by the call, as far as nothing of it is sensed."""
     visible: Mapping[Fluent, Value]
-    """What should be seen of it where it is sensed."""
+    """The expected observations, where it is sensed."""
     done: tuple[tuple[Fluent, Value | Unknown], ...]
-    """What is so already where there is nothing to do; empty if that can never be said."""
+    """The fluents that are true already where there is nothing to do; empty if that can never be told."""
 
     def intended(self, world: KnowledgeBase) -> Intention:
         """Return the intention of the call, as `intention` would."""
@@ -311,7 +311,7 @@ class ConstantEffects(NamedTuple):
 
 
 class ClosedCall(NamedTuple):
-    """What of a closed call does not depend on knowledge."""
+    """The part of a closed call that does not depend on knowledge."""
 
     own: Mapping[str, object]
     """The values that it has for goal fields by itself."""
@@ -320,7 +320,7 @@ class ClosedCall(NamedTuple):
     expects: bool
     """Whether it has a condition for its end, or something is expected of it."""
     needed: CompiledCondition | None
-    """What must hold until its end, and there; None for nothing."""
+    """The condition until its end, and there; None for nothing."""
     effects: ConstantEffects | None
     """None if what it changes depends on the state."""
 
@@ -331,7 +331,7 @@ def is_closed(action: GroundAction) -> bool:
 
 
 def reads_of_guard(guard: Guard, action: GroundAction | None, rules: Rules) -> Reads:
-    """Return what a guard reads, of a call of this action if it is about one; None for anything."""
+    """Return the fluents that a guard reads, of a call of this action if it is about one; None for anything."""
     if action is not None and not is_closed(action):  # its parameters may depend on anything
         return None
     match guard.reads:
@@ -352,7 +352,7 @@ def reads_of_guard(guard: Guard, action: GroundAction | None, rules: Rules) -> R
 
 
 def closed_call(call: ActionCall) -> ClosedCall | None:
-    """Return what of the call does not depend on knowledge; None for one that leaves parameters open, or is about knowledge itself."""
+    """Return the part of the call that does not depend on knowledge; None for calls with open parameters or about knowledge itself."""
     action = call.action
     if not is_closed(action):
         return None

@@ -41,7 +41,7 @@ _CHANGED: Final = Performed(changes_knowledge=True)
 _BEGIN, _FINISH = TransitionAction.BEGIN, TransitionAction.FINISH
 
 Answers: TypeAlias = Mapping[Question, object] | None
-"""What is known for a decision; None where no questions are asked."""
+"""The knowledge for a decision; None where no questions are asked."""
 
 
 class Calls:
@@ -96,11 +96,11 @@ class Calls:
         return self._attempts[call].accepted is not None
 
     def feedback(self, call: int) -> str:
-        """Return what the server of the call, which was sent, has said last; empty if it has said nothing."""
+        """Return the last feedback of the server of the call, which was sent; empty for none."""
         return self._attempts[call].feedback
 
     def note_feedback(self, feedback: Feedback) -> ActionCall | None:
-        """Note what a server says about a request; return its call if it is under way, and that is something else than before."""
+        """Note the feedback of a server about a request; return its call if it is under way, and the feedback is new."""
         call = self.open.get(feedback.request)
         if call is None or self._attempts[call].feedback == feedback.text:
             return None
@@ -108,7 +108,7 @@ class Calls:
         return self.as_sent(call)
 
     def limit(self, call: int) -> float:
-        """Return how many seconds the call may take from its acceptance; 0 for an operation on knowledge."""
+        """Return the seconds of the call from its acceptance; 0 for an operation on knowledge."""
         action = self._plan.calls[call].action
         return 0.0 if action.operation is not None else self._bindings.timeout(action)
 
@@ -160,7 +160,7 @@ class Calls:
         return self._attempts[call].request, self.action(call)
 
     def resources(self, action: GroundAction) -> tuple[str, ...]:
-        """Return what the action has for itself while it is under way."""
+        """Return the resources of the action while it is under way."""
         return self._bindings.resources(action)
 
     def shows_nothing(self, call: int) -> bool:
@@ -169,7 +169,7 @@ class Calls:
         return closed is not None and not (closed.expects or attempt.denied or attempt.intended.expected)
 
     def unseen(self, call: int, context: EvaluationContext) -> tuple[Condition, ...]:
-        """Return what of the call's effects is not seen."""
+        """Return the effects of the call that are not observed."""
         return self._attempts[call].unseen(context)
 
     def is_assumed(self, call: int) -> bool:
@@ -180,13 +180,13 @@ class Calls:
         return is_assumed(names_written((*action.start_effects, *action.end_effects)), self.world)
 
     def explain_unseen(self, call: int, context: EvaluationContext) -> tuple[str, str]:
-        """Return what of the call's effects is not seen, and what is seen instead, as texts."""
+        """Return the effects of the call that are not observed, and the observations instead, as texts."""
         denied, missing = self._attempts[call].denied or {}, self.unseen(call, context)
         seen = dict.fromkeys(denied.get(part) or observed(part, context) for part in missing)
         return " ".join(map(str, missing)), "; ".join(seen)
 
     def lag_of_effects(self, call: int, context: EvaluationContext) -> float:
-        """Return how many seconds late the reports about its effects may come."""
+        """Return the seconds by which reports about its effects may be late."""
         return lag_of_effects(self._attempts[call].intended.expected, self.action(call), context)
 
     # --- actions of transitions -----------------------------------------------------------------
@@ -247,7 +247,7 @@ class Calls:
         return self._write(attempt.undo(self.world))
 
     def again(self) -> tuple[Command, ...]:
-        """Return what another process does about requests that are out.
+        """Return the decisions of another process about open requests.
 
         It finds out about them, asks once more for the end of those that are being cancelled, and repeats updates, which set values.
         """
@@ -264,7 +264,7 @@ class Calls:
         return tuple(commands)
 
     def unreported(self, call: int) -> Changes:
-        """Return what the start of the call has changed, as far as sensors report that and have said nothing of it since."""
+        """Return the changes at the start of the call that sensors report, but have not reported since."""
         attempt, world = self._attempts[call], self.world
         awaited = world.reported({fluent: value for fluent, value in attempt.intended.start.items() if isinstance(value, bool | str)})
         changed = world.changed_since(attempt.begun_after) if awaited and attempt.begun is not None else None

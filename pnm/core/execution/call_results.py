@@ -17,7 +17,7 @@ _WAITING, _RUNNING, _PASSED_OVER = CallOutcome.WAITING, CallOutcome.RUNNING, Cal
 _SUSPENDED, _SKIPPED, _CANCELED = CallOutcome.SUSPENDED, CallOutcome.SKIPPED, CallOutcome.CANCELED
 
 SUCCESS: Final = "success"
-"""What is expected of a call that ends otherwise."""
+"""The expected alternative for a call that ends otherwise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Failure:
 
     @property
     def details(self) -> str:
-        """What was expected and what was observed, in words; of an end without success only the latter."""
+        """The expectation and the observation, in words; for an end without success only the latter."""
         expected = f"expected {self.expected}" if self.expected and not (self.expected == SUCCESS and self.observed) else ""
         observed = f"observed {self.observed}" if expected and self.observed else self.observed
         return "; ".join(filter(None, (expected, observed)))
@@ -129,7 +129,7 @@ class Sent:
 
 @dataclass(frozen=True, slots=True)
 class Hindered:
-    """What a step was hindered by, or has failed with, as its journal tells it to those who do not execute the run.
+    """A hindrance or a failure of a step, as its journal tells it to readers that do not execute the run.
 
     Args:
         step: its number.
@@ -171,7 +171,7 @@ class CallCourse:
     """As it was sent last."""
     kind: CallOutcome = CallOutcome.WAITING
     attempts: int = 0
-    """How many requests of it there were."""
+    """The number of its requests."""
     started: float | None = None
     ended: float | None = None
     assumed: bool = False
@@ -196,12 +196,12 @@ class CallResults:
         self._rounds: list[CallResult] = []
         self.failures: list[Failure] = []
         self.last_check: Explanation | None = None
-        """What the last check has found that led anywhere."""
+        """The last check with a consequence."""
         self._answers: dict[int, Outcome] = {}
         self._causes: dict[int, Explanation] = {}
 
     def calls(self, handed: Collection[int] = ()) -> tuple[CallResult, ...]:
-        """Return what became of the calls, every time they were reached.
+        """Return the results of the calls, every time they were reached.
 
         A plan of calls alone keeps its order; of any other plan calls come in the order in which they were sent, and of those
         that were never reached the outermost ones.
@@ -223,7 +223,7 @@ class CallResults:
         return (*reached, *others)
 
     def current(self, call: int) -> CallResult:
-        """Return what became of a call the last time it was reached."""
+        """Return the result of a call the last time it was reached."""
         course = self._courses.get(call)
         return CallResult(self._calls[call]) if course is None else course.result()
 

@@ -164,7 +164,7 @@ Command: TypeAlias = Send | Reattach | Cancel | Wake | Ask | Withdraw | Store
 
 
 class Performed(NamedTuple):
-    """What a transition's action leads to: commands, ends of requests that concerned knowledge alone, and whether knowledge changed."""
+    """The consequences of a transition's action: commands, ends of requests about knowledge alone, and whether knowledge changed."""
 
     commands: tuple[Command, ...] = ()
     reports: tuple[Ended, ...] = ()
@@ -184,7 +184,7 @@ class Observer:
         """Note that a request is over."""
 
     def progressed(self, call: ActionCall, feedback: str, now: float) -> None:
-        """Note what the server of a call that is under way says about it, when that is something else than before."""
+        """Note new feedback of the server of a running call."""
 
     def hindered(self, call: ActionCall, cause: Explanation, now: float) -> None:
         """Note why a call does not go on as planned: it is tried again, recovers, or fails."""

@@ -199,7 +199,7 @@ class Guards:
         return self._questions.left(place)
 
     def context(self, call: int | None, place: int | None) -> EvaluationContext:
-        """Return what guards of the call at the place are evaluated from."""
+        """Return the knowledge for the guards of the call at the place."""
         return self._calls.context_of(call, self._questions.answers_at(place))
 
     def unseen(self, call: int, place: int | None) -> tuple[Condition, ...]:

@@ -35,15 +35,15 @@ class CallAttempt:
     """As it was sent."""
     intended: Intention
     accepted: float | None = None
-    """When it was; None while it is not, or is being cancelled."""
+    """The time of its acceptance; None before it, or while it is being cancelled."""
     unanswered: Request | None = None
-    """What was sent, until it is accepted or being cancelled."""
+    """The request, until it is accepted or being cancelled."""
     begun: Changes | None = None
     """Values before what it has written; None before it has begun, and after a rollback."""
     begun_after: int = 0
     """After how many changes of the world it has begun."""
     ended: Changes | None = None
-    """What it has written at its end; None before."""
+    """The changes at its end; None before."""
     denied: Mapping[Condition, str] | None = None
     """Conditions over all and at the end that were not so, and what was so instead, if there are any."""
     held: set[Condition] | None = field(default_factory=set)
@@ -51,7 +51,7 @@ class CallAttempt:
     broken: dict[tuple[Condition, bool], float] = field(default_factory=dict)
     """Since when parts of it have not held; and whether that may be for want of a report."""
     feedback: str = ""
-    """What its server has said last."""
+    """The last feedback of its server."""
 
     def begin(self, world: KnowledgeBase, now: float) -> Changes:
         """Note that the request was accepted; return the effects of its start."""
@@ -102,7 +102,7 @@ class CallAttempt:
             self.denied = {**(self.denied or {}), **denied}
 
     def interrupt(self, context: EvaluationContext) -> None:
-        """Note what of its over-all condition is not so: the call has not succeeded, whatever its server reports."""
+        """Note the false part of its over-all condition: the call has not succeeded, whatever its server reports."""
         self.denied = {part: observed(part, context) for part in unmet(self.action.invariant, context)}
 
     def unseen(self, context: EvaluationContext) -> tuple[Condition, ...]:
@@ -118,7 +118,7 @@ class UnderWay:
     """As it was sent."""
     request: UUID
     accepted: float
-    """When it was."""
+    """The time of its acceptance."""
     result: CallResult
     """The result of the call so far."""
     intended: Intention

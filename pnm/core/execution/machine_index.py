@@ -71,9 +71,9 @@ class Firing:
     turns: bool
     """Whether the run may be ending after it, or not be ending any more."""
     action: TransitionAction | None
-    """What its firing does about the request of its call."""
+    """The effect of its firing on the request of its call."""
     outcome: CallOutcome | None
-    """What it means for the result of its call."""
+    """Its meaning for the result of its call."""
     tells: bool
     """Whether it says more about its call than that: what hinders it, or that it is not needed or given up."""
     acts: bool
@@ -84,7 +84,7 @@ class Firing:
 
 @dataclass(frozen=True)
 class Decision:
-    """What is decided at a place of a shape."""
+    """The decisions at a place of a shape."""
 
     numbers: tuple[int, ...]
     """The transitions that are decided on there, in their order, by number within the block."""
@@ -121,7 +121,7 @@ class Shape:
         self.firings: Final = WhenAsked(self._firing)
         """The transitions, by number within the block."""
         self.decisions: Final = WhenAsked(self._decision)
-        """What is decided at places, by their codes."""
+        """The decisions at places, by their codes."""
         self.opened: Final = WhenAsked(self._opened)
         """The transitions of the call that the end of its request in a way opens, or its acceptance."""
 
@@ -193,7 +193,7 @@ class Site(Placed):
     """The same if the step is a call."""
 
     def arcs_of(self, firing: Firing) -> tuple[NumberedArcs, NumberedArcs]:
-        """Return what a transition takes from places, and what it gives to places."""
+        """Return the tokens that a transition takes from places, and those that it gives to places."""
         return self.arcs(self.template.inputs[firing.number]), self.arcs(self.template.outputs[firing.number])
 
     def step_of(self, firing: Firing) -> int | None:
@@ -235,16 +235,16 @@ class MachineIndex:
         self.since: Final = WhenAsked(self._since)
         """The places from whose marking guards of transitions count, and the seconds."""
         self.reads: Final[dict[Rules, WhenAsked[int, Reads]]] = WhenAsked(lambda rules: WhenAsked(partial(self._reads_at, rules)))
-        """What knowledge is read to decide at places of a run, by the rules of its world."""
+        """The knowledge that decisions at places of a run read, by the rules of its world."""
         self.closed: Final = WhenAsked(self._closed)
-        """What of calls does not depend on knowledge."""
+        """The parts of calls that do not depend on knowledge."""
 
     def is_call(self, step: int | None) -> bool:
         """Return whether a step is a call."""
         return step is not None and step < len(self._calls)
 
     def decision(self, place: int) -> Decision:
-        """Return what is decided at a place."""
+        """Return the decisions at a place."""
         return self.sites[place].shape.decisions[self.codes[place]]
 
     def guard(self, site: Site, firing: Firing) -> Guard:
@@ -290,7 +290,7 @@ class MachineIndex:
         return frozenset(read)
 
     def _reads_for(self, site: Site, firing: Firing, rules: Rules) -> Reads:
-        """Return what the guard of a transition reads."""
+        """Return the fluents that the guard of a transition reads."""
         call = firing.call if site.call is None else site.call
         action = None if call is None else self._calls[call].action
         # Other runs may give back resources without anything being heard of it.

@@ -97,7 +97,7 @@ class EvaluationContext:
         return self.knowledge.variable(name)
 
     def answer(self, question: Question, /) -> object:
-        """Return what the question is answered with: by what all runs share in memory, or from outside."""
+        """Return the source of the answer: the shared knowledge in memory, or the outside."""
         # All layers but people have the same answer outside, so one question serves local and global lookups alike.
         if question.layer is not Layer.PERSON:
             question = Question(question.name, Layer.GLOBAL, question.meta)
@@ -122,7 +122,7 @@ class EvaluationContext:
         return known
 
     def parameter(self, name: str, /) -> object:
-        """Return what the call gives a parameter of its action, named with ``?``; or `MISSING`."""
+        """Return the value that the call gives a parameter of its action, named with ``?``; or `MISSING`."""
         bare = name.removeprefix("?")
         if bare in self._given:
             return compute(self._given[bare], self)
@@ -136,7 +136,7 @@ class EvaluationContext:
         return values
 
     def environment(self) -> Environment:
-        """Return what knowledge has for the parameters that the plan leaves open: the same one until knowledge changes."""
+        """Return the knowledge for the parameters that the plan leaves open: the same one until knowledge changes."""
         if not self._open:
             return NOTHING
         version = self.knowledge.version
@@ -171,7 +171,7 @@ def subject_of(plan: PlanGraph, call: int | None) -> str:
 
 
 class Need(NamedTuple):
-    """What is done about a question: commands, and until when its answer is waited for, or at once when that is over."""
+    """The treatment of a question: commands, and the limit of its answer, or the present when that is over."""
 
     commands: tuple[Command, ...] = ()
     until: float | None = None
@@ -198,14 +198,14 @@ class Questions(Generic[Place]):
         self._closed = ""
         """Why no question is asked any more."""
         self.count = 0
-        """How many questions the run has asked itself."""
+        """The number of questions that the run has asked itself."""
         self._inherited: list[tuple[str, Question, object]] = []
         """Answers that the run before had and has not used."""
         self._open: dict[UUID, tuple[str, Question]] = {}
         """Questions that the run before has asked, and this one has not come to yet."""
 
     def answers_at(self, place: Place | None) -> Mapping[Question, object] | None:
-        """Return what is known for the decision at a place; None without a place."""
+        """Return the knowledge for the decision at a place; None without a place."""
         return None if place is None else self._answers.get(place, _NO_ANSWERS)
 
     @property
@@ -214,7 +214,7 @@ class Questions(Generic[Place]):
         return any(question.layer is Layer.PERSON for _, question, _ in self.asked.values())
 
     def need(self, place: Place, subject: str, question: Question, now: float, identity: Callable[[str], UUID]) -> Need:
-        """Return what is to be done about a question that the decision at a place depends on, for the sake of the subject.
+        """Return the treatment of a question that the decision at a place depends on, for the sake of the subject.
 
         It is asked once. When its limit has passed it counts as answered with nothing, whatever its source does; and at once if the run
         asks no more.

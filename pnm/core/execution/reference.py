@@ -397,7 +397,7 @@ class ReferenceRun:
     # --- actions --------------------------------------------------------------------------------
 
     def _act(self, rule: Rule, call: int, place: str | None) -> None:
-        """Do what the firing of a transition means for its call: send, cancel, or write assumed effects."""
+        """Carry out the meaning of a firing for its call: send, cancel, or write assumed effects."""
         attempt, world, is_news, changes = self.attempts.get(call), self.knowledge.world, False, _NO_CHANGES
         self.counts[call] = 0 if rule.outcome is CallOutcome.WAITING else self.counts.get(call, 0) + (rule.outcome is CallOutcome.RUNNING)
         if attempt and rule.gives_up:
@@ -460,7 +460,7 @@ class ReferenceRun:
     # --- what is asked outside, and again -------------------------------------------------------
 
     def _context(self, step: int | None, place: str | None) -> EvaluationContext:
-        """Return what conditions of a step are evaluated from; what is not decided at a place asks no questions."""
+        """Return the context of a step's conditions; what is not decided at a place asks no questions."""
         calls, answers, asks = self.machine.plan.calls, self.questions.answers_at(place) or {}, self.asks and place is not None
         if step is None or step >= len(calls):
             return EvaluationContext(self.knowledge, answers=answers, asks=asks)
@@ -486,7 +486,7 @@ class ReferenceRun:
     # --- resources ------------------------------------------------------------------------------
 
     def _claim(self, call: int, action: TransitionAction | None, place: str | None) -> Claim:
-        """Return what a call claims for its request; for the next one if that is being sent."""
+        """Return the claims of a call for its request; for the next one if that is being sent."""
         attempt, context = self.attempts.get(call), self._context(call, place)
         if attempt and action is not TransitionAction.SEND:
             return self.claims.claim(attempt.request, self.bindings.resources(attempt.action))

@@ -343,7 +343,7 @@ class Run(RunView):
             self._commands.extend(map(Withdraw, self._guards.forget(place)))
 
     def _tell(self, rule: Rule, call: int, place: int | None, check: Explanation | None) -> None:
-        """Note what hinders the call, or that it is not needed or given up, and tell the observer."""
+        """Note a hindrance of the call, or that it is not needed or given up, and tell the observer."""
         sent, now = self._calls.as_sent(call), self._state.now
         unseen = self._calls.explain_unseen(call, self._guards.context(call, place)) if isinstance(rule.guard, EffectsMissing) else None
         if cause := self._results.hindered(rule, call, check, unseen):

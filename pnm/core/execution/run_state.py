@@ -43,7 +43,7 @@ class Agenda:
         """Those of them that are asked again when facts change."""
         self._read_by(knowledge.world.rules)
         self._asked = (knowledge.world.changes, knowledge.local.changes)
-        """How many changes there were when they were asked last."""
+        """The number of changes when they were asked last."""
         self._timers: list[tuple[float, int]] = []
         """A queue of the times at which places are asked again."""
         self._set: dict[int, float] = {}
@@ -103,7 +103,7 @@ class Agenda:
             self.places.extend(sorted(concerned, key=self.undecided.__getitem__))
 
     def _read_by(self, rules: Rules) -> None:
-        """Note what is read at places where the world derives facts by these rules: the plan may know only some, or equal ones."""
+        """Note the fluents read at places where the world derives facts by these rules: the plan may know only some, or equal ones."""
         self._rules, self._reads = rules, self._index.reads[rules]
         listening, self._readers = self._readers.reads, Readers[int]()
         for place in listening:
@@ -158,7 +158,7 @@ class RunState:
     adopted: dict[int, UnderWay] = field(default_factory=dict)
     """Requests of another run that are still to be taken over, by call."""
     marked_at: list[float] = field(init=False)
-    """When places were marked last."""
+    """The time at which places were marked last."""
 
     def __post_init__(self) -> None:
         self.marked_at = [self.now] * len(self.engine.tokens)

@@ -1,4 +1,4 @@
-"""What a run is made of, and how others see it: nothing here changes it."""
+"""The parts of a run, and the view of others: nothing here changes it."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ class RunView:
 
     @property
     def told(self) -> tuple[Told, ...]:
-        """What the last event has had it send, and what has hindered steps, in order."""
+        """The requests and hindrances of the last event, in order."""
         return tuple(self._told)
 
     @property
@@ -180,7 +180,7 @@ class RunView:
 
     @property
     def feedback(self) -> dict[UUID, str]:
-        """What servers have said last about the requests that are not over; empty where they have said nothing."""
+        """The last feedback of servers about the requests that are not over; empty for none."""
         return {request: self._calls.feedback(call) for request, call in self._calls.open.items()}
 
     def arguments(self, call: ActionCall) -> tuple[str, ...]:
@@ -188,7 +188,7 @@ class RunView:
         return self._calls.arguments(call.index)
 
     def when_lost(self, request: UUID) -> WhenLost:
-        """Return what to do if nobody knows how a request has ended."""
+        """Return the treatment of a request whose end nobody knows."""
         call = self._calls.open.get(request)
         return WhenLost.REPLAN if call is None else self._calls.binding(call).when_lost
 
@@ -198,11 +198,11 @@ class RunView:
         return settled.end(report) if settled is not None and isinstance(report, Ended) else report
 
     def limit(self, call: ActionCall) -> float:
-        """Return how many seconds a call may take from its acceptance; 0 for an operation on knowledge."""
+        """Return the seconds of a call from its acceptance; 0 for an operation on knowledge."""
         return self._calls.limit(call.index)
 
     def result(self) -> RunResult:
-        """Return how the run ended."""
+        """Return the end of the run."""
         if not self.over:
             raise RunError(f"the run is not over: {self.marking}")
         goal = bool(self._engine.tokens[self._index.goal])
@@ -220,11 +220,11 @@ class RunView:
 
     @property
     def results(self) -> tuple[CallResult, ...]:
-        """What has become of its calls so far, every time they were reached."""
+        """The results of its calls so far, every time they were reached."""
         return self._results.calls()
 
     def result_of(self, call: int) -> CallResult:
-        """Return what has become of a call so far, the last time that it was reached."""
+        """Return the result of a call so far, the last time that it was reached."""
         return self._results.current(call)
 
     def under_way(self) -> tuple[UnderWay, ...]:
@@ -246,7 +246,7 @@ class RunView:
 
     @property
     def unreported(self) -> Changes:
-        """What calls under way have changed at their start, as far as sensors report that and have said nothing of it since."""
+        """The changes of running calls at their start that sensors report, but have not reported since."""
         settling = (call for place, call in self._index.settling.items() if self._engine.tokens[place])
         return {fluent: value for call in (*self._calls.open.values(), *settling) for fluent, value in self._calls.unreported(call).items()}
 
@@ -266,13 +266,13 @@ class RunView:
         return Handover(self.id, self.over or self.stopped, self.settling, self.open_calls, self.under_way())
 
     def interim_result(self) -> RunResult:
-        """Return how far the run has come, for one that may be succeeded by another."""
+        """Return the progress of the run, for one that may be succeeded by another."""
         handed = {running.call.index for running in self.under_way()}
         calls, failures = self._results.calls(handed), tuple(self._results.failures)
         return RunResult(False, "another run goes on", calls, failures, self.stopped)
 
     def result_so_far(self) -> RunResult:
-        """Return how the run ended, or how far it has come."""
+        """Return the end of the run, or its progress."""
         return self.result() if self.over else self.interim_result()
 
     def __repr__(self) -> str:

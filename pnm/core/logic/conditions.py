@@ -192,7 +192,7 @@ Count: TypeAlias = Callable[[tuple[str, ...]], int]
 
 
 def choices_in(condition: Condition, count: Count, around: int = 0) -> int:
-    """Return how many facts and comparisons stand under quantifiers when these are written out; `around`: by those outside."""
+    """Return the number of facts and comparisons when quantifiers are written out; `around`: by those outside."""
     if isinstance(condition, ForAll | Exists):
         around = max(1, around) * prod(count(variable.types) for variable in condition.variables)
     operands = operands_of(condition)
@@ -473,7 +473,7 @@ class CompiledCondition(NamedTuple):
 
 
 def compiled(condition: Condition) -> CompiledCondition:
-    """Return what tells the truth of a condition without free variables in a state; raises what `evaluate` raises."""
+    """Return a function for the truth of a condition without free variables in a state; raises what `evaluate` raises."""
     parts = conjuncts(condition)
     facts = tuple(part.fluent for part in parts if isinstance(part, Holds))
     if len(facts) == len(parts):

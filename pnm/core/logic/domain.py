@@ -108,7 +108,7 @@ class DomainModel:
     """Functions, with numbers or objects for values."""
     actions: Mapping[str, ActionSchema] = field(default_factory=dict)
     rules: Rules = NO_RULES
-    """How derived predicates follow from others: one object for all that is planned and known in the domain."""
+    """The rules for derived predicates: one object for all that is planned and known in the domain."""
 
     @cached_property
     def fluents(self) -> dict[str, Declaration]:
@@ -203,7 +203,7 @@ class ProblemModel:
         return {kind: tuple(names) for kind, names in objects.items()}
 
     def count(self, types: Types) -> int:
-        """Return how many objects are of any of the types."""
+        """Return the number of objects of any of the types."""
         return len(frozenset().union(*(self.objects_by_type.get(kind, ()) for kind in types)))
 
     def ranges(self) -> Iterator[tuple[str, int]]:
@@ -239,7 +239,7 @@ class FluentKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Signature:
-    """How a predicate or function is used."""
+    """The use of a predicate or function."""
 
     kind: FluentKind
     parameters: tuple[tuple[str, ...], ...] = ()
@@ -260,7 +260,7 @@ class Vocabulary:
     derived: frozenset[str] = frozenset()
     """Predicates whose facts follow from others by rules."""
     signatures: Mapping[str, Signature] = field(default_factory=dict)
-    """How predicates and functions are used."""
+    """The uses of predicates and functions."""
     types: Mapping[str, frozenset[str]] = field(default_factory=dict)
     """For every type, the type itself and its supertypes."""
     types_of: Mapping[str, frozenset[str]] = field(default_factory=dict)

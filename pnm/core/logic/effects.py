@@ -123,7 +123,7 @@ def changes(effects: Effects, state: State, env: Environment = NOTHING) -> Chang
 
 
 def constants(effects: Effects) -> Changes | None:
-    """Return what `changes` does in every state, if the effects do nothing but assign constants; None if there are others."""
+    """Return the result of `changes` in every state, if the effects only assign constants; None if there are others."""
     result: Changes = {}
     for effect in effects:
         if not isinstance(effect, Set) or effect.operation != "assign" or not isinstance(effect.value, Constant):
@@ -142,7 +142,7 @@ def every_effect(effects: Effects) -> Iterator[Effect]:
 
 
 def choices_in_effects(effects: Effects, count: Count, around: int = 0) -> int:
-    """Return how many facts, comparisons and changes stand under quantifiers when these are written out; see `choices_in`."""
+    """Return the number of facts, comparisons and changes when quantifiers are written out; see `choices_in`."""
     total = 0
     for effect in effects:
         match effect:
@@ -213,7 +213,7 @@ def assignments(effects: Effects, state: State, env: Environment = NOTHING) -> I
 
 
 def possible_assignments(effects: Effects, state: State) -> Iterator[tuple[Fluent, Set, Environment]]:
-    """Yield what `assignments` would if every condition of the effects held."""
+    """Yield the assignments as if every condition of the effects held."""
     return ((bind(effect.fluent, env), effect, env) for effect, env in expanded(effects, state) if isinstance(effect, Set))
 
 

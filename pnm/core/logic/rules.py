@@ -192,7 +192,7 @@ Reads: TypeAlias = frozenset[Fluent | str] | None
 
 
 def read_by(condition: Condition, rules: Rules) -> Reads:
-    """Return what decides whether a condition holds: only if it changes, or objects or rules do, the truth may change."""
+    """Return the fluents that decide whether a condition holds: only if they change, or objects or rules do, the truth may change."""
     found: set[Fluent | str] = set()
     for part in every_part(condition):
         if isinstance(part, Computed):
@@ -206,7 +206,7 @@ def read_by(condition: Condition, rules: Rules) -> Reads:
 
 
 def reads_of(fluent: Fluent, rules: Rules) -> frozenset[Fluent | str]:
-    """Return what decides about the value of a fluent: itself, if it is ground and recorded."""
+    """Return the fluents that decide about the value of a fluent: itself, if it is ground and recorded."""
     if fluent[0] in rules.derived:
         return rules.base((fluent[0],))
     return frozenset((fluent[0],) if variables_in(fluent) else (fluent,))

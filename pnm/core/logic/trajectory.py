@@ -45,7 +45,7 @@ class Constraint:
 
 
 IMPOSSIBLE: Final = Constraint("always", (Any(),))
-"""What is left of a violated constraint: no trajectory keeps it."""
+"""The rest of a violated constraint: no trajectory keeps it."""
 
 
 def instances(constraint: Constraint, state: State, env: Environment = NOTHING) -> tuple[Constraint, ...]:
@@ -145,7 +145,7 @@ def shifted(constraint: Constraint, elapsed: float) -> Constraint:
 
 @dataclass(frozen=True, slots=True)
 class ConstraintProgress:
-    """What is left of a ground constraint while a trajectory is being observed.
+    """The rest of a ground constraint while a trajectory is being observed.
 
     The changes of one moment may be reported in pieces and late. A fulfilment counts
     as soon as it is seen. A violation, or a condition that is forbidden from now on, counts only if it
@@ -155,7 +155,7 @@ class ConstraintProgress:
 
     rest: tuple[Constraint, ...]
     doubtful_since: float | None = None
-    """When `rest` began to look violated, or a condition forbidden from then on."""
+    """The time since which `rest` looks violated, or a condition is forbidden."""
 
     def seen(self, state: State, now: float, lag: float) -> ConstraintProgress:
         """Return the progress after a look at the state, with reports that may be `lag` seconds late."""

@@ -40,7 +40,7 @@ class Table:
 
 
 class Foreign(Enum):
-    """What to do while a server is at work on goals that other programs have sent."""
+    """The treatment of a server that works on goals of other programs."""
 
     WAIT = "wait"
     """Send nothing before they are over."""
@@ -51,7 +51,7 @@ class Foreign(Enum):
 
 
 class WhenLost(Enum):
-    """What to do about a request that its server had accepted, and does not know any more, or that is gone with it."""
+    """The treatment of a request that its server had accepted, and does not know any more, or that is gone with it."""
 
     REPLAN = "replan"
     """It has failed: it is not made again where its effects are seen, else retried within the plan, else there is a new plan."""
@@ -76,11 +76,11 @@ class Binding:
     goal: Mapping[str, object] | None = None
     """Goal fields: ``?to`` a parameter, ``$name`` a variable, ``(pose ?to)`` a fluent, a `Table`, else a constant."""
     success: Test | None = None
-    """What the result must say besides: a server that reports success has failed where it does not."""
+    """A test of the result: a server that reports success has failed if it is false."""
     reason: FieldValue | None = None
     """The result field that says why the action failed, with a table of words if it is a number."""
     final: Test | None = None
-    """What the result of a failure says when another attempt is of no use: the action is not tried again within the plan."""
+    """A test of a failure's result: another attempt is useless, and the action is not tried again within the plan."""
     store: Mapping[str, str] = field(default_factory=dict)
     """Result fields and the variables they are stored in; every other field is stored by its own name."""
     timeout: float | None = None
@@ -90,17 +90,17 @@ class Binding:
     cancel: float = 5.0
     """Seconds the server may take to confirm a cancellation."""
     retries: int = 1
-    """How often the action is tried again within one plan."""
+    """The number of further attempts within one plan."""
     ask: Mapping[str, str] = field(default_factory=dict)
     """Variables, and what a person is asked when their values are unknown; ``{shop}`` stands for the argument of parameter ``?shop``."""
     resources: tuple[str, ...] = ()
     """Resources that the action has for itself while it runs, such as ``{robot}/base``."""
     foreign: Foreign | None = None
-    """What to do while the server is at work on goals of other programs; by default it waits for them if the action has resources."""
+    """The treatment of a server that works on goals of other programs; by default the action waits if it has resources."""
     when_lost: WhenLost = WhenLost.REPLAN
-    """What to do about a request of which nobody knows any more how it has ended."""
+    """The treatment of a request whose end nobody knows any more."""
     position: Position | None = field(default=None, compare=False)
-    """Where it stands in a file."""
+    """Its position in a file."""
 
     def __post_init__(self) -> None:
         check_seconds(f"the binding of {self.server or 'an action'}", self.timeout, self.accept, self.cancel)
@@ -163,7 +163,7 @@ class Bindings:
         return _filled(self.of(action.name).server or action.name, action, "server")
 
     def resources(self, action: GroundAction) -> tuple[str, ...]:
-        """Return what the ground action has for itself while it runs: its own resources, and those of its binding.
+        """Return the exclusive resources of the running ground action: its own, and those of its binding.
 
         Work on knowledge has none. A name that depends on an open parameter is only known when the call starts; see `is_open`.
 
@@ -180,7 +180,7 @@ class Bindings:
         return not set(placeholders(self.of(action.name).server or "")) & set(open_parameters(action))
 
     def timeout(self, action: GroundAction) -> float:
-        """Return how many seconds the action may run."""
+        """Return the limit of the running action in seconds."""
         chosen = self.of(action.name).timeout
         return chosen if chosen is not None else max(10.0, 2.0 * (action.duration or 0.0), 60.0 if action.duration is None else 0.0)
 

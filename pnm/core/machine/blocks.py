@@ -54,7 +54,7 @@ class PlacedRegion:
     def __init__(self, inner: Inner, owner: int | None, place: int) -> None:
         self.inner, self.owner, self.place = inner, owner, place
         self.borders: list[PlanEvent | None] = []
-        """What the places after those of the orderings stand for; None for the place of a flow without steps."""
+        """The meanings of the places after those of the orderings; None for the place of a flow without steps."""
 
     def border(self, event: PlanEvent | None) -> int:
         """Add a place between the owner and an event."""
@@ -62,13 +62,13 @@ class PlacedRegion:
         return self.place + self.count - 1
 
     def stands_for(self, place: int) -> Ordering | PlanEvent | None:
-        """Return what one of its places stands for: an ordering, or a step that is entered or left by the owner."""
+        """Return the meaning of one of its places: an ordering, or a step that is entered or left by the owner."""
         number = place - self.place - len(self.inner.flow.orderings)
         return self.borders[number] if number >= 0 else self.inner.flow.orderings[number]
 
     @property
     def count(self) -> int:
-        """How many places there are."""
+        """The number of places."""
         return len(self.inner.flow.orderings) + len(self.borders)
 
     def bordering(self, moment: Moment) -> tuple[int, ...]:

@@ -184,7 +184,7 @@ class CallBlock(Block[ActionCall]):
 
     @property
     def key(self) -> object:
-        """What the shape of the block depends on; recoveries of its own make it one of its own kind."""
+        """The key of the block's shape; recoveries of its own make it one of its own kind."""
         step, terms, binding = self.step, self.terms, self.terms.binding
         if step.recoveries:
             return None
@@ -397,7 +397,7 @@ class CallBlock(Block[ActionCall]):
 
 
 def _before_start(action: GroundAction, rules: Rules) -> Condition:
-    """Return what is checked before the start: the precondition, and what of the over-all condition the start does not itself change."""
+    """Return the check before the start: the precondition, and the part of the over-all condition that the start does not change."""
     # The over-all condition is checked as well: the call would otherwise be cancelled as soon as it has begun.
     if action.invariant == TRUE:
         return conjunction((action.precondition,))

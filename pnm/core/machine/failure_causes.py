@@ -7,7 +7,7 @@ from typing import Final, Self
 
 
 class Phase(Enum):
-    """When something is wrong with a call. A plan's own recoveries are sorted by it."""
+    """The time of a failure of a call. A plan's own recoveries are sorted by it."""
 
     BEFORE = "before"
     """Nothing has been sent."""
@@ -35,7 +35,7 @@ class FailureKind(Enum):
 
 
 class Blame(Enum):
-    """What a new plan has to do without, when it happens again and again."""
+    """The part that a new plan must avoid, when it happens again and again."""
 
     ACTION = auto()
     WORLD = auto()

@@ -71,7 +71,7 @@ class GuardKind(_Traits):
 
     @property
     def proved(self) -> object:
-        """What of it matters to the proof besides the truth of its condition, and its call: guards with the same open alike."""
+        """Its relevance for the proof besides its condition and its call: guards with the same open alike."""
         return self
 
     @property
@@ -86,7 +86,7 @@ class GuardKind(_Traits):
 
     @property
     def closed_for(self) -> str:
-        """What of the world it stays closed for, in words; empty if that is not said."""
+        """The state of the world for which it stays closed, in words; empty if that is not told."""
         return ""
 
     @property
@@ -430,9 +430,9 @@ class Rule(NamedTuple):
     cause: Cause | None = None
     """Why the step is about to recover or has failed; None when no new cause arises."""
     expected: str = ""
-    """What was expected at that point, for the text of a failure; empty where the guard explains it."""
+    """The expectation at that point, for the text of a failure; empty where the guard explains it."""
     observed: str = ""
-    """What was observed instead; ``{message}`` stands for the message of the request's end, which is all if this is empty."""
+    """The observation instead; ``{message}`` stands for the message of the request's end, which is all if this is empty."""
     gives_up: bool = False
     """The request is no longer waited for, although its server may still be at work."""
     replans: bool = False

@@ -120,7 +120,7 @@ class PetriNetMachine:
 
     @property
     def capacities(self) -> Mapping[str, int]:
-        """How many calls may have each resource at the same time, as far as its name is known before its calls start."""
+        """The number of calls that may share each resource, as far as its name is known before its calls start."""
         placed = self.placed
         return {name: placed.initial.get(place, 0) for place, name in placed.resources.items() if not is_open(name)}
 

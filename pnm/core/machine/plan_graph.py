@@ -59,11 +59,11 @@ class GroundAction:
     given: tuple[tuple[str, Data], ...] = ()
     """Goal fields whose values the plan gives. An argument that begins with ``?`` has no value before the call starts."""
     operation: KnowledgeOperation | None = None
-    """What is done to knowledge; no server is needed then."""
+    """The operation on knowledge; no server is needed then."""
     resources: tuple[str, ...] = ()
     """Resources that the action has for itself while it is under way, such as an arm; ``{robot}`` stands for an argument."""
     returns: tuple[tuple[str, Data], ...] = ()
-    """What a simulated server answers: result fields, computed from the goal and from the world at the end."""
+    """The answer of a simulated server: result fields, computed from the goal and from the world at the end."""
 
     def __str__(self) -> str:
         return f"{self.name}({', '.join(self.arguments)})"
@@ -95,7 +95,7 @@ def ground_schema(schema: ActionSchema, arguments: tuple[str, ...], env: Environ
 
 
 class Then(Enum):
-    """How a recovery ends."""
+    """The end of a recovery."""
 
     RETRY = "retry"
     """The call begins anew, with all of its checks."""
@@ -122,7 +122,7 @@ class Recovery:
     then: Then
     chain: Flow
     times: int = 1
-    """How often, each time the call is reached; after that the call fails."""
+    """The number of uses each time the call is reached; after that the call fails."""
     when: Condition = TRUE
     """For `Cause.BEFORE` and `Cause.AFTER`."""
 
@@ -183,7 +183,7 @@ class Held(NamedTuple):
 
     flow: Flow
     when: str
-    """When they are carried out, in words."""
+    """The condition for carrying them out, in words."""
     is_repeated: bool = False
     """They may be entered again although the step is not."""
 
@@ -205,7 +205,7 @@ class Loop:
 
     @property
     def ways(self) -> Mapping[bool, Flow]:
-        """What it is carried out by, for each truth of its condition with which it is: the steps that are entered then."""
+        """The steps that are entered for each truth of its condition."""
         return {False: EMPTY}
 
     def renumbered(self, index: int, flows: Sequence[Flow]) -> Loop:
@@ -233,7 +233,7 @@ class Choice:
 
     @property
     def ways(self) -> Mapping[bool, Flow]:
-        """What it is carried out by, for each truth of its condition with which it is: the steps that are entered then."""
+        """The steps that are entered for each truth of its condition."""
         return {True: self.then, False: self.otherwise}
 
     def renumbered(self, index: int, flows: Sequence[Flow]) -> Choice:
@@ -261,7 +261,7 @@ class WaitUntil:
 
     @property
     def ways(self) -> Mapping[bool, Flow]:
-        """What it is carried out by, for each truth of its condition with which it is: the steps that are entered then."""
+        """The steps that are entered for each truth of its condition."""
         return {True: EMPTY}
 
     def renumbered(self, index: int, flows: Sequence[Flow]) -> WaitUntil:
@@ -311,7 +311,7 @@ EMPTY: Final = Flow()
 
 
 def flows(step: Step) -> tuple[Flow, ...]:
-    """Return what the step holds."""
+    """Return the contents of the step."""
     return tuple([held.flow for held in step.held])
 
 
@@ -379,13 +379,13 @@ class PlanGraph:
     orderings: tuple[Ordering, ...] = ()
     goal: Condition = TRUE
     rules: Rules = NO_RULES
-    """What derives facts that its conditions mention."""
+    """The rules for derived facts in its conditions."""
     due: float = 0.0
     """Seconds after the moment the plan starts from before which the goal is not looked at: time itself does the last part."""
     capacities: Mapping[str, int] = field(default_factory=dict)
-    """How many calls may have a resource at the same time; one for those not listed."""
+    """The number of calls that may share a resource; one for those not listed."""
     restarts: int | None = None
-    """How often it may begin anew, whichever recoveries ask for that; as often as that which may ask most often when not given."""
+    """The number of times that it may begin anew by any recovery; by default that of the recovery that may ask most often."""
 
     def __post_init__(self) -> None:
         outermost, waiting = {step.index for step in self.steps}, {ordering.after for ordering in self.orderings}
@@ -421,7 +421,7 @@ class PlanGraph:
 
     @cached_property
     def restart_limit(self) -> int:
-        """How often it may begin anew; 0 if no recovery asks for that."""
+        """The number of times that it may begin anew; 0 if no recovery asks for that."""
         recoveries = (recovery for call in self.calls for recovery in call.recoveries if recovery.then is Then.RESTART_PLAN)
         most = max((recovery.times for recovery in recoveries), default=0)
         return most if self.restarts is None else min(most, 1) * self.restarts

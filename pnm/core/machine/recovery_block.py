@@ -22,7 +22,7 @@ from pnm.core.machine.step_block import Block
 
 @dataclass(frozen=True, slots=True)
 class Recoveries:
-    """Where the tokens of a call go when something is wrong."""
+    """The ways of the tokens of a call after a problem."""
 
     places: Mapping[Cause, list[str]] = field(default_factory=dict)
     """Places marked instead of the usual ones, by cause."""

@@ -23,7 +23,7 @@ _VERSION_5: Final = 5 << 76 | 0x8000 << 48
 
 
 def identities(run: UUID) -> Callable[[str], UUID]:
-    """Return what makes the identities of requests and questions of a run.
+    """Return the maker of the identities of a run's requests and questions.
 
     They follow from the identity of the run and what they are for; the first four bytes are the run's, to be found by.
     """
@@ -120,7 +120,7 @@ class Postponed:
 
 @dataclass(frozen=True, slots=True)
 class Feedback:
-    """What the server says about the goal while it is at work, on one line; a few times a second at most."""
+    """The feedback of the server about the goal, on one line; a few times a second at most."""
 
     request: UUID
     text: str

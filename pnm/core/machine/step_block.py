@@ -136,9 +136,9 @@ class Inner(NamedTuple):
 
     flow: Flow
     begin: str
-    """How the marking of the first places is called."""
+    """The name of the marking of the first places."""
     end: str
-    """How the taking of the last places is called."""
+    """The name of the taking of the last places."""
     context: Context
     first: list[str]
     last: list[str]
@@ -242,7 +242,7 @@ class Block(Generic[AnyStep]):
 
     @property
     def key(self) -> object:
-        """What the shape of the block depends on: blocks with the same differ only in what `OwnRule` says; None for one of its own kind."""
+        """The key of the block's shape: blocks with the same differ only in `OwnRule`; None for one of its own kind."""
         return None
 
     def template(self) -> BlockTemplate:

@@ -106,7 +106,7 @@ class Placed:
 
     template: Template
     title: object
-    """What it is for, as text: prefix of its names; None for none."""
+    """Its purpose, as text: prefix of its names; None for none."""
     place: int
     """The number of its first place."""
     transition: int

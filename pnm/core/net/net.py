@@ -146,7 +146,7 @@ class NetBuilder:
 
 
 class Marking(Mapping[str, int]):
-    """How many tokens each place holds; places without tokens are absent, asking for them gives 0.
+    """The number of tokens on each place; places without tokens are absent, asking for them gives 0.
 
     Immutable and hashable: equal counts, equal markings.
 

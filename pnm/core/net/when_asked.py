@@ -31,7 +31,7 @@ class Remembered(Generic[K, V]):
         self._limit, self._values = limit, dict[K, V]()
 
     def get(self, key: K) -> V | None:
-        """Return what was kept under a key."""
+        """Return the value under a key."""
         return self._values.get(key)
 
     def keep(self, key: K, value: V) -> V:

@@ -62,7 +62,7 @@ BlockKey: TypeAlias = int | Frame
 
 
 class Standing(Enum):
-    """How places stand in a block."""
+    """The arrangement of places in a block."""
 
     CAME_IN = "they belong to orderings, or to what holds the step"
     OWN = "it belongs to the block"
@@ -108,7 +108,7 @@ class BlockLayout:
     crossings: tuple[Crossing, ...]
     width: float
     top: float
-    """Where its rows begin."""
+    """The beginning of its rows."""
     height: float
 
 
@@ -445,7 +445,7 @@ def _crossing(machine: PetriNetMachine, layout: BlockLayout, crossing: Crossing)
 
 
 def _asks(name: str, rule: Rule) -> str:
-    """Return what a transition asks and does, in words."""
+    """Return the checks and acts of a transition, in words."""
     asked = guard_data(rule.guard)
     kind = re.sub(r"(?<!^)(?=[A-Z])", " ", asked.pop("kind")).lower()
     values = ", ".join(str(value) for key, value in asked.items() if key != "call" and value not in (None, (), ""))

@@ -34,7 +34,7 @@ COLUMNS: Final = 5
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """Where a step stands."""
+    """The position of a step."""
 
     step: Step
     line: int
@@ -67,17 +67,17 @@ class PlanLayout:
 
     @property
     def rows(self) -> int:
-        """How many rows there are."""
+        """The number of rows."""
         return 1 + max((cell.row for cell in self.cells.values()), default=-1)
 
     @property
     def lines(self) -> int:
-        """How many lines of columns there are."""
+        """The number of lines of columns."""
         return 1 + max((cell.line for cell in self.cells.values()), default=-1)
 
     @property
     def columns(self) -> int:
-        """How many columns are beside each other at most."""
+        """The largest number of columns beside each other."""
         return 1 + max((cell.column for cell in self.cells.values()), default=-1)
 
 
@@ -163,7 +163,7 @@ class StepWords(NamedTuple):
 
     name: str
     what: str
-    """What it is about."""
+    """Its subject."""
     whole: str
     """Both, with all else that is known."""
 
@@ -179,7 +179,7 @@ def words_of(step: Step) -> StepWords:
 
 
 def held(step: Step) -> Iterator[tuple[str, Flow]]:
-    """Yield what a step holds, with words for it."""
+    """Yield the contents of a step, with words for them."""
     for one in step.held:
         if one.flow.steps or not isinstance(step, ActionCall):
             yield f"#{step.index} {one.when}", one.flow
@@ -262,7 +262,7 @@ def _corner(cell: Cell) -> tuple[int, int]:
 
 
 def _rules(layout: PlanLayout, width: int) -> Iterator[str]:
-    """Yield what separates lines of columns."""
+    """Yield the separators of lines of columns."""
     tops: dict[int, int] = {}
     for cell in layout.cells.values():
         tops[cell.line] = min(tops.get(cell.line, _corner(cell)[1]), _corner(cell)[1])
@@ -317,7 +317,7 @@ def _facts(layout: PlanLayout, arrows: Iterable[Arrow]) -> Iterator[str]:
 
 
 def _numbered_arrows(layout: PlanLayout) -> Iterator[str]:
-    """Yield what is written as numbers: arrows to other lines of columns, at both ends, and what the end of a step waits for."""
+    """Yield the parts written as numbers: arrows to other lines of columns, at both ends, and what the end of a step waits for."""
     leaving, coming, ending = (dict[int, list[int]]() for _ in range(3))
     for arrow in layout.arrows:
         if arrow.is_for_the_end:

@@ -24,9 +24,9 @@ class TimedAttempt:
     ended: float | None = None
     """None while it is under way."""
     outcome: OutcomeKind | None = None
-    """How it ended."""
+    """Its end."""
     message: str = ""
-    """What its server said about that."""
+    """The message of its server about that."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,13 +40,13 @@ class TimedCall:
     lane: str
     """Whose it is, such as a robot."""
     planned: float
-    """When its plan has it start."""
+    """Its planned start."""
     duration: float | None = None
-    """How long its plan takes it to last; None when nothing is known about that."""
+    """Its planned duration; None when that is unknown."""
     attempts: tuple[TimedAttempt, ...] = ()
     """Those whose requests were sent under this plan; a later plan may have taken the last one over."""
     outcome: str = ""
-    """What became of it under this plan, in words."""
+    """Its result under this plan, in words."""
     is_done: bool = False
     """It succeeded, or was not needed."""
     is_failed: bool = False
@@ -71,7 +71,7 @@ class TimedPlan:
     replan: Replan | None = None
     """None for the first plan, and for those that are carried out for a call of another."""
     failures: tuple[str, ...] = ()
-    """What failed in it, and why."""
+    """Its failure and the reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,11 +83,11 @@ class Timeline:
     now: float = 0.0
     """The time until which it tells everything: the end, if there is one."""
     ending: str = ""
-    """How the task ended, in words; empty while it goes on."""
+    """The end of the task, in words; empty while it goes on."""
 
 
 def replan(why: str, left: Iterable[str], new: Iterable[str]) -> Replan:
-    """Return how a plan follows another one, of which these calls were left."""
+    """Return the relation of a plan to an earlier one, of which these calls were left."""
     before, after = Counter(left), Counter(new)
     kept, dropped, added = before & after, before - after, after - before
     return Replan(why, *(tuple(part.elements()) for part in (kept, dropped, added)))
@@ -188,7 +188,7 @@ def _task(timeline: Timeline) -> tuple[list[str], float, float]:
 
 
 def _bars(timeline: Timeline) -> list[_Bar]:
-    """Return what is drawn of the calls, in the order in which they begin."""
+    """Return the drawn bars of the calls, in the order in which they begin."""
     bars = []
     cuts = [plan.began for plan, _ in _replans(timeline)]
     for plan in timeline.plans:
@@ -297,7 +297,7 @@ def _replans(timeline: Timeline) -> list[tuple[TimedPlan, Replan]]:
 
 
 def _words(timeline: Timeline, bars: Sequence[_Bar]) -> Iterator[tuple[str, str]]:
-    """Yield what is said below the lanes, with its kind: failures, new plans with what they kept, dropped and added, and the ending."""
+    """Yield the texts below the lanes, with their kinds: failures, new plans with kept, dropped and added calls, and the ending."""
     number = 0
     drawn = {id(bar.call) for bar in bars}
     for plan in timeline.plans:

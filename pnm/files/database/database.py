@@ -94,7 +94,7 @@ class Database:
                 self._connected().run_many(sql, rows)
 
     def do(self, work: Callable[[Driver], T]) -> T:
-        """Return what the driver does."""
+        """Return the result of the driver."""
         with self._translated:
             return work(self._connected())
 

@@ -1,4 +1,4 @@
-"""What a database of ours needs of a driver, and what its tables are."""
+"""The interface of a database driver, and the tables of a database."""
 
 from __future__ import annotations
 

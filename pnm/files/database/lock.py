@@ -24,12 +24,12 @@ _LONG: Final = 500
 
 
 def this_process() -> str:
-    """Return how others call this process: by its host and its number."""
+    """Return the name of this process for others: its host and its number."""
     return f"{socket.gethostname()} pid {os.getpid()}"
 
 
 def this_host() -> str:
-    """Return what tells this computer from others: a digest of its machine id, or its name if it has none, as many containers."""
+    """Return the identity of this computer: a digest of its machine id, or its name if it has none, as many containers."""
     try:
         known = Path("/etc/machine-id").read_text(encoding="ascii").strip()
     except (OSError, UnicodeError):
@@ -51,7 +51,7 @@ class Locked(DatabaseError):
 
 
 class Mark(NamedTuple):
-    """How far a file has come.
+    """The progress of a file.
 
     Args:
         epoch: the latest.
@@ -88,7 +88,7 @@ class FileLock:
             text = os.pread(self._file, _LONG, 0).decode(errors="replace")
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             self.left: Final = _mark_in(text)
-            """How far the file had come when its lock was let go; None if that is not known."""
+            """The progress of the file when its lock was let go; None if that is not known."""
             self._me = this_process()
             self._holder = f"{self._me}\n".encode()
             kept = _text(self.left) if self.left else b""
@@ -120,7 +120,7 @@ def _text(mark: Mark) -> bytes:
 
 
 def mark_of(path: Path) -> Mark | None:
-    """Return how far a file has come, as the lock beside it says; None if that is not known."""
+    """Return the progress of a file, by the lock beside it; None if that is not known."""
     try:
         return _mark_in(lock_of(path).read_text(encoding="utf-8", errors="replace"))
     except OSError:

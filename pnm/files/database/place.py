@@ -1,4 +1,4 @@
-"""Where a database of ours is: an SQLite file, or tables in PostgreSQL."""
+"""The place of a database: an SQLite file, or tables in PostgreSQL."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _OPTIONS: Final = ("name", "sslmode")
 
 @dataclass(frozen=True, slots=True)
 class ServerUrl:
-    """Where tables in PostgreSQL are; as text without the password.
+    """The place of tables in PostgreSQL; as text without the password.
 
     Args:
         options: ``name``, the schema of the tables; ``sslmode`` as PostgreSQL has it.

@@ -90,7 +90,7 @@ class Postgres(Driver):
             raise
         self._name = url.name
         self._waits = f"{url.name[:20]} waits: "
-        """How the names of connections begin that wait for what is announced here."""
+        """The beginning of the names of connections that wait for notices here."""
         self._statements: dict[str, Any] = {}
         self._listens = False
 

@@ -30,7 +30,7 @@ _SHRINKING: Final = 0.5
 """Seconds for which that goes on: nothing else is done meanwhile, and what is left is used again, or given back the next time."""
 _NOW: Final = "((julianday('now') - 2440587.5) * 86400.0)"
 _LOCKS: Final = re.compile(r" FOR (UPDATE|SHARE)\b.*")
-"""What locks rows, where a transaction that writes has not locked all of a file."""
+"""The lock of rows, where a transaction that writes has not locked all of a file."""
 _DAMAGE: Final = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 _STEPS: Final = 100_000
 """Steps of SQLite's machine, some milliseconds, until it is looked whether it may go on; signals are heard then as well."""

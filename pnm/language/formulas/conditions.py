@@ -48,7 +48,7 @@ FALSE: Final = Any(())
 _NAME: Final = re.compile(r"\??[^\s()?]+\Z")
 _NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\Z")
 _OPERANDS: Final = {"-": range(1, 3), "/": range(2, 3)}
-"""How many operands arithmetic takes; the others take any number from 2."""
+"""The number of operands of arithmetic; the others take any number from 2."""
 
 
 class Quantified(Keys):

@@ -142,7 +142,7 @@ class FormulaScope:
 
 
 ANYTHING: Final = FormulaScope()
-"""Where no names are declared."""
+"""The scope without declared names."""
 
 
 def unknown(what: str, name: str, known: Collection[str], position: Position | None) -> InputError:
@@ -248,7 +248,7 @@ def _types(tokens: deque[str], node: Node) -> tuple[str, ...]:
 
 
 def shown(node: Node) -> str:
-    """Return what stands there, in few words, for errors."""
+    """Return the text at this position, in few words, for errors."""
     if node.text is not None:
         return repr(node.text if len(node.text) < 60 else f"{node.text[:59]}…")
     return "a mapping" if node.is_mapping else "a list" if node.items is not None else node.written or "nothing"

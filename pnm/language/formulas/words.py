@@ -101,7 +101,7 @@ class Form:
     word: str
     """In the spelling of the tables of this module."""
     position: Position
-    """Where the word stands."""
+    """The position of the word."""
     argument: Node
     written: str
     """The word as the file has it."""

@@ -138,7 +138,7 @@ class ActionServices(Waitable):  # type: ignore[misc]
             service.client.handle.__exit__(*exception)
 
     def get_num_entities(self) -> NumberOfEntities:
-        """Return what the wait set needs room for."""
+        """Return the entities of the wait set."""
         return NumberOfEntities(num_clients=len(self._services))
 
     def add_to_wait_set(self, wait_set: Any) -> None:

@@ -80,7 +80,7 @@ class Connection:
         return f"<Connection {self.name} {self.handshake}>"
 
     def expect(self, type_name: str | None, *, several: bool) -> None:
-        """Note what another binding of the same server says of it; raise an `InputError` if they contradict each other."""
+        """Note another binding of the same server; raise an `InputError` if they contradict each other."""
         self._several = self._several or several
         if type_name is None or type_name == self._wanted_type:
             return

@@ -22,7 +22,7 @@ _MESSAGES: Final = ("message", "error_msg", "error_string")
 
 
 class Kept(Enum):
-    """How far a goal came in another process."""
+    """The progress of a goal in another process."""
 
     ACCEPTED = "accepted"
     UNANSWERED = "unanswered"
@@ -38,20 +38,20 @@ class Goal:
     """Of its action; fitted to the server's type before it is sent."""
     report: Callable[[Report], None]
     kept: Kept | None = None
-    """How far it came in another process: it is found out about, in place of being sent."""
+    """Its progress in another process: it is asked for, instead of being sent."""
     foreign: Foreign = Foreign.SHARE
-    """What is done while its server is at work on goals of other programs."""
+    """The treatment of its server while that works on goals of other programs."""
     timeout: float = inf
     """Seconds that the action may take, and that it waits for goals of other programs."""
     is_blind: bool = False
     """Whether its values were collected before its type was known: for all fields that it may have."""
     sent: float = 0.0
-    """When it was sent, or when the server answered an earlier goal since then: until then this one could not be answered."""
+    """The time of its sending, or of the server's answer to an earlier goal since then: until then this one could not be answered."""
     postponed: float = 0.0
-    """When the limit for its acceptance began, as its run knows it."""
+    """The beginning of the limit for its acceptance, as its run knows it."""
     is_accepted: bool = False
     status: int = UNKNOWN
-    """What the status topic has said of it."""
+    """The last entry of the status topic about it."""
     liveness: Liveness = field(default_factory=lambda: Liveness(frozenset()))
     cancel_asked: bool = False
     cancel_sent: float | None = None
@@ -59,7 +59,7 @@ class Goal:
     results_asked: int = 0
     """Requests for the result without an answer."""
     unknown_since: float | None = None
-    """When the server answered first that it does not know the goal: it was restarted, or has not taken it up yet."""
+    """The time of the server's first answer that it does not know the goal: it was restarted, or has not taken it up yet."""
     is_resent: bool = False
     """Whether it was sent once more, because its server did not know it."""
     refused: str = ""

@@ -25,11 +25,11 @@ GRACE: Final = 3.0
 AGAIN: Final = 1.0
 """Seconds between two requests for the same result."""
 ASKS: Final = 5
-"""How often a result is requested again; a server keeps each request until it answers."""
+"""The seconds between two requests of a result; a server keeps each request until it answers."""
 
 
 class Verdict(Enum):
-    """What to do about a goal."""
+    """The treatment of a goal."""
 
     FINE = "nothing"
     ASK = "ask for the result"

@@ -45,9 +45,9 @@ class _StatusTopic:
     """Those that served the action when the subscription was made: what is heard after that comes from processes that are alive."""
     reader: UnheardTopic | None = None
     began: float = 0.0
-    """When the subscription was made."""
+    """The time of the subscription."""
     statuses: dict[bytes, int] = field(default_factory=dict)
-    """What the server said last of all goals that it knows."""
+    """The last message of the server about all goals that it knows."""
     goals: frozenset[UUID] = frozenset()
     """Those of them that it was at work on."""
     cancelled: set[UUID] = field(default_factory=set)
@@ -57,7 +57,7 @@ class _StatusTopic:
 
 
 class OtherGoals:
-    """What action servers are at work on, and which of it this process has not sent.
+    """The goals that action servers work on, and those of them that this process has not sent.
 
     The mutable state is the ids of its own goals, the topics, and the timer that cancels goals until they are over.
 
@@ -103,7 +103,7 @@ class OtherGoals:
         return topic.goals
 
     def status(self, server: str, goal: UUID) -> int:
-        """Return what a server said last of a goal: action_msgs/msg/GoalStatus, 0 if nothing."""
+        """Return the last status of a goal from a server: action_msgs/msg/GoalStatus, 0 for none."""
         return self._topics[server].statuses.get(goal.bytes, 0)
 
     def others(self, server: str, present: frozenset[bytes] | None = None) -> frozenset[UUID]:

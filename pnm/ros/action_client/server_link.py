@@ -85,7 +85,7 @@ class ServerLink:
         return self._connection.type
 
     def expect(self, type_name: str | None, *, several: bool) -> None:
-        """Note what another binding of the same server says of it; raise an `InputError` if they contradict each other."""
+        """Note another binding of the same server; raise an `InputError` if they contradict each other."""
         self._connection.expect(type_name, several=several)
 
     def ready(self) -> bool:

@@ -43,7 +43,7 @@ _log = logging.getLogger(__name__)
 
 
 class GoalStatus(Enum):
-    """How a goal ended, in the words of ROS 2."""
+    """The end of a goal, in the words of ROS 2."""
 
     SUCCEEDED = "succeeded"
     CANCELED = "canceled"
@@ -52,7 +52,7 @@ class GoalStatus(Enum):
 
 @dataclass(frozen=True, slots=True)
 class GoalResult:
-    """How a goal ended, and the fields of its result message."""
+    """The end of a goal, and the fields of its result message."""
 
     status: GoalStatus
     fields: Mapping[str, object]
@@ -60,7 +60,7 @@ class GoalResult:
 
 @dataclass(frozen=True, slots=True)
 class GoalCallbacks:
-    """What carries out the goals of a server; called on the event loop's thread.
+    """The executor of a server's goals; called on the event loop's thread.
 
     Args:
         accept: begins the goal, and returns nothing or the reason why it is rejected. Its client hears that it is accepted after that.

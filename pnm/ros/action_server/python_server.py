@@ -306,7 +306,7 @@ class PnmActionServer(_ServerWithKnowledge):
         self._update(goal_handle, layer, name, value, meta, timeout)
 
     async def query_kb_async(self, goal_handle: Any, layer: Layer, name: str, meta: object = None, *, timeout: float = LIMIT) -> object:  # noqa: ASYNC109 - none of asyncio
-        """Do what `query_kb` does, in a coroutine."""
+        """Query knowledge like `query_kb`, in a coroutine."""
         return _raised(await self._knowledge.query(goal_handle, layer, name, meta, timeout))
 
     async def update_kb_async(
@@ -319,7 +319,7 @@ class PnmActionServer(_ServerWithKnowledge):
         *,
         timeout: float = LIMIT,  # noqa: ASYNC109 - none of asyncio
     ) -> None:
-        """Do what `update_kb` does, in a coroutine."""
+        """Update knowledge like `update_kb`, in a coroutine."""
         _raised(await self._knowledge.update(goal_handle, layer, name, value, meta, timeout))
 
 

@@ -48,17 +48,17 @@ def types(node: Any, server: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class GraphSnapshot:
-    """What is in the ROS graph at a moment, with its types: action servers, topics that have publishers, services."""
+    """The ROS graph at a moment, with its types: action servers, topics that have publishers, services."""
 
     servers: Mapping[str, tuple[str, ...]]
     topics: Mapping[str, tuple[str, ...]]
     services: Mapping[str, tuple[str, ...]]
     processes: Mapping[str, int] = field(default_factory=dict)
-    """How many processes offer an action server, those that were killed lately included."""
+    """The number of processes that offer an action server, including recently killed ones."""
 
 
 def snapshot(node: Any) -> GraphSnapshot:
-    """Return what is in the ROS graph now."""
+    """Return the present ROS graph."""
     named = [name for name, _ in node.get_topic_names_and_types() if "/_" not in name]  # the others are hidden: parts of actions
     topics = {name: {info.topic_type for info in node.get_publishers_info_by_topic(name)} for name in named}
     services = {name: tuple(kinds) for name, kinds in node.get_service_names_and_types() if "/_" not in name and node.count_services(name)}

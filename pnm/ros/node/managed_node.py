@@ -15,7 +15,7 @@ from pnm.errors import RosError
 from pnm.ros.node.messages import import_type
 
 STARTED: Final = "~/_started/t"
-"""How the names of the topics begin that show when nodes of this name were started; nothing is published there."""
+"""The beginning of the names of topics that show the starts of nodes of this name; nothing is published there."""
 _ENDING: Final = "transition_"
 """The prefix of the labels of transitions that end another one; the node makes them, clients may not."""
 
@@ -29,7 +29,7 @@ class ManagedNode(LifecycleNodeMixin, Node):  # type: ignore[misc]
         LifecycleNodeMixin.__init__(self, callback_group=ReentrantCallbackGroup())
         self.set_change_state(refuse_transition)
         self.start = f"{time_ns():020d}_{uuid4().hex}"
-        """When the node was started, and a random number: nodes of the same name are in this order."""
+        """The start time of the node, and a random number: nodes of the same name are in this order."""
         self.create_publisher(import_type("builtin_interfaces/msg/Time"), STARTED + self.start, 1)
 
     def set_change_state(self, callback: Callable[[Any, Any], Any]) -> None:

@@ -19,7 +19,7 @@ _log = logging.getLogger(__name__)
 ParameterValue: TypeAlias = bool | int | float | str
 
 _OF_ROS: Final = "qos_overrides."
-"""How parameters begin that a node declares when it makes what they are about."""
+"""The prefixes of parameters that a node declares when it makes their subjects."""
 _log = logging.getLogger(__name__)
 
 
@@ -76,7 +76,7 @@ def declare(node: Any, parameters: Iterable[NodeParameter], given: Mapping[str, 
 
 
 def _overrides(node: Any) -> Mapping[str, Any]:
-    """Return what ROS arguments, and the files that they name, say of parameters; `rclpy` has no other way to them."""
+    """Return the parameters in ROS arguments and in the files that they name; `rclpy` has no other way to them."""
     overrides: Mapping[str, Any] = getattr(node, "_parameter_overrides", {})
     return overrides
 

@@ -44,7 +44,7 @@ class Publisher:
         self._matched = matched
         self._publisher: Any = None
         self.subscriptions = 0
-        """How many subscriptions there are."""
+        """The number of subscriptions."""
 
     def __repr__(self) -> str:
         return f"<Publisher {self._name}, {self.subscriptions} subscriptions>"

@@ -147,7 +147,7 @@ class RosThread:
             self._closing = True
             raise RosError(f"the ROS 2 node {name!r} cannot be made: {str(error) or type(error).__name__}") from error
         self.joined = monotonic()
-        """When the node joined the ROS graph, on the monotonic clock."""
+        """The time at which the node joined the ROS graph, on the monotonic clock."""
         # A daemon thread that is inside the middleware while the interpreter is finalized may crash the process.
         atexit.register(self.close)
 

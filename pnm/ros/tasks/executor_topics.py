@@ -169,7 +169,7 @@ _UNEVENTFUL: Final = frozenset({TaskState.QUEUED, TaskState.PLANNING, TaskState.
 
 
 class Level(IntEnum):
-    """How well a part is; the numbers are those of ``diagnostic_msgs/msg/DiagnosticStatus``."""
+    """The health of a part; the numbers are those of ``diagnostic_msgs/msg/DiagnosticStatus``."""
 
     OK = 0
     WARN = 1
@@ -190,7 +190,7 @@ _LEVELS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """How one part is."""
+    """The state of one part."""
 
     name: str
     level: Level
@@ -199,14 +199,14 @@ class Diagnosis:
 
 
 def diagnosis_of(row: Readiness) -> Diagnosis:
-    """Return how an action server or a sensor is."""
+    """Return the state of an action server or a sensor."""
     name = f"{'sensor' if row.is_sensor else 'action'} {row.what} ({row.name})"
     there = "is heard" if row.is_sensor else "is there"
     return Diagnosis(name, _LEVELS[row.state], row.advice or there, {"state": row.state.value, "name": row.name, "type": row.type})
 
 
 def diagnosis_of_tasks(tasks: Sequence[TaskStatus]) -> Diagnosis:
-    """Return how the tasks are: an error if the one that ended last has failed, a warning if one does not go on as planned."""
+    """Return the state of the tasks: an error if the one that ended last has failed, a warning if one does not go on as planned."""
     going_on = [task for task in tasks if task.state is not TaskState.OVER]
     last = next((task for task in reversed(tasks) if task.state is TaskState.OVER), None)
     counts = {state: sum(task.state is state for task in going_on) for state in TaskState}

@@ -1,4 +1,4 @@
-"""When do two blocks behave alike? When they have the same shape, so that exploring one of them is enough."""
+"""The shape of a block: blocks of one shape behave alike, so that exploring one of them is enough."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def _arcs_and_roles(part: Part) -> dict[str, object]:
 
 
 def _kind(guard: Guard | Inside, inputs: Weights, conditions: list[Condition]) -> object:
-    """Return what is proved of a guard: when it opens, as far as the world does not decide, and which conditions are the same."""
+    """Return the proved part of a guard: its opening, as far as the world does not decide, and which conditions are the same."""
     if (condition := guard.asks) is not None:
         if condition not in conditions:  # only whether two guards have the same condition matters: then exactly one of them opens
             conditions.append(condition)

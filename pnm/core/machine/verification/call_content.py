@@ -115,7 +115,7 @@ class Asked:
 
 
 def _asked_course(recoveries: Sequence[Recovery]) -> object:
-    """Return how a call goes on that has these recoveries, in turn."""
+    """Return the continuation of a call with these recoveries, in turn."""
     if is_direct(recoveries[0]):
         return recoveries[0].then
     options = [(one.when if number else TRUE, one) for number, one in enumerate(recoveries)]  # the first is used without asking
@@ -126,7 +126,7 @@ def _asked_course(recoveries: Sequence[Recovery]) -> object:
 
 
 class AskedOf:
-    """What is asked of the calls of a machine."""
+    """The requirements of the calls of a machine."""
 
     def __init__(self, machine: PetriNetMachine) -> None:
         plan, bindings = machine.plan, machine.bindings
@@ -139,7 +139,7 @@ class AskedOf:
         self._await = {one.after.call for one in orderings if one.after.moment is Moment.END}
 
     def __call__(self, call: ActionCall) -> Asked:
-        """Return what is asked of a call."""
+        """Return the requirements of a call."""
         number = call.index
         terms = CallTerms(self._often if number in self._again else self._once, call, ())
         return Asked(terms, number in self._announce, number in self._await, number in self._delay)
@@ -159,7 +159,7 @@ def _reached_again(plan: PlanGraph) -> Iterator[int]:
 
 
 _Compared: TypeAlias = tuple[object, object]
-"""What is asked, and what is found."""
+"""The requirement, and the finding."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,29 +228,29 @@ class CallNet:
         return {place: self.counters[place] for place in (*taken, *given)} if given else {}
 
     def counted(self, number: int) -> int:
-        """Return how often the transition may happen by what it counts; 0 if it counts nothing."""
+        """Return the number of times that the transition may fire by its counter; 0 if it counts nothing."""
         return sum(self.counts(number).values())
 
     # --- the life of its request ----------------------------------------------------------------
 
     @cached_property
     def ready(self) -> frozenset[str]:
-        """Where a request is sent."""
+        """The places where a request is sent."""
         return _NOWHERE.union(*(self.sources[number] for number in self.where(_sends)))
 
     @cached_property
     def unanswered(self) -> frozenset[str]:
-        """Where it was sent, and its server has not answered."""
+        """The places where it was sent, and its server has not answered."""
         return self.after(self.where(_sends))
 
     @cached_property
     def under_way(self) -> frozenset[str]:
-        """Where it was accepted."""
+        """The places where it was accepted."""
         return self.after(self.where(_is(Accepts, Adopted)))
 
     @cached_property
     def alive(self) -> frozenset[str]:
-        """Where it may be alive: from there on, until its end is reported or it is given up."""
+        """The places where it may be alive: until its end is reported or it is given up."""
         found, waiting = set[str](), [*self.unanswered, *self.under_way]
         while waiting:
             if (place := waiting.pop()) not in found:
@@ -261,17 +261,17 @@ class CallNet:
 
     @cached_property
     def cancelled(self) -> frozenset[str]:
-        """Where it is being cancelled."""
+        """The places where it is being cancelled."""
         return self.alive - self.unanswered - self.under_way
 
     @cached_property
     def looking(self) -> frozenset[str]:
-        """Where the effects of a success are looked for."""
+        """The places where the effects of a success are awaited."""
         return _NOWHERE.union(*(self.sources[number] for number in self.where(_is(EffectsSeen))))
 
     @cached_property
     def late(self) -> frozenset[str]:
-        """Where the token is once its end has waited for others, whose places were looked at."""
+        """The places of the token once its end has waited for others, whose places were looked at."""
         return self.after(
             number for number, arcs in enumerate(self.inputs) if any(one in self.between and one in self.outputs[number] for one in arcs)
         )
@@ -284,7 +284,7 @@ class CallNet:
     # --- recoveries -----------------------------------------------------------------------------
 
     def course(self, outputs: Iterable[str]) -> object:
-        """Return how the call goes on where these places are marked: to what end, by which recoveries, or None by another attempt."""
+        """Return the continuation of the call where these places are marked: its end and recoveries, or None for another attempt."""
         places = [*outputs]
         if any(place in self.restarts for place in places):
             return Then.RESTART_PLAN
@@ -314,7 +314,7 @@ class CallNet:
         return condition, 0, None, self.course(self.outputs[number])
 
     def ends_of(self, chain: Region) -> object:
-        """Return how the call goes on after a chain."""
+        """Return the continuation of the call after a chain."""
         taking = (number for number, arcs in enumerate(self.inputs) if arcs.keys() >= {*chain.last})
         exits = (number for place in self.after(taking) for number in self.exits.get(place, ()))
         ways = [number for number in exits if not isinstance(self.rules[number].guard, _ASIDE)]
@@ -496,7 +496,7 @@ def _restart(net: CallNet, call: Asked) -> _Compared:
 
 
 def _usual(net: CallNet, number: int, call: Asked) -> Then | None:
-    """Return how the call goes on after a transition that finds a cause without recoveries: by another attempt, or it has failed."""
+    """Return the continuation after a transition that finds a cause without recoveries: another attempt, or failure."""
     rule = net.rules[number]
     is_final = isinstance(rule.guard, Ends) and rule.guard.kinds == {OutcomeKind.ABORTED_FOR_GOOD}
     is_lost = _ends_lost(rule) and net.sources[number] <= net.under_way and call.terms.binding.when_lost is WhenLost.ABORT

@@ -314,7 +314,7 @@ def _check_together(supplies: Iterable[tuple[str, ...]], steps: Sequence[PartSte
 
 
 def _resources(steps: Iterable[PartStep], resources: Mapping[str, int]) -> dict[str, int]:
-    """Return what the block takes of resources; it must take all of it at once.
+    """Return the resources that the block takes; it must take all of them at once.
 
     That it has none of it when it does, is explored: there is only so much for it.
     """

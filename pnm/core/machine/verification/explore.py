@@ -23,10 +23,10 @@ _Reached: TypeAlias = tuple[PartState, _Trace]
 
 @dataclass(frozen=True, slots=True)
 class Exploration:
-    """What was found in all states of a part."""
+    """The findings in all states of a part."""
 
     states: int
-    """How many there are."""
+    """The number of states."""
     unfired: tuple[int, ...]
     """The numbers of the steps that never happen."""
 

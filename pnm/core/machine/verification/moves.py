@@ -16,7 +16,7 @@ STOPS: Final = ("", "restart elsewhere", "stop", "cancel")
 AGAIN: Final = "enter again"
 SUPPLY: Final = "supply"
 FROM_OUTSIDE: Final = frozenset((*STOPS, AGAIN, SUPPLY))
-"""What happens to a part from outside; no step of its own may be called so."""
+"""The events of a part from outside; no step of its own may have this name."""
 
 _OF_REQUESTS: Final = (Opener.REPORT, Opener.HANDOVER)
 
@@ -28,11 +28,11 @@ class PartState(NamedTuple):
     stop: int = 0
     """0: going on, 1: another part asks for the plan to begin anew, 2: a stop, 3: a stop that cancels."""
     supplied: int = 0
-    """How many of the supplies have come."""
+    """The number of supplies that have come."""
     requests: tuple[Life, ...] = ()
-    """What became of the last request of each call."""
+    """The state of the last request of each call."""
     accounts: tuple[Account, ...] = ()
-    """What the run can account for of each call."""
+    """The facts that the run can account for of each call."""
     restored: bool = False
     """Whether something that was counted has come back since the part was entered."""
 

@@ -36,18 +36,18 @@ class CallRule(Enum):
     ALREADY_TRUE = "already true"
     """It is asked whether there is nothing to do, unless the call must happen all the same."""
     PRECONDITION = "precondition"
-    """What sends asks for it, and for the over-all condition as far as the start does not change that itself."""
+    """A sending step checks it, and the over-all condition as far as the start does not change that itself."""
     # while it may be alive
     ANSWER = "answer"
     """An unanswered request is cancelled after the binding's `accept`."""
     OVER_ALL = "over-all condition"
-    """Where it is under way, a broken one cancels it, and the call has failed."""
+    """While it is under way, a broken one cancels it, and the call has failed."""
     DEADLINE = "deadline"
-    """Where it is under way, a missed one cancels it, and the call has failed."""
+    """While it is under way, a missed one cancels it, and the call has failed."""
     TIME_LIMIT = "time limit"
-    """Where it is under way, it is cancelled after its timeout."""
+    """While it is under way, it is cancelled after its timeout."""
     CANCELLING = "cancelling"
-    """Where it is being cancelled, it is given up after the binding's `cancel`. It comes there by a cancellation only."""
+    """While it is being cancelled, it is given up after the binding's `cancel`. It comes there by a cancellation only."""
     RESOURCES = "resources"
     """Exactly those of the call are taken, all at once, by what leads to where the request may be alive, and given back by what leads out.
 
@@ -67,7 +67,7 @@ class CallRule(Enum):
     Without one a false check and an end for good lead to failure, and every other end to another attempt.
     """
     COUNTERS = "counters"
-    """What was spent is given back before the call is left, if it may be reached again and its end waits for no others."""
+    """Spent retries are given back before the call is left, if it may be reached again and its end waits for no others."""
     RESTART = "restart"
     """While the plan begins anew, a call that recovers is dropped and has not failed; without recoveries that ask for it, none is."""
     ATTEMPTS = "attempts"
@@ -95,7 +95,7 @@ class Inside(GuardKind):
 
 
 class Left(Enum):
-    """How much of a counter is left."""
+    """The rest of a counter."""
 
     ALL = "all"
     SOME = "some"
@@ -105,7 +105,7 @@ class Left(Enum):
 
 
 class Count(NamedTuple):
-    """What a step asks of a counter: a pair of places that one place stands for."""
+    """A step's check of a counter: a pair of places that one place stands for."""
 
     place: str
     cases: frozenset[Left]
@@ -135,7 +135,7 @@ class PartStep(NamedTuple):
     settles: bool = False
     """Whether the plan may go on from then on: without the call after such a cause, or after the loop, the choice or all of its steps."""
     counted: Count | None = None
-    """What it asks of a counter, which may be so or not at any time."""
+    """Its check of a counter, which may be true or false at any time."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -36,7 +36,7 @@ def following(step: PartStep, life: Life) -> Life:
 
 
 def misuse(step: PartStep, life: Life, *, ending: bool) -> str:
-    """Return what the step does that it must not do with the request of its call; empty when there is nothing."""
+    """Return the forbidden act of the step with the request of its call; empty for none."""
     match step.action:
         case TransitionAction.SEND if ending:
             return f"{step.name} sends a request although the run is ending"
@@ -122,7 +122,7 @@ def accounted(step: PartStep, before: Account) -> Account:
 
 
 def lacking_account(step: PartStep, before: Account, *, fails: bool) -> str:
-    """Return what the step asserts of its call although there is no account of it; empty when there is nothing."""
+    """Return the assertion of the step about its call without an account of it; empty for none."""
     if step.outcome is CallOutcome.PASSED_OVER and before is Account.OPEN:
         return f"{step.name} leaves a call that has not come to an end"
     # Of loops and choices the run keeps no cause: what marks their failure finds it.

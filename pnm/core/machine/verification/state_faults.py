@@ -28,7 +28,7 @@ class StateFaults:
         self._most = [budget if place in part.records - part.failures else 1 for place in part.places]
 
     def of(self, state: PartState, possible: Sequence[int], *, stuck: bool) -> str:
-        """Return what is wrong with a state; empty when nothing is."""
+        """Return the fault of a state; empty for none."""
         part, moves = self._part, self._moves
         if any(map(gt, state.tokens, self._most)):
             # Safe places are what makes guards and times meaningful: the time of a marking is one number per place.
@@ -83,7 +83,7 @@ class StateFaults:
         return min(lacking, key=len)
 
     def _ends_too_soon(self, state: PartState) -> str:
-        """Return what is still going on although the end of the part is marked; empty when nothing is, or it is not."""
+        """Return the part that still runs although the end of the part is marked; empty for none, or if it is not."""
         ended = [place for place in self._ends if state.tokens[place]]
         if not ended:
             return ""

@@ -56,7 +56,7 @@ from pnm.core.net.when_asked import Remembered
 from pnm.errors import check_kinds, counted
 
 _MALFORMED: Final = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError)
-"""What a machine leads to that was tampered with: it may name what it does not have, and have anything in the place of anything."""
+"""The errors of a machine that was tampered with: it may name anything, and have anything in the place of anything."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -199,7 +199,7 @@ class _Sample(NamedTuple):
     kinds: dict[Owner, object]
     """The kinds of the calls among them, which other machines may have as well."""
     proved: set[_Proved]
-    """What is known of the kinds that are left out."""
+    """The knowledge of the kinds that are left out."""
     left_out: list[PlacedStep]
     """The first block of each of them."""
     borders: set[int]
