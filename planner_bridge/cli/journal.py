@@ -191,7 +191,7 @@ def prune(journal: str, keep_days: float) -> int:
 def _file(journal: str) -> Path:
     place = place_of(journal)
     if not isinstance(place, Path):
-        raise InputError("a journal in PostgreSQL is moved and copied by what the database has for that, such as pg_dump; expected a file")
+        raise InputError("a journal in PostgreSQL is moved and copied with tools of the database, such as pg_dump; expected a file")
     return place
 
 
@@ -233,7 +233,7 @@ def resume_run(journal: Place, *, adopts: bool, is_trusted: bool) -> int:
         raise InputError(f"{journal} has no task: the process died before it began one; give its command again")
     folder, *given = command or ("",)
     if not folder:
-        again = "start `pnm serve` again, with the files and options that it had, and it goes on"
+        again = "start `pnm serve` again, with its files and options, and it goes on"
         raise InputError(f"{journal} is the journal of a node: {again}; `pnm history {journal}` lists its tasks")
     if ending := tasks[-1].ending:
         _print_task(tasks[-1], SafeConsole())
@@ -257,7 +257,7 @@ def _ask(journal: Place, folder: str, given: Sequence[str]) -> None:
     if not sys.stdin.isatty():
         raise InputError(f"{would}; --yes does it")
     print(would, file=sys.stderr)
-    if not click.confirm("Is that what you want?", err=True):
+    if not click.confirm("Do you want that?", err=True):
         raise InputError("nothing was done")
 
 

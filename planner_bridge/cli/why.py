@@ -68,7 +68,7 @@ def why(
         raise InputError("expected DOMAIN and PROBLEM, or neither of them for a journal")
     if domain is None or problem is None:
         if other is not None:
-            raise InputError("--not asks for other plans: expected DOMAIN and PROBLEM; with --journal, what is so in it counts")
+            raise InputError("--not needs other plans; expected DOMAIN and PROBLEM, which are used with the facts of a --journal")
         show(_of_journal(journal, task, last, called, replan=replan), as_json=as_json)
         return 0
     if replan:
@@ -117,7 +117,7 @@ def _in_the_middle(problem: Problem, journal: str, task: str | None, last: int |
     try:
         world = projected_state(history.world, going_on)
     except NotProjectable as error:
-        raise InputError(f"what will be so when the calls under way have ended is not known: {error}") from error
+        raise InputError(f"the facts after the end of the running calls are not known: {error}") from error
     now = problem_now(problem, world, history.time - history.world_began)
     return replace(now, goal=meant.runs[-1].source.plan.goal)
 

@@ -176,7 +176,7 @@ def what_would_help(problem: Problem, limit: AnswerLimit, reason: Answer) -> Ans
         reason: why it has none.
     """
     if (reachability := limit.reached(problem)) is None:
-        return Answer("what would help was not looked for: the problem is too large", Known.NOT_PROVED)
+        return Answer("helpful changes were not searched: the problem is too large", Known.NOT_PROVED)
     fixed, proved, is_exhaustive = frozenset(_facts_in(reachability, problem.goal)), 0, reason.known.is_certain
     for size in range(1, _MOST + 1):
         labels = Labels(reachability, fixed, size)
@@ -186,7 +186,7 @@ def what_would_help(problem: Problem, limit: AnswerLimit, reason: Answer) -> Ans
         try:
             candidates = sorted((label for label in facts if len(label) == size), key=_Rank(reachability))
         except TooLarge:
-            return Answer("what would help was not looked for: there are too many facts", Known.NOT_PROVED)
+            return Answer("helpful changes were not searched: there are too many facts", Known.NOT_PROVED)
         tried = _try(problem, candidates, limit)
         if tried.found:
             return _helps(problem, size, tried, reason.known if proved == size - 1 else Known.NOT_PROVED)

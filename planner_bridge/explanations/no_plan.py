@@ -257,7 +257,7 @@ def _exclusions(problem: Problem, limit: AnswerLimit) -> Iterator[Answer]:
         found = limit.solve(free)
         if found.plan:
             constraints = listed([str(one) for one in (*problem.domain.constraints, *problem.constraints)])
-            yield Answer(f"without what must always be kept there is a plan: {constraints}", Known.PLAN, (), (Solves(free, found.plan),))
+            yield Answer(f"there is a plan without these constraints: {constraints}", Known.PLAN, (), (Solves(free, found.plan),))
             return
     parts = conjuncts(problem.goal)
     needed, possible = list(parts), list[Answer]()

@@ -70,12 +70,12 @@ def call_meant(task: TaskHistory, text: str) -> tuple[RunHistory, int]:
 def why_call_of_run(history: JournalHistory, task: TaskHistory, run: RunHistory, call: int) -> tuple[Answer, ...]:
     """Return why a call is in its plan, why it began when it did or what it waits for, and why it failed if it has."""
     if task.accepted.wanted.is_plan or not all(isinstance(step, ActionCall) for step in run.source.plan.steps):
-        needed = Answer("the plan was written by a person: what each call is for, it does not say", Known.GIVEN)
+        needed = Answer("the plan was written by a person: it does not say the purpose of its calls", Known.GIVEN)
     else:
         try:
             needed = why_call(_course(run), call)
         except Unanswered:
-            needed = Answer("what needs it depends on questions that were asked while it ran", Known.NOT_PROVED)
+            needed = Answer("its purpose depends on questions that were asked while it ran", Known.NOT_PROVED)
     failed = (answer for trouble, answer in zip(run.failures, why_failed(history, run), strict=True) if trouble.step.index == call)
     return needed, why_now(history, task, run, call), *failed
 
@@ -200,7 +200,7 @@ def _obstacles(history: JournalHistory, task: TaskHistory, run: RunHistory, call
     if task.state in (TaskState.PAUSING, TaskState.PAUSED):
         yield Answer(f"its task is {task.state.word}: {task.reason}", Known.JOURNAL)
     elif run.executed().run.pausing:
-        yield Answer("nothing of its plan begins while that is looked at again", Known.JOURNAL)
+        yield Answer("nothing begins while its plan is checked again", Known.JOURNAL)
     for ordering in _orderings(run, call):
         if run.time_of(ordering.before) is None:
             verb = "begin" if ordering.before.moment is Moment.START else "end"

@@ -259,7 +259,7 @@ class ProblemFolder:
             if self.initial is not None and path.exists() and self.initial.exists() and path.samefile(self.initial):
                 raise InputError(f"{path}: cannot be written: the node begins with this problem; expected another name")
             if path.exists() and _PROBLEM.match(read_any_text(path, MAX_BYTES)[0]) is None:
-                raise InputError(f"{path}: cannot be written: what is there is not a problem in PDDL; expected another name")
+                raise InputError(f"{path}: cannot be written: the existing file is no PDDL problem; expected another name")
             handle, draft = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".tmp")
             try:
                 with open(handle, "w", encoding="utf-8") as file:

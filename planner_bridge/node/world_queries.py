@@ -161,9 +161,9 @@ class SharedWorld:
                 value = UNDEFINED
             if self._knowledge.is_sensed(fluent) and known is not UNKNOWN and not same_value(known, value):
                 what = statement_text(fluent, False if known is None else known)
-                raise wrong(change.node, f"a sensor reports {what}; only what no sensor reports, or is unknown, can be updated")
+                raise wrong(change.node, f"a sensor reports {what}; only facts without a sensor, and unknown ones, can be updated")
             if changes.setdefault(fluent, value) != value:
-                raise wrong(change.node, f"another one of the changes says something else of {fluent_text(fluent)}")
+                raise wrong(change.node, f"another change contradicts this one about {fluent_text(fluent)}")
         return len(self._knowledge.update(changes))
 
     def over(self, knowledge: KnowledgeBase) -> SharedWorld:
@@ -268,7 +268,7 @@ class SharedWorld:
             return self._fact(node), False
         fluent, value = self._added(node)
         if not isinstance(value, str):
-            raise wrong(node, f"{fluent_text(fluent)} always has a number; expected it among what is added or forgotten")
+            raise wrong(node, f"{fluent_text(fluent)} always has a number; expected it among the added or forgotten facts")
         return fluent, value
 
     def _forgotten(self, node: Node) -> tuple[Fluent, Unknown]:

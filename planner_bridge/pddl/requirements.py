@@ -14,7 +14,7 @@ from typing import Final
 from planner_bridge.pddl.expressions import Atom, Node, new_name, tolerate, wrong
 from pnm.errors import InputError
 
-_CONTINGENT: Final = "a contingent planner, of which unified-planning brings none,"
+_CONTINGENT: Final = "a contingent planner, which unified-planning lacks,"
 _SIMULATION: Final = "a simulation of change over time"
 
 

@@ -110,7 +110,7 @@ def _goal_handle(
             settings = replace(settings, bindings=bindings_for(Path(domain), None, loaded.vocabulary))
     for name in sorted(settings.bindings.actions.keys() - loaded.domain.actions.keys()):
         hint = suggestion(name, loaded.domain.actions)
-        raise InputError(f"there is no action {name!r} in the domain, of which the bindings speak{hint and f'; {hint}'}")
+        raise InputError(f"there is no action {name!r} in the domain, but the bindings name it{hint and f'; {hint}'}")
     kept = TaskJournal.of(journal, write_domain(loaded.domain), write_problem(loaded)) if journal else KEPT_NOWHERE
     return GoalHandle(backend_of(actions, loaded, settings, faults), loaded, settings, observer, stopwatch, kept)
 

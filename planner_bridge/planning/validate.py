@@ -255,6 +255,6 @@ def explained(problem: Problem, result: PlanningResult) -> PlanningResult:
         return replace(result, status=PlanningStatus.NO_PLAN, message=why_unknown(problem) or f"{facts}, and counted as false")
     asked = in_whole_numbers(problem) if result.planner == DEFAULT_PLANNER else problem
     if result.status is PlanningStatus.UNSOLVABLE and not calculates_with_whole_numbers(asked):
-        message = f"{result.planner} says that there is none, which is not taken for proved: with decimals it calculates differently"
+        message = f"{result.planner} says that there is none, but this is no proof: with decimals it calculates differently"
         return replace(result, status=PlanningStatus.NO_PLAN, message=message)
     return result

@@ -179,7 +179,7 @@ class TaskControl:
         if why_not := execution.why_no_step():
             raise TaskRefused(why_not)
         if not execution.executor.step():
-            raise TaskRefused("nothing can begin now: what comes next waits for other things than the end of the pause")
+            raise TaskRefused("nothing can begin now: the next call waits for more than the end of the pause")
         reason = self.reason
         self.enter(TaskState.PAUSING, reason)  # so that others respect what is under way
         await self._at_rest(execution.executor, reason)

@@ -307,7 +307,7 @@ class GoalLoop:
         if self._control.stopped or self._control.is_paused or execution.is_finishing:
             return False
         if execution.is_blocked:
-            execution.finish("others have begun with what it is in conflict with")
+            execution.finish("it is in conflict with calls that others have begun")
             return False
         # For these the plan cannot be cut short or replaced in the middle: its steps or its times are part of the task.
         if self._given or context.problem.network or times_that_matter(context.problem):

@@ -138,7 +138,7 @@ class History:
             return "may still be under way: its server has not confirmed that it is over"
         if self.failed.get(call, 0) >= limits.forbid_after:
             return f"has failed {self.failed[call]} times"
-        return "needs an action server, a resource or a value that is not there"
+        return "needs an action server, a resource or a value that is missing"
 
     def absent_servers(self, limits: Limits) -> frozenset[str]:
         """Return the action servers that were not there too often."""
@@ -284,7 +284,7 @@ def decide(
 def times_that_matter(now: Problem) -> str:
     """Return why only a planner can judge a delay; empty when times do not matter."""
     if now.timed:
-        return "facts will change by themselves, so the times of the plan matter"
+        return "there are timed facts, so the times of the plan matter"
     timed = [str(constraint) for constraint in (*now.domain.constraints, *now.constraints) if constraint.times]
     return f"the times of the plan matter to {', '.join(timed)}" if timed else ""
 

@@ -191,7 +191,7 @@ class TaskManager:
         elif not chosen[0].is_held:
             control = chosen[0].control
             why = f", {control.reason}" if control.reason else ""
-            raise TaskRefused(f"nobody has paused the task {task}: it is {control.state.word}{why}")
+            raise TaskRefused(f"the task {task} is not paused: it is {control.state.word}{why}")
         for active_task in chosen:
             active_task.is_held = False
             self._journal.held(active_task.id, is_held=False)
@@ -221,7 +221,7 @@ class TaskManager:
     def answer(self, question: UUID, text: str, /) -> None:
         """Answer a question to a person; raise a `SourceError` for a text that is no answer to it."""
         if not any(source.answer(question, text) for source in self._people):
-            raise TaskRefused("nobody waits for an answer to that any more")
+            raise TaskRefused("this question is no longer open")
 
     def status(self) -> tuple[TaskStatus, ...]:
         """Return the status of all tasks that are not over, in the order in which they are served, and of those that ended last."""
@@ -384,7 +384,7 @@ class TaskManager:
                 _log.exception("%s cannot be done", task.name)
         except asyncio.CancelledError:
             stopped = task.control.stopped
-            reasons = join_reasons(stopped.reason if stopped else "", "what it runs is left alone")
+            reasons = join_reasons(stopped.reason if stopped else "", "its calls are left alone")
             ending = TaskEnding(stopped.code if stopped else Code.CANCELLED, reasons)
             if not task.is_abandoned:
                 raise

@@ -342,7 +342,7 @@ class Channel:
             async with asyncio.timeout(_LIMIT):
                 return await replied
         except TimeoutError:
-            return Reply(f"there was no answer within {_LIMIT:g} s; what was wanted may still happen")
+            return Reply(f"there was no answer within {_LIMIT:g} s; the order may still be carried out")
         except BrokenPipeError:
             return Reply("the process that has the tasks has ended")
         finally:
@@ -421,9 +421,7 @@ class Control:
             return _command_refused("this page controls nothing: start it with --view-controls", 403)
         kind, _, given = request.headers.get("authorization", "").partition(" ")
         if kind != "Bearer" or not hmac.compare_digest(given.encode("latin-1", "replace"), self.token.encode()):
-            return _command_refused(
-                "only who has the token of this page may do that: it is in the URL that was printed when it was started", 403
-            )
+            return _command_refused("this needs the token of the page: it is in the URL that was printed at the start", 403)
         return None
 
 

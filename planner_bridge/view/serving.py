@@ -61,7 +61,7 @@ def listening(port: int) -> socket.socket:
         import starlette  # noqa: F401
         import uvicorn  # noqa: F401, an extra, like starlette
     except ModuleNotFoundError as error:
-        raise InputError(f"the page needs {error.name}, which is not there; pip install 'petri-net-machines[view]'") from error
+        raise InputError(f"the page needs {error.name}, which is not installed; pip install 'petri-net-machines[view]'") from error
     opened = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
@@ -217,7 +217,7 @@ class Operator:
 
 def _log_refusal(work: asyncio.Task[Reply]) -> None:
     if not work.cancelled() and (error := work.exception()):
-        _log.warning("what was wanted on the page is refused after all: %s", error)
+        _log.warning("an order from the page is refused: %s", error)
 
 
 # --- process --------------------------------------------------------------------------------------

@@ -224,7 +224,7 @@ def _reason(task: TaskHistory) -> str:
     if task.reason or task.ending:
         return task.reason
     if task.helps:
-        return "a person is asked what is to be done"
+        return "a person is asked for a decision"
     if not task.runs:
         return "it has no plan yet: a planner looks for one, or it waits for other tasks" if task.state is TaskState.PLANNING else ""
     run = task.runs[-1]
@@ -232,7 +232,7 @@ def _reason(task: TaskHistory) -> str:
         return decision_words(task.decision)
     if run.failures:
         failed = f"{_step(run.failures[-1])} has failed: {run.failures[-1].cause.cause}"
-        return f"{failed}; what else runs comes to its end" if task.state is TaskState.RUNNING else failed
+        return f"{failed}; running calls come to their ends" if task.state is TaskState.RUNNING else failed
     going_on = [str(call.action) for call in run.executed().run.open_calls.values()]
     return f"{', '.join(going_on)} {'run' if len(going_on) > 1 else 'runs'}" if going_on else ""
 

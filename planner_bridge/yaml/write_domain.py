@@ -59,7 +59,7 @@ def domain_entries(domain: Domain, notes: Notes, bindings: Bindings) -> list[Ent
     """Return the keys of a file with a domain."""
     for name in domain.actions:
         if name in RESERVED:
-            raise InputError(f"{name!r} is a word of the language; an action cannot be called so, expected another name in the domain")
+            raise InputError(f"{name!r} is a word of the language; expected another name for the action in the domain")
     own = notes.at("domain")
     root = own.take().joined(notes.take())
     lines = [("types", ((name, above or ("object",)) for name, above in domain.types.items())), ("constants", domain.constants.items())]

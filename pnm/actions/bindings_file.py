@@ -65,7 +65,7 @@ class BindingKeys(Keys):
         DEFAULT.retries,
     )
     ask = texts(
-        "expected variables, and what a person is asked when nobody knows them",
+        "expected variables, and questions to a person when they are unknown",
         'variables, and questions to a person when they are unknown: `{drink: "What would {guest} like?"}`',
         "nobody is asked",
     )
@@ -191,7 +191,7 @@ def _table(node: Node) -> tuple[Node, Mapped] | None:
     if (of.text or "")[:1] not in ("?", "$", "("):
         raise of.wrong("expected a parameter such as ?to, a variable such as $place, or a function such as (home ?robot)")
     if not rows.is_mapping or not rows.mapped().nodes:
-        raise rows.wrong(f"expected values of {of.text} and what they mean for the field")
+        raise rows.wrong(f"expected values of {of.text} and their values for the field")
     return of, rows.mapped()
 
 

@@ -53,11 +53,11 @@ class SimulatedWorld:
     def begin(self, action: GroundAction) -> Activity | str:
         """Begin the action and return its activity, or the reason why it cannot be done."""
         if denied := _denied(action.precondition, self.truth):
-            return f"{action} cannot start: {denied} is not so"
+            return f"{action} cannot start: {denied} is not true"
         activity = Activity(self, action)
         if denied := _denied(action.invariant, self.truth):
             activity.undo()
-            return f"{action} cannot go on: {denied} is not so"
+            return f"{action} cannot go on: {denied} is not true"
         return activity
 
     def reported(self, assumed: Iterable[str] = ()) -> frozenset[str]:
@@ -89,7 +89,7 @@ class Activity:
         """Apply the end effects, or roll the start effects back and return why the action cannot succeed."""
         if denied := _denied(self.action.end_condition, self.world.truth):
             self.undo()
-            return f"{self.action} cannot end well: {denied} is not so"
+            return f"{self.action} cannot end well: {denied} is not true"
         self.world.change(changes(self._ending, self.world.truth))
         return ""
 
@@ -307,7 +307,7 @@ class SimulatedRobots:
 
     def _succeed(self, job: _Job) -> None:
         if job.broken:
-            self._fail(job, OutcomeKind.ABORTED, f"{job.request.action} went wrong: {job.broken} was not so all the time")
+            self._fail(job, OutcomeKind.ABORTED, f"{job.request.action} went wrong: {job.broken} was not true all the time")
             return
         self._forget(job)
         problem, result = "", dict[str, object]()
@@ -317,7 +317,7 @@ class SimulatedRobots:
             try:
                 result = returned(job.request, self.world)
             except Uncomputable as error:
-                problem = f"what {job.request.action} returns cannot be computed: {error}"
+                problem = f"the result of {job.request.action} cannot be computed: {error}"
         kind = OutcomeKind.ABORTED if problem else OutcomeKind.SUCCEEDED
         self._end(job, Outcome(kind, result, problem))
 

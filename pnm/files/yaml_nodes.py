@@ -324,7 +324,7 @@ _HINTS: Final = {
     "'\\t'": "indent with spaces, not with tabs",
     "cannot start any token": "a text that begins with it needs quotes",
     "mapping values are not allowed": "a text with ': ' in it needs quotes, unless the line above lacks its colon",
-    "<block end>": "it is indented otherwise than what it stands beside",
+    "<block end>": "its indentation differs from that of its neighbours",
 }
 """The usual mistakes, by words of the parser's message; the first that fits."""
 

@@ -154,7 +154,7 @@ def steps_after(kept: KeptJournal, codec: Codec, apply: Apply, after: int) -> It
 
 def damage(journal: str, after: int, error: Exception) -> Damaged:
     """Return the error to raise if the record after this one leads to an error that no record of a whole journal does."""
-    why = str(error)[:_LONG] if isinstance(error, PnmError) else "what follows does not fit the records before it"
+    why = str(error)[:_LONG] if isinstance(error, PnmError) else "the next records do not fit those before"
     return Damaged(f"{journal} is damaged behind record {after}: {why}")
 
 

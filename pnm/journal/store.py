@@ -42,8 +42,8 @@ _READ: Final = 1000
 """Records that are read at once."""
 _QUICK: Final = 64 * 1024 * 1024
 """Bytes of a file up to which its structure is checked before it is gone on with: some 0.2 s, unless it has to be read first."""
-_WHOLE: Final = "expected the whole journal, or --adopt to go on with what is here"
-_ADOPT: Final = "two that go on with the same journal would send everything twice; expected --adopt if nobody else does"
+_WHOLE: Final = "expected the whole journal, or --adopt to go on with this part"
+_ADOPT: Final = "two nodes that go on with one journal would send everything twice; expected --adopt if this is the only one"
 
 _log = logging.getLogger(__name__)
 
@@ -358,7 +358,7 @@ def _lacks(left: Mark | None, epoch: int, last: int, holder: str, *, log_is_ther
     """Return in words what was written in a file and is not there, by its lock or its last holder; empty if nothing is missed."""
     if left and left.is_sure and (left.epoch, left.last) > (epoch, last):
         kept = f"{left.holder} has kept {left.last} records in it, up to its epoch {left.epoch}"
-        return f"is an older copy, or has lost what was written last: {kept}; here are {last}, up to epoch {epoch}"
+        return f"is an older copy, or has lost its last records: {kept}; here are {last}, up to epoch {epoch}"
     return f"was not closed by {holder}, and its log is missing" if left is None and holder and not log_is_there else ""
 
 

@@ -94,7 +94,7 @@ def read_table(entry: Mapped) -> dict[str, object] | None:
     if node is None:
         return None
     if not node.is_mapping or not node.mapped().nodes:
-        raise node.wrong("expected values of the field and what they mean")
+        raise node.wrong("expected values of the field and their meanings")
     return {name: value.plain() for name, _, value in node.mapped().entries()}
 
 
@@ -136,6 +136,6 @@ def _comparison(entry: Mapped) -> Test:
         if key != "field":
             constant = node.plain()
             if constant is None or (isinstance(constant, float) and math.isnan(constant)):
-                raise node.wrong(f"expected what {field} is compared with")
+                raise node.wrong(f"expected a value to compare {field} with")
             comparisons.append(Comparison(field, key, constant))
     return Every(tuple(comparisons)) if len(comparisons) > 1 else comparisons[0] if comparisons else Flag(field)

@@ -247,7 +247,7 @@ class ScriptedAnswers:
     async def close(self) -> None:
         """Close the other source; log the names of answers that were not used."""
         if self._unused:
-            _log.warning("nobody has asked for %s, to which there was an answer", " or ".join(self._unused))
+            _log.warning("the answer to %s was not needed", " or ".join(self._unused))
         await self._otherwise.close()
 
 

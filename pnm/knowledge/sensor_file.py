@@ -127,8 +127,8 @@ class _Reader:
         distinguished = {*placeholders(name), *(_terms(way.request) if isinstance(way, ByService) else ())}
         for variable in variables:
             if variable.name[1:] not in distinguished:
-                also = "" if isinstance(way, ByTopic) else ", nor the request"
-                raise InputError(f"{name!r} does not name {{{variable.name[1:]}}}{also}, so all would be told the same", where)
+                also = "" if isinstance(way, ByTopic) else " or the request"
+                raise InputError(f"expected {{{variable.name[1:]}}} in {name!r}{also}; otherwise all sensors hear the same", where)
         return name
 
     def _placeholders(self, pattern: str, variables: tuple[Variable, ...], where: Position) -> None:
@@ -178,7 +178,7 @@ class _Reader:
         is_choice = kind == "fact" and VALUE in fluent
         for variable in own:
             if variable.name not in fluent:
-                raise InputError(f"{text} does not name {variable.name}, so all would be one", where)
+                raise InputError(f"expected {variable.name} in {text}; otherwise all objects share one value", where)
         if kind == "fact" and not is_choice:
             entry.only("fact", "for", "field", "when")
             self._typed(fluent, FluentKind.FACT, variables, where)
@@ -212,7 +212,7 @@ class _Reader:
             self._placeholders(name, variables, where)
             for variable in variables:
                 if variable.name[1:] not in placeholders(name):
-                    raise InputError(f"{name!r} does not name {{{variable.name[1:]}}}, so all would be one variable", where)
+                    raise InputError(f"expected {{{variable.name[1:]}}} in {name!r}; otherwise all objects share one variable", where)
             table = None if entry.filled("table") is None else read_table(entry)
             self._fields([read_field(entry)], variables, entry.position("field"))
             yield Stored(name, FieldValue(read_field(entry), table), where, own)

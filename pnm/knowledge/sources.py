@@ -122,7 +122,7 @@ class Sources:
 
     def _person_for(self, question: Question) -> Source:
         if self._person is None:
-            raise SourceError(f"there is nobody who could be asked or told {question}")
+            raise SourceError(f"nobody can be asked or told {question}")
         return self._person
 
     async def _within(self, limit: float, answer: Awaitable[T], otherwise: str) -> T:

@@ -151,7 +151,7 @@ class StateReports:
         if self._before:
             return (replace(row, advice=f"nothing right was reported about {', '.join(sorted(self._before))} of late; it is unknown"),)
         if heard and not kinds:
-            return (replace(row, advice=f"nothing reports about {heard} any more; what was reported last is believed"),)
+            return (replace(row, advice=f"nothing reports about {heard} any more; the last report is believed"),)
         return (replace(row, state=ReadyState.READY),) if heard else ()
 
     def refuse(self, names: Collection[str], reason: str) -> None:
@@ -178,7 +178,7 @@ class StateReports:
             if name in wrong or name in self._ignored:
                 continue
             if name not in names:  # then it is not known what it is about
-                reason = f"it says {statement_text(fluent, value)}, but does not name {name} among what it is complete about"
+                reason = f"it says {statement_text(fluent, value)}, but does not name {name} among the names that it covers"
                 wrong |= {name: reason, **dict.fromkeys(names, reason)}
             elif self._known is not None and (is_number or self._right.get(fluent) != value):
                 try:

@@ -122,7 +122,7 @@ def read_schema(name: str, keys: Action, scope: FormulaScope) -> ActionSchema:
 def read_action(schema: ActionSchema, keys: Action, scope: FormulaScope) -> LanguageAction:
     """Read how an action is executed."""
     if schema.name in RESERVED:
-        raise InputError(f"{schema.name!r} is a word of the language; an action cannot be called so", keys.entry.start)
+        raise InputError(f"{schema.name!r} is a word of the language; expected another name for the action", keys.entry.start)
     is_open = keys.params is None
     inner = replace(scope, variables=None if is_open else {}).inside(schema.parameters)
     returns: list[tuple[str, Data]] = []

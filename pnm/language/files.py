@@ -75,7 +75,7 @@ def _mended(text: str) -> tuple[str, list[tuple[int, str]]]:
             continue
         dash, key = len(match[1]), len(match[1]) + 1 + len(match[2])
         if dash < _indent(lines[number + 1]) < key:
-            changed.append((number + 2, f"indented by less than what it belongs to in line {number + 1}"))
+            changed.append((number + 2, f"indented less than its owner in line {number + 1}"))
             more = " " * (key + 1 - _indent(lines[number + 1]))
             for below in range(number + 1, len(lines)):  # all that belongs to the key
                 if lines[below].strip() and _indent(lines[below]) <= dash:

@@ -103,7 +103,7 @@ class Program:
         """
         for call in plan.graph.calls:
             if call.action.name in plan.calls and (names := plan.bindings.resources(call.action)):
-                raise InputError(f"{call.action.name} is a plan and has no resources ({', '.join(names)}): its calls take what they need")
+                raise InputError(f"{call.action.name} is a plan and has no resources ({', '.join(names)}): its calls take their own")
         machine = generate(plan.graph, plan.bindings, on_failure=plan.on_failure, capacities=capacities)
         return Program(plan, machine, verify(machine))
 

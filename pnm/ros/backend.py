@@ -422,9 +422,9 @@ def sensor_row(use: SensorUse, kind: str, known: Mapping[str, tuple[str, ...]]) 
     if not there:
         return replace(row, state=ReadyState.ABSENT, advice=f"there is no {kind} {use.name}{similar(use.name, known)}")
     if use.is_stale:
-        advice = f"nothing was heard on {use.name} for {sensor.stale:g} s; what it reports is unknown"
+        advice = f"nothing was heard on {use.name} for {sensor.stale:g} s; its facts are unknown"
         return replace(row, state=ReadyState.STALE, advice=advice)
     if not use.is_heard:
         heard = f"nothing was heard on {use.name} yet" if kind == "topic" else f"{use.name} has not answered yet"
-        return replace(row, state=ReadyState.SILENT, advice=f"{heard}; until then what it reports is unknown")
+        return replace(row, state=ReadyState.SILENT, advice=f"{heard}; until then its facts are unknown")
     return replace(row, state=ReadyState.READY)

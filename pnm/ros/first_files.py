@@ -224,8 +224,8 @@ def domain_text(name: str, actions: list[DraftAction], sensed: Mapping[str, str]
     text += f"  (:functions {' '.join(numbers)})\n" if numbers else ""
     for action in actions:
         text += f"\n  (:action {action.name}   ; {action.server}, {action.type}\n    :parameters ({action.variables.strip()})\n"
-        text += "    :precondition (and)   ; decide: what must be so before, such as (at ?from), with ?from among the parameters\n"
-        text += f"    :effect (and {action.fact}))   ; decide: what is so afterwards, and what no more, such as (not (at ?from))\n"
+        text += "    :precondition (and)   ; decide: facts that it needs, such as (at ?from), with ?from among the parameters\n"
+        text += f"    :effect (and {action.fact}))   ; decide: facts that it makes true or false, such as (not (at ?from))\n"
     return f"{text})\n"
 
 
@@ -234,9 +234,9 @@ def problem_text(name: str, actions: list[DraftAction], objects: Mapping[str, li
     declared = "\n".join(f"    {' '.join(names)} - {kind}   ; decide: which there are" for kind, names in objects.items())
     first = actions[0]
     chosen = " ".join((f"done_{first.name}", *(objects[kind][0] for kind in first.parameters.values())))
-    text = f"; The world, and what is wanted.\n(define (problem first)\n  (:domain {name})\n"
+    text = f"; The world and the goal.\n(define (problem first)\n  (:domain {name})\n"
     text += f"  (:objects\n{declared}\n  )\n" if declared else ""
-    return text + f"  (:init)   ; decide: what is so at first, and no sensor reports\n  (:goal ({chosen})))   ; decide: what shall be so\n"
+    return text + f"  (:init)   ; decide: initial facts without a sensor\n  (:goal ({chosen})))   ; decide: the goal\n"
 
 
 def bindings_text(actions: list[DraftAction], left_out: list[str]) -> str:

@@ -88,7 +88,7 @@ class SensorRecorder:
     def _forget(self) -> None:
         self.is_stale = True
         why, silent = f"nothing was heard on {self.instance.name} for {self.instance.sensor.stale:g} s", self._unknown()
-        _log.warning("%s; what it reports is unknown", why)
+        _log.warning("%s; its facts are unknown", why)
         self._knowledge.forget(silent.facts, why)
         self._store(silent)
 

@@ -523,7 +523,7 @@ def _reason(name: str, result: PlanGenerationResult) -> Answer:
     log = "\n".join(message.message for message in result.log_messages or ())
     status = _STATUS.get(result.status, PlanningStatus.NO_PLAN)
     if status is PlanningStatus.UNSOLVABLE and not (name in ENGINES and ENGINES[name].proves_unsolvability):
-        return _no_plan(PlanningStatus.NO_PLAN, f"{name} says that there is none, which is not taken for proved")
+        return _no_plan(PlanningStatus.NO_PLAN, f"{name} says that there is none, but this is no proof")
     if status is not PlanningStatus.CRASHED:
         return _no_plan(status, "")
     if _OUT_OF_MEMORY.search(log):

@@ -338,7 +338,7 @@ def is_less(left: object, right: object) -> bool:
         unlike = next(((one, other) for one, other in zip(left, right, strict=False) if not alike(one, other)), None)
         return is_less(*unlike) if unlike else len(left) < len(right)
     if isinstance(left, bool) is not isinstance(right, bool):
-        raise ValueError("a truth value is neither less nor more than anything else")  # in Python true is 1
+        raise ValueError("a truth value is neither less nor more than another value")  # in Python true is 1
     if any(isinstance(each, float) and isnan(each) for each in (left, right)):
         raise ValueError("NaN is neither less nor more than a number")  # in Python every such comparison is false
     return bool(operator.lt(left, right))  # type: ignore[arg-type]

@@ -86,7 +86,7 @@ class Cause(StrEnum):
     TOO_LATE = "too_late", NoRecovery.CALL, FailureKind.TIME
     """Its deadline, or the time of its latest start, has passed before it was sent."""
     DEADLINE_MISSED = "deadline_missed", NoRecovery.CALL, FailureKind.TIME
-    WITHHELD = "withheld", NoRecovery.CALL, FailureKind.SERVER, Blame.WORLD, "has waited in vain for what others keep"
+    WITHHELD = "withheld", NoRecovery.CALL, FailureKind.SERVER, Blame.WORLD, "has waited in vain for resources of others"
     """Its resources belong to requests that were given up."""
     LOOP_LIMIT = "loop_limit", NoRecovery.STEP, FailureKind.ACTION
     """All rounds of a loop are spent."""

@@ -81,7 +81,7 @@ class Outcome:
     message: str = ""
 
 
-NOT_REATTACHED: Final = Outcome(OutcomeKind.LOST, message="its server cannot be asked what has become of it")
+NOT_REATTACHED: Final = Outcome(OutcomeKind.LOST, message="its server cannot be asked for the result")
 """Outcome of a request that another process has sent, with a client that finds out nothing about such requests."""
 
 

@@ -1,6 +1,6 @@
 """The lock of a file of ours, in a file of its own beside it: who has it, and how far what is kept in the file has come.
 
-The mark is written behind every commit. A file that is behind its mark is an older copy, or has lost what was written last, as when its
+The mark is written behind every commit. A file that is behind its mark is an older copy, or has lost its last records, as when its
 write-ahead log was left behind; nobody would see that in the file itself.
 """
 

@@ -64,7 +64,7 @@ class Sqlite(Driver):
         if path.exists() and not path.is_file():
             raise DatabaseError("it is no file")
         if not path.exists() and has_log(path):  # which SQLite would delete
-            raise DatabaseError(f"there is only {log_of(path).name}, with what was written last; expected {path.name} beside it")
+            raise DatabaseError(f"there is only {log_of(path).name}, with the last records; expected {path.name} beside it")
         if read_only and not path.exists():
             raise DatabaseError("there is no such file")
         if not read_only:

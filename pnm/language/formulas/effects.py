@@ -178,7 +178,7 @@ def read_conditions(node: Node | None, scope: FormulaScope = ANYTHING) -> TimedC
     conditions = keys.at_start, keys.over_all, keys.at_end
     start, always, end = (TRUE if condition is None else read_condition(condition, scope) for condition in conditions)
     if any(isinstance(part, Query) and part.layer is not Layer.LOCAL for data in data_in(always) for part in parts(data)):
-        message = "what must hold over all is watched, and nobody is asked all the time; expected LocalQuery, facts or functions"
+        message = "a condition over all is watched all the time, and cannot ask people; expected LocalQuery, facts or functions"
         raise InputError(message, keys.entry.position("over_all"))
     return TimedConditions(start, always, end)
 

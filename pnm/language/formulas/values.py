@@ -158,5 +158,5 @@ def read_operation(node: Node, scope: FormulaScope = ANYTHING) -> KnowledgeOpera
         if len(operation.operands) != sizes[operation.operator]:
             raise first.wrong(f"{operation.operator} takes {sizes[operation.operator]} operands, found {len(operation.operands)}")
         if not isinstance(operation.operands[0], Query):
-            raise first.wrong(f"{operation.operator} changes what a query finds; expected a query as its first operand")
+            raise first.wrong(f"{operation.operator} changes the result of a query; expected a query as its first operand")
     return operation

@@ -156,7 +156,7 @@ class ServerLink:
         known = fields(self.type.Goal)
         # Half a goal message would be sent with zeros in the other fields, which the server takes for values.
         if unfilled := goal.unfilled(known):
-            reason = f"{self.name} came when the goal had been filled; nobody has looked for values for {', '.join(unfilled)}"
+            reason = f"{self.name} appeared after the goal was filled; there are no values for {', '.join(unfilled)}"
             goal.end(OutcomeKind.UNAVAILABLE, reason)
             return
         try:
@@ -302,7 +302,7 @@ class ServerLink:
             for goal in [goal for goal in self._queued if not goal.kept]:  # the limits of a run are those of what it has begun
                 goal.sent = goal.sent or now  # the limit counts from here: the server is ready, the goal could have been sent
                 if now - goal.sent >= goal.accept:
-                    given_up = f"did not end within {goal.accept:g} s what was given up: {abandoned} goal{'s' * (abandoned > 1)}"
+                    given_up = f"did not end {abandoned} abandoned goal{'s' * (abandoned > 1)} within {goal.accept:g} s"
                     self._queued.remove(goal)
                     goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {given_up if abandoned else _silence(goal)}")
 

@@ -142,7 +142,7 @@ class RunKnowledge:
     async def _exchange(self, goal_handle: Any, service: str, request: Any, limit: float) -> Any:
         goal, until = bytes(goal_handle.goal_id.uuid), monotonic() + limit
         if not may_be_ours(goal):
-            raise KnowledgeError("the goal does not come from a plan executive, so there is no run whose knowledge could be asked")
+            raise KnowledgeError("the goal does not come from a plan executive, so there is no run with knowledge")
         prefix = service_prefix(goal)
         client = self._clients_of(prefix)[service]
         while not client.service_is_ready():
@@ -356,7 +356,7 @@ class PnmSimpleActionServer(_ServerWithKnowledge):
 
     def _goal(self) -> Any:
         if self._current is None:
-            raise KnowledgeError("no goal is being carried out, so there is no run whose knowledge could be asked")
+            raise KnowledgeError("no goal is being carried out, so there is no run with knowledge")
         return self._current
 
     def _begin(self, goal_handle: Any, callback: _Execute) -> None:

@@ -115,7 +115,7 @@ class TaskServers(TaskListener):
     async def close(self) -> None:
         """End the goals whose tasks have not ended, and take the servers down once all results are sent."""
         for goal in tuple(self._open):
-            self.ended(goal, TaskEnding(Code.CANCELLED, "the node is shut down; what the task runs has not confirmed that it is cancelled"))
+            self.ended(goal, TaskEnding(Code.CANCELLED, "the node is shut down; calls of the task have not confirmed the cancellation"))
         await asyncio.gather(*(server.close() for server in self._servers.values()))
         self._stop()
         self._stop = lambda: None

@@ -106,7 +106,7 @@ class TaskNode:
         finally:  # also when the wait is cancelled, by a second signal
             for status in self._tasks.status():
                 if status.state is not TaskState.OVER:
-                    _log.warning("%s has not ended; what it runs is left alone", status.goal)
+                    _log.warning("%s has not ended; its calls are left alone", status.goal)
         await self._planning.close()
         await self._servers.close()
         await self._services.close()

@@ -69,7 +69,7 @@ MISTAKES = {
     "a sign that texts cannot begin with": steps("  - say: {text: @home}", "7:17: not YAML", "a text that begins with it needs quotes"),
     "a tab": steps("\t- stop:", "7:1: not YAML", "indent with spaces, not with tabs"),
     "a step that is indented otherwise": steps(
-        "  - go: {place: hall}\n   - stop:", "8:4: not YAML", "it is indented otherwise than what it stands beside"
+        "  - go: {place: hall}\n   - stop:", "8:4: not YAML", "its indentation differs from that of its neighbours"
     ),
     "a key without its colon": Mistake(
         "run --plan p.yaml", 2, ("p.yaml:2:5: not YAML", "unless the line above lacks its colon"), {"p.yaml": "actions\nplan: []\n"}
@@ -125,4 +125,4 @@ def test_people_who_are_not_there_are_answered_for(tmp_path: Path) -> None:
     done = pnm("run", "--plan", "plan.yaml", *(word for answer in answers for word in ("--answer", answer)), cwd=tmp_path)
     assert done.returncode == 0
     assert done.stdout.count("start  bring(tea)") == 3
-    assert done.stderr == "nobody has asked for nxt, to which there was an answer\n"
+    assert done.stderr == "the answer to nxt was not needed\n"

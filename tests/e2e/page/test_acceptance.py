@@ -186,7 +186,7 @@ def nobody_else_controls(page: Page, node: Node) -> None:
             token,
         )
         assert refused[0] == 403
-        assert "only who has the token" in refused[1]
+        assert "this needs the token" in refused[1]
     assert steps(node.journal)[-1].number == before
 
 
@@ -245,7 +245,7 @@ def test_without_the_token_nothing_is_controlled(chromium: Browser, node: Node) 
     expect(page.get_by_role("button", name="Pause")).to_have_count(0)
     page.goto(f"{node.address}#token=wrong")
     page.reload()
-    expect(page.locator("#control-note")).to_contain_text("only who has the token")
+    expect(page.locator("#control-note")).to_contain_text("this needs the token")
     expect(page.locator("#commands")).to_be_hidden()
     context.close()
     headers = {"Content-Type": "application/json", "Authorization": "Bearer wrong"}

@@ -80,7 +80,7 @@ def test_what_is_unknown_because_its_sensor_was_killed_fails_a_call_and_is_plann
     assert failure["observed"] == "(charged r1) is unknown (nothing was heard on /r1/battery for 1 s)"
     assert (finished.result["goal_reached"], finished.result["plans"], finished.result["replans"]) == (True, 2, 1)
     assert finished.attempts("work_slowly") == [1]
-    assert any("nothing was heard on /r1/battery for 1 s; what it reports is unknown" in line for line in run.err)
+    assert any("nothing was heard on /r1/battery for 1 s; its facts are unknown" in line for line in run.err)
 
 
 def test_reports_of_another_world_leave_unknown_what_they_are_about(deploy):

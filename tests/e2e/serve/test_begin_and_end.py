@@ -77,7 +77,7 @@ def test_who_asks_twice_does_not_have_to_wait(deployment):
     serving.process.send_signal(signal.SIGTERM)
     deployment.cancel_all("stubborn")
     serving.stop()
-    assert "clings has not ended; what it runs is left alone" in serving.err
+    assert "clings has not ended; its calls are left alone" in serving.err
 
 
 def test_a_plan_of_pnm_run_is_in_touch_with_its_action_servers_too(deployment):

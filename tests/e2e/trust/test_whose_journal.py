@@ -26,7 +26,7 @@ from tests.support.e2e.command_line import pnm
 from tests.support.files import ROOT
 from tests.support.processes import LIMIT, Program
 
-PRECIOUS = "precious\nIs that what you want? y"
+PRECIOUS = "precious\nDo you want that? y"
 """The name of a file, which looks like an answer where its line break is printed."""
 FILES = (str(ROOT / "domains/delivery/domain.pddl"), str(ROOT / "problems/delivery/p01.pddl"))
 
@@ -76,7 +76,7 @@ def test_at_a_terminal_it_is_done_if_somebody_says_so(answer: str, died: Path, t
     would, question, *_ = err.splitlines()
     assert would.startswith(f"{died} was not begun by you on this computer")
     assert " ".join(PRECIOUS.split()) in would
-    assert question.startswith("Is that what you want? [y/N]: ")
+    assert question.startswith("Do you want that? [y/N]: ")
     assert ((tmp_path / PRECIOUS).read_text() == "precious") is (answer != "y")
     assert ("nothing was done" in err, resumed.returncode) == ((False, 0) if answer == "y" else (True, 2))
 

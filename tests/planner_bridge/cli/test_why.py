@@ -79,7 +79,7 @@ def test_questions_that_make_no_sense_are_refused(given: list[str], message: str
 
 def test_half_a_question_is_refused(tmp_path: Path) -> None:
     assert "expected DOMAIN and PROBLEM, or neither" in pnm("why", DELIVERY[0]).stderr
-    assert "--not asks for other plans" in pnm("why", "--journal", str(tmp_path / "x"), "--not", "move(r1, hall, kitchen)").stderr
+    assert "--not needs other plans" in pnm("why", "--journal", str(tmp_path / "x"), "--not", "move(r1, hall, kitchen)").stderr
     missing = pnm("why", "--journal", str(tmp_path / "none.journal"))
     assert missing.returncode == 2
     assert "Traceback" not in missing.stderr

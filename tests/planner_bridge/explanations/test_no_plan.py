@@ -110,7 +110,7 @@ def test_without_its_constraints_there_would_be_a_plan() -> None:
     text = HOUSE_WITH_CONSTRAINT
     answer = why(parse_problem(text, parse_domain(CIRCLE.replace(":adl", ":adl :constraints").replace("(> (n) 2)", "(and)"))))
     assert [reason.known for reason in answer.reasons] == [Known.PLAN]
-    assert answer.reasons[0].statement.startswith("without what must always be kept there is a plan: (always (not (p)))")
+    assert answer.reasons[0].statement.startswith("there is a plan without these constraints: (always (not (p)))")
 
 
 HOUSE_WITH_CONSTRAINT = "(define (problem x) (:domain circle) (:init) (:goal (q)) (:constraints (always (not (p)))))"

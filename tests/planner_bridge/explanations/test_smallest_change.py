@@ -90,7 +90,7 @@ def test_what_has_too_many_facts_is_not_looked_through() -> None:
     assert reached is not None
     reached.count = MOST_ACTIONS
     answer = what_would_help(problem, limit, Answer("there is no plan", Known.SEARCH))
-    assert answer == Answer("what would help was not looked for: there are too many facts", Known.NOT_PROVED)
+    assert answer == Answer("helpful changes were not searched: there are too many facts", Known.NOT_PROVED)
 
 
 def test_without_time_nothing_is_found_and_nothing_proved() -> None:

@@ -194,7 +194,7 @@ def test_nobody_who_watches_the_doors_leaves_the_world_to_find_out() -> None:
     async def scenario(simulation: SimulatedSite) -> None:
         result = await simulation.run(plan_graph(problem, timed("0 4 go r1 k h")))
         assert [failure.cause for failure in result.failures] == ["aborted"]
-        assert result.failures[0].observed.endswith("(way k h) was not so all the time")
+        assert result.failures[0].observed.endswith("(way k h) was not true all the time")
 
     with_site(problem, scenario, change_at(1.0, {("open", "d1"): False}), bindings)
 

@@ -124,7 +124,7 @@ def test_what_a_sensor_reports_is_not_overruled():
     shared = SharedWorld(PROBLEM, knowledge)
     knowledge.update({("at", "r1", "kitchen"): True})
     knowledge.sense({"at"})
-    with pytest.raises(InputError, match=re.escape("a sensor reports (not (at r1 hall)); only what no sensor reports, or is unknown")):
+    with pytest.raises(InputError, match=re.escape("a sensor reports (not (at r1 hall)); only facts without a sensor, and unknown ones")):
         shared.record(shared.read_changes(["(dark)", "(at r1 hall)"]))
     with pytest.raises(InputError, match=re.escape("a sensor reports (at r1 kitchen)")):
         shared.record(shared.read_changes(forget=["(at r1 kitchen)"]))
@@ -149,7 +149,7 @@ def test_a_function_loses_the_object_that_is_removed_and_no_other():
         ("add", "(ready r1)", "1:1: 'ready' is a derived predicate; it follows from others and cannot be set"),
         ("forget", "(ready r1)", "1:1: 'ready' is a derived predicate"),
         ("add", "(battery r1)", "1:1: (battery ...) is a function; expected it with its value"),
-        ("remove", "(= (battery r1) 3)", "1:1: (battery r1) always has a number; expected it among what is added or forgotten"),
+        ("remove", "(= (battery r1) 3)", "1:1: (battery r1) always has a number; expected it among the added or forgotten facts"),
         ("add", "(= (battery r1) hall)", "1:17: expected a number, found 'hall'"),
         ("add", "(= (battery r1) 1e999)", "1:17: the number 1e999 is too large"),
         ("add", "(= (location r1) r2)", "1:18: 'R2' is of type robot; expected place"),
@@ -159,8 +159,8 @@ def test_a_function_loses_the_object_that_is_removed_and_no_other():
         ("add", "(and (dark))", "1:2: 'and' cannot stand here; expected a predicate"),
         ("remove", "(at r1 ?p)", "1:8: unknown variable '?p'"),
         ("add", "(at 3 (dark))", "1:5: unknown object '3'"),
-        ("forget", "(charged r1)", "1:1: another one of the changes says something else of (charged r1)"),
-        ("remove", "(= (location r1) dock)", "1:1: another one of the changes says something else of (location r1)"),
+        ("forget", "(charged r1)", "1:1: another change contradicts this one about (charged r1)"),
+        ("remove", "(= (location r1) dock)", "1:1: another change contradicts this one about (location r1)"),
     ],
 )
 def test_a_change_that_is_refused_changes_nothing(kind, text, said):

@@ -161,7 +161,7 @@ def test_what_would_be_ignored_is_refused() -> None:
         ({"faults": "faults.yaml"}, "achieve: expected Faults for faults, found 'faults.yaml'"),
         (
             {"settings": Settings(bindings=Bindings({"moev": Binding()}))},
-            "there is no action 'moev' in the domain, of which the bindings speak; did you mean 'move'?",
+            "there is no action 'moev' in the domain, but the bindings name it; did you mean 'move'?",
         ),
     ],
 )

@@ -85,7 +85,7 @@ def test_a_binding_of_an_action_that_is_not_there_is_refused() -> None:
 def test_an_action_that_is_called_as_a_word_of_the_language_is_not_exported(tmp_path: Path, word: str) -> None:
     (tmp_path / "d.pddl").write_text(f"(define (domain d) (:predicates (p)) (:action {word} :effect (p)))")
     done = pnm("export", str(tmp_path / "d.pddl"), "-o", str(tmp_path / "x.yaml"))
-    message = f"'{word}' is a word of the language; an action cannot be called so, expected another name in the domain\n"
+    message = f"'{word}' is a word of the language; expected another name for the action in the domain\n"
     assert (done.returncode, done.stderr, (tmp_path / "x.yaml").exists()) == (2, message, False)
 
 

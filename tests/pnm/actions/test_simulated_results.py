@@ -68,7 +68,7 @@ def test_what_cannot_be_computed_fails_by_name(tmp_path: Path) -> None:
     result = returns(tmp_path, '{y: {Operation: ["+", ["?x", 1]]}}', "- look: {x: three}")
     assert not result.goal_reached
     assert result.variables == {}
-    assert "what look(three) returns cannot be computed: add('three', 1)" in result.reason
+    assert "the result of look(three) cannot be computed: add('three', 1)" in result.reason
 
 
 def test_an_action_without_effect_returns_nothing(tmp_path: Path) -> None:

@@ -155,7 +155,7 @@ def test_whoever_reads_a_journal_without_its_log_is_told_once(has_lock: bool, tm
     assert not caplog.records, "this one has its log"
     with closing(KeptJournal(away)) as kept:
         assert [*kept.tasks(), *kept.rows()] == []
-    said = "has lost what was written last" if has_lock else "and its log is missing"
+    said = "has lost its last records" if has_lock else "and its log is missing"
     assert [said in record.getMessage() for record in caplog.records] == [True]
     hold.release()
     file.close()

@@ -30,7 +30,7 @@ def test_a_replay_does_what_tasks_have_done(number: int, tmp_path: Path) -> None
     [
         ('{"@": "Stranger"}', Undecodable, "cannot be read behind record 4: there is no Stranger in this version"),
         ("[", Undecodable, r"cannot be read behind record 4: not a value of this version: \["),
-        ("null", JournalError, "is damaged behind record 4: what follows does not fit the records before it"),
+        ("null", JournalError, "is damaged behind record 4: the next records do not fit those before"),
     ],
 )
 def test_a_record_that_cannot_be_replayed_is_named_with_its_place(text: str, error: type[PnmError], reason: str, tmp_path: Path) -> None:

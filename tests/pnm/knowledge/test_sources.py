@@ -59,7 +59,7 @@ def test_an_update_goes_where_the_next_query_finds_it() -> None:
 @pytest.mark.parametrize(
     ("sources", "question", "said"),
     [
-        (Sources(), about("a", Layer.PERSON), r"there is nobody who could be asked or told person\[a\]"),
+        (Sources(), about("a", Layer.PERSON), r"nobody can be asked or told person\[a\]"),
         (Sources([DelayedSource(seconds=9)]), about("a"), r"<DelayedSource> has not (answered|stored) global\[a\] within 5 s"),
         (Sources([], DelayedSource(seconds=99)), about("a", Layer.PERSON), r"nobody has (answered|heard) person\[a\] within 61 s"),
         (Sources([DelayedSource(seconds=2)], limit=1.0), about("a"), "within 1 s"),

@@ -12,7 +12,7 @@ PAIRS = SHARED / "pddl"
 
 REFUSED = {
     "blocks_observe": "domain.pddl:11:4: sensing actions (:observe) are not supported yet;"
-    " a contingent planner, of which unified-planning brings none, would be needed",
+    " a contingent planner, which unified-planning lacks, would be needed",
     "rosplan_test_invalid": "problem.pddl:1:2: expected 'define', found 'defie'",
     "simple_3": "problem.pddl:18:4: the text ends here; expected ')', for the '(' in line 1 is not closed",
 }

@@ -56,7 +56,7 @@ class Anatomy:
     """The blocks and regions of a machine.
 
     Raises:
-        Unsound: a place connects what it must not connect, or regions are not what the machine declares.
+        Unsound: a place makes a forbidden connection, or regions are not what the machine declares.
     """
 
     def __init__(self, machine: PetriNetMachine, beside: Connected = ALONE) -> None:
@@ -155,7 +155,7 @@ class Anatomy:
                 raise Unsound(f"{place} does not connect the calls of its ordering {ordering}")
         entered, left = self.first.get(place), self.last.get(place)
         if (entered or left) and not (readers and outside):
-            raise Unsound(f"{place} does not connect a step and what holds it")
+            raise Unsound(f"{place} does not connect a step and its owner")
         # Nothing passes between two blocks here; restarts go from any depth to the frame, which is explored with them.
         if not readers or not outside or place in self.machine.restart_places:
             return
@@ -324,7 +324,7 @@ def _resources(steps: Iterable[PartStep], resources: Mapping[str, int]) -> dict[
     for step in steps:
         wanted = {place: weight for place, weight in step.inputs.items() if place in resources}
         if wanted and taken not in ({}, wanted):
-            raise Unsound(f"{step.name} waits for {', '.join(wanted)} while it may hold what others wait for")
+            raise Unsound(f"{step.name} waits for {', '.join(wanted)} while it may hold resources that others wait for")
         for place, weight in wanted.items():
             if weight > resources[place]:
                 raise Unsound(f"{step.name} takes {weight} of {place}, and there is {resources[place]}")

@@ -80,7 +80,7 @@ def check_places(plan: PlanGraph, blocks: MachineBlocks) -> None:
                 else:
                     is_good = port is Port.RESOURCES and place in resources
                 if not is_good:
-                    raise Unsound(f"{blocks.place_name(place)} connects what it must not connect")
+                    raise Unsound(f"{blocks.place_name(place)} makes a forbidden connection")
         release = block.step.earliest if isinstance(block.step, ActionCall) else 0.0
         for transition, _ in block.template.consumers[~PORTS.index(Port.STARTS_AFTER)] if release or delays else ():
             number = block.transition + transition

@@ -7,10 +7,10 @@
 ;! 2:2: events (:event) are not supported yet; changes that happen without an action would be needed
 
 (:action a :observe (idle))
-;! 2:12: sensing actions (:observe) are not supported yet; a contingent planner, of which unified-planning brings none, would be needed
+;! 2:12: sensing actions (:observe) are not supported yet; a contingent planner, which unified-planning lacks, would be needed
 
 (:action a :effect (oneof (idle) (and)))
-;! 2:20: uncertain facts (oneof) are not supported yet; a contingent planner, of which unified-planning brings none, would be needed
+;! 2:20: uncertain facts (oneof) are not supported yet; a contingent planner, which unified-planning lacks, would be needed
 
 (:action a :effect (probabilistic 0.5 (idle)))
 ;! 2:20: probabilistic effects are not supported yet; a probabilistic planner would be needed

@@ -65,13 +65,13 @@
 ;! 2:22: (idle) has another value before; expected one value
 
 (:init (oneof (idle)))
-;! 2:8: uncertain initial states (oneof in :init) are not supported yet; a contingent planner, of which unified-planning brings none, would be needed
+;! 2:8: uncertain initial states (oneof in :init) are not supported yet; a contingent planner, which unified-planning lacks, would be needed
 
 (:init (unknown (idle)))
-;! 2:8: uncertain initial states (unknown in :init) are not supported yet; a contingent planner, of which unified-planning brings none, would be needed
+;! 2:8: uncertain initial states (unknown in :init) are not supported yet; a contingent planner, which unified-planning lacks, would be needed
 
 (:init (or (idle)))
-;! 2:8: uncertain initial states (or in :init) are not supported yet; a contingent planner, of which unified-planning brings none, would be needed
+;! 2:8: uncertain initial states (or in :init) are not supported yet; a contingent planner, which unified-planning lacks, would be needed
 
 (:init (and (idle)))
 ;! 2:9: 'and' cannot stand here; expected a predicate

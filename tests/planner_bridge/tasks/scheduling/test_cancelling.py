@@ -54,7 +54,7 @@ async def test_a_task_that_is_left_alone_when_the_process_ends_is_cancelled_and_
         work.cancel()
     await cancelling
     assert await simulation.ended_with(task) == [Code.CANCELLED]
-    assert simulation.endings[task].message == "the node is shut down; what it runs is left alone"
+    assert simulation.endings[task].message == "the node is shut down; its calls are left alone"
     await asyncio.sleep(20.0)  # its executor gives the server up, here where the process goes on
     simulation.wrong.clear()
 

@@ -191,9 +191,9 @@ def test_one_state_of_a_task_is_told_by_all_while_it_is_held_and_while_it_is_pau
         await asyncio.sleep(1.0)  # the world is being asked
         status, page, why = told(simulation, task, journal)
         assert (status, page) == (("running", ""), ("running", f"{first} runs"))
-        assert "nothing of its plan begins while that is looked at again" in why[1]
+        assert "nothing begins while its plan is checked again" in why[1]
         assert "paused" not in why[1]
-        with pytest.raises(TaskRefused, match=f"nobody has paused the task {task}: it is running"):
+        with pytest.raises(TaskRefused, match=f"the task {task} is not paused: it is running"):
             await simulation.master.resume(task)
         await simulation.sees(task, "state", "replanning")
         await asyncio.sleep(0.1)  # after which it is kept

@@ -89,7 +89,7 @@ def test_a_file_that_was_moved_without_its_log_is_refused_at_both_places_and_not
     with pytest.raises(PnmError, match=r"tasks.journal is not there, and .* has kept 5 records in it: it was deleted or moved"):
         texts(path)
     for adopts in (False, True):
-        with pytest.raises(PnmError, match=r"there is only tasks.journal-wal, with what was written last|it was deleted or moved"):
+        with pytest.raises(PnmError, match=r"there is only tasks.journal-wal, with the last records|it was deleted or moved"):
             texts(path, adopts=adopts)
     with pytest.raises(PnmError, match=f"old.journal was not closed by .*{who}, and its log is missing"):
         texts(away)
@@ -104,7 +104,7 @@ def test_a_log_that_is_missing_after_a_kill_is_missed(tmp_path: Path) -> None:
     who = killed(path)
     for file in files_of(path)[1:3]:
         file.unlink()
-    with pytest.raises(InputError, match=rf"has lost what was written last: .*{who} has kept 5 records in it, .*; here are 0"):
+    with pytest.raises(InputError, match=rf"has lost its last records: .*{who} has kept 5 records in it, .*; here are 0"):
         texts(path)
     assert texts(path, adopts=True) == []
     assert texts(path) == [], "it was said"
@@ -125,7 +125,7 @@ def test_a_copy_is_not_gone_on_with_unless_that_is_said(tmp_path: Path) -> None:
     path, other = tmp_path / "tasks.journal", tmp_path / "copy.journal"
     killed(path)
     copy(path, other)
-    with pytest.raises(InputError, match=r"copy.journal is a copy, or was moved by hand; .*expected --adopt if nobody else does"):
+    with pytest.raises(InputError, match=r"copy.journal is a copy, or was moved by hand; .*expected --adopt if this is the only one"):
         texts(other)
     assert texts(path) == ALL
     assert texts(other, adopts=True) == ALL
@@ -139,7 +139,7 @@ def test_an_older_copy_that_was_put_back_is_not_gone_on_with_unless_that_is_said
     assert texts(path) == ALL
     shutil.copy(backup, path)  # the same file, with what it had before
     shutil.copy(log_of(backup), log_of(path))
-    with pytest.raises(InputError, match=r"tasks.journal is an older copy, or has lost what was written last"):
+    with pytest.raises(InputError, match=r"tasks.journal is an older copy, or has lost its last records"):
         texts(path)
     assert texts(path, adopts=True) == ALL
 
@@ -194,7 +194,7 @@ def test_a_check_says_whose_a_journal_is_and_what_is_missing_or_damaged(tmp_path
     assert "node     /pnm" in said.stdout
     assert f"{who}, which has not closed it" in said.stdout
     log_of(path).rename(tmp_path / "kept")
-    assert "has lost what was written last: " in pnm("journal", "check", str(path)).stderr
+    assert "has lost its last records: " in pnm("journal", "check", str(path)).stderr
     (tmp_path / "kept").rename(log_of(path))
     with sqlite3.connect(path) as connection:
         connection.execute("UPDATE records SET text = 'x' WHERE sequence = 3")

@@ -117,7 +117,7 @@ def test_an_excerpt_is_read_as_it_was_meant() -> None:
     }
     assert [str(one) for one in warnings] == [
         "F:1:1: warning: '...' at the beginning is left out",
-        "F:8:1: warning: indented by less than what it belongs to in line 7",
+        "F:8:1: warning: indented less than its owner in line 7",
     ]
 
 

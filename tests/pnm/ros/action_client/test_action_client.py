@@ -223,7 +223,7 @@ def test_a_goal_that_was_filled_before_its_type_was_known_is_sent_if_it_has_all_
         outcome = await client.send(name, action=name, arguments=[], duration=0.0, **goal).ended()
         assert outcome.kind is kind
         if not goal:
-            assert outcome.message == f"/{name} came when the goal had been filled; nobody has looked for values for order"
+            assert outcome.message == f"/{name} appeared after the goal was filled; there are no values for order"
 
     with_client(scenario)
 

@@ -30,7 +30,7 @@ from tests.support.ros.fake_executor import fake_executor
         ({"meta": "{"}, "'{' is not JSON"),
         ({"name": "odd"}, "JSON cannot say nan"),
         ({"name": "bug", "layer": 1}, "KeyError: 'bug'"),
-        ({"layer": 3}, "there is nobody who could be asked"),
+        ({"layer": 3}, "nobody can be asked"),
     ],
     ids=lambda value: str(value)[:40],
 )

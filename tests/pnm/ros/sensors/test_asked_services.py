@@ -70,7 +70,7 @@ async def test_a_dead_service_makes_unknown_what_it_reports_once_it_is_asked(ros
         await becomes(world, ("dark",), True)
     finally:
         await listener.close()
-    assert f"nothing was heard on {name} for 0.3 s; what it reports is unknown" in caplog.text
+    assert f"nothing was heard on {name} for 0.3 s; its facts are unknown" in caplog.text
 
 
 @bounded

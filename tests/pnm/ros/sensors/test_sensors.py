@@ -68,7 +68,7 @@ async def test_of_a_publisher_that_is_killed_nothing_is_known_any_more(ros, name
         await asyncio.to_thread(sensors, published)
         await becomes(world, ("at", "r1", "kitchen"), True)
         assert world.because(("at", "r1", "kitchen")) == ""
-    assert f"nothing was heard on {name} for 1 s; what it reports is unknown" in caplog.text
+    assert f"nothing was heard on {name} for 1 s; its facts are unknown" in caplog.text
 
 
 @bounded

@@ -155,4 +155,4 @@ async def test_a_task_that_does_not_end_is_not_waited_for_without_end(two, caplo
         status, result = await goal.result()
         assert (status, result["code"]) == (ABORTED, Code.CANCELLED)
         assert "has not confirmed that it is cancelled" in result["message"]
-    assert "has not ended; what it runs is left alone" in caplog.text
+    assert "has not ended; its calls are left alone" in caplog.text

@@ -70,7 +70,7 @@ def in_the_frame(block: PlacedStep) -> PlacedStep:
             ),
             "is that of no step of the plan",
         ),
-        (lambda: with_block(FRAME, in_the_frame), "connects what it must not connect"),
+        (lambda: with_block(FRAME, in_the_frame), "makes a forbidden connection"),
     ],
 )
 def test_what_is_wrong_around_calls_that_are_known_is_found(broken: Callable[[], PetriNetMachine], why: str) -> None:
