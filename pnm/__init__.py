@@ -47,9 +47,9 @@ if TYPE_CHECKING:
     from pnm.core.machine.verification.verify import Proof as Proof
     from pnm.core.machine.verification.verify import explore as explore
     from pnm.core.machine.verification.verify import verify as verify
-    from pnm.core.net.firing_rule import enabled as enabled
-    from pnm.core.net.firing_rule import fire as fire
-    from pnm.core.net.firing_rule import is_enabled as is_enabled
+    from pnm.core.net.firing import enabled as enabled
+    from pnm.core.net.firing import fire as fire
+    from pnm.core.net.firing import is_enabled as is_enabled
     from pnm.core.net.net import Arc as Arc
     from pnm.core.net.net import Marking as Marking
     from pnm.core.net.net import NetBuilder as NetBuilder

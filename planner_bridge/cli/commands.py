@@ -17,8 +17,8 @@ from planner_bridge.cli import options
 from planner_bridge.cli.options import command
 from pnm.errors import InputError
 from pnm.files.database.place import without_password
-from pnm.files.private import hide_arguments
 from pnm.files.process import make_streams_safe
+from pnm.files.text import hide_arguments
 
 if TYPE_CHECKING:
     pass
@@ -31,12 +31,11 @@ _ELSEWHERE: Final = {
     "init": "robot",
     "schema": "convert",
     "run": "run",
-    "serve": "serve",
     "replay": "journal",
     "history": "journal",
     "journal": "journal",
     "why": "why",
-    **dict.fromkeys(("status", "watch", "goal", "pause", "resume", "cancel", "facts"), "running_node"),
+    **dict.fromkeys(("serve", "status", "watch", "goal", "pause", "resume", "cancel", "facts"), "running_node"),
 }
 """Commands in modules of their own, which are imported when they are looked up: their options come from what no other needs."""
 

@@ -23,7 +23,7 @@ from planner_bridge.pipeline.loading import load, warning_lines
 from planner_bridge.view.commands import Controlled
 from pnm.errors import InputError, PnmError, Tolerated
 from pnm.files.database.place import Place, place_of
-from pnm.files.private import secret_in, write_private
+from pnm.files.text import secret_in, write_private
 from pnm.files.yaml_nodes import parse_value
 from pnm.signals import CANCELLED, LAST_WORDS, LEAVING, interruptible, leave_within
 

@@ -27,7 +27,7 @@ from planner_bridge.view.serving import Operator, PageProcess
 from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import NO_FAULTS, read_faults
 from pnm.clock import run_async
-from pnm.core.broadcast import broadcast
+from pnm.core.execution.events import broadcast
 from pnm.core.machine.machine import OnFailure
 from pnm.errors import InputError
 from pnm.files.database.place import Place, without_password

@@ -16,7 +16,7 @@ from planner_bridge.tasks.result import TASKS
 from pnm.clock import continue_from
 from pnm.errors import InputError, PnmError, RosError
 from pnm.files.database.place import Place, ServerUrl, place_of
-from pnm.files.private import private_folder
+from pnm.files.text import private_folder
 from pnm.journal.journal import NO_JOURNAL, Journal
 from pnm.journal.kept import DAY, Fenced, JournalChoice
 from pnm.journal.lease import is_locked

@@ -21,7 +21,7 @@ from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings
 from planner_bridge.tasks.task_manager import TaskLimits, TaskManager
 from pnm.clock import follow_real_time, run_async, short_pauses
-from pnm.core.broadcast import broadcast
+from pnm.core.execution.events import broadcast
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.errors import InputError, PnmError
 from pnm.journal.kept import Fenced

@@ -14,9 +14,8 @@ from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.replanning import Progress, why_not
 from planner_bridge.tasks.result import TaskLog
 from planner_bridge.tasks.settings import OnChange
-from pnm.core.broadcast import broadcast
 from pnm.core.execution.call_results import Failure, RunResult
-from pnm.core.execution.events import Observer
+from pnm.core.execution.events import Observer, broadcast
 from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.machine_index import prepare
 from pnm.core.execution.run import Run

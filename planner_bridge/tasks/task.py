@@ -15,8 +15,8 @@ from planner_bridge.tasks.control import STILL, TaskControl, Watchdog
 from planner_bridge.tasks.replanning import PlanAgain, ResumePlan, decision_words
 from planner_bridge.tasks.result import GoalNote, Stopwatch, TaskResult
 from planner_bridge.tasks.settings import TaskObserver
-from pnm.core.broadcast import broadcast
 from pnm.core.execution.call_results import CallResult, Failure, RunResult
+from pnm.core.execution.events import broadcast
 from pnm.core.machine.guards import After, Rule
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall

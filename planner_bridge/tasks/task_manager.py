@@ -21,7 +21,7 @@ from planner_bridge.tasks.settings import Settings, TaskObserver
 from planner_bridge.tasks.task import StartTask, Task
 from planner_bridge.tasks.task_start import TaskStart, TaskText
 from pnm.clock import stop_then_cancel
-from pnm.core.broadcast import broadcast
+from pnm.core.execution.events import broadcast
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.conditions import Condition
 from pnm.core.machine.machine import PetriNetMachine

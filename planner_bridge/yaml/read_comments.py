@@ -32,7 +32,7 @@ from planner_bridge.yaml.write_domain import SCHEMA_MARK
 from pnm.core.logic.domain import ActionSchema
 from pnm.errors import Position
 from pnm.files.yaml_nodes import Mapped, Node
-from pnm.language.declarations import declaration_parts, read_facts
+from pnm.language.domain import declaration_parts, read_facts
 from pnm.language.formulas.conditions import read_condition
 from pnm.language.formulas.effects import ConditionsByMoment, read_effects
 from pnm.language.formulas.scope import ANYTHING, read_names

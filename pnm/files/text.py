@@ -1,9 +1,12 @@
-"""Texts of files, with clear refusals of what is missing, too large or not text."""
+"""Text files: read with their limits, and written for their owner alone."""
 
 from __future__ import annotations
 
 import codecs
 import os
+import secrets
+from collections.abc import Callable
+from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
@@ -84,3 +87,50 @@ def _decoded(raw: bytes, path: Path | str) -> str:
 
 def _position(path: Path | str, raw: bytes, offset: int) -> Position:
     return Position(str(path), raw.count(b"\n", 0, offset) + 1, offset - raw.rfind(b"\n", 0, offset))
+
+
+_SECRET: Final = "secret"
+
+
+def private_folder(path: Path) -> None:
+    """Make a folder, and those above it that are not there."""
+    for folder in (*reversed(path.absolute().parents), path.absolute()):
+        with suppress(FileExistsError):
+            folder.mkdir(mode=0o700)
+    path.mkdir(exist_ok=True)  # which says what is wrong if it is no folder
+
+
+def private_file(path: Path) -> None:
+    """Make an empty file unless there is one."""
+    os.close(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600))
+
+
+def write_private(path: Path, text: str) -> None:
+    """Replace a file, whatever it was."""
+    private_folder(path.parent)
+    draft = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
+    with open(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600), "w", encoding="utf-8") as file:
+        file.write(text)
+    draft.replace(path)
+
+
+def secret_in(folder: Path) -> bytes:
+    """Return the secret of a folder, which is made when it is first asked for; raise an `OSError` if there can be none."""
+    path = folder / _SECRET
+    if not path.exists():
+        write_private(path, secrets.token_hex(32))
+    return path.read_bytes()
+
+
+def hide_arguments(shown: Callable[[str], str]) -> None:
+    """Have the list of processes show the arguments of this one as a function returns them, at most as long, where the system lets us."""
+    with suppress(OSError, ValueError, IndexError):
+        fields = Path("/proc/self/stat").read_text().rpartition(")")[2].split()
+        start, end = int(fields[45]), int(fields[46])  # see `arg_start` in proc(5)
+        with open("/proc/self/mem", "r+b", buffering=0) as memory:
+            memory.seek(start)
+            given = memory.read(end - start)
+            text = "\0".join(map(shown, given.decode(errors="surrogateescape").split("\0"))).encode(errors="surrogateescape")
+            if text != given:
+                memory.seek(start)
+                memory.write(text[: len(given)].ljust(len(given), b"\0"))

@@ -19,7 +19,7 @@ from pnm.core.logic.computed_values import MISSING, Question
 from pnm.files.database.database import Database
 from pnm.files.database.driver import DatabaseError, Layout, SqlQuery
 from pnm.files.database.place import Place
-from pnm.files.private import private_folder
+from pnm.files.text import private_folder
 from pnm.knowledge.source import Asker, SourceError, read_value, write_value
 
 LAYOUT: Final = Layout(

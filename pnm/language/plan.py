@@ -24,8 +24,7 @@ from pnm.errors import InputError, Tolerated
 from pnm.files.yaml_nodes import Mapped
 from pnm.knowledge.sources import SourceChoice
 from pnm.language.actions import LanguageAction
-from pnm.language.declarations import read_facts
-from pnm.language.domain import LanguageDomain, read_goal
+from pnm.language.domain import LanguageDomain, read_facts, read_goal
 from pnm.language.files import PlanHead, beside, is_world, parse_documents, plan_heads, plan_heads_in, read_documents, read_domain
 from pnm.language.formulas.scope import NOTHING_DECLARED, FormulaScope, unknown
 from pnm.language.formulas.values import read_literal

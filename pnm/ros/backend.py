@@ -32,9 +32,8 @@ from pnm.ros.node.graph import GraphSnapshot, absence, server_name, similar, sna
 from pnm.ros.node.messages import fields, import_type
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.node.typed_fields import fitted_binding
-from pnm.ros.sensors import Sensors, SensorUse, checked, resolved
+from pnm.ros.sensors import TOPIC, SensedReports, Sensors, SensorUse, checked, resolved
 from pnm.ros.sim_time import USE_SIM_TIME, follow_sim_time
-from pnm.ros.state_topic import TOPIC, SensedReports
 
 DISCOVERY: Final = 10.0
 """Seconds to wait for servers and reports of robots that are started together with this node."""

@@ -30,9 +30,8 @@ from pnm.core.machine.guards import (
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.requests import CallOutcome, OutcomeKind, TransitionAction
 from pnm.core.machine.step_block import OWN, BlockTemplate
-from pnm.core.net.block_net import NumberedArcs, Placed
+from pnm.core.net.block_net import NumberedArcs, Placed, WhenAsked
 from pnm.core.net.no_collection import no_collection
-from pnm.core.net.when_asked import WhenAsked
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,8 +18,8 @@ from pnm.core.machine.guards import Always, ConditionFalse, ConditionTrue, Due, 
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, Moment, PlanEvent, PlanGraph, Step
 from pnm.core.machine.step_block import PORTS, Block, BlockTemplate, Context, Draft, Inner, Terms, block_without_call
+from pnm.core.net.block_net import Remembered
 from pnm.core.net.no_collection import no_collection
-from pnm.core.net.when_asked import Remembered
 from pnm.core.resources import check_capacity
 from pnm.errors import check_kinds, counted
 

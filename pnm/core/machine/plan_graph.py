@@ -23,7 +23,7 @@ from pnm.core.logic.effects import Effects, ground_effects, names_written
 from pnm.core.logic.expressions import DURATION, Environment, Fluent, fluent_text
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.core.machine.failure_causes import Cause
-from pnm.core.net.topological_order import topological_order
+from pnm.core.net.orders import topological_order
 from pnm.core.resources import check_capacity
 from pnm.errors import PnmError
 

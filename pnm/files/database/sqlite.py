@@ -14,7 +14,7 @@ from typing import Final, TypeVar
 
 from pnm.files.database.driver import NOW, SIZE, DamagedDatabase, DatabaseError, Driver, Layout, OperationLimit, Rows, check_version
 from pnm.files.database.lock import lock_of
-from pnm.files.private import private_file
+from pnm.files.text import private_file
 
 T = TypeVar("T")
 

@@ -24,7 +24,7 @@ from pnm.ros.action_server.goal_server import GoalCallbacks, GoalResult, GoalSer
 from pnm.ros.node.messages import FieldError, fields, to_data, to_message
 from pnm.ros.node.publisher import Publisher, Throttle
 from pnm.ros.node.ros_thread import RosThread
-from pnm.ros.state_topic import TOPIC, write_state
+from pnm.ros.sensors import TOPIC, write_state
 
 DECISION: Final = 5.0
 """Seconds the client may take to accept a request; the goal is rejected then."""

@@ -21,7 +21,7 @@ import pytest
 from planner_bridge.cli.options import announce
 from pnm.errors import InputError
 from pnm.files.database.place import ServerUrl, without_password
-from pnm.files.private import private_folder, secret_in
+from pnm.files.text import private_folder, secret_in
 from tests.support.e2e.command_line import pnm
 from tests.support.files import ROOT
 from tests.support.processes import LIMIT, Program

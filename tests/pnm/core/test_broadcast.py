@@ -8,8 +8,7 @@ from typing import Any
 import pytest
 
 from planner_bridge.tasks.settings import TaskObserver
-from pnm.core.broadcast import broadcast
-from pnm.core.execution.events import Observer
+from pnm.core.execution.events import Observer, broadcast
 from pnm.tasks import TaskListener
 
 

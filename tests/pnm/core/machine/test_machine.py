@@ -15,9 +15,8 @@ from pnm.core.machine.guards import Accepts, After, Always, ConditionFalse, Due,
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph, PlanGraphError
 from pnm.core.machine.requests import TransitionAction
-from pnm.core.machine.verification.block_shape import shape_of
 from pnm.core.machine.verification.explore import explore_part
-from pnm.core.machine.verification.part import Part, PartStep, Unsound
+from pnm.core.machine.verification.part import Part, PartStep, Unsound, shape_of
 from pnm.core.machine.verification.verify import explore, verify
 from pnm.core.net.net import PetriNet
 from tests.support.runs.mutation.changes import with_input, with_rule, without_transition

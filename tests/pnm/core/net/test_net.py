@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.core.net.block_net import block_net
-from pnm.core.net.firing_engine import Engine
-from pnm.core.net.firing_rule import enabled, fire, is_enabled
+from pnm.core.net.firing import Engine, enabled, fire, is_enabled
 from pnm.core.net.net import Arc, Marking, NetBuilder, NetError, PetriNet
 from pnm.errors import NotEnabled
 

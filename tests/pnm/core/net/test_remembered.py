@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pnm.core.net.when_asked import Remembered
+from pnm.core.net.block_net import Remembered
 
 
 def test_the_first_value_of_a_key_stays() -> None:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.core.net.net import NetBuilder, PetriNet
-from pnm.core.net.time_order import TimeOrder, time_order
+from pnm.core.net.orders import TimeOrder, time_order
 
 
 def net_of(*arcs: str) -> PetriNet:

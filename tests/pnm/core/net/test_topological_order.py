@@ -7,7 +7,7 @@ from graphlib import TopologicalSorter
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pnm.core.net.topological_order import topological_order
+from pnm.core.net.orders import topological_order
 
 pairs = st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9)), max_size=20)
 

@@ -95,7 +95,7 @@ def test_a_node_that_cannot_be_made_says_why():
 WITHOUT = """
 import sys
 sys.modules["rclpy"] = None
-import pnm.ros.action_client.client, pnm.ros.state_topic
+import pnm.ros.action_client.client, pnm.ros.sensors
 from pnm.ros.node.ros_thread import RosError, RosThread
 try:
     RosThread()

@@ -17,7 +17,7 @@ from pnm.core.logic.expressions import UNDEFINED, UNKNOWN
 from pnm.errors import InputError
 from pnm.ros.action_server.simulated_servers import publish_state
 from pnm.ros.node.messages import to_message
-from pnm.ros.state_topic import SensedReports, read_state, write_state
+from pnm.ros.sensors import SensedReports, read_state, write_state
 from tests.support.processes import LIMIT
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -29,7 +29,7 @@ _ROS: Final = (
         "pnm.ros.tasks.task_node",
         "pnm.ros.tasks.executor_topics",
     ),
-    *("pnm.ros.node_client", "pnm.ros.action_client.action_services", "planner_bridge.cli.serve", "planner_bridge.cli.running_node"),
+    *("pnm.ros.node_client", "pnm.ros.action_client.action_services", "planner_bridge.cli.running_node", "planner_bridge.cli.running_node"),
 )
 """What a node loads besides, and loads late."""
 

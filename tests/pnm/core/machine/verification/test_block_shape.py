@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 
 from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.guards import After, Always, CancelAsked, ConditionFalse, ConditionTrue, Ending, Failing, Guard, PauseAsked
-from pnm.core.machine.verification.block_shape import shape_of
 from pnm.core.machine.verification.explore import explore_part
-from pnm.core.machine.verification.part import Part, PartStep, Unsound
+from pnm.core.machine.verification.part import Part, PartStep, Unsound, shape_of
 
 GUARDS: tuple[Guard, ...] = (
     Always(),
