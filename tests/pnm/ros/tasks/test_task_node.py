@@ -154,5 +154,5 @@ async def test_a_task_that_does_not_end_is_not_waited_for_without_end(two, caplo
         one.tasks.open.clear()
         status, result = await goal.result()
         assert (status, result["code"]) == (ABORTED, Code.CANCELLED)
-        assert "has not confirmed that it is cancelled" in result["message"]
+        assert "have not confirmed the cancellation" in result["message"]
     assert "has not ended; its calls are left alone" in caplog.text
