@@ -140,9 +140,9 @@ HANGING = {
         receive(number, frame)
 
     signals.signal.signal(15, received)
-    print("begun", flush=True)
     while True:
         try:
+            print("begun", flush=True)  # where an interruption is caught
             while True:
                 pass
         except KeyboardInterrupt:
