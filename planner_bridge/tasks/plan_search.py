@@ -45,6 +45,8 @@ _ELSEWHERE: Final = 60.0
 """Seconds for which a task without a plan waits for servers that are at work on goals of other programs, or on forgotten ones."""
 _LOOK: Final = 1.0
 """Seconds between two looks whether they still are."""
+_HINT: Final = 0.1
+"""Of the planner's time, what it may take to find whom a task waits for best: other tasks wait for its turn, and it goes on without."""
 _NO_PLAN: Final = frozenset({PlanningStatus.UNSOLVABLE, PlanningStatus.NO_PLAN})
 
 P = TypeVar("P", Plan, PlanGraph)
@@ -322,7 +324,7 @@ class PlanSearch:
             return ()
         expected = with_forecasts(now, forecasts.values())
         try:
-            result = await self._solve(expected)
+            result = await self._solve(expected, _HINT)
         except InputError:  # of a planner that knows no facts that change by themselves
             return ()
         if result.plan is None or result.plan.makespan >= latest:
@@ -350,8 +352,8 @@ class PlanSearch:
                 return other, its, conflicts
         return result, needed, conflicts
 
-    async def _solve(self, problem: Problem) -> PlanningResult:
-        """Ask the planner, in a thread."""
+    async def _solve(self, problem: Problem, share: float = 1.0) -> PlanningResult:
+        """Ask the planner, in a thread, for this share of the time that it has."""
         stop, ahead = self._control.planner_stop, self._ahead
         try:
             with self._context.task.stopwatch.of("plan"), self._control.waiting():
@@ -359,7 +361,7 @@ class PlanSearch:
                     self._ahead = None
                     return await ahead.answer
                 self.end_ahead()
-                return await in_own_thread(self._searching(problem, stop))
+                return await in_own_thread(self._searching(problem, stop, share))
         except asyncio.CancelledError:
             stop.set()
             if cast("asyncio.Task[object]", asyncio.current_task()).cancelling():
@@ -370,10 +372,10 @@ class PlanSearch:
                 raise
             return PlanningResult(PlanningStatus.INVALID, message=str(error))
 
-    def _searching(self, problem: Problem, stop: CancelToken) -> Callable[[], PlanningResult]:
+    def _searching(self, problem: Problem, stop: CancelToken, share: float = 1.0) -> Callable[[], PlanningResult]:
         settings = self._context.settings
         # The planner may not take longer than the task has left.
-        timeout = max(0.01, min(settings.planner_timeout, self._monitor.limit.left))
+        timeout = max(0.01, min(settings.planner_timeout * share, self._monitor.limit.left))
         planner, improve, executor = settings.planner, settings.improve, settings.executor
         return partial(solve, problem, planner=planner, timeout=timeout, improve=improve, cancel=stop, executor=executor)
 

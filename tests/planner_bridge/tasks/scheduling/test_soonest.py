@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
+from planner_bridge.model.plan import PlanningResult
+from planner_bridge.planning.solve import solve
+from planner_bridge.tasks import plan_search
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.tasks import Code, OnConflict
@@ -107,3 +111,22 @@ async def test_it_does_not_wait_for_a_task_that_is_paused(simulation: TaskSimula
     assert one not in simulation.endings
     await simulation.master.resume(one)
     await simulation.reaches(one)
+
+
+def test_the_search_for_whom_to_wait_is_short_because_others_wait_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
+    seconds: list[float] = []
+
+    def noted(problem: Any, *, timeout: float, **chosen: Any) -> PlanningResult:
+        seconds.append(timeout)
+        return solve(problem, timeout=timeout, **chosen)
+
+    monkeypatch.setattr(plan_search, "solve", noted)
+
+    @simulated(NEAR_AND_FAR, chosen=DRIVING)
+    async def scenario(simulation: TaskSimulation) -> None:
+        one, two = await simulation.begun("(at v1 near)"), await simulation.begun("(at v2 far)")
+        assert set(seconds) == {DRIVING.planner_timeout}
+        await simulation.reaches(two, one, simulation.want("(served shop)"))
+
+    scenario()
+    assert min(seconds) == pytest.approx(DRIVING.planner_timeout / 10)
