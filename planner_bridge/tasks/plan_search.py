@@ -73,7 +73,8 @@ class NoPlan(Exception):
             *([f" without {', '.join(lacking)}, whose servers or resources are not to be had"] if lacking else []),
         ]
         meanwhile = f", while {', '.join(busy)} {'are' if len(busy) > 1 else 'is'} at work on goals of other programs" if busy else ""
-        super().__init__(f"no plan{' and'.join(without)}{meanwhile}: {result.reason}")
+        said_once = result.status is PlanningStatus.NO_PLAN and result.message
+        super().__init__(f"no plan{' and'.join(without)}{meanwhile}: {said_once or result.reason}")
         self.status = result.status
         self.busy = busy
 

@@ -93,7 +93,7 @@ def test_reports_of_another_world_leave_unknown_what_they_are_about(deploy):
     assert any("a report on knowledge/sensed is wrong: there is no object 'r9' in the domain" in line for line in run.err)
     (result,) = run.objects()
     assert result["reason"] == (
-        "no plan: no plan found: (done r1) cannot be reached with what is known: work(r1) would do it, but (charged r1) is unknown"
+        "no plan: (done r1) cannot be reached with what is known: work(r1) would do it, but (charged r1) is unknown"
     )
 
 
