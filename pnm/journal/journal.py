@@ -102,13 +102,7 @@ class Journal:
         return StandBys()
 
     def make_run(
-        self,
-        machine: PetriNetMachine,
-        knowledge: Layered,
-        *,
-        name: str = "",
-        caller: UUID | None = None,
-        **options: Unpack[RunOptions],
+        self, machine: PetriNetMachine, knowledge: Layered, *, name: str = "", caller: UUID | None = None, **options: Unpack[RunOptions]
     ) -> Run:
         """Return a run that is recorded; `name` is that of its task, for people, `caller` the request of the plan that has called it."""
         return Run(machine, knowledge, **options)
@@ -281,13 +275,7 @@ class WrittenJournal(Journal):
         self._begin_segment(knowledge, self._shared)
 
     def make_run(
-        self,
-        machine: PetriNetMachine,
-        knowledge: Layered,
-        *,
-        name: str = "",
-        caller: UUID | None = None,
-        **options: Unpack[RunOptions],
+        self, machine: PetriNetMachine, knowledge: Layered, *, name: str = "", caller: UUID | None = None, **options: Unpack[RunOptions]
     ) -> Run:
         """Return a run, and record what it was made from."""
         asks, adopted = options.get("asks", False), options.get("adopted", {})

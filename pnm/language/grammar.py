@@ -185,9 +185,7 @@ class PlanKeys(Keys):
     goal = node(CONDITION, "condition at the end", "nothing")
     timeout = number("seconds for the plan", None, "no limit")
     restarts = whole(
-        "how often the plan may begin anew by recoveries; one more fails as `restart_limit`",
-        None,
-        "once, or as often as a recovery says",
+        "how often the plan may begin anew by recoveries; one more fails as `restart_limit`", None, "once, or as often as a recovery says"
     )
     on_failure = choice(
         OnFailure,
@@ -318,10 +316,7 @@ class Call(Place, others=ANYTHING):
     retries = whole("further attempts, without a recovery", None)
     timeout = number("seconds from acceptance to cancellation", None)
     resources = names("exclusive resources, in addition to those of its action")
-    store = texts(
-        "expected result fields and the variables to store them in",
-        "result fields, and the variables that keep them",
-    )
+    store = texts("expected result fields and the variables to store them in", "result fields, and the variables that keep them")
     end_after = written(_WAITS, "ids of the steps that the end of this call waits for")
     duration = number("seconds for the call, within the bounds of its action", None)
     release = number("seconds after the beginning of the plan; the call does not start before", 0.0)

@@ -18,20 +18,7 @@ from pnm.language.actions import OPERATION, LanguageAction
 from pnm.language.formulas.conditions import read_condition
 from pnm.language.formulas.scope import FormulaScope, known_names, shown, unknown
 from pnm.language.formulas.values import read_data, read_operation
-from pnm.language.grammar import (
-    BLOCKS,
-    RESERVED,
-    ActionKind,
-    Call,
-    Concurrent,
-    If,
-    InSequence,
-    LoopKeys,
-    Place,
-    WaitFor,
-    Waiting,
-    While,
-)
+from pnm.language.grammar import BLOCKS, RESERVED, ActionKind, Call, Concurrent, If, InSequence, LoopKeys, Place, WaitFor, Waiting, While
 from pnm.language.plan_tree import (
     CallStep,
     ChoiceStep,

@@ -10,20 +10,7 @@ import sys
 from typing import Final
 
 from pnm.core.logic.computed_values import Parameter
-from pnm.core.logic.conditions import (
-    TRUE,
-    Any,
-    Compare,
-    Computed,
-    Condition,
-    Exists,
-    ForAll,
-    Holds,
-    Implies,
-    Not,
-    choices_in,
-    conjunction,
-)
+from pnm.core.logic.conditions import TRUE, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, choices_in, conjunction
 from pnm.core.logic.domain import check_choices
 from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, Expression, ValueOf, Variable
 from pnm.errors import InputError

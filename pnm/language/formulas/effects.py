@@ -191,10 +191,7 @@ def read_timed_effects(node: Node | None, scope: FormulaScope = ANYTHING) -> tup
         return (), read_effects(node, scope)
     keys = EffectsByMoment(node.mapped())
     start, end = keys.at_start, keys.at_end
-    return (
-        () if start is None else _only_effects(start, scope),
-        WrittenEffects() if end is None else read_effects(end, scope),
-    )
+    return (() if start is None else _only_effects(start, scope), WrittenEffects() if end is None else read_effects(end, scope))
 
 
 def _has_moments(node: Node) -> bool:
