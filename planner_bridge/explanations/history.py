@@ -493,8 +493,7 @@ class JournalHistory:
         run = self.runs[made.run] = RunHistory(self.number, self.time, made, source, snapshot(self.world), executed, origin=made.origin)
         if (task := self.tasks.get(made.task)) is None:
             return
-        # One that its process has made, and died before it began, is not told: this one takes its place.
-        task.runs = [one for one in task.runs if one.begun or one.made.caller != made.caller]
+        task.runs = [one for one in task.runs if not one.made.gives_way(made, has_begun=one.begun)]
         task.runs.append(run)
         if run.is_own:
             if len(task.own_runs) > 1:

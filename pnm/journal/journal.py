@@ -22,32 +22,9 @@ from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.resources import Resources
+from pnm.journal import records
 from pnm.journal.codec import Codec
 from pnm.journal.kept import DAY, KEPT, LISTED, UNSHARED, Fenced, Hold, JournalError, Row, StandBys, TaskRow, log_end
-from pnm.journal.records import (
-    HEARD,
-    WORLD,
-    EndConfirmed,
-    Happened,
-    KnowledgeDelta,
-    MachineSource,
-    Record,
-    RunMade,
-    RunRetired,
-    RunSucceeded,
-    SharedBegan,
-    TaskAccepted,
-    TaskEntered,
-    TaskHeld,
-    TaskNoted,
-    TaskOver,
-    TaskSummary,
-    TimeCounted,
-    became,
-    follow,
-    intents_of,
-    knowledge_now,
-)
 from pnm.journal.replay import Replay, ReplayedRun
 from pnm.journal.store import JournalFile
 from pnm.tasks import REMEMBERED, TaskEnding, TaskState, Wanted
@@ -215,13 +192,13 @@ class WrittenJournal(Journal):
         """Everybody who waits for these records to be kept."""
         self._bases = dict(replay.bases) if replay else {}
         """The knowledge bases that are followed, by number."""
-        self._numbers = max(replay.bases, default=WORLD) if replay else WORLD
+        self._numbers = max(replay.bases, default=records.WORLD) if replay else records.WORLD
         """The last number of a knowledge base; none is used twice."""
         self._fields: dict[str, tuple[str, ...] | None] = replay.fields if replay else {}
         self._news: dict[str, tuple[str, ...] | None] = {}
         """Goal fields that the event being handled has found out."""
         self._handling = False
-        self._deltas: list[KnowledgeDelta] = []
+        self._deltas: list[records.KnowledgeDelta] = []
         self._is_replaced = False
         """Whether another world takes the place of the one that is followed."""
         self._due: asyncio.Handle | None = None
@@ -248,11 +225,11 @@ class WrittenJournal(Journal):
         tasks = replay.tasks if replay else {}
         self._runs = Counter({id: sum(one.run.begun and one.made.caller is None for one in task.runs) for id, task in tasks.items()})
         """The machines that each task has had, one after the other."""
-        over = ((task.accepted, TaskOver(id, task.ending)) for id, task in (replay.tasks if replay else {}).items() if task.ending)
+        over = ((task.accepted, records.TaskOver(id, task.ending)) for id, task in (replay.tasks if replay else {}).items() if task.ending)
         self._recent = deque(over, REMEMBERED)
         self._number_of = {id(base): number for number, base in self._bases.items()}
         for number, base in self._bases.items():
-            follow(number, base, self._changed)
+            records.follow(number, base, self._changed)
         hold.keep(self._look, self._lose)
 
     def may_act(self) -> bool:
@@ -271,7 +248,7 @@ class WrittenJournal(Journal):
         anew()
         self._is_replaced = False
         self._resources = resources
-        self._shared = SharedBegan(resources.capacities, began=self._loop.time(), **world)
+        self._shared = records.SharedBegan(resources.capacities, began=self._loop.time(), **world)
         self._begin_segment(knowledge, self._shared)
 
     def make_run(
@@ -281,13 +258,13 @@ class WrittenJournal(Journal):
         asks, adopted = options.get("asks", False), options.get("adopted", {})
         options["goal_fields"] = self._remembering(options["goal_fields"])
         run = super().make_run(machine, knowledge, **options)
-        source = MachineSource(machine.plan, options["bindings"], machine.on_failure, machine.capacities)
+        source = records.MachineSource(machine.plan, options["bindings"], machine.on_failure, machine.capacities)
         local = self._number(knowledge.local)
         self._runs[run.task] += caller is None
         priority, origin = options.get("priority", 0), options.get("origin")
         accepted, _ = self._unfinished.get(run.task, (None, 0.0))
-        row = self._task_row(TaskSummary(accepted, self._runs[run.task])) if accepted and caller is None else None
-        self._record(RunMade(run.id, run.task, name, self._part(source), local, caller, priority, origin, asks, adopted), task=row)
+        row = self._task_row(records.TaskSummary(accepted, self._runs[run.task])) if accepted and caller is None else None
+        self._record(records.RunMade(run.id, run.task, name, self._part(source), local, caller, priority, origin, asks, adopted), task=row)
         return run
 
     def handle(self, run: Run, event: Event, now: float, perform: Perform) -> None:
@@ -298,12 +275,12 @@ class WrittenJournal(Journal):
         finally:
             self._handling = False
         deltas, news, self._deltas, self._news = self._deltas, self._news, [], {}
-        self._record(Happened(run.id, event, news, run.fired, tuple(deltas), intents_of(commands), run.told), now)
+        self._record(records.Happened(run.id, event, news, run.fired, tuple(deltas), records.intents_of(commands), run.told), now)
         self._waiting.append((perform, tuple(commands)))
         # What is only heard, and leads to nothing outside, is committed with what comes next, or a moment later: if it were lost
         # before that, it would be heard again, as if it had come after the death of this process.
         leads_outside = any(type(command) is not Wake for command in commands)
-        if leads_outside or run.over or self.blocked or not isinstance(event, HEARD):
+        if leads_outside or run.over or self.blocked or not isinstance(event, records.HEARD):
             self._write()
 
     def go_on(self, replayed: ReplayedRun, observer: Observer | None, goal_fields: GoalFields) -> Run:
@@ -312,15 +289,15 @@ class WrittenJournal(Journal):
 
     def succeeded(self, run: Run, successor: Run) -> None:
         """Record that a run has taken the place of another."""
-        self._record(RunSucceeded(run.id, successor.id, became(run.result_so_far(), run.machine.plan)))
+        self._record(records.RunSucceeded(run.id, successor.id, records.became(run.result_so_far(), run.machine.plan)))
 
     def retired(self, run: Run) -> None:
         """Record that a run is not carried on."""
-        self._record(RunRetired(run.id, became(run.result_so_far(), run.machine.plan)))
+        self._record(records.RunRetired(run.id, records.became(run.result_so_far(), run.machine.plan)))
 
     def confirmed(self, request: UUID, resources: Resources) -> None:
         """Record that the server of a request that was given up has confirmed its end, and free what it has kept."""
-        self._record(EndConfirmed(request))
+        self._record(records.EndConfirmed(request))
         super().confirmed(request, resources)
 
     def accepted(self, wanted: Wanted, order: int) -> None:
@@ -329,8 +306,8 @@ class WrittenJournal(Journal):
         Raises:
             JournalError: it cannot be kept.
         """
-        task = TaskAccepted(wanted, order, self._wall())
-        self._record(task, task=self._task_row(TaskSummary(task, self._runs[wanted.id])))
+        task = records.TaskAccepted(wanted, order, self._wall())
+        self._record(task, task=self._task_row(records.TaskSummary(task, self._runs[wanted.id])))
         self._write(looks=True)
         if self.blocked:
             del self._rows[-1]  # it is refused, and must not come up when the journal can be written again
@@ -340,27 +317,27 @@ class WrittenJournal(Journal):
     def held(self, task: UUID | None, *, is_held: bool) -> None:
         """Record that an operator has paused a task, or those that are still to come, or has let them go on."""
         self._is_held = is_held if task is None else self._is_held
-        self._record(TaskHeld(task, is_held))
+        self._record(records.TaskHeld(task, is_held))
 
     def entered(self, task: UUID, state: TaskState, reason: str) -> None:
         """Record that a task is in another state; how it ends is recorded by `over`."""
         if task in self._unfinished:
-            self._record(TaskEntered(task, state, reason))
+            self._record(records.TaskEntered(task, state, reason))
 
     def noted(self, task: UUID, note: object) -> None:
         """Record what a task needs to know when it goes on in another process."""
         if task in self._unfinished:
-            self._record(TaskNoted(task, note))
+            self._record(records.TaskNoted(task, note))
 
     def counted(self, of: UUID, used: TimeUsed) -> None:
         """Record how much of its limit a task has used, or a run of a plan."""
         if isfinite(used.limit):
-            self._record(TimeCounted(of, used))
+            self._record(records.TimeCounted(of, used))
 
     def over(self, task: UUID, ending: TaskEnding, then: Callable[[], None] = lambda: None) -> None:
         """Keep how a task has ended, and do something then. A segment begins, if nothing else is under way and this one is long."""
-        (accepted, began), over = self._unfinished.pop(task), TaskOver(task, ending)
-        summary = TaskSummary(accepted, self._runs.pop(task, 0), ending, self._wall(), self._loop.time() - began)
+        (accepted, began), over = self._unfinished.pop(task), records.TaskOver(task, ending)
+        summary = records.TaskSummary(accepted, self._runs.pop(task, 0), ending, self._wall(), self._loop.time() - began)
         self._record(over, task=self._task_row(summary))
         self._recent.append((accepted, over))
         if self._is_lost:  # another process keeps it
@@ -379,20 +356,20 @@ class WrittenJournal(Journal):
         self._hold.release()
         self._file.close()
 
-    def _begin_segment(self, world: KnowledgeBase, shared: SharedBegan) -> None:
+    def _begin_segment(self, world: KnowledgeBase, shared: records.SharedBegan) -> None:
         """Begin a segment, with all that is to be known without those before it; and drop what is old."""
-        if self._bases.get(WORLD) is not world:
-            follow(WORLD, world, self._changed)
-        self._bases, self._number_of = {WORLD: world}, {id(world): WORLD}
+        if self._bases.get(records.WORLD) is not world:
+            records.follow(records.WORLD, world, self._changed)
+        self._bases, self._number_of = {records.WORLD: world}, {id(world): records.WORLD}
         self._fields.clear()
         self._known_parts.clear()
         self._runs.clear()
         self._segment_began, self._length = self._loop.time(), 0
         self._record(shared, begins=self._wall())
         self._segment_wall = self._wall()
-        self._record(knowledge_now(WORLD, world))
+        self._record(records.knowledge_now(records.WORLD, world))
         if self._is_held:
-            self._record(TaskHeld(None, is_held=True))
+            self._record(records.TaskHeld(None, is_held=True))
         for accepted, over in self._recent:
             self._record(accepted)
             self._record(over)
@@ -405,7 +382,7 @@ class WrittenJournal(Journal):
         age = max(self._loop.time() - self._segment_began, self._wall() - self._segment_wall)
         is_due = self._length >= _LONG or (age >= self._period and self._length > self._fresh)
         if is_due and self._shared and not (self._unfinished or self._resources.held or self.blocked):
-            self._begin_segment(self._bases[WORLD], self._shared)
+            self._begin_segment(self._bases[records.WORLD], self._shared)
 
     def _drop(self) -> None:
         """Drop what is old."""
@@ -424,7 +401,7 @@ class WrittenJournal(Journal):
         if not self._dropped <= self._wall() < self._dropped + self._period:
             self._drop()
 
-    def _task_row(self, summary: TaskSummary) -> TaskRow:
+    def _task_row(self, summary: records.TaskSummary) -> TaskRow:
         """Return the row of a task, as it is listed."""
         accepted, ended = summary.accepted, summary.ended
         wall = accepted.wall if ended is None else ended
@@ -437,10 +414,10 @@ class WrittenJournal(Journal):
         if id(base) not in self._number_of:
             self._numbers += 1
             self._number_of[id(base)], self._bases[self._numbers] = self._numbers, base  # which keeps it: its identity is not used again
-            self._record(follow(self._numbers, base, self._changed))
+            self._record(records.follow(self._numbers, base, self._changed))
         return self._number_of[id(base)]
 
-    def _changed(self, delta: KnowledgeDelta) -> None:
+    def _changed(self, delta: records.KnowledgeDelta) -> None:
         if delta.base not in self._bases or self._is_replaced:
             return  # of a run that has ended in an earlier segment, or no change of the world that is followed
         if self._handling:
@@ -470,7 +447,7 @@ class WrittenJournal(Journal):
             self._parts[key] = text
         return key
 
-    def _record(self, record: Record, now: float | None = None, begins: float | None = None, task: TaskRow | None = None) -> None:
+    def _record(self, record: records.Record, now: float | None = None, begins: float | None = None, task: TaskRow | None = None) -> None:
         """Note a record; it is written with the next event, or a moment later. What is heard after the end is another process's to keep."""
         if self._is_closed:
             return

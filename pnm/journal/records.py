@@ -106,6 +106,10 @@ class RunMade:
     asks: bool = False
     adopted: Mapping[int, UnderWay] = field(default_factory=dict)
 
+    def gives_way(self, later: RunMade, *, has_begun: bool) -> bool:
+        """Return whether a later run of the task takes its place: its process has died before it began."""
+        return not has_begun and self.caller == later.caller
+
 
 @dataclass(frozen=True, slots=True)
 class MachineSource:

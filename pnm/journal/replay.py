@@ -12,24 +12,9 @@ from typing import NoReturn, assert_never
 from uuid import UUID
 
 from pnm.clock import TimeUsed
+from pnm.core.execution import events
 from pnm.core.execution.call_data import GoalFields
 from pnm.core.execution.call_results import RunResult
-from pnm.core.execution.events import (
-    Answered,
-    Begin,
-    Command,
-    Event,
-    KnowledgeChanged,
-    Pause,
-    ResourcesChanged,
-    Restarted,
-    Resume,
-    Send,
-    Settled,
-    SingleStep,
-    Stop,
-    Tick,
-)
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered, statement_text
 from pnm.core.machine.generate import generate
@@ -38,31 +23,7 @@ from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Feedback, Postponed, Request
 from pnm.core.resources import Resources
 from pnm.errors import PnmError, counted
-from pnm.journal.records import (
-    WORLD,
-    Became,
-    EndConfirmed,
-    Happened,
-    KnowledgeBegan,
-    KnowledgeDelta,
-    MachineSource,
-    Record,
-    RunMade,
-    RunRetired,
-    RunSucceeded,
-    SharedBegan,
-    TaskAccepted,
-    TaskEntered,
-    TaskHeld,
-    TaskNoted,
-    TaskOver,
-    TimeCounted,
-    base_of,
-    became,
-    change,
-    follow,
-    intents_of,
-)
+from pnm.journal import records
 from pnm.tasks import TaskEnding
 
 
@@ -84,14 +45,14 @@ class ReplayStep:
 
     number: int
     time: float
-    record: Record
+    record: records.Record
     transition_name: Callable[[int], str] = str
-    commands: Sequence[Command] = ()
+    commands: Sequence[events.Command] = ()
 
     @property
     def fired(self) -> tuple[str, ...]:
         """The transitions that fired, by name."""
-        return tuple(map(self.transition_name, self.record.fired)) if isinstance(self.record, Happened) else ()
+        return tuple(map(self.transition_name, self.record.fired)) if isinstance(self.record, records.Happened) else ()
 
 
 @dataclass
@@ -106,7 +67,7 @@ class ReplayedRun:
         is_over: whether it is carried on no more.
     """
 
-    made: RunMade
+    made: records.RunMade
     run: Run
     goal_fields: GoalFields
     replay: Replay = field(repr=False)
@@ -125,7 +86,7 @@ class ReplayedRun:
 class ReplayedTask:
     """A task as its records tell it, in their order."""
 
-    accepted: TaskAccepted
+    accepted: records.TaskAccepted
     time: float
     """Its time."""
     replay: Replay = field(repr=False)
@@ -141,9 +102,9 @@ class ReplayedTask:
 class Replay:
     """Replays records, one after the other. Everything is mutable state."""
 
-    source: Callable[[str], MachineSource] | None = None
+    source: Callable[[str], records.MachineSource] | None = None
     """Returns the source of the machine of a key."""
-    shared: SharedBegan | None = None
+    shared: records.SharedBegan | None = None
     resources: Resources = field(default_factory=Resources)
     bases: dict[int, KnowledgeBase] = field(default_factory=dict)
     """Knowledge bases by their numbers."""
@@ -163,15 +124,15 @@ class Replay:
     """The time of the last record."""
     fields: dict[str, tuple[str, ...] | None] = field(default_factory=dict)
     """For actions by their text, the goal fields that their servers have."""
-    _machines: dict[str, tuple[MachineSource, PetriNetMachine]] = field(default_factory=dict)
+    _machines: dict[str, tuple[records.MachineSource, PetriNetMachine]] = field(default_factory=dict)
     """Machines and what they are made from, by key."""
-    _deltas: list[KnowledgeDelta] | None = None
+    _deltas: list[records.KnowledgeDelta] | None = None
     """The changes by the run that handles an event."""
 
     @property
     def world(self) -> KnowledgeBase:
         """The knowledge that all runs share."""
-        return self.bases[WORLD]
+        return self.bases[records.WORLD]
 
     @property
     def withheld(self) -> tuple[Request, ...]:
@@ -193,7 +154,7 @@ class Replay:
         """Forget what was in segments before the one that has just begun."""
         self.runs, self.tasks, self.requests, self._machines = {}, {}, {}, {}
 
-    def apply(self, number: int, time: float, record: Record) -> ReplayStep:
+    def apply(self, number: int, time: float, record: records.Record) -> ReplayStep:
         """Replay a record.
 
         Raises:
@@ -201,59 +162,59 @@ class Replay:
         """
         self.now, self.length = max(self.now, time), self.length + 1
         match record:
-            case Happened():
+            case records.Happened():
                 return self._happened(number, time, record)
-            case TaskAccepted() | TaskHeld() | TaskNoted() | TaskOver():
+            case records.TaskAccepted() | records.TaskHeld() | records.TaskNoted() | records.TaskOver():
                 self._note_task(record)
-            case SharedBegan(capacities, began=began):
+            case records.SharedBegan(capacities, began=began):
                 self.shared, self.resources, self.bases = record, Resources(capacities), {}
                 self.began, self.segment_began, self.length = began, time, 1
                 self.fields = {}
-            case KnowledgeBegan(base):
-                self.bases[base] = base_of(record)
-                follow(base, self.bases[base], self._note)
-            case KnowledgeDelta(base):
-                change(self.bases[base], record)
-            case RunMade():
+            case records.KnowledgeBegan(base):
+                self.bases[base] = records.base_of(record)
+                records.follow(base, self.bases[base], self._note)
+            case records.KnowledgeDelta(base):
+                records.change(self.bases[base], record)
+            case records.RunMade():
                 self._make(record)
-            case RunSucceeded(run, successor, results):
+            case records.RunSucceeded(run, successor, results):
                 self._end(number, self.runs[run], results)
                 self.runs[successor].run.take_the_place_of(self.runs[run].run, time)
-            case RunRetired(run, results):
+            case records.RunRetired(run, results):
                 self._end(number, self.runs[run], results)
                 self.runs[run].run.retire()
-            case TimeCounted(of, used):
+            case records.TimeCounted(of, used):
                 if (counted := self.runs.get(of) or self.tasks.get(of)) is not None:
                     counted.used = used
-            case TaskEntered():  # for people: what it does follows from the rest
+            case records.TaskEntered():  # for people: what it does follows from the rest
                 pass
-            case EndConfirmed(request):
+            case records.EndConfirmed(request):
                 self.resources.confirm(request)
             case _:
                 assert_never(record)
         return ReplayStep(number, time, record)
 
-    def _happened(self, number: int, time: float, record: Happened) -> ReplayStep:
+    def _happened(self, number: int, time: float, record: records.Happened) -> ReplayStep:
         replayed, self._deltas = self.runs[record.run], []
         run = replayed.run
         if record.fields:
             self.fields.update(record.fields)
         commands = run.handle(record.event, time)
         for command in commands:
-            if isinstance(command, Send):
+            if isinstance(command, events.Send):
                 self.requests[command.request.id] = command.request
         deltas, self._deltas, name = tuple(self._deltas), None, run.machine.placed.transition_name
         if run.fired != record.fired:
             _differ(number, "fires", *(tuple(map(name, fired)) for fired in (run.fired, record.fired)))
         if deltas != record.deltas:
             _differ(number, "changes", deltas, record.deltas)
-        if (intents := intents_of(commands)) != record.intents:
+        if (intents := records.intents_of(commands)) != record.intents:
             _differ(number, "intends", intents, record.intents)
         if run.told != record.told:
             _differ(number, "tells", run.told, record.told)
         return ReplayStep(number, time, record, name, commands)
 
-    def _make(self, made: RunMade) -> None:
+    def _make(self, made: records.RunMade) -> None:
         assert self.source is not None, "a replay reads machines where it reads records"
         if made.machine not in self._machines:
             source = self.source(made.machine)
@@ -276,36 +237,35 @@ class Replay:
         replayed = self.runs[made.run] = ReplayedRun(made, run, self._known_fields, self)
         if made.task in self.tasks:
             task = self.tasks[made.task]
-            # Its process has died before it began one: another takes its place.
-            task.runs = [one for one in task.runs if one.run.begun or one.made.caller != made.caller]
+            task.runs = [one for one in task.runs if not one.made.gives_way(made, has_begun=one.run.begun)]
             task.runs.append(replayed)
 
-    def _end(self, number: int, replayed: ReplayedRun, results: tuple[Became, ...]) -> None:
+    def _end(self, number: int, replayed: ReplayedRun, results: tuple[records.Became, ...]) -> None:
         replayed.is_over, replayed.result = True, replayed.run.result_so_far()
-        if (here := became(replayed.result, replayed.run.machine.plan)) != results:
+        if (here := records.became(replayed.result, replayed.run.machine.plan)) != results:
             _differ(number, "ends with", here, results)
 
     def _known_fields(self, action: GroundAction) -> tuple[str, ...] | None:
         return self.fields.get(str(action)) if self.fields else None
 
-    def _note_task(self, record: TaskAccepted | TaskHeld | TaskNoted | TaskOver) -> None:
+    def _note_task(self, record: records.TaskAccepted | records.TaskHeld | records.TaskNoted | records.TaskOver) -> None:
         match record:
-            case TaskAccepted(wanted):
+            case records.TaskAccepted(wanted):
                 made = [replayed for replayed in self.runs.values() if replayed.made.task == wanted.id]  # of a plan, before it is accepted
                 self.tasks[wanted.id] = ReplayedTask(record, self.now, self, self.is_held, made)
-            case TaskHeld(chosen, is_held):
+            case records.TaskHeld(chosen, is_held):
                 if chosen is None:
                     self.is_held = is_held
                 elif chosen in self.tasks:
                     self.tasks[chosen].is_held = is_held
-            case TaskNoted(id, note):
+            case records.TaskNoted(id, note):
                 self.tasks[id].notes.append(note)
-            case TaskOver(id, ending):
+            case records.TaskOver(id, ending):
                 self.tasks[id].ending = ending
             case _:
                 assert_never(record)
 
-    def _note(self, delta: KnowledgeDelta) -> None:
+    def _note(self, delta: records.KnowledgeDelta) -> None:
         if self._deltas is not None:
             self._deltas.append(delta)
 
@@ -322,67 +282,67 @@ def words(step: ReplayStep, replay: Replay) -> tuple[str, ...]:
     """Return the words for a record, a line for each consequence; `replay` has replayed it just now."""
     record = step.record
     match record:
-        case SharedBegan():
+        case records.SharedBegan():
             return ("the world begins",)
-        case KnowledgeBegan(base, facts, variables):
+        case records.KnowledgeBegan(base, facts, variables):
             return (f"knowledge of {_base(base)}: {len(facts)} facts, {len(variables)} variables",)
-        case KnowledgeDelta():
+        case records.KnowledgeDelta():
             return (f"reported {delta_text(record)}",)
-        case RunMade(_, _, name):
+        case records.RunMade(_, _, name):
             run = replay.runs[record.run].run
             return (f"a machine for {name}: {counted(len(run.machine.plan.calls), 'call')}, {run.machine.placed.count_places} places",)
-        case Happened(run_id, event):
+        case records.Happened(run_id, event):
             written = (f"  writes {delta_text(delta)}" for delta in record.deltas if delta.facts or delta.variables)
-            sent = (f"  sends {command.request.action}" for command in step.commands if isinstance(command, Send))
+            sent = (f"  sends {command.request.action}" for command in step.commands if isinstance(command, events.Send))
             return (event_text(event, replay), *(f"  fires {name}" for name in step.fired), *written, *sent)
-        case RunSucceeded(run_id, successor):
+        case records.RunSucceeded(run_id, successor):
             return (f"the run {run_id.hex[:8]} is succeeded by {successor.hex[:8]}",)
-        case RunRetired(run_id):
+        case records.RunRetired(run_id):
             return (f"the run {run_id.hex[:8]} has ended",)
-        case EndConfirmed(request):
+        case records.EndConfirmed(request):
             return (f"{request.hex[:8]} has ended at last: its resources are free",)
-        case TaskAccepted(wanted):
+        case records.TaskAccepted(wanted):
             return (f"accepted {wanted.text or 'the goal of the problem'}",)
-        case TaskHeld(task, is_held):
+        case records.TaskHeld(task, is_held):
             return (f"{'paused' if is_held else 'resumed'} {'all' if task is None else task.hex[:8]}",)
-        case TaskEntered(task, state, reason):
+        case records.TaskEntered(task, state, reason):
             return (f"{task.hex[:8]} is {state.word}{f': {reason}' if reason else ''}",)
-        case TaskNoted(_, note):
+        case records.TaskNoted(_, note):
             return (str(note) if type(note).__str__ is not object.__str__ else f"noted {type(note).__name__}",)
-        case TimeCounted(of, used):
+        case records.TimeCounted(of, used):
             return (
                 f"the time of {of.hex[:8]} {'stops' if used.since is None else 'counts'}: {used.used:.2f} s of {used.limit:g} s are used",
             )
-        case TaskOver(_, ending):
+        case records.TaskOver(_, ending):
             return (f"over: {ending.code.word}: {ending.message}",)
         case _:
             assert_never(record)
 
 
-def event_text(event: Event, replay: Replay) -> str:
+def event_text(event: events.Event, replay: Replay) -> str:
     """Return an event in words; requests by the calls that they belong to."""
     match event:
-        case Begin():
+        case events.Begin():
             return "begin"
-        case Restarted():
+        case events.Restarted():
             return "go on in another process"
-        case KnowledgeChanged():
+        case events.KnowledgeChanged():
             return "facts have changed"
-        case ResourcesChanged():
+        case events.ResourcesChanged():
             return "resources have changed"
-        case Tick():
+        case events.Tick():
             return "a time has come"
-        case Stop(cancel, reason):
+        case events.Stop(cancel, reason):
             return f"stop{', cancelling what runs' if cancel else ''}: {reason}"
-        case Pause(at_once):
+        case events.Pause(at_once):
             return f"pause{' at once' if at_once else ''}"
-        case Resume():
+        case events.Resume():
             return "resume"
-        case SingleStep():
+        case events.SingleStep():
             return "step: one call may begin"
-        case Settled(request, kind):
+        case events.Settled(request, kind):
             return f"a person says how {_name(request, replay)} ends: {kind.value}"
-        case Answered(_, value, message):
+        case events.Answered(_, value, message):
             return f"answer {message or repr(value)}"
         case Accepted(request):
             return f"accepted {_name(request, replay)}"
@@ -397,7 +357,7 @@ def event_text(event: Event, replay: Replay) -> str:
             assert_never(event)
 
 
-def delta_text(delta: KnowledgeDelta) -> str:
+def delta_text(delta: records.KnowledgeDelta) -> str:
     """Return changes of knowledge in words."""
     facts = [statement_text(fluent, value) for fluent, value in delta.facts.items()]
     variables = [f"{name} = {value!r}" for name, value in delta.variables.items()]

@@ -20,7 +20,7 @@ from pnm.knowledge.sources import SourceChoice, check_source
 from pnm.language.actions import LanguageAction, read_action, read_class, read_schema
 from pnm.language.formulas.conditions import read_condition
 from pnm.language.formulas.scope import NOTHING_DECLARED, FormulaScope, read_names, read_typed_text, shown, unknown
-from pnm.language.grammar import DomainKeys, ProblemKeys, Rule, TimedFacts
+from pnm.language.grammar import DomainKeys, ProblemKeys, RuleKeys, TimedFacts
 
 # --- declarations ---------------------------------------------------------------------------------
 # Declarations of the YAML language: types, objects, predicates, functions, derived facts, initial facts.
@@ -90,7 +90,7 @@ def read_derived(top: DomainKeys, scope: FormulaScope) -> Rules:
 
 def read_rule(node: Node, scope: FormulaScope) -> DerivationRule:
     """Read one rule; variables of its head that have no type have that of the declaration."""
-    keys = Rule(node.mapped())
+    keys = RuleKeys(node.mapped())
     fact, condition = keys.fact, keys.condition
     name, text, _ = declaration_parts(fact)
     variables = read_typed_text(text, fact, scope)

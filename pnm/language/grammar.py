@@ -106,7 +106,7 @@ BINDING_KEYS: Final = tuple(key.name for key in Action.known.values() if key.nam
 # --- domains and problems ------------------------------------------------------------------
 
 
-class Rule(Keys):
+class RuleKeys(Keys):
     """A rule: a fact that follows from others."""
 
     fact = needed(TEXT, "the fact with its parameters: (reachable ?p - place)")
@@ -160,7 +160,7 @@ class DomainKeys(_PlannedKeys, others=ANYTHING):
     constants = node(_TYPED, "objects that every problem has: hall kitchen - place")
     predicates = listed(_TEXTS, "predicates: (at ?r - robot ?p - place)")
     functions = listed(_TEXTS, "functions: (battery ?r - robot), or (location ?r - robot) - place")
-    derived = listed({"type": ["array", "null"], "items": Rule.json()}, "facts that follow from others")
+    derived = listed({"type": ["array", "null"], "items": RuleKeys.json()}, "facts that follow from others")
     hierarchy = listed(_TEXTS, "tasks and methods as PDDL writes them; for planners")
     problem = inside(ProblemKeys, "objects, facts and goal that the domain is used with")
 

@@ -72,8 +72,8 @@ MISTAKES: Final = (
         (
             Change(
                 _JOURNAL,
-                "        self._record(Happened(run.id, event, news, run.fired, tuple(deltas), intents_of(commands), run.told), now)\n",
-                "        self._record(Happened(run.id, event, news, run.fired, (), intents_of(commands), run.told), now)\n"
+                "run.fired, tuple(deltas), records.intents_of(commands), run.told), now)\n",
+                "run.fired, (), records.intents_of(commands), run.told), now)\n"
                 "        self._write()\n"
                 "        for delta in deltas:\n            self._record(delta)\n"
                 "        self._due = self._due or self._loop.call_soon(self._write)\n",  # or timers are lost
