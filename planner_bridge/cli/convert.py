@@ -13,7 +13,7 @@ from planner_bridge.cli.console import SafeConsole
 from planner_bridge.pipeline.loading import bindings_for
 from planner_bridge.yaml.convert import exported, imported
 from planner_bridge.yaml.schema import schema_text
-from planner_bridge.yaml.write_bindings import unwritten
+from planner_bridge.yaml.writer import unwritten
 from pnm.errors import InputError
 
 

@@ -6,14 +6,14 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from planner_bridge.pddl.comments import Anchor, AnchorPath, Comment, LineIndex, Table, attach
+from planner_bridge.pddl.comments import Anchor, AnchorPath, Comment, CommentTable, LineIndex, attach
 from planner_bridge.pddl.expressions import Atom, Group, Node, tokens
-from planner_bridge.pddl.forms import ACTION, COMPOUND, PARTS, fact_anchor, form_anchor, form_of, is_timed, rule_anchor
 from planner_bridge.pddl.reader import DOMAIN_SECTIONS, HIERARCHY, NETWORK, PROBLEM_SECTIONS
 from planner_bridge.pddl.sections import define, typed_runs
+from planner_bridge.pddl.writer import ACTION, COMPOUND, PARTS, fact_anchor, form_anchor, form_of, is_timed, rule_anchor
 
 
-def comments(text: str, kind: Literal["domain", "problem"]) -> Table:
+def comments(text: str, kind: Literal["domain", "problem"]) -> CommentTable:
     """Return the comments of the text of a domain or a problem, which must be correct."""
     if ";" not in text:
         return {}

@@ -41,7 +41,7 @@ class Note:
 
 
 NO_NOTE: Final = Note()
-Table: TypeAlias = Mapping[AnchorPath, Note]
+CommentTable: TypeAlias = Mapping[AnchorPath, Note]
 
 
 @dataclass(slots=True)
@@ -62,7 +62,7 @@ class Notes:
     path: AnchorPath = ()
 
     @staticmethod
-    def of(table: Table) -> Notes:
+    def of(table: CommentTable) -> Notes:
         """Return the view of the table from the empty path."""
         return Notes(_NoteStore(dict(table), frozenset(path[:length] for path in table for length in range(len(path) + 1))))
 
@@ -85,7 +85,7 @@ class Notes:
 NO_NOTES: Final = Notes.of({})
 
 
-def write_with_notes(table: Table, write: Callable[[Notes], str]) -> str:
+def write_with_notes(table: CommentTable, write: Callable[[Notes], str]) -> str:
     """Write a text with all notes: those on things that are not written go to the thing around these.
 
     `write` takes the notes that it writes; the one on the empty path, too.

@@ -169,9 +169,12 @@ def _problem(definition: Definition, domain: Domain, warnings: tuple[Tolerated, 
     )
     network = "\n".join(_verbatim_sections(definition, NETWORK, needed))
     init, timed = initial_state(definition.parts(":init"), TermScope(symbols))
-    goal, goals = _goal(definition, TermScope(symbols))
+    goal_section, metric_section = definition.one(":goal"), definition.one(":metric")
+    if goal_section is None and not definition.every(*NETWORK):
+        Leniency.NO_GOAL.note(definition.whole)
+    goal, goals = _goal(goal_section, TermScope(symbols)) if goal_section else (TRUE, ())
     hard, soft = constraints(definition.parts(":constraints"), TermScope(symbols))
-    metric = _metric(definition, TermScope(symbols, metric=True))
+    metric = _metric(metric_section, TermScope(symbols, metric=True)) if metric_section else None
     problem = Problem(
         definition.name,
         replace(domain, functions={**domain.functions, TOTAL_COST: symbols.costs}) if symbols.costs else domain,
@@ -205,21 +208,13 @@ def _check_domain_name(definition: Definition, domain: Domain) -> None:
             raise wrong(section, f"expected (:domain {domain.name})")
 
 
-def _goal(definition: Definition, scope: TermScope) -> tuple[Condition, tuple[Preference, ...]]:
-    section = definition.one(":goal")
-    if section is None:
-        if not definition.every(*NETWORK):
-            Leniency.NO_GOAL.note(definition.whole)
-        return TRUE, ()
+def _goal(section: Group, scope: TermScope) -> tuple[Condition, tuple[Preference, ...]]:
     if len(section.rest) != 1:
         raise wrong(section, f"expected (:goal CONDITION), found {len(section.rest)} conditions")
     return split_preferences(section.rest[0], scope)
 
 
-def _metric(definition: Definition, scope: TermScope) -> Metric | None:
-    section = definition.one(":metric")
-    if section is None:
-        return None
+def _metric(section: Group, scope: TermScope) -> Metric:
     match section.rest:
         case (Atom() as direction, expression) if direction.key in _DIRECTIONS:
             return Metric(_DIRECTIONS[direction.key], scope.expression(expression))

@@ -10,16 +10,15 @@ from typing import Literal
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
 from planner_bridge.pddl.attach_comments import comments
-from planner_bridge.pddl.comments import Table
+from planner_bridge.pddl.comments import CommentTable
 from planner_bridge.pddl.reader import MAX_BYTES
 from planner_bridge.pddl.writer import write_domain as domain_text
 from planner_bridge.pddl.writer import write_problem as problem_text
 from planner_bridge.planning.kairos import IMPROVE
 from planner_bridge.planning.solve import solve
 from planner_bridge.yaml.reader import read
-from planner_bridge.yaml.write_bindings import write_bindings
-from planner_bridge.yaml.write_domain import write_domain, write_problem
 from planner_bridge.yaml.write_plan import plan_entries
+from planner_bridge.yaml.writer import write_bindings, write_domain, write_problem
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings
 from pnm.errors import InputError, Tolerated, suggestion
 from pnm.files.text import read_any_text
@@ -92,9 +91,9 @@ def imported(file: Path) -> Imported:
     return Imported(texts, warnings)
 
 
-def _both(domain: Path, problem: Path) -> Table:
+def _both(domain: Path, problem: Path) -> CommentTable:
     return {**_comments(domain, "domain"), **_comments(problem, "problem")}
 
 
-def _comments(file: Path, kind: Literal["domain", "problem"]) -> Table:
+def _comments(file: Path, kind: Literal["domain", "problem"]) -> CommentTable:
     return comments(read_any_text(file, MAX_BYTES)[0], kind)

@@ -82,7 +82,7 @@ class Entry:
 
 
 @dataclass(frozen=True, slots=True)
-class Sequence:
+class YamlList:
     """A list."""
 
     entries: tuple[Entry, ...] = ()
@@ -91,7 +91,7 @@ class Sequence:
 
 
 @dataclass(frozen=True, slots=True)
-class Mapping:
+class YamlMapping:
     """Keys and values."""
 
     entries: tuple[Entry, ...] = ()
@@ -99,21 +99,21 @@ class Mapping:
     """Whether it stands in braces if it fits."""
 
 
-Value: TypeAlias = str | Bare | Sequence | Mapping
+Value: TypeAlias = str | Bare | YamlList | YamlMapping
 """A text of several lines is written as a block of them."""
 
 
-def items(values: Iterable[Value], *, short: bool = False) -> Sequence:
+def items(values: Iterable[Value], *, short: bool = False) -> YamlList:
     """Return a list of values without comments."""
-    return Sequence(tuple([Entry(value) for value in values]), short)
+    return YamlList(tuple([Entry(value) for value in values]), short)
 
 
-def single(key: str, value: Value, *, short: bool = False) -> Mapping:
+def single(key: str, value: Value, *, short: bool = False) -> YamlMapping:
     """Return a mapping of one key."""
-    return Mapping((Entry(value, key),), short)
+    return YamlMapping((Entry(value, key),), short)
 
 
-def document(whole: Mapping) -> str:
+def document(whole: YamlMapping) -> str:
     """Write a document."""
     return render_lines(_block(whole, 0), commented)
 
@@ -127,39 +127,37 @@ def _comments(texts: Iterable[str], indent: int) -> Iterator[Line]:
     return (Line(indent, commented(text)) for text in texts)
 
 
-def _block(value: Sequence | Mapping, indent: int) -> Iterator[Line]:
+def _block(value: YamlList | YamlMapping, indent: int) -> Iterator[Line]:
     for entry in value.entries:
         if entry.apart:
             yield Line(0, "")
         yield from _comments(entry.note.before, indent)
-        first, *others = _entry(entry, "-" if isinstance(value, Sequence) else f"{scalar(entry.key)}:", indent)
+        first, *others = _entry(entry.value, "-" if isinstance(value, YamlList) else f"{scalar(entry.key)}:", indent)
         yield Line(first.indent, first.text, (*entry.note.beside, *first.beside))
         yield from others
         yield from _comments(entry.note.below, indent)
 
 
-def _entry(entry: Entry, head: str, indent: int) -> Iterator[Line]:
-    value = entry.value
-    is_form = head == "-" and isinstance(value, Mapping) and len(value.entries) == 1
-    if isinstance(value, str):
-        line = None if "\n" in value and not _FOLDED.search(value) else scalar(value)
-    elif isinstance(value, Bare) or ((value.short or not value.entries) and not is_form):  # a dash needs no braces behind it
-        line = _flow(value)
-    else:
-        line = None
-    if line is not None and (not isinstance(value, Sequence | Mapping) or not value.entries or indent + len(head) + 1 + len(line) <= WIDTH):
-        yield Line(indent, f"{head} {line}")
-    elif isinstance(value, Sequence | Mapping):
-        lines = _block(value, indent + 2)
-        first = next(lines)
-        if head == "-" and first.text[:1] != "#":
-            yield Line(indent, f"- {first.text}", first.beside)
-        else:
-            yield from (Line(indent, head), first)
-        yield from lines
-    elif isinstance(value, str):
-        yield Line(indent, f"{head} |-")
-        yield from (Line(indent + 2 if text else 0, text) for text in value.split("\n"))
+def _entry(value: Value, head: str, indent: int) -> Iterator[Line]:
+    match value:
+        case str() if "\n" in value and not _FOLDED.search(value):
+            yield Line(indent, f"{head} |-")
+            yield from (Line(indent + 2 if text else 0, text) for text in value.split("\n"))
+        case str() | Bare():
+            yield Line(indent, f"{head} {scalar(value) if isinstance(value, str) else value.text}")
+        case YamlList() | YamlMapping():
+            is_form = head == "-" and isinstance(value, YamlMapping) and len(value.entries) == 1  # a dash needs no braces behind it
+            line = _flow(value) if (value.short and not is_form) or not value.entries else None
+            if line is not None and (not value.entries or indent + len(f"{head} {line}") <= WIDTH):
+                yield Line(indent, f"{head} {line}")
+                return
+            lines = _block(value, indent + 2)
+            first = next(lines)
+            if head == "-" and first.text[:1] != "#":
+                yield Line(indent, f"- {first.text}", first.beside)
+            else:
+                yield from (Line(indent, head), first)
+            yield from lines
 
 
 def _flow(value: Value) -> str | None:
@@ -168,15 +166,15 @@ def _flow(value: Value) -> str | None:
             return scalar(text, in_flow=True)
         case Bare(text):
             return text
-        case Sequence(entries) | Mapping(entries):
+        case YamlList(entries) | YamlMapping(entries):
             parts = [_flow(entry.value) for entry in entries]
             if any(part is None for part in parts) or any(entry.note for entry in entries):
                 return None
-            if isinstance(value, Sequence):
+            if isinstance(value, YamlList):
                 return f"[{', '.join(map(str, parts))}]"
             return f"{{{', '.join(f'{scalar(entry.key, in_flow=True)}: {part}' for entry, part in zip(entries, parts, strict=True))}}}"
 
 
 def depth(value: Value) -> int:
     """Return the depth of nested lists and mappings."""
-    return 1 + max((depth(entry.value) for entry in value.entries), default=0) if isinstance(value, Sequence | Mapping) else 0
+    return 1 + max((depth(entry.value) for entry in value.entries), default=0) if isinstance(value, YamlList | YamlMapping) else 0

@@ -7,27 +7,21 @@ delay, or not before a time. Then all steps stand in one list, and each has all 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from math import inf
-from typing import Final, assert_never
+from typing import TypeAlias, assert_never
 
 from planner_bridge.model.problem import Domain
 from planner_bridge.pddl.expressions import number_text
-from planner_bridge.yaml.emitter import Bare, Entry, Mapping, Sequence, Value, items
-from planner_bridge.yaml.series_parallel import Block, Mesh, Parallel, Series, blocks, reduced
+from planner_bridge.yaml.emitter import Bare, Entry, Value, YamlMapping, items, single
 from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
 from pnm.errors import InputError
-
-_NO_PLAN: Final = Entry(Sequence(), "plan", apart=True)
 
 
 def plan_entries(graph: PlanGraph, domain: Domain) -> list[Entry]:
     """Return the keys of a file with a plan that a planner has made."""
-    if not graph.calls:
-        return [_NO_PLAN]
-    writer = _StepWriter(graph, domain)
-    return [Entry(Sequence(tuple([Entry(step) for step in writer.steps()])), "plan", apart=True)]
+    return [Entry(items(_StepWriter(graph, domain).steps() if graph.calls else ()), "plan", apart=True)]
 
 
 @dataclass(frozen=True)
@@ -35,7 +29,7 @@ class _StepWriter:
     graph: PlanGraph
     domain: Domain
 
-    def steps(self) -> list[Mapping]:
+    def steps(self) -> list[YamlMapping]:
         order = self.graph.order
         places = {event: place for place, event in enumerate(order)}
         own = [(places[PlanEvent(call.index, Moment.START)], places[PlanEvent(call.index, Moment.END)]) for call in self.graph.calls]
@@ -46,55 +40,46 @@ class _StepWriter:
         simple = all(
             ordering.before.moment is Moment.END and ordering.after.moment is Moment.START and not ordering.delay for ordering in orderings
         )
-        if simple and not any(call.release or min(call.latest_start, call.deadline) < inf for call in self.graph.calls):
-            return self._in_blocks(orderings)
-        return self._explicit(orderings)
-
-    # --- blocks ---
-
-    def _in_blocks(self, orderings: Iterable[Ordering]) -> list[Mapping]:
-        order = list(dict.fromkeys(event.call for event in self.graph.order))
-        places = {call: place for place, call in enumerate(order)}
-        edges = [(places[ordering.before.call], places[ordering.after.call]) for ordering in orderings]
-        match blocks(reduced(len(order), edges)):
+        if not simple or any(call.release or min(call.latest_start, call.deadline) < inf for call in self.graph.calls):
+            return self._explicit(orderings)
+        calls = list(dict.fromkeys(event.call for event in order))
+        numbers = {call: number for number, call in enumerate(calls)}
+        match blocks(reduced(len(calls), [(numbers[ordering.before.call], numbers[ordering.after.call]) for ordering in orderings])):
             case Series(parts):
-                return [self._block(part, order) for part in parts]
-            case Mesh(before):
-                waits = {order[step]: tuple(order[other] for other in others) for step, others in before.items()}
-                return self._mesh(waits, in_sequence=True)
+                return [self._block(part, calls) for part in parts]
+            case Mesh(before_each):
+                return self._mesh(before_each, calls, in_sequence=True)
             case whole:
-                return [self._block(whole, order)]
+                return [self._block(whole, calls)]
 
-    def _block(self, block: Block, order: list[int]) -> Mapping:
+    def _block(self, block: Block, calls: list[int]) -> YamlMapping:
         match block:
             case int():
-                return Mapping((self._call(order[block]),))
+                return YamlMapping((self._call(calls[block]),))
             case Series(parts):
-                return _listed("sequence", [self._block(part, order) for part in parts])
+                return single("sequence", items(self._block(part, calls) for part in parts))
             case Parallel(parts):
-                return _listed("concurrent_actions", [self._block(part, order) for part in parts])
+                return single("concurrent_actions", items(self._block(part, calls) for part in parts))
             case Mesh(before):
-                waits = {order[step]: tuple(order[other] for other in others) for step, others in before.items()}
-                return _listed("concurrent_actions", self._mesh(waits, in_sequence=False))
+                return single("concurrent_actions", items(self._mesh(before, calls, in_sequence=False)))
             case _:
                 assert_never(block)
 
-    def _mesh(self, before: dict[int, tuple[int, ...]], *, in_sequence: bool) -> list[Mapping]:
+    def _mesh(self, before: Mapping[int, tuple[int, ...]], calls: list[int], *, in_sequence: bool) -> list[YamlMapping]:
         """Write steps with what they wait for, where that is not what a step of such a list waits for anyway."""
-        named = self._names({other for others in before.values() for other in others})
-        steps: list[Mapping] = []
+        named = self._names({calls[other] for others in before.values() for other in others})
+        steps: list[YamlMapping] = []
         usual: set[int] = set()
-        for call, others in before.items():
-            after = [] if usual == {*others} else [Entry(items((named[other] for other in others), short=True), "after")]
-            steps.append(_step(self._call(call), *_id(named, call), *after))
-            usual = {*usual, call}.difference(others) if in_sequence else usual
+        for number, others in before.items():
+            after = [] if usual == {*others} else [Entry(items((named[calls[other]] for other in others), short=True), "after")]
+            steps.append(self._step(calls[number], named, *after))
+            usual = {*usual, number}.difference(others) if in_sequence else usual
         return steps
 
-    # --- events ---
-
-    def _explicit(self, orderings: list[Ordering]) -> list[Mapping]:
+    def _explicit(self, orderings: list[Ordering]) -> list[YamlMapping]:
+        """Write all steps in one list, each with all it waits for and its times."""
         named = self._names({ordering.before.call for ordering in orderings})
-        steps: list[Mapping] = []
+        steps: list[YamlMapping] = []
         for call in sorted(self.graph.calls, key=lambda call: call.planned):
             waits = {moment: [ordering for ordering in orderings if ordering.after == PlanEvent(call.index, moment)] for moment in Moment}
             options = [
@@ -110,46 +95,136 @@ class _StepWriter:
                 ("deadline", call.deadline if call.deadline < inf else None),
             ]
             options += [Entry(Bare(number_text(seconds)), key) for key, seconds in times if seconds is not None]
-            steps.append(_step(self._call(call.index), *_id(named, call.index), *options))
+            steps.append(self._step(call.index, named, *options))
         return steps
 
-    # --- calls ---
+    def _step(self, index: int, named: Mapping[int, str], *options: Entry) -> YamlMapping:
+        call, whole = self._call(index), (*([Entry(named[index], "id")] if index in named else ()), *options)
+        if call.key in [option.key for option in whole]:
+            raise InputError(
+                f"this plan needs {call.key!r} as a word of the language; an action cannot be called so, expected another name"
+            )
+        return YamlMapping((call, *whole))
 
     def _call(self, index: int) -> Entry:
         action = self.graph.calls[index].action
         arguments = zip(action.parameters, action.arguments, strict=True)
-        return Entry(Mapping(tuple([Entry(argument, name) for name, argument in arguments]), short=True), action.name)
+        return Entry(YamlMapping(tuple([Entry(argument, name) for name, argument in arguments]), short=True), action.name)
 
-    def _names(self, calls: Iterable[int]) -> dict[int, str]:
+    def _names(self, wanted: Set[int]) -> dict[int, str]:
         """Return names for calls: their action, and a number if it is called several times."""
-        often = Counter(call.action.name for call in self.graph.calls)
-        seen: Counter[str] = Counter()
-        names: dict[int, str] = {}
+        often, seen, names = Counter(call.action.name for call in self.graph.calls), Counter[str](), dict[int, str]()
         for call in self.graph.calls:
-            seen[call.action.name] += 1
-            names[call.index] = f"{call.action.name}_{seen[call.action.name]}" if often[call.action.name] > 1 else call.action.name
-        wanted = set(calls)
-        return {index: name for index, name in names.items() if index in wanted}
+            name = call.action.name
+            seen[name] += 1
+            if call.index in wanted:
+                names[call.index] = f"{name}_{seen[name]}" if often[name] > 1 else name
+        return names
 
 
-def _listed(key: str, steps: list[Mapping]) -> Mapping:
-    return Mapping((Entry(Sequence(tuple([Entry(step) for step in steps])), key),))
-
-
-def _step(call: Entry, *options: Entry) -> Mapping:
-    if call.key in [option.key for option in options]:
-        raise InputError(f"this plan needs {call.key!r} as a word of the language; an action cannot be called so, expected another name")
-    return Mapping((call, *options))
-
-
-def _id(named: dict[int, str], call: int) -> tuple[Entry, ...]:
-    return (Entry(named[call], "id"),) if call in named else ()
-
-
-def _event(ordering: Ordering, named: dict[int, str]) -> Value:
+def _event(ordering: Ordering, named: Mapping[int, str]) -> Value:
     """Name what comes before: a step for its end, a mapping for its start or for a later time."""
     name, moment = named[ordering.before.call], ordering.before.moment
     if moment is Moment.END and not ordering.delay:
         return name
     delay = [Entry(Bare(number_text(ordering.delay)), "delay")] if ordering.delay else []
-    return Mapping((Entry(name, moment.value), *delay), short=True)
+    return YamlMapping((Entry(name, moment.value), *delay), short=True)
+
+
+# --- series-parallel orders ----------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """One after the other."""
+
+    parts: tuple[Block, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Parallel:
+    """In no order."""
+
+    parts: tuple[Block, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Mesh:
+    """In an order that is not series-parallel."""
+
+    before: Mapping[int, tuple[int, ...]]
+    """For every element, in an order that fits, those directly before it."""
+
+
+Block: TypeAlias = int | Series | Parallel | Mesh
+
+
+def reduced(size: int, edges: Iterable[tuple[int, int]]) -> list[tuple[int, ...]]:
+    """Return, for elements numbered in an order that fits, those that come directly before each: the transitive reduction."""
+    before: list[set[int]] = [set() for _ in range(size)]
+    for first, second in edges:
+        before[second].add(first)
+    earlier = closure(before)
+    return [tuple(sorted(element for element in own if not any(earlier[other] >> element & 1 for other in own))) for own in before]
+
+
+def closure(before: Sequence[Iterable[int]]) -> list[int]:
+    """Return, for elements numbered in an order that fits, the set of all that come before each."""
+    earlier: list[int] = []
+    for own in before:
+        ancestors = 0
+        for element in own:
+            ancestors |= earlier[element] | 1 << element
+        earlier.append(ancestors)
+    return earlier
+
+
+def blocks(before: Sequence[tuple[int, ...]]) -> Block:
+    """Take apart a transitively reduced order of at least one element."""
+    earlier = closure(before)
+    related = list(earlier)
+    for number, ancestors in enumerate(earlier):
+        for element in _members(ancestors):
+            related[element] |= 1 << number
+    return _block((1 << len(before)) - 1, before, earlier, related)
+
+
+def _block(members: int, before: Sequence[tuple[int, ...]], earlier: Sequence[int], related: Sequence[int]) -> Block:
+    if members.bit_count() == 1:
+        return members.bit_length() - 1
+    beside = _components(members, related)
+    if len(beside) > 1:
+        return Parallel(tuple([_block(part, before, earlier, related) for part in beside]))
+    chained = _components(members, [~neighbours for neighbours in related])
+    if len(chained) > 1:
+        chained.sort(key=lambda part: (earlier[_lowest(part)] & members & ~part).bit_count())
+        return Series(tuple([_block(part, before, earlier, related) for part in chained]))
+    return Mesh({element: tuple(other for other in before[element] if members >> other & 1) for element in _members(members)})
+
+
+def _components(members: int, neighbours: Sequence[int]) -> list[int]:
+    """Return the parts of a set that no neighbours connect, by their lowest members."""
+    parts: list[int] = []
+    left = members
+    while left:
+        part = frontier = 1 << _lowest(left)
+        while frontier:
+            reached = 0
+            for element in _members(frontier):
+                reached |= neighbours[element]
+            frontier = reached & left & ~part
+            part |= frontier
+        parts.append(part)
+        left &= ~part
+    return parts
+
+
+def _lowest(members: int) -> int:
+    return (members & -members).bit_length() - 1
+
+
+def _members(members: int) -> Iterator[int]:
+    while members:
+        lowest = _lowest(members)
+        yield lowest
+        members ^= 1 << lowest

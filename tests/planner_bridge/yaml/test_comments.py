@@ -6,7 +6,7 @@ from planner_bridge.pddl import parse_domain, write_domain
 from planner_bridge.pddl.attach_comments import comments
 from planner_bridge.pddl.comments import Note
 from planner_bridge.yaml.reader import parse
-from planner_bridge.yaml.write_domain import write_domain as domain_as_yaml
+from planner_bridge.yaml.writer import write_domain as domain_as_yaml
 from tests.support.yaml.conversion import comments_in, notes
 
 COMMENTED = """; about the file

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pddl.attach_comments import comments
-from planner_bridge.pddl.comments import Table
+from planner_bridge.pddl.comments import CommentTable
 from planner_bridge.yaml.convert import exported, imported
-from planner_bridge.yaml.emitter import Entry, Mapping, Sequence, document, scalar
+from planner_bridge.yaml.emitter import Entry, YamlList, YamlMapping, document, scalar
 from planner_bridge.yaml.reader import parse
-from planner_bridge.yaml.write_domain import write_domain as domain_as_yaml
-from planner_bridge.yaml.write_domain import write_problem as problem_as_yaml
+from planner_bridge.yaml.writer import write_domain as domain_as_yaml
+from planner_bridge.yaml.writer import write_problem as problem_as_yaml
 from pnm.core.logic.conditions import All, Compare, Holds
 from pnm.core.logic.domain import ActionSchema, Preference
 from pnm.core.logic.effects import TimedChange
@@ -43,7 +43,7 @@ OTHERS = [
 ]
 
 
-def there_and_back(problem: Problem, table: Table) -> None:
+def there_and_back(problem: Problem, table: CommentTable) -> None:
     text = problem_as_yaml(problem, table)
     found = parse(text, "x.yaml")
     assert found.problem == problem
@@ -185,7 +185,7 @@ def test_every_reader_of_yaml_finds_the_exact_text(text: str) -> None:
 @given(st.lists(TEXTS.filter(str.strip), min_size=1, max_size=4), st.booleans())
 def test_every_reader_of_yaml_finds_the_same_lists(texts: list[str], short: bool) -> None:
     entries = tuple([Entry(text, text) for text in dict.fromkeys(texts)])
-    written = document(Mapping((Entry(Sequence(entries, short), "list"), Entry(Mapping(entries, short), "mapping"))))
+    written = document(YamlMapping((Entry(YamlList(entries, short), "list"), Entry(YamlMapping(entries, short), "mapping"))))
     assert yaml.safe_load(written) == {"list": list(dict.fromkeys(texts)), "mapping": {text: text for text in texts}}
 
 

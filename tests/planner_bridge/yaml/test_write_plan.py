@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.ordering.plan_to_graph import plan_graph
-from planner_bridge.yaml.series_parallel import Block, Mesh, Parallel, Series, blocks, closure, reduced
-from planner_bridge.yaml.write_domain import write_problem, written
-from planner_bridge.yaml.write_plan import plan_entries
+from planner_bridge.yaml.write_plan import Block, Mesh, Parallel, Series, blocks, closure, plan_entries, reduced
+from planner_bridge.yaml.writer import write_problem, written
 from pnm.core.machine.plan_graph import ActionCall, Junction, Moment, Ordering, PlanEvent, PlanGraph
 from pnm.language.plan import read_plans
 from tests.support.pddl.problems import matches, rooms

@@ -11,7 +11,7 @@ import pytest
 from planner_bridge.pddl import parse_domain
 from planner_bridge.yaml.convert import exported, imported
 from planner_bridge.yaml.reader import parse
-from planner_bridge.yaml.write_domain import write_domain as domain_as_yaml
+from planner_bridge.yaml.writer import write_domain as domain_as_yaml
 from pnm.errors import InputError
 from tests.support.files import ROOT, refused
 

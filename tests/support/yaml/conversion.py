@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from planner_bridge.pddl.comments import Table
+from planner_bridge.pddl.comments import CommentTable
 from planner_bridge.pddl.expressions import tokens
 
 
-def notes(table: Table) -> list[str]:
+def notes(table: CommentTable) -> list[str]:
     return sorted(one for note in table.values() for one in (*note.before, *note.beside, *note.below) if one)
 
 

@@ -1,0 +1,374 @@
+"""Domains and problems as YAML in the language that people write."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import fields, replace
+from itertools import groupby
+from typing import Final, assert_never
+
+from planner_bridge.model.problem import Domain, Problem
+from planner_bridge.pddl.comments import NO_NOTE, NO_NOTES, CommentTable, Notes, write_with_notes
+from planner_bridge.pddl.expressions import number_text
+from planner_bridge.pddl.writer import (
+    ACTION,
+    NO_COMMENTS,
+    change_form,
+    condition_form,
+    constraint_form,
+    effects_form,
+    fact_anchor,
+    flat,
+    form_anchor,
+    hierarchy_anchor,
+    nested,
+    preference_form,
+    rule_anchor,
+    rule_form,
+    typed_lines,
+    types_form,
+    variables_form,
+)
+from planner_bridge.yaml.emitter import Bare, Entry, Value, YamlList, YamlMapping, depth, document, items, single
+from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
+from pnm.core.logic.domain import ActionSchema, Declaration, DurationConstraint, Preference
+from pnm.core.logic.effects import Effect, Effects, ForEach, Set, When
+from pnm.core.logic.expressions import Arithmetic, Constant, Expression, ValueOf, Variable, fluent_text
+from pnm.core.logic.trajectory import Constraint
+from pnm.core.machine.bindings import DEFAULT, NO_BINDINGS, Binding, Bindings, Foreign, Table, WhenLost
+from pnm.core.message_fields import Comparison, Every, FieldValue, Flag, Negation, Some
+from pnm.errors import InputError
+from pnm.files.yaml_nodes import MAX_DEPTH
+from pnm.language.grammar import RESERVED
+
+LANGUAGE_DEFAULT: Final = Binding(retries=0)
+"""The keys of an action in the language without information."""
+_LONG: Final = 80
+"""Characters of typed variables in one text, at most."""
+
+
+def write_domain(domain: Domain, table: CommentTable = NO_COMMENTS, bindings: Bindings = NO_BINDINGS) -> str:
+    """Write a domain as YAML, with the comments of the table, and with how its actions are bound to servers.
+
+    Raises `InputError` if something is nested deeper than the language allows, or an action has the name of a word of the language.
+    """
+    return write_with_notes(table, lambda notes: written(domain_entries(domain, notes, bindings)))
+
+
+def write_problem(problem: Problem, table: CommentTable = NO_COMMENTS, plan: Iterable[Entry] = (), bindings: Bindings = NO_BINDINGS) -> str:
+    """Write a domain and a problem as one YAML file, with the comments of the table, and a plan for the problem; else as `write_domain`."""
+
+    def write(notes: Notes) -> str:
+        own = notes.at("problem")
+        entry = Entry(YamlMapping(tuple(_problem(problem, own))), "problem", own.take(), apart=True)
+        return written([*domain_entries(problem.domain, notes, bindings), entry, *plan])
+
+    return write_with_notes(table, write)
+
+
+def written(entries: Iterable[Entry]) -> str:
+    """Write a file."""
+    whole = YamlMapping(tuple(entries))
+    if depth(whole) >= MAX_DEPTH:
+        raise InputError(f"this is nested too deeply for YAML files, which may have {MAX_DEPTH} lists and mappings in each other")
+    return document(whole)
+
+
+def domain_entries(domain: Domain, notes: Notes, bindings: Bindings) -> list[Entry]:
+    """Return the keys of a file with a domain."""
+    if name := next((name for name in domain.actions if name in RESERVED), None):
+        raise InputError(f"{name!r} is a word of the language; expected another name for the action in the domain")
+    own = notes.at("domain")
+    root = own.take().joined(notes.take())
+    rules: list[Entry] = []
+    for rule in domain.rules:
+        form = rule_form(rule)
+        inner = own.at(":derived", rule_anchor(form))
+        note = inner.take()
+        keys = Entry(flat(form[1]), "fact"), Entry(conditions(rule.condition, inner), "condition")
+        rules.append(Entry(YamlMapping(keys), note=note))
+    entries = [
+        _requirements(domain.requirements, own),
+        _names("types", ((name, above or ("object",)) for name, above in domain.types.items()), own),
+        _names("constants", domain.constants.items(), own),
+        _declarations("predicates", domain.predicates.values(), own),
+        _declarations("functions", domain.functions.values(), own),
+        Entry(YamlList(tuple(rules)), "derived"),
+        _constraints(domain, own),
+        Entry(preferences(domain.preferences, NO_NOTES, own.at(":constraints")), "preferences"),
+        Entry(YamlList(tuple(Entry(text, note=own.at(*hierarchy_anchor(text)).take()) for text in domain.hierarchy)), "hierarchy"),
+    ]
+    actions: list[Entry] = []
+    for schema in domain.actions.values():
+        inner = own.at(ACTION, schema.name.lower())
+        bound = binding_entries(bindings.actions.get(schema.name, LANGUAGE_DEFAULT), LANGUAGE_DEFAULT, type_key="ros_type")
+        actions.append(Entry(YamlMapping((*_parts(schema, inner), *bound)), schema.name, inner.take(), apart=bool(actions)))
+    entries.append(Entry(YamlMapping(tuple(actions)), "actions"))
+    filled = (replace(entry, apart=entry.key != "requirements") for entry in entries if not _is_empty(entry))
+    return [Entry(domain.name, "name", root), *filled]
+
+
+def _is_empty(entry: Entry) -> bool:
+    return isinstance(entry.value, YamlList | YamlMapping) and not entry.value.entries and not entry.note
+
+
+def _requirements(words: tuple[str, ...], notes: Notes) -> Entry:
+    return Entry(items((word.removeprefix(":") for word in words), short=True), "requirements", notes.at(":requirements").take())
+
+
+def _names(key: str, pairs: Iterable[tuple[str, tuple[str, ...]]], notes: Notes) -> Entry:
+    own = notes.at(f":{key}")
+    lines = tuple([Entry(text, note=note) for text, note in typed_lines(pairs, own)])
+    return Entry(YamlList(lines), key, own.take())
+
+
+def _declarations(key: str, declared: Iterable[Declaration], notes: Notes) -> Entry:
+    own = notes.at(f":{key}")
+    lines: list[Entry] = []
+    for declaration in declared:
+        text = flat([declaration.name, *variables_form(declaration.parameters)])
+        values = f" - {flat(types_form(declaration.values))}" if declaration.values else ""
+        lines.append(Entry(f"{text}{values}", note=own.at(declaration.name.lower()).take()))
+    return Entry(YamlList(tuple(lines)), key, own.take())
+
+
+def _constraints(whole: Domain | Problem, notes: Notes) -> Entry:
+    own = notes.at(":constraints")
+    note = own.take() if whole.constraints or any(isinstance(preference.wanted, tuple) for preference in whole.preferences) else NO_NOTE
+    return Entry(constraints(whole.constraints, own), "constraints", note)
+
+
+def _parts(schema: ActionSchema, notes: Notes) -> Iterator[Entry]:
+    if schema.parameters:
+        yield Entry(typed(schema.parameters), "params", notes.at("parameters").take())
+    if schema.duration is not None:
+        yield Entry(duration(schema.duration), "duration", notes.at("duration").take())
+    wanted, changing, is_timed = notes.at("condition"), notes.at("effect"), schema.duration is not None
+    tests = (("at_start", schema.precondition), ("over_all", schema.invariant), ("at_end", schema.end_condition))
+    if tested := [Entry(conditions(condition, wanted), key) for key, condition in tests if condition != TRUE]:
+        yield Entry(YamlMapping(tuple(tested)) if is_timed else tested[0].value, "preconditions", wanted.take())
+    if schema.preferences:
+        yield Entry(preferences(schema.preferences, wanted, wanted), "preferences", wanted.take())
+    changes = (("at_start", schema.start_effects), ("at_end", schema.end_effects))
+    if changed := [Entry(effects(timed, changing), key) for key, timed in changes if timed]:
+        yield Entry(YamlMapping(tuple(changed)) if is_timed else changed[0].value, "effects", changing.take())
+
+
+def _problem(problem: Problem, notes: Notes) -> Iterator[Entry]:
+    goal, facts = notes.at(":goal"), notes.at(":init")
+    forms = [change_form(fluent, value) for fluent, value in problem.init.items() if value is not False]
+    at_first = [Entry(flat(form), note=facts.at(fact_anchor(form)).take()) for form in forms]
+    later: list[Entry] = []
+    for timed in problem.timed:
+        time = number_text(timed.time)
+        forms = [change_form(fluent, value) for fluent, value in timed.changes.items()]
+        changes = [Entry(flat(form), note=facts.at(fact_anchor(["at", time, form])).take()) for form in forms]
+        later.append(Entry(YamlMapping((Entry(Bare(time), "at"), Entry(YamlList(tuple(changes)), "facts")))))
+    entries = [
+        _requirements(problem.requirements, notes),
+        _names("objects", problem.own_objects.items(), notes),
+        Entry(YamlList((*at_first, *later)), "init", facts.take()),
+        _constraints(problem, notes),
+        Entry(preferences(problem.preferences, goal, notes.at(":constraints")), "preferences"),
+    ]
+    yield Entry(problem.name, "name")
+    yield from (entry for entry in entries if not _is_empty(entry))
+    if problem.network:
+        yield Entry(problem.network, "network", notes.at(*hierarchy_anchor(problem.network)).take())
+    if problem.goal != TRUE or not problem.network:
+        yield Entry(conditions(problem.goal, goal), "goal", goal.take())
+    if problem.metric:
+        metric = single(problem.metric.direction, expression(problem.metric.expression))
+        yield Entry(metric, "metric", notes.at(":metric").take())
+
+
+# --- formulas ------------------------------------------------------------------------------
+
+
+def conditions(condition: Condition, notes: Notes) -> Value:
+    """Write what must hold: one condition, or a list of them."""
+    entries = [_noted(part, notes) for part in conjuncts(condition)]
+    return entries[0].value if len(entries) == 1 and not entries[0].note else YamlList(tuple(entries))
+
+
+def _noted(condition: Condition, notes: Notes) -> Entry:
+    if isinstance(condition, All):  # which is looked through when comments are read
+        return Entry(_condition(condition, notes))
+    own = notes.at(form_anchor(condition_form(condition))) if notes else NO_NOTES
+    return Entry(_condition(condition, own), note=own.take())
+
+
+def _condition(condition: Condition, notes: Notes) -> Value:
+    match condition:
+        case Holds(fluent):
+            return fluent_text(fluent)
+        case Compare(operation, left, right):
+            sides = items([expression(left), expression(right)], short=True)
+            return single("Comparison", items([operation, sides], short=True), short=True)
+        case Not(operand):
+            entry = _noted(operand, notes)
+            return YamlMapping((Entry(entry.value, "not", entry.note),))
+        case All(operands) | Any(operands):
+            word = "and" if isinstance(condition, All) else "or"
+            return single(word, YamlList(tuple([_noted(operand, notes) for operand in operands])))
+        case Implies(left, right):
+            return single("imply", YamlList((_noted(left, notes), _noted(right, notes))))
+        case ForAll(variables, body) | Exists(variables, body):
+            word = "forall" if isinstance(condition, ForAll) else "exists"
+            return single(word, _quantified(variables, "condition", conditions(body, notes)))
+        case Computed():
+            raise InputError(f"PDDL cannot say {condition}: it knows facts and functions, not variables")
+        case _:
+            assert_never(condition)
+
+
+def _quantified(variables: tuple[Variable, ...], key: str, body: Value) -> YamlMapping:
+    return YamlMapping((Entry(typed(variables), "variables"), Entry(body, key)))
+
+
+def typed(variables: tuple[Variable, ...]) -> Value:
+    """Write variables with their types: as one text, or as a list of texts if that would be long."""
+    text = " ".join(map(flat, variables_form(variables)))
+    if len(text) <= _LONG:
+        return text
+    runs = groupby(variables, key=lambda variable: variable.types)
+    return items(f"{' '.join(variable.name for variable in run)} - {flat(types_form(types))}" for types, run in runs)
+
+
+def expression(value: Expression) -> Value:
+    """Write an expression."""
+    match value:
+        case Constant(float() | int() as number):
+            return Bare(number_text(number))
+        case Constant(name):
+            return str(name)
+        case ValueOf():
+            return str(value)
+        case Arithmetic(operation, operands):
+            return single("Operation", items([operation, items(map(expression, operands), short=True)], short=True), short=True)
+        case _:
+            assert_never(value)
+
+
+def effects(listed: Effects, notes: Notes) -> YamlList:
+    """Write effects, each an item of a list."""
+    entries: list[Entry] = []
+    for effect in listed:
+        own = notes.at(form_anchor(effects_form((effect,)))) if notes else NO_NOTES
+        entries.append(Entry(_effect(effect, own), note=own.take()))
+    return YamlList(tuple(entries))
+
+
+def _effect(effect: Effect, notes: Notes) -> Value:
+    match effect:
+        case Set(fluent, Constant(True)):
+            return fluent_text(fluent)
+        case Set(fluent, Constant(False)):
+            return single("not", fluent_text(fluent))
+        case Set(fluent, value, operation):
+            return single(operation.replace("-", "_"), items([fluent_text(fluent), expression(value)], short=True), short=True)
+        case When(condition, inner, early):
+            tested = Entry(conditions(condition, notes), "at_start" if early else "condition")
+            return single("when", YamlMapping((tested, Entry(effects(inner, notes), "effects"))))
+        case ForEach(variables, inner):
+            return single("forall", _quantified(variables, "effects", effects(inner, notes)))
+        case _:
+            assert_never(effect)
+
+
+def duration(bounds: tuple[DurationConstraint, ...]) -> Value:
+    """Write how long an action takes: the one value it has, or a list of bounds."""
+    match bounds:
+        case (DurationConstraint("=", bound),):
+            return expression(bound)
+        case _:
+            return items(single(bound.operation, expression(bound.bound), short=True) for bound in bounds)
+
+
+def constraints(listed: Iterable[Constraint], notes: Notes) -> YamlList:
+    """Write constraints on the course of states, each an item of a list."""
+    entries: list[Entry] = []
+    for constraint in listed:
+        own = notes.at(form_anchor(constraint_form(constraint)))
+        times: list[Entry] = [Entry(Bare(number_text(time))) for time in constraint.times]
+        operands = [*times, *(_noted(condition, NO_NOTES) for condition in constraint.conditions)]
+        value: Value = single(constraint.operator.replace(" ", "_"), operands[0].value if len(operands) == 1 else YamlList(tuple(operands)))
+        for variables in reversed(nested(constraint.variables)):
+            value = single("forall", _quantified(variables, "constraint", value))
+        entries.append(Entry(value, note=own.take()))
+    return YamlList(tuple(entries))
+
+
+def preferences(listed: Iterable[Preference], states: Notes, courses: Notes) -> YamlList:
+    """Write preferences, each an item of a list; the notes are those of the sections where PDDL has them."""
+    entries: list[Entry] = []
+    for preference in listed:
+        wanted, quantifiers = preference.wanted, nested(preference.variables)
+        own = (courses if isinstance(wanted, tuple) else states).at(form_anchor(preference_form(preference)))
+        keys: list[Entry] = [Entry(preference.name, "name")] if preference.name else []
+        if quantifiers:
+            keys.append(Entry(typed(quantifiers[0]) if len(quantifiers) == 1 else items(map(typed, quantifiers)), "variables"))
+        if preference.moment:
+            keys.append(Entry(preference.moment.replace(" ", "_"), "moment"))
+        if isinstance(wanted, tuple):
+            keys.append(Entry(constraints(wanted, NO_NOTES), "constraints"))
+        else:
+            keys.append(Entry(conditions(wanted, NO_NOTES), "condition"))
+        entries.append(Entry(YamlMapping(tuple(keys)), note=own.take()))
+    return YamlList(tuple(entries))
+
+
+# --- bindings ------------------------------------------------------------------------------
+
+
+def binding_entries(binding: Binding, usual: Binding, *, type_key: str) -> Iterator[Entry]:
+    """Yield a key for everything that is not as usual."""
+    for field in fields(binding):
+        value = getattr(binding, field.name)
+        if field.compare and value != getattr(usual, field.name):
+            yield Entry(_value(value), type_key if field.name == "type" else field.name)
+
+
+def write_bindings(bindings: Bindings) -> str:
+    """Write a bindings file; an empty text if all is as usual."""
+    parts = {name: tuple(binding_entries(binding, DEFAULT, type_key="type")) for name, binding in bindings.actions.items()}
+    actions = tuple([Entry(YamlMapping(entries), name) for name, entries in parts.items() if entries])
+    return document(YamlMapping((Entry(YamlMapping(actions), "actions"),))) if actions else ""
+
+
+def unwritten(bindings: Bindings) -> tuple[str, ...]:
+    """Return the keys of a bindings file that have no place in exported YAML."""
+    return tuple(key for key in ("assumed", "lag") if getattr(bindings, key) != getattr(NO_BINDINGS, key))
+
+
+def _value(value: object) -> Value:
+    match value:
+        case str():
+            return value
+        case Foreign() | WhenLost():
+            return str(value.value)
+        case Table(of, rows):
+            return _value({"of": of, "table": rows})
+        case FieldValue(field, None):
+            return str(field)
+        case FieldValue(field, table):
+            return _value({"field": str(field), "table": table})
+        case Flag(field):
+            return _value({"field": str(field)})
+        case Comparison(field, operation, constant):
+            return _value({"field": str(field), operation: constant})
+        case Negation(test):
+            return _value({"not": test})
+        case Every(tests):
+            return _value({"all": tests})
+        case Some(tests):
+            return _value({"any": tests})
+        case Mapping():
+            return YamlMapping(tuple([Entry(_value(inner), str(key)) for key, inner in value.items()]), short=True)
+        case list() | tuple():
+            return items(map(_value, value), short=True)
+        case float():
+            return Bare(number_text(value))
+        case _:
+            return Bare(json.dumps(value))
