@@ -21,8 +21,7 @@ from pnm.core.machine.bindings import Binding
 from pnm.errors import InputError, Position, Tolerated, suggestion
 from pnm.files.text import read_text
 from pnm.files.yaml_nodes import MAX_BYTES, Mapped, parse_yaml
-from pnm.language.actions import CLASSES, LanguageAction, read_class
-from pnm.language.domain import LanguageDomain, domain_from
+from pnm.language.domain import CLASSES, LanguageAction, LanguageDomain, domain_from, read_class
 from pnm.language.formulas.scope import read_typed, unknown
 from pnm.language.grammar import ActionKind, DomainKeys, NamedPlan, PlanKeys, Recipe
 

@@ -23,13 +23,11 @@ from pnm.core.machine.plan_graph import PlanGraph
 from pnm.errors import InputError, Tolerated
 from pnm.files.yaml_nodes import Mapped
 from pnm.knowledge.sources import SourceChoice
-from pnm.language.actions import LanguageAction
 from pnm.language.domain import LanguageDomain, read_facts, read_goal
 from pnm.language.files import PlanHead, beside, is_world, parse_documents, plan_heads, plan_heads_in, read_documents, read_domain
 from pnm.language.formulas.scope import NOTHING_DECLARED, FormulaScope, unknown
 from pnm.language.formulas.values import read_literal
 from pnm.language.grammar import NamedWorld, WorldFile
-from pnm.language.ground_calls import Facts
 from pnm.language.steps import StepReader, taken_literally
 from pnm.language.to_plan_graph import PlanGraphBuilder
 
@@ -134,12 +132,13 @@ def _plan(head: PlanHead, others: Mapping[str, PlanHead]) -> HandWrittenPlan:
     facts = {**domain.model.init, **read_facts(keys.facts, scope)}
     own = {name: action.recoveries for name, action in actions.items() if action.recoveries is not None}
     recoveries = {name: reader.recoveries(actions[name], node) for name, node in own.items()}
-    restarts = keys.restarts
-    builder = PlanGraphBuilder(lambda action: recoveries.get(action.name, ()), Facts(facts), None if restarts is None else max(1, restarts))
+    restarts = None if keys.restarts is None else max(1, keys.restarts)
+    builder = PlanGraphBuilder(lambda action: recoveries.get(action.name, ()), KnowledgeBase(facts), restarts)
     goal = read_goal(keys.goal, scope)
-    graph = builder.graph(steps, domain.model.goal if goal == TRUE else goal, domain.model.domain.rules, _capacities(keys.resources))
-    graph = replace(graph, due=_due(graph.goal, domain))
-    _check_capacities(keys.resources, graph, actions)
+    graph = builder.graph(steps, domain.model.goal if goal == TRUE else goal, domain.model.domain.rules)
+    used = {name for action in actions.values() for name in action.resources}
+    used |= {name for call in graph.calls for name in call.action.resources}
+    graph = replace(graph, due=_due(graph.goal, domain), capacities=_capacities(keys.resources, used))
     parameters = None if head.parameters is None else tuple(variable.name[1:] for variable in head.parameters)
     variables = {name: read_literal(value).value for name, _, value in keys.initial_knowledge.entries()}
     return HandWrittenPlan(
@@ -171,21 +170,15 @@ def _due(goal: Condition, domain: LanguageDomain) -> float:
     return max(late, default=0.0)
 
 
-def _capacities(resources: Mapped) -> dict[str, int]:
+def _capacities(resources: Mapped, used: set[str]) -> dict[str, int]:
+    """Read the capacities of resources; refuse that of one which neither the plan nor any action of the domain uses."""
     capacities = {name: resources.whole(name, 1) for name in resources.nodes}
     for name, capacity in capacities.items():
         if capacity < 1:
             raise InputError(f"expected how many calls may have {name} at the same time, at least 1", resources.position(name))
-    return capacities
-
-
-def _check_capacities(resources: Mapped, graph: PlanGraph, actions: Mapping[str, LanguageAction]) -> None:
-    """Refuse the capacity of a resource that neither the plan nor any action of the domain uses."""
-    described = {name for action in actions.values() for name in action.resources}
-    used = described | {name for call in graph.calls for name in call.action.resources}
-    for name in graph.capacities:
         if name not in used:
             raise unknown("resource", name, used, resources.nodes[name][0])
+    return capacities
 
 
 @dataclass(frozen=True)

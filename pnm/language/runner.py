@@ -48,15 +48,6 @@ from pnm.knowledge.source import Asker, Source
 from pnm.language.plan import HandWrittenPlan
 
 
-def check_names(plan: HandWrittenPlan, given: Mapping[str, object]) -> None:
-    """Refuse parameters that the plan does not have; raise `InputError` if there is one."""
-    known = plan.parameters
-    for name in given:
-        if known is not None and name not in known:
-            hint = suggestion(name, known) or f"expected {', '.join(known) or 'none'}"
-            raise InputError(f"{plan.name} has no parameter {name!r}; {hint}")
-
-
 async def check_values(plan: HandWrittenPlan, knowledge: Layered, source: Source | None, asker: Asker) -> None:
     """See to it that every parameter has a value, or that a person may be asked for it when it is needed.
 
@@ -127,10 +118,10 @@ class PlanRun:
 
     def __post_init__(self) -> None:
         seconds = self.program.plan.timeout
-        self.limit = TimeLimit(inf if seconds is None else seconds, self._exceeded)
-
-    def _exceeded(self, seconds: float) -> None:
-        self.executor.stop(reason=f"the plan's limit of {seconds:g} s is reached")
+        stop = self.executor.stop
+        self.limit = TimeLimit(
+            inf if seconds is None else seconds, lambda limit: stop(reason=f"the plan's limit of {limit:g} s is reached")
+        )
 
     @property
     def running(self) -> tuple[tuple[str, str], ...]:
@@ -253,7 +244,10 @@ class PlanRunner:
             hint = suggestion(name, self.programs) or f"expected one of {', '.join(self.programs) or 'none, for none is loaded'}"
             raise InputError(f"there is no plan {name!r}; {hint}")
         program, given = self.programs[name], dict(parameters or {})
-        check_names(program.plan, given)
+        known = program.plan.parameters
+        if known is not None and (strange := next((parameter for parameter in given if parameter not in known), None)) is not None:
+            hint = suggestion(strange, known) or f"expected {', '.join(known) or 'none'}"
+            raise InputError(f"{program.plan.name} has no parameter {strange!r}; {hint}")
         knowledge = Layered(self.world, KnowledgeBase(variables={**program.plan.variables, **given}))
         identity = UUID(bytes=self.prefix + uuid4().bytes[4:])
         client = PlansClient(self, observer, task or identity, priority)

@@ -1,40 +1,147 @@
-"""Steps of plans: from YAML to `pnm.language.plan_tree`, checked against the known actions."""
+"""Steps of plans: from YAML to the syntax tree of a plan, checked against the known actions.
+
+What is done when a call fails stands in the tree as it is written: ``before``, ``during`` and ``after``, each with chains of steps. A
+chain is a list of steps that ends in a command. In its long form, ``{when: condition, do: chain, times: n}``, it has a condition of its
+own and a limit of how often it may be used; there may be a list of these.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Final, assert_never
+from math import inf
+from typing import Final, TypeAlias, assert_never
 
 from pnm.actions.bindings_file import check_pattern
-from pnm.core.logic.computed_values import KnowledgeOperation
+from pnm.core.logic.computed_values import Data, KnowledgeOperation
+from pnm.core.logic.conditions import Condition
 from pnm.core.logic.domain import ProblemModel
-from pnm.core.machine.plan_graph import Moment, WaitUntil
+from pnm.core.machine.failure_causes import Cause, Phase, causes_in
+from pnm.core.machine.plan_graph import Moment, Step, Then, WaitUntil
 from pnm.errors import InputError, Position, Tolerated
 from pnm.files.yaml_nodes import Mapped, Node
-from pnm.language.actions import OPERATION, LanguageAction
+from pnm.language import grammar
+from pnm.language.domain import OPERATION, LanguageAction
 from pnm.language.formulas.conditions import read_condition
 from pnm.language.formulas.scope import FormulaScope, known_names, shown, unknown
 from pnm.language.formulas.values import read_data, read_operation
-from pnm.language.grammar import BLOCKS, RESERVED, ActionKind, Call, Concurrent, If, InSequence, LoopKeys, Place, WaitFor, Waiting, While
-from pnm.language.plan_tree import (
-    CallStep,
-    ChoiceStep,
-    ConcurrentStep,
-    GivenValue,
-    LeafStep,
-    LoopStep,
-    SequenceStep,
-    StepPlacement,
-    Wait,
-    WrittenRecovery,
-    WrittenStep,
-    read_recoveries,
-)
 
-_OPTIONS: Final = tuple(Call.known)
+
+@dataclass(frozen=True, slots=True)
+class Wait:
+    """A condition for a step: the end, or the start, of another step of the same list."""
+
+    id: str
+    position: Position
+    moment: Moment = Moment.END
+    delay: float = 0.0
+    """Seconds that must pass besides."""
+
+
+@dataclass(frozen=True, slots=True)
+class StepPlacement:
+    """The position of a step."""
+
+    position: Position
+    id: str | None = None
+    after: tuple[Wait, ...] | None = None
+    """The conditions for its start; None for the step before it."""
+    end_after: tuple[Wait, ...] = ()
+    """The conditions for its end: only a call has one that can wait."""
+
+
+@dataclass(frozen=True, slots=True)
+class GivenValue:
+    """The value that a step gives a parameter."""
+
+    data: Data
+    position: Position
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenRecovery:
+    """The reactions to some causes of failure."""
+
+    position: Position
+    causes: frozenset[Cause]
+    chain: StepList
+    then: Then
+    times: int | None = None
+    """None if the file gives no number."""
+    when: Condition | None = None
+    """For checks of its own, before or after."""
+
+
+@dataclass(frozen=True)
+class CallStep:
+    """An action is called."""
+
+    place: StepPlacement
+    action: LanguageAction
+    given: Mapping[str, GivenValue] = field(default_factory=dict)
+    """By parameter, without ``?``."""
+    operation: KnowledgeOperation | None = None
+    recoveries: tuple[WrittenRecovery, ...] | None = None
+    """In place of those of the action; None if the step has none of its own."""
+    retries: int | None = None
+    timeout: float | None = None
+    duration: float | None = None
+    """Chosen within the bounds that the action gives."""
+    release: float = 0.0
+    """Seconds after the beginning of the plan before which it must not start."""
+    latest_start: float = inf
+    """Seconds after the beginning of the plan by which it must have been sent."""
+    deadline: float = inf
+    """Seconds after the beginning of the plan by which it must have ended."""
+    resources: tuple[str, ...] = ()
+    """Besides those of the action."""
+    store: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class StepList:
+    """Steps one after the other, at the same time, or in the partial order that their ``after`` gives."""
+
+    place: StepPlacement
+    steps: tuple[WrittenStep, ...]
+    is_concurrent: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class LeafStep:
+    """A step that holds no others: it is written as it stands in the plan."""
+
+    place: StepPlacement
+    step: Step
+    """Its number does not count."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoopStep:
+    """Steps that are repeated as long as a condition holds."""
+
+    place: StepPlacement
+    condition: Condition
+    body: StepList
+    limit: int
+
+
+@dataclass(frozen=True, slots=True)
+class ChoiceStep:
+    """Steps that are done if a condition holds, and others that are done if not."""
+
+    place: StepPlacement
+    condition: Condition
+    then: StepList
+    otherwise: StepList
+
+
+WrittenStep: TypeAlias = CallStep | StepList | LeafStep | LoopStep | ChoiceStep
+
+_DURING: Final = {"preempted" if cause is Cause.CANCELED else cause.value: cause for cause in Cause if cause.phase is Phase.DURING}
+_OPTIONS: Final = tuple(grammar.Call.known)
 """The keys of a step beside the one that names its action or block."""
 _INSERTED: Final = re.compile(r"\$\{(?P<first>[A-Za-z_]\w*)\}|\$(?P<second>[A-Za-z_]\w*)|\{(?P<third>[A-Za-z_]\w*)\}")
 """The notation of other languages for the value of a variable inside of a text."""
@@ -54,13 +161,13 @@ class StepReader:
         """The names that values and conditions may use."""
         return FormulaScope(self.declared, dict.fromkeys(self.variables, ("object",)))
 
-    def steps(self, node: Node) -> SequenceStep:
+    def steps(self, node: Node) -> StepList:
         """Read a list of steps."""
         if node.items is None and not node.is_null:
             raise node.wrong(f"expected a list of steps, found {shown(node)}{'; each begins with a dash and a space' * node.is_mapping}")
         return self.sequence(node.items or (), node.position)
 
-    def sequence(self, nodes: tuple[Node, ...], position: Position) -> SequenceStep:
+    def sequence(self, nodes: tuple[Node, ...], position: Position) -> StepList:
         """Read steps that follow each other."""
         steps = tuple([self.step(node) for node in nodes])
         known: set[str] = set()
@@ -71,7 +178,7 @@ class StepReader:
         for wait in [wait for step in steps for wait in (*(step.place.after or ()), *step.place.end_after)]:
             if wait.id not in known:
                 raise unknown("step with the id", wait.id, known, wait.position)
-        return SequenceStep(StepPlacement(position), steps)
+        return StepList(StepPlacement(position), steps)
 
     def step(self, node: Node) -> WrittenStep:
         """Read one step; a list of steps is a sequence."""
@@ -81,24 +188,28 @@ class StepReader:
             hint = f"; write '- {node.text}:'" if node.text else ""
             raise node.wrong(f"expected a step such as '- action: {{parameter: value}}', found {shown(node)}{hint}")
         entry = node.mapped()
-        kind = next((kind for word, kind in BLOCKS.items() if word in entry.nodes), None)
+        kind = next((kind for word, kind in grammar.BLOCKS.items() if word in entry.nodes), None)
         if kind is None:
-            return self._call(self._head(entry), Call(entry))
-        if kind is If:
-            _check_condition(entry)
+            return self._call(self._head(entry), grammar.Call(entry))
+        if kind is grammar.If:
+            within = entry.needed("if").mapped().nodes if entry.needed("if").is_mapping else {}
+            for key in [key for key in ("condition", "then", "else") if key in within]:
+                how = "'if' has the condition itself, without this word" if key == "condition" else "it stands beside 'if'"
+                raise InputError(f"{key!r} does not belong under 'if': {how}", within[key][0])
         block = kind(entry)
         place = _place(block)
         match block:
-            case Concurrent():
-                return ConcurrentStep(place, self.steps(block.steps).steps)
-            case InSequence():
-                return SequenceStep(place, self.steps(block.steps).steps)
-            case While():
-                return self._loop(block.loop, place)
-            case Waiting():
+            case grammar.Concurrent() | grammar.InSequence():
+                return StepList(place, self.steps(block.steps).steps, isinstance(block, grammar.Concurrent))
+            case grammar.While():
+                loop, body = block.loop, self.steps(block.loop.actions)
+                if not body.steps:
+                    raise InputError("a loop repeats at least one step", loop.entry.position("actions"))
+                return LoopStep(place, read_condition(loop.condition, self.scope), body, loop.limit)
+            case grammar.Waiting():
                 return LeafStep(place, WaitUntil(0, read_condition(block.wait.condition, self.scope), block.wait.limit))
-            case If():
-                otherwise = SequenceStep(StepPlacement(entry.start), ()) if block.else_ is None else self.steps(block.else_)
+            case grammar.If():
+                otherwise = StepList(StepPlacement(entry.start), ()) if block.else_ is None else self.steps(block.else_)
                 return ChoiceStep(place, read_condition(block.if_, self.scope), self.steps(block.then), otherwise)
             case _:
                 assert_never(block)
@@ -114,22 +225,16 @@ class StepReader:
         message = f"a step does one thing; {strange!r} is a second one, and none of the options: {', '.join(_OPTIONS)}"
         raise InputError(message, entry.nodes[strange][0])
 
-    def _loop(self, loop: LoopKeys, place: StepPlacement) -> LoopStep:
-        body = self.steps(loop.actions)
-        if not body.steps:
-            raise InputError("a loop repeats at least one step", loop.entry.position("actions"))
-        return LoopStep(place, read_condition(loop.condition, self.scope), body, loop.limit)
-
     # --- calls ---
 
-    def _call(self, name: str, written: Call) -> CallStep:
+    def _call(self, name: str, written: grammar.Call) -> CallStep:
         entry = written.entry
         if name not in self.actions:
             where, word = entry.nodes[name][0], name.partition("{")[0].strip(": ")
             if word in self.actions:
                 raise InputError(f"expected ': ' after {word!r}, found {name!r}", where)
-            if any(action.kind is not ActionKind.PLAN for action in self.actions.values()):
-                raise unknown("action", name, self.actions.keys() | RESERVED - {"then", "else"}, where)
+            if any(action.kind is not grammar.ActionKind.PLAN for action in self.actions.values()):
+                raise unknown("action", name, self.actions.keys() | grammar.RESERVED - {"then", "else"}, where)
             raise InputError(f"there is no domain that would have an action {name!r}; expected 'actions', or 'domain' and a file", where)
         action = self.actions[name]
         argument = entry.needed(name)
@@ -138,11 +243,11 @@ class StepReader:
             write = f"- {name}: {{{first}: {argument.written or '…'}}}" if first else f"- {name}:"
             raise argument.wrong(f"expected the parameters of {name}, found {shown(argument)}; write '{write}'")
         arguments = Mapped(entry.file, entry.start, {}) if argument.is_null else argument.mapped()
-        entries = [entry for entry in arguments.entries() if action.kind is not ActionKind.KB or entry[0] != OPERATION]
+        entries = [entry for entry in arguments.entries() if action.kind is not grammar.ActionKind.KB or entry[0] != OPERATION]
         given = {key: self._given(action, key, where, node) for key, where, node in entries}
-        options = Call(entry.without(name))  # the action may have the name of an option
+        options = grammar.Call(entry.without(name))  # the action may have the name of an option
         resources = tuple(options.resources)
-        if action.kind is not ActionKind.KB:
+        if action.kind is not grammar.ActionKind.KB:
             names = given if action.is_open else [variable.name[1:] for variable in action.schema.parameters]
             example = next((f"{{{parameter}}}/base" for parameter in names), "base")
             for pattern in (action.binding.server or "", *action.resources, *resources):
@@ -153,7 +258,7 @@ class StepReader:
             _place(options),
             action,
             given,
-            operation=self._operation(action, arguments) if action.kind is ActionKind.KB else None,
+            operation=self._operation(action, arguments) if action.kind is grammar.ActionKind.KB else None,
             recoveries=None if options.recoveries is None else self.recoveries(action, options.recoveries),
             retries=options.retries,
             timeout=options.timeout,
@@ -166,9 +271,53 @@ class StepReader:
         )
 
     def recoveries(self, action: LanguageAction, node: Node) -> tuple[WrittenRecovery, ...]:
-        """Read the reactions to failures of the action's calls."""
+        """Read the reactions to failures of the action's calls: ``before``, ``during`` and ``after``."""
+        if node.is_null:
+            return ()
+        keys = grammar.RecoveryKeys(node.mapped())
         inner = StepReader(self.actions, self.declared, frozenset(variable.name for variable in action.schema.parameters))
-        return read_recoveries(node, inner.scope, inner.sequence)
+        recoveries = inner._recoveries(keys.before, causes_in(Phase.BEFORE), Cause.BEFORE)
+        for outcome, _, chains in keys.during.entry.entries():
+            recoveries += inner._recoveries(chains, frozenset({_DURING[outcome]}), None)
+        recoveries += inner._recoveries(keys.after, causes_in(Phase.AFTER), Cause.AFTER)
+        always = dict[Cause, Then]()
+        for recovery in recoveries:
+            if recovery.causes <= always.keys():
+                before = always[next(iter(recovery.causes))].value
+                message = f"this can never happen: the recovery before it ends with {before}, and is always possible"
+                raise InputError(message, recovery.position)
+            if recovery.when is None and recovery.then.is_last(chain=bool(recovery.chain.steps)):
+                always |= dict.fromkeys(recovery.causes, recovery.then)
+        return tuple(recoveries)
+
+    def _recoveries(self, node: Node | None, usual: frozenset[Cause], own: Cause | None) -> list[WrittenRecovery]:
+        """Read the recoveries of a list of long forms, or the only one."""
+        if node is None or node.is_null:
+            return []
+        chains = node.items if node.items and all(map(_is_long, node.items)) else (node,)
+        return [self._recovery(chain, usual, own) for chain in chains]
+
+    def _recovery(self, node: Node, usual: frozenset[Cause], own: Cause | None) -> WrittenRecovery:
+        keys = (grammar.Chain if own is None else grammar.ConditionalChain)(node.mapped()) if _is_long(node) else None
+        when: Condition | None = None
+        if isinstance(keys, grammar.ConditionalChain) and keys.when is not None:
+            when = read_condition(keys.when, self.scope)
+        times = None if keys is None else keys.times
+        causes = usual if when is None or own is None else frozenset({own})
+        whole = node if keys is None else keys.do
+        items = (whole,) if whole.items is None else whole.items
+        if not items or items[-1].text is None:
+            raise (items[-1] if items else whole).wrong(f"expected a command at the end of the chain: {', '.join(grammar.COMMANDS)}")
+        *steps, command = items
+        if command.text not in grammar.COMMANDS:
+            raise unknown("command", command.text or "", grammar.COMMANDS, command.position)
+        for step in steps:
+            if step.text in grammar.COMMANDS:
+                raise step.wrong(f"{step.text} ends the chain; nothing may come after it")
+        chain, then = self.sequence(tuple(steps), whole.position), grammar.COMMANDS[command.text]
+        if then is Then.CONTINUE and not causes <= causes_in(Phase.DURING):
+            raise node.wrong("only a call whose request has ended can continue; expected another command, such as skip_action")
+        return WrittenRecovery(node.position, causes, chain, then, times, when)
 
     def _given(self, action: LanguageAction, key: str, where: Position, node: Node) -> GivenValue:
         parameters = [variable.name[1:] for variable in action.schema.parameters]
@@ -214,32 +363,30 @@ def _check_object(action: LanguageAction, key: str, node: Node, declared: Proble
         raise unknown(f"object for {key} of {action.name} (one of type {' or '.join(types)})", name, fitting, node.position)
 
 
-def _place(keys: Place) -> StepPlacement:
-    end_after = _waits(keys.end_after) if isinstance(keys, Call) else None
+def _place(keys: grammar.Place) -> StepPlacement:
+    end_after = _waits(keys.end_after) if isinstance(keys, grammar.Call) else None
     return StepPlacement(keys.entry.start, keys.id, _waits(keys.after), end_after or ())
 
 
-def _check_condition(entry: Mapped) -> None:
-    """Refuse keys under ``if`` that belong beside it."""
-    within = entry.needed("if").mapped().nodes if entry.needed("if").is_mapping else {}
-    for key in [key for key in ("condition", "then", "else") if key in within]:
-        how = "'if' has the condition itself, without this word" if key == "condition" else "it stands beside 'if'"
-        raise InputError(f"{key!r} does not belong under 'if': {how}", within[key][0])
+def _is_long(node: Node) -> bool:
+    return node.is_mapping and "do" in node.mapped().nodes
 
 
 def _waits(node: Node | None) -> tuple[Wait, ...] | None:
-    return None if node is None else tuple(map(_wait, (node,) if node.items is None else node.items))
-
-
-def _wait(node: Node) -> Wait:
-    """Read the id of a step, or ``{start: id}`` or ``{end: id, delay: seconds}``."""
-    if node.text is not None:
-        return Wait(node.text, node.position)
-    if not node.is_mapping:
-        raise node.wrong(f"expected the id of a step, found {shown(node)}")
-    keys = WaitFor(node.mapped())
-    named = [(moment, name) for moment, name in ((Moment.START, keys.start), (Moment.END, keys.end)) if name is not None]
-    if len(named) != 1:
-        raise InputError("expected either 'start' or 'end' and the id of a step", keys.entry.start)
-    ((moment, name),) = named
-    return Wait(name, keys.entry.position(moment.value), moment, keys.delay)
+    """Read ids of steps, each as it stands, or as ``{start: id}`` or ``{end: id, delay: seconds}``."""
+    if node is None:
+        return None
+    waits: list[Wait] = []
+    for item in (node,) if node.items is None else node.items:
+        if item.text is not None:
+            waits.append(Wait(item.text, item.position))
+            continue
+        if not item.is_mapping:
+            raise item.wrong(f"expected the id of a step, found {shown(item)}")
+        keys = grammar.WaitFor(item.mapped())
+        named = [(moment, name) for moment, name in ((Moment.START, keys.start), (Moment.END, keys.end)) if name is not None]
+        if len(named) != 1:
+            raise InputError("expected either 'start' or 'end' and the id of a step", keys.entry.start)
+        ((moment, name),) = named
+        waits.append(Wait(name, keys.entry.position(moment.value), moment, keys.delay))
+    return tuple(waits)

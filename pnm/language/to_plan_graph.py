@@ -13,14 +13,18 @@ from graphlib import CycleError, TopologicalSorter
 from itertools import product
 from typing import Final, NamedTuple, assert_never
 
-from pnm.core.logic.computed_values import Data
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.computed_values import Data, KnowledgeOperation, Layer, Literal, Operation, Query, Update, filled, parameters_in, parts
 from pnm.core.logic.conditions import TRUE, Condition, ground
+from pnm.core.logic.expressions import Environment, ValueOf, is_number, text_of, value_of
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.plan_graph import (
+    EMPTY,
     ActionCall,
     Choice,
     Flow,
+    GroundAction,
     Junction,
     Loop,
     Moment,
@@ -31,11 +35,116 @@ from pnm.core.machine.plan_graph import (
     Step,
     Then,
     every_step,
+    ground_schema,
 )
 from pnm.errors import InputError, Position
-from pnm.language.actions import LanguageAction
-from pnm.language.ground_calls import Facts, Substitution, ground_action, outer_values, usual_recoveries
-from pnm.language.plan_tree import CallStep, ChoiceStep, ConcurrentStep, LeafStep, LoopStep, SequenceStep, WrittenRecovery, WrittenStep
+from pnm.language.domain import OPERATION, LanguageAction
+from pnm.language.grammar import ActionKind
+from pnm.language.steps import CallStep, ChoiceStep, LeafStep, LoopStep, StepList, WrittenRecovery, WrittenStep
+
+
+def filled_data(data: Data, values: Mapping[str, Data]) -> Data:
+    """Substitute computed values for parameters; in fluents only texts fit."""
+    texts = {name: given.value for name, given in values.items() if isinstance(given, Literal) and isinstance(given.value, str)}
+    return filled(data, values, texts)
+
+
+def filled_operation(operation: KnowledgeOperation, values: Mapping[str, Data]) -> KnowledgeOperation:
+    """Put computed values in the place of parameters."""
+    if isinstance(operation, Update):
+        name, value, meta = (filled_data(data, values) for data in (operation.name, operation.value, operation.meta))
+        return Update(name, value, operation.layer, meta)
+    filled = filled_data(operation, values)
+    assert isinstance(filled, Query | Operation)
+    return filled
+
+
+_LONGEST: Final = 1e12
+"""Seconds of a duration at most: a clock that shows so much still tells tenths of a millisecond apart."""
+EFFECT_RETRIES: Final = 3
+"""The default number of repetitions of a call with missing effects."""
+
+
+@dataclass(frozen=True)
+class Substitution:
+    """The values that one call gives the parameters of its action, with ``?``."""
+
+    values: Mapping[str, Data]
+    """Whatever the step gives."""
+    env: Environment
+    """The names of objects and the numbers among them: what arguments, conditions and effects can have."""
+
+    @staticmethod
+    def of(given: Mapping[str, Data]) -> Substitution:
+        """Sort what is given, by parameter without ``?``."""
+        plain = {f"?{name}": data.value for name, data in given.items() if isinstance(data, Literal)}
+        return Substitution(
+            {f"?{name}": data for name, data in given.items()},
+            {name: value for name, value in plain.items() if is_number(value) or (isinstance(value, str) and value[:1] != "?")},
+        )
+
+    def argument(self, name: str) -> str:
+        """Return the argument for a parameter without ``?``: the name or number it is given, or ``?name``."""
+        return text_of(self.env.get(f"?{name}", f"?{name}"))
+
+
+def ground_action(step: CallStep, outer: Mapping[str, Data], facts: KnowledgeBase) -> tuple[GroundAction, Substitution]:
+    """Return the action of the step, and its values for the parameters.
+
+    In a chain of recovery, `outer` is what the call that recovers gives its parameters, with ``?``; `facts` are those at the beginning.
+    Raises `InputError` if a fact is computed from a parameter that is not known in the plan.
+    """
+    given = {name: filled_data(value.data, outer) for name, value in step.given.items()}
+    for name, data in given.items():
+        if left := {parameter for part in parts(data) if isinstance(part, ValueOf) for parameter in parameters_in(part)}:
+            message = f"{min(left)} is not known in the plan; a fact in a value needs the name of an object"
+            raise InputError(message, step.given[name].position)
+    own = Substitution.of(given)
+    unbound = {name: data for name, data in outer.items() if name not in {variable.name for variable in step.action.schema.parameters}}
+    operation = None if step.operation is None else filled_operation(step.operation, unbound)
+    names = _parameters(step, operation)
+    duration = step.duration
+    fixed = next((constraint.bound for constraint in step.action.schema.duration or () if constraint.operation == "="), None)
+    if duration is None and fixed is not None:  # by numbers that do not change or hold at the beginning
+        seconds = value_of(fixed, facts, own.env)
+        duration = float(seconds) if is_number(seconds) else None
+    if duration is not None and not 0.0 <= duration <= _LONGEST:
+        raise InputError(f"expected a duration from 0 to {_LONGEST:g} s, found {duration:g}", step.place.position)
+    action = ground_schema(step.action.schema, tuple(map(own.argument, names)), own.env, duration)
+    resources = tuple(dict.fromkeys((*step.action.resources, *step.resources)))
+    called = replace(
+        action, parameters=names, given=tuple(given.items()), operation=operation, resources=resources, returns=step.action.returns
+    )
+    return called, own
+
+
+def _parameters(step: CallStep, operation: KnowledgeOperation | None) -> tuple[str, ...]:
+    """Return the names of the parameters: of an action on knowledge, those that are used or given."""
+    if step.action.is_open:
+        return tuple(step.given)
+    names = tuple(variable.name[1:] for variable in step.action.schema.parameters)
+    if operation is None:
+        return names
+    datas = (operation.name, operation.value, operation.meta) if isinstance(operation, Update) else (operation,)
+    used = step.action.mentioned.union(*map(parameters_in, datas))
+    return tuple(name for name in names if name != OPERATION and (name in step.given or f"?{name}" in used))
+
+
+def usual_recoveries(action: LanguageAction) -> tuple[Recovery, ...]:
+    """Return the default recoveries of a call, for causes that neither the step nor the action handles.
+
+    A call that was preempted counts as done, unless it would be believed to have effects that it may not have had; one whose
+    effects are missing is repeated.
+    """
+    recoveries: list[Recovery] = []
+    schema = action.schema
+    has_effects = bool(schema.start_effects or schema.end_effects)
+    if action.kind is not ActionKind.KB and not has_effects:
+        recoveries.append(Recovery(frozenset({Cause.CANCELED}), Then.CONTINUE, EMPTY))
+    if schema.expected != TRUE or schema.end_condition != TRUE or has_effects:
+        recoveries.append(Recovery(frozenset({Cause.EFFECTS_MISSING}), Then.RETRY, EMPTY, EFFECT_RETRIES))
+    return tuple(recoveries)
+
 
 MAX_STEPS: Final = 10_000
 """Steps of a plan, those in the chains of recoveries included."""
@@ -61,11 +170,6 @@ class _Region:
     steps: list[Step] = field(default_factory=list)
     orderings: list[Ordering] = field(default_factory=list)
 
-    @property
-    def flow(self) -> Flow:
-        """The results so far."""
-        return Flow(tuple(self.steps), tuple(self.orderings))
-
 
 class PlanGraphBuilder:
     """Makes the graph of one plan. The mutable state is the number of steps so far, where calls stand, and which have recoveries.
@@ -75,7 +179,7 @@ class PlanGraphBuilder:
     """
 
     def __init__(
-        self, recoveries: Callable[[LanguageAction], tuple[WrittenRecovery, ...]], facts: Facts, restarts: int | None = None
+        self, recoveries: Callable[[LanguageAction], tuple[WrittenRecovery, ...]], facts: KnowledgeBase, restarts: int | None = None
     ) -> None:
         self._recoveries = recoveries
         self._facts = facts
@@ -84,18 +188,16 @@ class PlanGraphBuilder:
         self._positions: dict[int, Position] = {}
         self._recovering: set[int] = set()
 
-    def graph(
-        self, plan: SequenceStep, goal: Condition = TRUE, rules: Rules = NO_RULES, capacities: Mapping[str, int] | None = None
-    ) -> PlanGraph:
+    def graph(self, plan: StepList, goal: Condition = TRUE, rules: Rules = NO_RULES) -> PlanGraph:
         """Return the graph of a plan; raise `InputError` if it would be too large, or contradicts itself."""
         flow = self._flow(plan, _Region({}, 0, ()))
         steps = list(every_step(flow.steps))
         calls = [step.index for step in steps if isinstance(step, ActionCall)]
         others = [step.index for step in steps if not isinstance(step, ActionCall)]
         flow = _renumbered(flow, {old: new for new, old in enumerate((*calls, *others))})  # calls in the order in which they stand
-        return PlanGraph(flow.steps, flow.orderings, goal, rules, capacities=dict(capacities or {}), restarts=self._restarts)
+        return PlanGraph(flow.steps, flow.orderings, goal, rules, restarts=self._restarts)
 
-    def _flow(self, steps: SequenceStep, region: _Region) -> Flow:
+    def _flow(self, steps: StepList, region: _Region) -> Flow:
         """Return the flow of steps; a call whose start others wait for, or whose end waits itself, can only be tried again or fail."""
         self._ordered(steps.steps, region, in_sequence=True)
         special = {ordering.before.call for ordering in region.orderings if ordering.before.moment is Moment.START}
@@ -106,10 +208,9 @@ class PlanGraphBuilder:
                 if step.index in self._recovering:
                     message = "a step with recoveries cannot have others wait for its start, nor its end wait for others"
                     raise InputError(message, self._positions[step.index])
-                placed.append(replace(step, recoveries=()))
-            else:
-                placed.append(step)
-        return replace(region.flow, steps=tuple(placed))
+                step = replace(step, recoveries=())
+            placed.append(step)
+        return Flow(tuple(placed), tuple(region.orderings))
 
     # --- blocks ---
 
@@ -121,10 +222,8 @@ class PlanGraphBuilder:
         match step:
             case CallStep():
                 return self._alone(self._call(step, region), region)
-            case SequenceStep(_, steps):
-                return self._ordered(steps, replace(region, depth=region.depth + 1), in_sequence=True)
-            case ConcurrentStep(_, branches):
-                return self._ordered(branches, replace(region, depth=region.depth + 1), in_sequence=False)
+            case StepList(_, steps, is_concurrent):
+                return self._ordered(steps, replace(region, depth=region.depth + 1), in_sequence=not is_concurrent)
             case LeafStep(_, leaf):
                 return self._alone(leaf.renumbered(self._number(position), ()), region)
             case LoopStep(_, condition, body, limit):
@@ -135,7 +234,7 @@ class PlanGraphBuilder:
             case _:
                 assert_never(step)
 
-    def _inside(self, steps: SequenceStep, region: _Region) -> Flow:
+    def _inside(self, steps: StepList, region: _Region) -> Flow:
         return self._flow(steps, _Region(region.outer, region.depth + 1, region.recovering))
 
     def _ordered(self, steps: tuple[WrittenStep, ...], region: _Region, *, in_sequence: bool) -> PartEnds:
@@ -204,11 +303,18 @@ class PlanGraphBuilder:
             self._recovering.add(number)
         handled = frozenset[Cause]().union(*(recovery.causes for recovery in written))
         usual = (recovery for recovery in usual_recoveries(step.action) if handled.isdisjoint(recovery.causes))
-        inner = _Region(outer_values(step.action, own), region.depth + 1, recovering)
+        queries = {variable.name: Query(Literal.of(variable.name[1:]), Layer.ALL) for variable in step.action.schema.parameters}
+        outer = {**queries, **own.values}  # the values of parameters in its chains: its own, or those that it will find
+        recoveries: list[Recovery] = []
+        for recovery in written:
+            flow = self._flow(recovery.chain, _Region(outer, region.depth + 1, recovering))
+            times = (self._restarts or 1 if recovery.then is Then.RESTART_PLAN else 1) if recovery.times is None else recovery.times
+            when = TRUE if recovery.when is None else ground(recovery.when, own.env)
+            recoveries.append(Recovery(recovery.causes, recovery.then, flow, times, when))
         return ActionCall(
             number,
             action,
-            recoveries=(*(self._recovery(recovery, own, inner) for recovery in written), *usual),
+            recoveries=(*recoveries, *usual),
             release=step.release,
             latest_start=step.latest_start,
             deadline=step.deadline,
@@ -216,12 +322,6 @@ class PlanGraphBuilder:
             retries=step.action.binding.retries if step.retries is None else step.retries,
             store=tuple(step.store.items()),
         )
-
-    def _recovery(self, written: WrittenRecovery, own: Substitution, around: _Region) -> Recovery:
-        chain = self._flow(written.chain, _Region(around.outer, around.depth, around.recovering))
-        usual = self._restarts or 1 if written.then is Then.RESTART_PLAN else 1
-        times = usual if written.times is None else written.times
-        return Recovery(written.causes, written.then, chain, times, TRUE if written.when is None else ground(written.when, own.env))
 
 
 @dataclass(frozen=True, slots=True)
@@ -305,9 +405,6 @@ def _renumbered(flow: Flow, numbers: Mapping[int, int]) -> Flow:
     def moved(event: PlanEvent) -> PlanEvent:
         return PlanEvent(numbers[event.call], event.moment)
 
-    orderings = tuple(replace(ordering, before=moved(ordering.before), after=moved(ordering.after)) for ordering in flow.orderings)
-    return Flow(tuple(_renumbered_step(step, numbers) for step in flow.steps), orderings)
-
-
-def _renumbered_step(step: Step, numbers: Mapping[int, int]) -> Step:
-    return step.renumbered(numbers[step.index], [_renumbered(held.flow, numbers) for held in step.held])
+    steps = (step.renumbered(numbers[step.index], [_renumbered(held.flow, numbers) for held in step.held]) for step in flow.steps)
+    orderings = (replace(ordering, before=moved(ordering.before), after=moved(ordering.after)) for ordering in flow.orderings)
+    return Flow(tuple(steps), tuple(orderings))

@@ -22,7 +22,7 @@ from pnm.core.machine.bindings import Binding
 from pnm.core.machine.failure_causes import Cause
 from pnm.errors import InputError
 from pnm.knowledge.field_reader import FieldComparison
-from pnm.language import files, grammar, plan_tree
+from pnm.language import files, grammar, steps
 from pnm.language.formulas import words
 from pnm.language.plan import read_plans
 from tests.support.files import ROOT
@@ -66,7 +66,7 @@ def test_the_keys_are_those_of_the_core() -> None:
     bound = {*BindingKeys.known}
     assert bound == {field.name for field in fields(Binding) if field.compare}
     assert {*FieldComparison.known} == {"field", *message_fields.COMPARISONS}
-    assert {*grammar.During.known} == {*plan_tree._DURING}
+    assert {*grammar.During.known} == {*steps._DURING}
 
 
 def test_the_pages_name_every_step_and_every_cause_of_failure() -> None:
