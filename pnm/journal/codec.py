@@ -44,16 +44,13 @@ class Undecodable(PnmError):
 
 def value_classes(*modules: ModuleType) -> tuple[type, ...]:
     """Return the dataclasses, enums and named tuples that the modules define for others."""
-    return tuple(
+    classes = (
         entry
         for module in modules
         for entry in vars(module).values()
-        if isinstance(entry, type) and entry.__module__ == module.__name__ and not entry.__name__.startswith("_") and _is_value(entry)
+        if isinstance(entry, type) and entry.__module__ == module.__name__ and not entry.__name__.startswith("_")
     )
-
-
-def _is_value(kind: type) -> bool:
-    return is_dataclass(kind) or issubclass(kind, Enum) or (issubclass(kind, tuple) and hasattr(kind, "_fields"))
+    return tuple(kind for kind in classes if is_dataclass(kind) or issubclass(kind, Enum) or hasattr(kind, "_fields"))
 
 
 class Codec:
@@ -67,7 +64,7 @@ class Codec:
         self._classes = {kind.__name__: kind for kind in classes}
         self._writers = _Writers(self._writer)
         self._readers: dict[str | None, Callable[[dict[str, Any]], Any]] = {}
-        self._decoder = json.JSONDecoder(object_hook=self._hook())
+        self._decoder = json.JSONDecoder(object_hook=self._object)
 
     def including(self, classes: Iterable[type]) -> Codec:
         """Return a codec that knows these classes as well."""
@@ -167,22 +164,25 @@ class Codec:
 
     # --- reading ------------------------------------------------------------------------------
 
-    def _hook(self) -> Callable[[dict[str, Any]], Any]:
-        """Return the reader of an object whose own values have been read; lists in it are tuples from now on."""
-        readers = self._readers
-
-        def read(entry: dict[str, Any]) -> Any:
-            tag = entry.pop(_TAG, None)
-            reader = readers.get(tag)
-            if reader is None:
-                kind = self._classes.get(tag or "")
-                reader = readers[tag] = self._class_reader(kind) if is_dataclass(kind) else _then(self._reader(tag))
-            return reader(entry)
-
-        return read
+    def _object(self, entry: dict[str, Any]) -> Any:
+        """Read an object whose own values have been read; lists in it are tuples from now on."""
+        tag = entry.pop(_TAG, None)
+        reader = self._readers.get(tag)
+        if reader is None:
+            kind = self._classes.get(tag or "")
+            reader = self._readers[tag] = self._class_reader(kind) if is_dataclass(kind) else self._reader(tag)
+        return reader(entry)
 
     def _class_reader(self, kind: Any) -> Callable[[dict[str, Any]], Any]:
-        readers = [(field.name, reader) for field in fields(kind) if (reader := self._field_reader(field))]
+        readers: list[tuple[str, Callable[[Any], Any]]] = []
+        for field in fields(kind):
+            array = _ARRAY_OF.fullmatch(str(field.type))
+            if (short := self._short(field)) is not None:
+                readers.append((field.name, short.read))
+            elif array is not None and (array[1] in _PLAIN_NAMES or array[1] in self._classes):
+                readers.append((field.name, tuple))  # what is in it has been read
+            elif field.type not in _PLAIN_NAMES:
+                readers.append((field.name, _whole))
 
         def read(entry: dict[str, Any]) -> Any:
             for name, reader in readers:
@@ -192,42 +192,17 @@ class Codec:
 
         return read
 
-    def _field_reader(self, field: Field[Any]) -> Callable[[Any], Any] | None:
-        """Return the reader of a field; None if it holds no array."""
-        if (short := self._short(field)) is not None:
-            return short.read
-        array = _ARRAY_OF.fullmatch(str(field.type))
-        if array is not None and (array[1] in _PLAIN_NAMES or array[1] in self._classes):
-            return tuple  # what is in it has been read
-        return None if field.type in _PLAIN_NAMES else _whole
-
     def _reader(self, tag: str | None) -> Callable[[dict[str, Any]], Any]:
-        match tag:
-            case None:
-                return lambda entry: entry
-            case "id":
-                return lambda entry: _uuid(entry["hex"])
-            case "list":
-                return lambda entry: _List(entry["items"])
-            case "set":
-                return lambda entry: frozenset(entry["items"])
-            case "map":
-                return lambda entry: dict(entry["items"])
-            case "bytes":
-                return lambda entry: bytes.fromhex(entry["hex"])
-            case "missing":
-                return lambda _: MISSING
+        if tag is None:
+            return lambda entry: {name: _whole(item) for name, item in entry.items()}
+        if tag in _READERS:
+            return _READERS[tag]
         kind: Any = self._classes.get(tag)
         if kind is None:
             raise Undecodable(f"there is no {tag} in this version")
         if issubclass(kind, Enum):
             return lambda entry: kind[entry["name"]]
-        return lambda entry: kind(*entry["items"])
-
-
-def _then(reader: Callable[[dict[str, Any]], Any]) -> Callable[[dict[str, Any]], Any]:
-    """Return a reader of objects with arrays in them."""
-    return lambda entry: reader({name: _whole(item) for name, item in entry.items()})
+        return lambda entry: kind(*_whole(entry["items"]))
 
 
 class _Writers(dict[type, Callable[[Any], str]]):
@@ -238,7 +213,7 @@ class _Writers(dict[type, Callable[[Any], str]]):
             {
                 str: _quoted,
                 int: int.__repr__,
-                float: _number,
+                float: lambda value: float.__repr__(value) if isfinite(value) else json.dumps(value),
                 bool: {True: "true", False: "false"}.__getitem__,
                 type(None): lambda _: "null",
             }
@@ -276,10 +251,6 @@ _ARRAYS: Final[Mapping[type, Callable[[Any], Any]]] = {
 }
 
 
-def _number(value: float) -> str:
-    return float.__repr__(value) if isfinite(value) else json.dumps(value)
-
-
 def _hex(identity: UUID) -> str:
     return f'"{identity.hex}"'
 
@@ -288,6 +259,17 @@ def _hex(identity: UUID) -> str:
 def _uuid(text: str) -> UUID:
     """Return an identity; that of a request is in several records, and making one takes longer than reading the rest of its field."""
     return UUID(int=int(text, 16))
+
+
+_READERS: Final[Mapping[str, Callable[[dict[str, Any]], Any]]] = {
+    "id": lambda entry: _uuid(entry["hex"]),
+    "list": lambda entry: _List(_whole(entry["items"])),
+    "set": lambda entry: frozenset(_whole(entry["items"])),
+    "map": lambda entry: dict(_whole(entry["items"])),
+    "bytes": lambda entry: bytes.fromhex(entry["hex"]),
+    "missing": lambda _: MISSING,
+}
+"""The readers of what has a tag and is no value of a class."""
 
 
 def _default(field: Field[Any]) -> tuple[object, type | None]:

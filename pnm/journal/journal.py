@@ -59,7 +59,7 @@ class WorldOptions(TypedDict, total=False):
 
 
 class Journal:
-    """The journal of runs that are not recorded."""
+    """The journal of runs, in which nothing is kept."""
 
     blocked: str = ""
     """Why nothing can be kept at present; empty if it can."""
@@ -96,13 +96,19 @@ class Journal:
 
     def succeeded(self, run: Run, successor: Run) -> None:
         """Record that a run has taken the place of another."""
+        self._record(records.RunSucceeded(run.id, successor.id, records.became(run.result_so_far(), run.machine.plan)))
 
     def retired(self, run: Run) -> None:
         """Record that a run is not carried on."""
+        self._record(records.RunRetired(run.id, records.became(run.result_so_far(), run.machine.plan)))
 
     def confirmed(self, request: UUID, resources: Resources) -> None:
         """Record that the server of a request that was given up has confirmed its end, and free what it has kept."""
+        self._record(records.EndConfirmed(request))
         resources.confirm(request)
+
+    def _record(self, record: records.Record) -> None:
+        """Keep a record."""
 
     # --- tasks ----------------------------------------------------------------------------------
 
@@ -115,15 +121,20 @@ class Journal:
 
     def held(self, task: UUID | None, *, is_held: bool) -> None:
         """Record that an operator has paused a task, or those that are still to come, or has let them go on."""
+        self._record(records.TaskHeld(task, is_held))
 
     def entered(self, task: UUID, state: TaskState, reason: str) -> None:
-        """Record that a task is in another state."""
+        """Record that a task is in another state; how it ends is recorded by `over`."""
+        self._record(records.TaskEntered(task, state, reason))
 
     def noted(self, task: UUID, note: object) -> None:
         """Record what a task needs to know when it goes on in another process."""
+        self._record(records.TaskNoted(task, note))
 
     def counted(self, of: UUID, used: TimeUsed) -> None:
         """Record how much of its limit a task has used, or a run of a plan."""
+        if isfinite(used.limit):
+            self._record(records.TimeCounted(of, used))
 
     def over(self, task: UUID, ending: TaskEnding, then: Callable[[], None] = lambda: None) -> None:
         """Keep how a task has ended, and do something then."""
@@ -183,6 +194,7 @@ class WrittenJournal(Journal):
         self._fenced = fenced
         self._wall = wall or (lambda: time())
         self._loop = asyncio.get_running_loop()
+        told = replay or Replay()
         # state
         self._rows: list[Row] = []
         """Records that are not kept yet."""
@@ -190,11 +202,11 @@ class WrittenJournal(Journal):
         self._known_parts: set[str] = set()
         self._waiting: deque[tuple[Perform, tuple[Command, ...]]] = deque()
         """Everybody who waits for these records to be kept."""
-        self._bases = dict(replay.bases) if replay else {}
+        self._bases = dict(told.bases)
         """The knowledge bases that are followed, by number."""
-        self._numbers = max(replay.bases, default=records.WORLD) if replay else records.WORLD
+        self._numbers = max(told.bases, default=records.WORLD)
         """The last number of a knowledge base; none is used twice."""
-        self._fields: dict[str, tuple[str, ...] | None] = replay.fields if replay else {}
+        self._fields = told.fields
         self._news: dict[str, tuple[str, ...] | None] = {}
         """Goal fields that the event being handled has found out."""
         self._handling = False
@@ -209,9 +221,8 @@ class WrittenJournal(Journal):
         self._is_lost = False
         """Whether another process has the journal."""
         self._is_closed = False
-        self._resources = replay.resources if replay else Resources()
-        self._shared = replay.shared if replay else None
-        self._segment_began, self._length = (replay.segment_began, replay.length) if replay else (0.0, 0)
+        self._resources, self._shared = told.resources, told.shared
+        self._segment_began, self._length = told.segment_began, told.length
         """The beginning of the segment, and its records."""
         self._segment_wall = file.segment_wall
         """The time of day when it has."""
@@ -219,13 +230,12 @@ class WrittenJournal(Journal):
         """The records with which it has begun, as far as that is known."""
         self._dropped = -inf
         """The time of day when old records were dropped."""
-        self._is_held = bool(replay and replay.is_held)
-        self._unfinished = {task.accepted.wanted.id: (task.accepted, task.time) for task in replay.unfinished} if replay else {}
+        self._is_held = told.is_held
+        self._unfinished = {task.accepted.wanted.id: (task.accepted, task.time) for task in told.unfinished}
         """The tasks that are not over, with the times when they were accepted."""
-        tasks = replay.tasks if replay else {}
-        self._runs = Counter({id: sum(one.run.begun and one.made.caller is None for one in task.runs) for id, task in tasks.items()})
+        self._runs = Counter({id: sum(one.run.begun and one.made.caller is None for one in task.runs) for id, task in told.tasks.items()})
         """The machines that each task has had, one after the other."""
-        over = ((task.accepted, records.TaskOver(id, task.ending)) for id, task in (replay.tasks if replay else {}).items() if task.ending)
+        over = ((task.accepted, records.TaskOver(id, task.ending)) for id, task in told.tasks.items() if task.ending)
         self._recent = deque(over, REMEMBERED)
         self._number_of = {id(base): number for number, base in self._bases.items()}
         for number, base in self._bases.items():
@@ -258,13 +268,20 @@ class WrittenJournal(Journal):
         asks, adopted = options.get("asks", False), options.get("adopted", {})
         options["goal_fields"] = self._remembering(options["goal_fields"])
         run = super().make_run(machine, knowledge, **options)
-        source = records.MachineSource(machine.plan, options["bindings"], machine.on_failure, machine.capacities)
-        local = self._number(knowledge.local)
+        text = self._codec.text(records.MachineSource(machine.plan, options["bindings"], machine.on_failure, machine.capacities))
+        source = hashlib.sha256(text.encode()).hexdigest()
+        if source not in self._known_parts:  # several records may name it
+            self._known_parts.add(source)
+            self._parts[source] = text
+        if (local := self._number_of.get(id(knowledge.local))) is None:
+            local = self._numbers = self._numbers + 1
+            self._number_of[id(knowledge.local)], self._bases[local] = local, knowledge.local  # kept: its identity is not used again
+            self._record(records.follow(local, knowledge.local, self._changed))
         self._runs[run.task] += caller is None
         priority, origin = options.get("priority", 0), options.get("origin")
         accepted, _ = self._unfinished.get(run.task, (None, 0.0))
         row = self._task_row(records.TaskSummary(accepted, self._runs[run.task])) if accepted and caller is None else None
-        self._record(records.RunMade(run.id, run.task, name, self._part(source), local, caller, priority, origin, asks, adopted), task=row)
+        self._record(records.RunMade(run.id, run.task, name, source, local, caller, priority, origin, asks, adopted), task=row)
         return run
 
     def handle(self, run: Run, event: Event, now: float, perform: Perform) -> None:
@@ -287,19 +304,6 @@ class WrittenJournal(Journal):
         """Return a run that was replayed, connected to what it is to go on with."""
         return super().go_on(replayed, observer, self._remembering(goal_fields))
 
-    def succeeded(self, run: Run, successor: Run) -> None:
-        """Record that a run has taken the place of another."""
-        self._record(records.RunSucceeded(run.id, successor.id, records.became(run.result_so_far(), run.machine.plan)))
-
-    def retired(self, run: Run) -> None:
-        """Record that a run is not carried on."""
-        self._record(records.RunRetired(run.id, records.became(run.result_so_far(), run.machine.plan)))
-
-    def confirmed(self, request: UUID, resources: Resources) -> None:
-        """Record that the server of a request that was given up has confirmed its end, and free what it has kept."""
-        self._record(records.EndConfirmed(request))
-        super().confirmed(request, resources)
-
     def accepted(self, wanted: Wanted, order: int) -> None:
         """Keep a task that is about to be accepted.
 
@@ -317,22 +321,7 @@ class WrittenJournal(Journal):
     def held(self, task: UUID | None, *, is_held: bool) -> None:
         """Record that an operator has paused a task, or those that are still to come, or has let them go on."""
         self._is_held = is_held if task is None else self._is_held
-        self._record(records.TaskHeld(task, is_held))
-
-    def entered(self, task: UUID, state: TaskState, reason: str) -> None:
-        """Record that a task is in another state; how it ends is recorded by `over`."""
-        if task in self._unfinished:
-            self._record(records.TaskEntered(task, state, reason))
-
-    def noted(self, task: UUID, note: object) -> None:
-        """Record what a task needs to know when it goes on in another process."""
-        if task in self._unfinished:
-            self._record(records.TaskNoted(task, note))
-
-    def counted(self, of: UUID, used: TimeUsed) -> None:
-        """Record how much of its limit a task has used, or a run of a plan."""
-        if isfinite(used.limit):
-            self._record(records.TimeCounted(of, used))
+        super().held(task, is_held=is_held)
 
     def over(self, task: UUID, ending: TaskEnding, then: Callable[[], None] = lambda: None) -> None:
         """Keep how a task has ended, and do something then. A segment begins, if nothing else is under way and this one is long."""
@@ -409,14 +398,6 @@ class WrittenJournal(Journal):
 
     # --- knowledge ------------------------------------------------------------------------------
 
-    def _number(self, base: KnowledgeBase) -> int:
-        """Return the number of a knowledge base; one that is new is recorded and listened to."""
-        if id(base) not in self._number_of:
-            self._numbers += 1
-            self._number_of[id(base)], self._bases[self._numbers] = self._numbers, base  # which keeps it: its identity is not used again
-            self._record(records.follow(self._numbers, base, self._changed))
-        return self._number_of[id(base)]
-
     def _changed(self, delta: records.KnowledgeDelta) -> None:
         if delta.base not in self._bases or self._is_replaced:
             return  # of a run that has ended in an earlier segment, or no change of the world that is followed
@@ -438,18 +419,10 @@ class WrittenJournal(Journal):
 
     # --- writing ----------------------------------------------------------------------------------
 
-    def _part(self, source: object) -> str:
-        """Return the key of a part that several records may name."""
-        text = self._codec.text(source)
-        key = hashlib.sha256(text.encode()).hexdigest()
-        if key not in self._known_parts:
-            self._known_parts.add(key)
-            self._parts[key] = text
-        return key
-
     def _record(self, record: records.Record, now: float | None = None, begins: float | None = None, task: TaskRow | None = None) -> None:
         """Note a record; it is written with the next event, or a moment later. What is heard after the end is another process's to keep."""
-        if self._is_closed:
+        is_late = isinstance(record, records.TaskEntered | records.TaskNoted) and record.task not in self._unfinished
+        if self._is_closed or is_late:
             return
         self._rows.append(Row(self._loop.time() if now is None else now, self._codec.text(record), begins, task))
         self._length += 1

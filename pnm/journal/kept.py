@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 from pnm.errors import PnmError
 from pnm.files.database.driver import DamagedDatabase, DatabaseError
@@ -163,17 +163,19 @@ class StandBys(NamedTuple):
         return bool(self.names) and self.ago > _ANEW
 
 
-class Hold(Protocol):
-    """The right to write a journal."""
+class Hold:
+    """The right to write a journal; this one is of a journal that nobody else knows of."""
 
     def stand_bys(self) -> StandBys:
         """Return the processes that stand by, as far as they can be seen."""
+        return StandBys()
 
     def saw(self, others: tuple[str, ...]) -> None:
         """Note the processes of which one would go on, if there is any."""
 
     def is_mine(self) -> bool:
         """Return whether nobody else can have it now; to be asked, by any thread, right before anything is sent."""
+        return True
 
     def keep(self, renewed: Callable[[], None], fenced: Callable[[Fenced], None]) -> None:
         """Keep it from now on; call the one whenever it was renewed, the other when it is lost for good."""
@@ -182,25 +184,4 @@ class Hold(Protocol):
         """Let it go."""
 
 
-class Unshared:
-    """The right to write a journal that nobody else knows of."""
-
-    def stand_bys(self) -> StandBys:
-        """Return none."""
-        return StandBys()
-
-    def saw(self, others: tuple[str, ...]) -> None:
-        """Do nothing."""
-
-    def is_mine(self) -> bool:
-        """Return True."""
-        return True
-
-    def keep(self, renewed: Callable[[], None], fenced: Callable[[Fenced], None]) -> None:
-        """Do nothing."""
-
-    def release(self) -> None:
-        """Do nothing."""
-
-
-UNSHARED: Final = Unshared()
+UNSHARED: Final = Hold()

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Final
 
 from pnm.files.database.lock import FileLock
-from pnm.journal.kept import Durability, Fenced, HeldByAnother, Hold, JournalChoice, JournalError, StandBys, Unshared, journal_errors
+from pnm.journal.kept import Durability, Fenced, HeldByAnother, Hold, JournalChoice, JournalError, StandBys, journal_errors
 from pnm.journal.store import JournalFile
 
 _SAFE: Final = 0.9
@@ -40,7 +40,7 @@ def elapsed() -> float:
     return time.clock_gettime(_CLOCK)
 
 
-class Watch(Unshared):
+class Watch(Hold):
     """The hold of a journal file, whose lock nobody else has. Once a second, on real time, it is looked whether the file is there.
 
     The mutable state is the thread that does so.
@@ -85,7 +85,7 @@ def is_locked(path: Path) -> bool:
     return False
 
 
-class Lease:
+class Lease(Hold):
     """The lease of a journal in PostgreSQL.
 
     Args:

@@ -165,11 +165,8 @@ def summaries(place: Place, codec: Codec) -> tuple[TaskSummary, ...]:
         JournalError: it is no journal, or one of another version.
         Undecodable: this version does not know what its tasks are made of.
     """
-    kept = KeptJournal(place)
-    try:
+    with closing(KeptJournal(place)) as kept:
         found = tuple(map(codec.value, kept.tasks()))
-    finally:
-        kept.close()
     if any(not isinstance(summary, TaskSummary) for summary in found):
         raise Undecodable(f"the journal {place} cannot be read: its list of tasks has something else")
     return found
@@ -184,14 +181,11 @@ def command_of(place: Place, codec: Codec) -> tuple[tuple[str, ...], str] | None
         JournalError: it is no journal, or one of another version.
         Undecodable: this version does not know what it begins with.
     """
-    kept = KeptJournal(place)
-    try:
+    with closing(KeptJournal(place)) as kept:
         for _, row in kept.rows(kept.last_segment() - 1):
             began = codec.value(row.text)
             return (began.command, began.seal) if isinstance(began, SharedBegan) else ((), "")
-        return None
-    finally:
-        kept.close()
+    return None
 
 
 def take_up(choice: JournalChoice, codec: Codec, origin: str, take: Take = take) -> Taken:

@@ -23,7 +23,7 @@ from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.core.resources import Resources
 from pnm.journal import journal as journal_module
 from pnm.journal.journal import WrittenJournal
-from pnm.journal.kept import DAY, Fenced, Unshared
+from pnm.journal.kept import DAY, Fenced, Hold
 from pnm.journal.records import KnowledgeDelta, SharedBegan
 from pnm.journal.replay import Replay
 from pnm.journal.resume import Follower, replay_steps, replayed, summaries
@@ -123,7 +123,7 @@ def test_random_tasks_survive_random_deaths_with_many_segments(number: int, tmp_
 
 
 def test_records_of_the_past_are_dropped_while_there_is_nothing_to_do(tmp_path: Path) -> None:
-    class Looking(Unshared):
+    class Looking(Hold):
         look: Callable[[], None]
 
         def keep(self, renewed: Callable[[], None], fenced: Callable[[Fenced], None]) -> None:

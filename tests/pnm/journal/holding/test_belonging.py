@@ -20,7 +20,7 @@ from pnm.files.database.place import Place
 from pnm.files.database.sqlite import files_of, log_of
 from pnm.journal.codec import RECORDS
 from pnm.journal.journal import WrittenJournal
-from pnm.journal.kept import Durability, Fenced, JournalChoice, JournalError, Row, Unshared
+from pnm.journal.kept import Durability, Fenced, Hold, JournalChoice, JournalError, Row
 from pnm.journal.lease import Watch, take
 from pnm.journal.resume import replayed
 from pnm.journal.store import JournalFile, KeptJournal
@@ -233,7 +233,7 @@ def test_a_journal_belongs_to_its_node(place: Place) -> None:
         file.close()
 
 
-class Looking(Unshared):
+class Looking(Hold):
     """The hold of a file that is looked at when a test says so."""
 
     look: Callable[[], None]

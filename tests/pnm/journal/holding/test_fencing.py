@@ -19,13 +19,13 @@ from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.core.resources import Resources
 from pnm.journal.codec import RECORDS
 from pnm.journal.journal import WrittenJournal
-from pnm.journal.kept import Durability, Fenced, JournalError, Unshared
+from pnm.journal.kept import Durability, Fenced, Hold, JournalError
 from pnm.journal.resume import replayed
 from pnm.journal.store import JournalFile
 from pnm.tasks import Wanted
 
 
-class Lapsing(Unshared):
+class Lapsing(Hold):
     """A right to write that ends and comes back."""
 
     mine = True
