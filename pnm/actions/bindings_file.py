@@ -36,9 +36,7 @@ class BindingKeys(Keys):
         "by name",
     )
     success = node(
-        ref("fieldTest"),
-        "test of the result of a server that always succeeds: `{field: status.code, eq: 0}`",
-        "success as reported",
+        ref("fieldTest"), "test of the result of a server that always succeeds: `{field: status.code, eq: 0}`", "success as reported"
     )
     reason = node(
         {"if": {"type": "object"}, "then": TabledField.json(), "else": {"type": ["string", "null"]}},

@@ -290,12 +290,7 @@ def action_readiness(
 
 
 def server_readiness(
-    action: GroundAction,
-    server: str,
-    bound: Mapping[str, Binding],
-    graph: GraphSnapshot,
-    sources: ValueSources,
-    patience: float,
+    action: GroundAction, server: str, bound: Mapping[str, Binding], graph: GraphSnapshot, sources: ValueSources, patience: float
 ) -> Readiness:
     """Return the readiness of the server of one action, given the bindings of all actions that it performs."""
     binding, there = bound[action.name], graph.servers.get(server, ())

@@ -28,13 +28,7 @@ class Publisher:
     """
 
     def __init__(
-        self,
-        ros: RosThread,
-        type_name: str,
-        name: str,
-        *,
-        is_latched: bool = False,
-        matched: Callable[[], None] = lambda: None,
+        self, ros: RosThread, type_name: str, name: str, *, is_latched: bool = False, matched: Callable[[], None] = lambda: None
     ) -> None:
         self._ros = ros
         self._loop = asyncio.get_running_loop()

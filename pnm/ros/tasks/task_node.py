@@ -31,13 +31,7 @@ class TaskNode:
     """
 
     def __init__(
-        self,
-        ros: RosThread,
-        tasks: Tasks,
-        make: Make,
-        world: ServedWorld,
-        plans: Mapping[str, str] | None = None,
-        kept: KeptTasks = (),
+        self, ros: RosThread, tasks: Tasks, make: Make, world: ServedWorld, plans: Mapping[str, str] | None = None, kept: KeptTasks = ()
     ) -> None:
         self._ros = ros
         self._tasks = tasks
