@@ -153,8 +153,10 @@ def fitted(model: ServerModel) -> ServerModel:
     Raises:
         InputError: the type is not installed, or a binding does not fit it.
     """
-    from pnm.ros.node.messages import import_type
-    from pnm.ros.node.typed_fields import fitted_binding  # needs rclpy, which is an extra
+    from pnm.ros.node.messages import (
+        fitted_binding,  # needs rclpy, which is an extra
+        import_type,
+    )
 
     action_type, bound = import_type(model.type), dict(model.bindings.actions)
     for name in {schema.name for schema, _ in model.choices}:

@@ -29,9 +29,8 @@ from pnm.knowledge.state_reports import StateReports
 from pnm.ros.action_client.client import Ros2ActionClient
 from pnm.ros.knowledge import KnowledgeServices, service_prefix
 from pnm.ros.node.graph import GraphSnapshot, absence, server_name, similar, snapshot
-from pnm.ros.node.messages import fields, import_type
+from pnm.ros.node.messages import fields, fitted_binding, import_type
 from pnm.ros.node.ros_thread import RosThread
-from pnm.ros.node.typed_fields import fitted_binding
 from pnm.ros.sensors import TOPIC, SensedReports, Sensors, SensorUse, checked, resolved
 from pnm.ros.sim_time import USE_SIM_TIME, follow_sim_time
 

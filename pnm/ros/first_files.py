@@ -14,8 +14,7 @@ from typing import Any, Final
 from pnm.core.message_fields import parse_field
 from pnm.errors import InputError
 from pnm.ros.node.graph import GraphSnapshot
-from pnm.ros.node.messages import import_type
-from pnm.ros.node.typed_fields import NUMBER, find_field
+from pnm.ros.node.messages import NUMBER, find_field, import_type
 
 _OURS: Final = "pnm_interfaces/action/"
 _POSES: Final = {

@@ -19,10 +19,9 @@ from pnm.errors import InputError
 from pnm.knowledge.sensor_model import ByService, ByTopic, Instance, Reading, Sensing, instances, read, unknown
 from pnm.knowledge.source import SourceError
 from pnm.knowledge.state_reports import StalenessWatchdog
-from pnm.ros.node.messages import FieldError, import_type, to_message
+from pnm.ros.node.messages import FieldError, fitted, import_type, to_message, value_at
 from pnm.ros.node.ros_thread import RosThread, call_on_loop
 from pnm.ros.node.services import ServiceClient
-from pnm.ros.node.typed_fields import fitted, value_at
 
 _log = logging.getLogger(__name__)
 

@@ -26,8 +26,7 @@ from pnm.errors import PnmError
 from pnm.ros.action_client.connection import Connection
 from pnm.ros.action_client.goal import OVER, UNKNOWN, Goal
 from pnm.ros.action_client.liveness import AGAIN, ASKS, GRACE, Liveness, Verdict
-from pnm.ros.node.messages import fields, to_data, to_message
-from pnm.ros.node.typed_fields import fitted_binding
+from pnm.ros.node.messages import fields, fitted_binding, to_data, to_message
 
 if TYPE_CHECKING:
     from pnm.ros.action_client.other_goals import OtherGoals  # which needs rclpy, an extra

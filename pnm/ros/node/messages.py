@@ -1,5 +1,6 @@
-"""Conversion between ROS 2 messages and plain data; every value is checked before it becomes part of a message.
+"""Messages of ROS 2: conversion to and from plain data, fields of types, and bindings and sensors that are fitted to types.
 
+Every value is checked before it becomes part of a message:
 `rclpy` checks nothing by default and sends garbage: the int 1 in a float64 field arrives as 5e-324, -1 in an unsigned
 one ends in a ``SystemError``. Its own checks (ROS_PYTHON_CHECK_FIELDS=1) are no alternative: they refuse whole numbers
 for float fields, name no path, and apply to all other code in the process.
@@ -13,16 +14,23 @@ import importlib
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
-from typing import Any, Final
+from typing import Any, Final, assert_never
 
-from pnm.errors import InputError, PnmError
+from pnm.core.logic.computed_values import MISSING
+from pnm.core.machine.bindings import Binding, Table
+from pnm.core.message_fields import Comparison, Every, Field, FieldValue, Flag, Having, Negation, Some, Test, item, parse_field, written
+from pnm.errors import InputError, PnmError, suggestion
+from pnm.knowledge.sensor_model import ExclusiveFact, Fact, Number, Object, Sensor, Statement, Stored
 
 _TYPE: Final = re.compile(r"([a-z][a-z0-9_]*)/(action|msg|srv)/([A-Z][A-Za-z0-9]*)")
-_ARRAY: Final = re.compile(r"(.+)\[(\d+)\]")
-_SEQUENCE: Final = re.compile(r"sequence<(.+?)(?:, (\d+))?>")
-_TEXT: Final = re.compile(r"w?string(?:<(\d+)>)?")
+_LIST: Final = re.compile(r"(.+)\[(\d+)\]|sequence<(.+?)(?:, (\d+))?>")
 _INTEGER: Final = re.compile(r"(u?)int(8|16|32|64)")
+TEXT: Final = re.compile(r"w?string(?:<(\d+)>)?")
+NUMBER: Final = re.compile(r"u?int\d+|float|double|octet")
+ANY: Final = re.compile(r".*")
+_NUMBER_TEXT: Final = re.compile(r"-?\d.*")
 _WRITTEN: Final = {"boolean": "bool", "octet": "byte", "float": "float32", "double": "float64"}
 _SECONDS: Final = frozenset({"builtin_interfaces/Time", "builtin_interfaces/Duration"})
 _LARGEST_FLOAT32: Final = 3.4028235677973366e38  # from here on a double rounds to infinity
@@ -104,13 +112,11 @@ def to_value(kind: str, value: object, path: str) -> object:
     """Return the value as `rclpy` stores it in a field of this kind, as ``get_fields_and_field_types`` names it."""
     if hasattr(value, "tolist"):  # numpy arrays and numbers, array.array
         value = value.tolist()
-    if array := _ARRAY.fullmatch(kind):
-        return _items(array[1], int(array[2]), True, value, path)
-    if sequence := _SEQUENCE.fullmatch(kind):
-        return _items(sequence[1], int(sequence[2]) if sequence[2] else None, False, value, path)
+    if parts := _LIST.fullmatch(kind):
+        return _items(parts[1] or parts[3], int(parts[2] or parts[4] or -1), parts[2] is not None, value, path)
     if "/" in kind:
         return _nested(kind, value, path)
-    if text := _TEXT.fullmatch(kind):
+    if text := TEXT.fullmatch(kind):
         if not isinstance(value, str):
             raise FieldError(path, kind, _show(value))
         if text[1] and len(value) > int(text[1]):
@@ -119,15 +125,29 @@ def to_value(kind: str, value: object, path: str) -> object:
         if "\0" in value or any("\ud800" <= letter <= "\udfff" for letter in value):
             raise FieldError(path, "text that can be sent", _show(value))
         return value
-    return _BASIC.get(kind, _integer)(kind, value, path)
+    if kind in ("float", "double"):
+        return _float(kind, value, path)
+    if kind == "octet":
+        is_byte = isinstance(value, bytes) and len(value) == 1
+        return value if is_byte else bytes([_whole("byte (0 to 255)", 0, 255, value, path)])
+    if kind == "boolean":
+        if not isinstance(value, bool):
+            raise _wrong(kind, value, path)
+        return value
+    integer = _INTEGER.fullmatch(kind)
+    if not integer:
+        raise FieldError(path, f"to be left out: {kind} fields are not supported", _show(value))
+    bits = int(integer[2])
+    low, high = (0, 2**bits - 1) if integer[1] else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+    return _whole(f"{kind} ({low} to {high})", low, high, value, path)
 
 
-def _items(kind: str, size: int | None, exact: bool, value: object, path: str) -> list[object]:
+def _items(kind: str, size: int, exact: bool, value: object, path: str) -> list[object]:
     what = f"values of type {_WRITTEN.get(kind, kind)}"
-    count = "" if size is None else f"exactly {size} " if exact else f"at most {size} "
+    count = "" if size < 0 else f"exactly {size} " if exact else f"at most {size} "
     if isinstance(value, str) or not isinstance(value, Sequence):
         raise FieldError(path, f"a list of {count}{what}", _show(value), _ADVICE if isinstance(value, str) else "")
-    if size is not None and (len(value) != size if exact else len(value) > size):
+    if size >= 0 and (len(value) != size if exact else len(value) > size):
         raise FieldError(path, f"{count}{what}", f"{len(value)} of them")
     return [to_value(kind, item, f"{path}[{index}]") for index, item in enumerate(value)]
 
@@ -141,14 +161,7 @@ def _nested(kind: str, value: object, path: str) -> object:
         value = {"sec": seconds + nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}
     if not isinstance(value, Mapping):
         raise FieldError(path, f"the fields of a {kind}", _show(value), _ADVICE if isinstance(value, str) else "")
-    package, _, name = kind.rpartition("/")
-    return to_message(import_type(f"{package}/msg/{name}"), value, path)
-
-
-def _boolean(kind: str, value: object, path: str) -> bool:
-    if not isinstance(value, bool):
-        raise _wrong(kind, value, path)
-    return value
+    return to_message(_class_of(kind), value, path)
 
 
 def _float(kind: str, value: object, path: str) -> float:
@@ -163,30 +176,12 @@ def _float(kind: str, value: object, path: str) -> float:
     return number
 
 
-def _integer(kind: str, value: object, path: str) -> int:
-    integer = _INTEGER.fullmatch(kind)
-    if not integer:
-        raise FieldError(path, f"to be left out: {kind} fields are not supported", _show(value))
-    bits = int(integer[2])
-    low, high = (0, 2**bits - 1) if integer[1] else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
-    return _whole(f"{kind} ({low} to {high})", low, high, value, path)
-
-
-def _octet(kind: str, value: object, path: str) -> bytes:
-    if isinstance(value, bytes) and len(value) == 1:
-        return value
-    return bytes([_whole("byte (0 to 255)", 0, 255, value, path)])
-
-
 def _whole(needs: str, low: int, high: int, value: object, path: str) -> int:
     if isinstance(value, float) and value.is_integer():  # numbers in PDDL are floats, counts among them
         value = int(value)
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise _wrong(needs, value, path)
     return value
-
-
-_BASIC: Final[dict[str, Callable[[str, object, str], object]]] = {"boolean": _boolean, "float": _float, "double": _float, "octet": _octet}
 
 
 def _wrong(kind: str, value: object, path: str) -> FieldError:
@@ -199,3 +194,209 @@ def _show(value: object) -> str:
     written = repr(value)
     written = written if len(written) <= 60 else f"{written[:57]}..."
     return f"{written} ({type(value).__name__})"
+
+
+# --- fields of types, and tests and sources that are fitted to them ------------------------
+
+
+def fitted_test(test: Test, message_type: Any) -> Test:
+    """Return a test with the values of the type's constants in the place of their names; raise `InputError` where it does not fit."""
+    match test:
+        case Flag(where):
+            kind = find_field(message_type, where).kind
+            if kind != "boolean":
+                raise InputError(f"{where} is a {kind}; expected a boolean, or 'when' and how it compares")
+            return test
+        case Comparison(where):
+            return _comparison(test, find_field(message_type, where))
+        case Negation(inner):
+            return Negation(fitted_test(inner, message_type))
+        case Every(tests) | Some(tests):
+            return replace(test, tests=tuple([fitted_test(part, message_type) for part in tests]))
+        case _:
+            assert_never(test)
+
+
+def _comparison(test: Comparison, field: MessageField) -> Comparison:
+    kind, constant = field.kind, test.constant
+    if test.operation == "contains" and not (TEXT.fullmatch(kind) and isinstance(constant, str)):
+        inner = item_kind(kind)
+        if inner is None:
+            raise InputError(f"{test.field} is a {kind}, which contains nothing")
+        kind = inner
+    match constant:
+        case bool():
+            fits = kind == "boolean"
+        case int() | float():
+            fits = bool(NUMBER.fullmatch(kind))
+        case str() if NUMBER.fullmatch(kind):
+            return replace(test, constant=field.constant(constant))
+        case str():
+            fits = bool(TEXT.fullmatch(kind))
+        case _:
+            fits = True
+    if not fits:
+        raise InputError(f"{test.field} is a {field.kind}, which cannot be compared with {constant!r}")
+    return test
+
+
+def fitted_source(source: FieldValue, message_type: Any, needed: re.Pattern[str], expected: str) -> FieldValue:
+    """Return a source with the values of the type's constants in the place of their names; raise `InputError` where it does not fit."""
+    field = find_field(message_type, source.field)
+    if source.table is None:
+        if not needed.fullmatch(field.kind):
+            raise InputError(f"{source.field} is a {field.kind}; expected {expected}, or a table")
+        return source
+    if not NUMBER.fullmatch(field.kind):
+        return source
+    keys = {key: key if _NUMBER_TEXT.fullmatch(key) else written(field.constant(key)) for key in source.table}
+    return replace(source, table={keys[key]: value for key, value in source.table.items()})
+
+
+@dataclass(frozen=True, slots=True)
+class MessageField:
+    """A field of a message type."""
+
+    where: Field
+    kind: str
+    """As ``get_fields_and_field_types`` writes it."""
+    owner: Any
+    """The class of the messages that have it, which may be inside others."""
+
+    @property
+    def constants(self) -> dict[str, object]:
+        """The constants of the class by their names, the smallest first."""
+        # of a field with a default, the class has one as a constant
+        names = [name for name in dir(type(self.owner)) if name.isupper() and name[0] != "_" and not name.endswith("__DEFAULT")]
+        values = {name: plain(getattr(self.owner, name)) for name in names}
+        return dict(sorted(values.items(), key=lambda item: (str(type(item[1])), item[1])))
+
+    def constant(self, name: str) -> object:
+        """Return the value of the constant; raise an `InputError` if the class has none of this name."""
+        known = self.constants
+        if name not in known:
+            hint = suggestion(name, known) or (f"expected a number, or one of {', '.join(known)}" if known else "expected a number")
+            raise InputError(f"{self.where} is a {self.kind}, which cannot be compared with {name!r}; {hint}")
+        return known[name]
+
+
+def find_field(message_type: Any, where: Field) -> MessageField:
+    """Return a field, which may be inside of other fields; raise an `InputError` if messages of this type have none."""
+    kind, so_far = "", ""
+    owner, inside = message_type, message_type
+    for step in where.steps:
+        if not isinstance(step, str):
+            inner = item_kind(kind)
+            if inner is None:
+                raise InputError(f"{so_far} is a {kind}; only a list has an item {step}")
+            kind, so_far = inner, f"{so_far}[{step}]"
+            if isinstance(step, Having):
+                if _class_of(kind) is None:
+                    raise InputError(f"{so_far.removesuffix(f'[{step}]')} is a list of {kind}; only items with fields can be found by one")
+                part = find_field(_class_of(kind), parse_field(step.name)).kind
+                if not (TEXT.fullmatch(part) or (NUMBER.fullmatch(part) and _NUMBER_TEXT.fullmatch(step.value))):
+                    raise InputError(f"{so_far}: {step.name} is a {part}; expected a text")
+        else:
+            kinds = {} if inside is None else inside.get_fields_and_field_types()
+            if step not in kinds:
+                has = f"it has {', '.join(kinds)}" if kinds else "it has none"
+                raise InputError(f"{kind or message_type.__name__} has no field {step!r}; {f'{suggestion(step, kinds)} {has}'.strip()}")
+            kind, so_far, owner = kinds[step], f"{so_far}.{step}".lstrip("."), inside
+        inside = _class_of(kind)
+    return MessageField(where, kind, owner)
+
+
+def _class_of(kind: str) -> Any:
+    """Return the class of messages that are inside of others; None for a kind of field that is no message."""
+    package, slash, name = kind.rpartition("/")
+    return import_type(f"{package}/msg/{name}") if slash and item_kind(kind) is None else None
+
+
+def item_kind(kind: str) -> str | None:
+    """Return the kind of a list's items; None if it is no list."""
+    parts = _LIST.fullmatch(kind)
+    return parts and (parts[1] or parts[3])
+
+
+def value_at(message: Any, where: Field) -> object:
+    """Return the value of a field of a message, as plain data; raise `Unreadable` if a list has no such item."""
+    value = message
+    for step in where.steps:
+        value = getattr(value, step) if isinstance(step, str) else item(value, step, where, getattr)
+    return plain(value)
+
+
+# --- bindings fitted to the type of their action server, or refused ------------------------
+
+
+Example = Callable[[str], object]
+"""Returns a value that a parameter, a variable or a fluent may have; `MISSING` if its kind is not known."""
+
+
+def fitted_binding(binding: Binding, action_type: Any, example: Example = lambda source: MISSING) -> Binding:
+    """Return the binding with the values of the type's constants in the place of their names.
+
+    `example` says which kinds of values goal fields are filled with. Raises `InputError` if the goal has no such field, a constant is
+    of another kind than its field, or the result has no such field.
+    """
+    for name, source in (binding.goal or {}).items():
+        _check(source, find_field(action_type.Goal, parse_field(name)).kind, name, example)
+    for name in binding.store:
+        find_field(action_type.Result, parse_field(name))
+    success = binding.success and fitted_test(binding.success, action_type.Result)
+    reason = binding.reason and fitted_source(binding.reason, action_type.Result, ANY, "a value")
+    final = binding.final and fitted_test(binding.final, action_type.Result)
+    return replace(binding, success=success, reason=reason, final=final)
+
+
+def _check(source: object, kind: str, path: str, example: Example) -> None:
+    """Refuse what can never be the value of a field of this kind; what only a call knows is looked at when its goal is sent."""
+    inner = item_kind(kind)
+    match source:
+        case Table(_, rows):
+            for name, row in rows.items():
+                _check(row, kind, f"{path} of {name}", example)
+        case str() if source[:1] in ("?", "$", "("):
+            value = example(source)
+            if value is not MISSING:
+                _check_value(kind, value, f"{path}, which is filled from {source},")
+        case Mapping() if "/" in kind and inner is None:
+            for name, part in source.items():
+                _check(part, find_field(_class_of(kind), parse_field(name)).kind, f"{path}.{name}", example)
+        case list() if inner is not None:
+            for number, part in enumerate(source):
+                _check(part, inner, f"{path}[{number}]", example)
+        case _:
+            _check_value(kind, source, path)
+
+
+def _check_value(kind: str, value: object, path: str) -> None:
+    try:
+        to_value(kind, value, path)
+    except FieldError as error:
+        raise InputError(f"field {error.path} needs {error.needs}, got {error.got}") from error
+
+
+# --- sensors fitted to the types of their messages -----------------------------------------
+
+
+def fitted(sensor: Sensor, message_type: Any) -> Sensor:
+    """Return a sensor with the values of the type's constants in the place of their names."""
+    return replace(sensor, statements=tuple([_fitted(statement, message_type) for statement in sensor.statements]))
+
+
+def _fitted(statement: Statement, message_type: Any) -> Statement:
+    try:
+        match statement:
+            case Fact(_, test):
+                return replace(statement, test=fitted_test(test, message_type))
+            case Number(_, source):
+                return replace(statement, source=fitted_source(source, message_type, NUMBER, "a number"))
+            case ExclusiveFact(_, source) | Object(_, source):
+                return replace(statement, source=fitted_source(source, message_type, TEXT, "a text"))
+            case Stored(_, source):
+                return replace(statement, source=fitted_source(source, message_type, ANY, "a value"))
+            case _:
+                assert_never(statement)
+    except InputError as error:
+        raise InputError(error.message, statement.position) from error

@@ -27,7 +27,7 @@ from pnm.core.message_fields import value_in
 from pnm.core.readiness import ReadyState
 from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import instances, read
-from pnm.ros.node.typed_fields import fitted, fitted_binding
+from pnm.ros.node.messages import fitted, fitted_binding
 from pnm.tasks import Code
 from tests.support.docs.page import DOCS, blocks_of, files_of
 from tests.support.files import ROOT, written

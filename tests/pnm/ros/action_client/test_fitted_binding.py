@@ -10,7 +10,7 @@ from test_msgs.action import Fibonacci, NestedMessage
 from pnm.actions.bindings_file import read_bindings
 from pnm.core.machine.bindings import Binding
 from pnm.errors import InputError
-from pnm.ros.node.typed_fields import fitted_binding
+from pnm.ros.node.messages import fitted_binding
 from tests.support.files import written
 
 

@@ -13,9 +13,8 @@ from pnm.core.logic.rules import Rules
 from pnm.core.message_fields import Unreadable, parse_field
 from pnm.errors import InputError
 from pnm.knowledge.sensor_model import Instance, read
-from pnm.ros.node.messages import import_type, to_message
+from pnm.ros.node.messages import find_field, fitted, import_type, to_message, value_at
 from pnm.ros.node.services import until_true
-from pnm.ros.node.typed_fields import find_field, fitted, value_at
 from pnm.ros.sensors import Sensors
 from tests.support.pddl.sensed_world import DOMAIN
 from tests.support.ros.child_process import bounded, run_bounded
