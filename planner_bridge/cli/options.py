@@ -120,7 +120,7 @@ GIVEN = "given"
 
 def state_folder() -> Path:
     """Return the folder of what is kept for this user; raise `SourceError` if the user has no home."""
-    from pnm.knowledge.database import default_path  # here, because most commands keep nothing
+    from pnm.knowledge.sources import default_path  # here, because most commands keep nothing
 
     return default_path().parent
 

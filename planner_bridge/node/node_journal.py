@@ -22,8 +22,8 @@ from pnm.journal.kept import DAY, Fenced, JournalChoice
 from pnm.journal.lease import is_locked
 from pnm.journal.replay import Replay
 from pnm.journal.resume import stand_by, summaries
-from pnm.knowledge.database import default_path
 from pnm.knowledge.source import SourceError
+from pnm.knowledge.sources import default_path
 
 _log = logging.getLogger(__name__)
 

@@ -50,12 +50,9 @@ class KnowledgeServices:
         self._name = name
         self._find = find
         self._sources = sources
-        self._work: dict[_Key, asyncio.Task[Fields]] = {}
+        self._work: dict[_Key, asyncio.Task[Fields | None]] = {}
         cancelled, ended = "the goal is over, or the executive ends", "the executive has ended"
         self._services = RequestServices(ros, loop=loop, cancelled=cancelled, ended=ended, arrival=0.0)
-
-    def __repr__(self) -> str:
-        return f"<KnowledgeServices {self._name}, {len(self._work)} requests at work>"
 
     async def open(self) -> None:
         """Offer the services."""
@@ -78,30 +75,34 @@ class KnowledgeServices:
             task.cancel()
         await self._services.close()
 
-    async def _answer_once(self, handler: Handler, request: Any) -> Fields:
+    async def _answer_once(self, handler: Handler, request: Any) -> Fields | None:
+        async def within_limit() -> Fields | None:
+            try:
+                async with asyncio.timeout(request.timeout if request.timeout > 0 else None):
+                    return await handler(request)
+            except TimeoutError as error:
+                raise SourceError(f"there was no answer within {round(request.timeout, 2):g} s") from error
+
         key = UUID(bytes=bytes(request.goal_id.uuid)), handler, repr(request)
         if key not in self._work:
-            task = self._work[key] = self._loop.create_task(_within_limit(handler, request))
+            task = self._work[key] = self._loop.create_task(within_limit())
             task.add_done_callback(lambda _: self._work.pop(key))
         return await asyncio.shield(self._work[key])  # shielded: one of several that wait must not cancel it for all
 
     async def _query(self, request: Any) -> Fields:
         layer, question, (knowledge, asker) = self._read(request)
-        value: object = MISSING
-        if layer in (Layer.LOCAL, Layer.ALL):
-            value = knowledge.local.variable(question.name)
+        value = knowledge.local.variable(question.name) if layer in (Layer.LOCAL, Layer.ALL) else MISSING
         if value is MISSING and layer is not Layer.LOCAL:
             value = await self._sources.query(question, asker)
         return {"found": value is not MISSING, "value": "" if value is MISSING else write_value(value)}
 
-    async def _update(self, request: Any) -> Fields:
+    async def _update(self, request: Any) -> None:
         layer, question, (knowledge, asker) = self._read(request)
         value = read_value(request.value)
         if layer is not Layer.LOCAL:  # first, because it may fail
             await self._sources.update(question, value, asker)
         if layer in (Layer.LOCAL, Layer.ALL):
             knowledge.local.store({question.name: value})
-        return {}
 
     def _read(self, request: Any) -> tuple[Layer, Question, tuple[Layered, Asker]]:
         """Return the layer and the variable of a request, the knowledge of its run, and who asks the sources."""
@@ -110,36 +111,23 @@ class KnowledgeServices:
         if not request.name:
             raise SourceError("the request names no variable")
         meta = write_value(read_value(request.meta)) if request.meta else "null"
-        goal = UUID(bytes=bytes(request.goal_id.uuid))
+        goal, layer = UUID(bytes=bytes(request.goal_id.uuid)), LAYERS[request.layer]
         run = self._find(goal)
         if run is None:
             raise SourceError(f"no goal {goal} is being carried out for this executive; it may be over")
-        layer = LAYERS[request.layer]
         return layer, Question(request.name, layer, meta), run
 
 
-async def _within_limit(handler: Handler, request: Any) -> Fields:
-    try:
-        async with asyncio.timeout(request.timeout if request.timeout > 0 else None):
-            return await handler(request)
-    except TimeoutError as error:
-        raise SourceError(f"there was no answer within {round(request.timeout, 2):g} s") from error
-
-
-# --- the ids of goals ----------------------------------------------------------------------
-# Goal ids identify the executive that sent a goal, and so the services for its knowledge.
+# --- the ids of goals identify the executive that sent one, and so the services for its knowledge ---
 #
 # An executive draws four bytes once, and begins the ids of all its runs and goals with them. The names of its services
 # contain these bytes, so that an action server finds them by the goal alone. The rest of such an id is that of a UUID
 # of version 5; clients that know nothing of this send version 4 or no version at all.
 
 
-_MARK: Final = 4
-
-
 def service_prefix(goal: bytes) -> str:
     """Return the prefix of the names of the knowledge services, given the id of any run or goal of the executive."""
-    return f"/pnm_{goal[:_MARK].hex()}"
+    return f"/pnm_{goal[:4].hex()}"
 
 
 def may_be_ours(goal: bytes) -> bool:
@@ -147,8 +135,7 @@ def may_be_ours(goal: bytes) -> bool:
     return goal[6] >> 4 == 5 and goal[8] >> 6 == 2
 
 
-# --- global knowledge of others ------------------------------------------------------------
-# The source ``ros2``: global knowledge behind a pair of ROS 2 services, of an ontology, a database or another executive.
+# --- the source ``ros2``: global knowledge of an ontology, a database or another executive -----------
 
 
 NAME: Final = "knowledge"
@@ -215,8 +202,7 @@ def thread(surroundings: Surroundings) -> RosThread:
     return surroundings.ros
 
 
-# --- a person over topics ------------------------------------------------------------------
-# A person as a knowledge source over two topics, questions and answers: a screen, a dialogue system, a remote operator.
+# --- the source ``topics``: a person at a screen, a dialogue system, or a remote operator ------------
 #
 # At first contact an answer may be lost: DDS matches the two topics one after the other, so a question may be heard, and answered,
 # before the publisher of the answer knows that we listen. So open questions are repeated when a publisher of answers is new.
@@ -290,13 +276,12 @@ class Ros2Person:
     async def update(self, question: Question, value: object, asker: Asker, /) -> None:
         """Publish a message to the person; raise a `SourceError` if there is no subscriber."""
         await self._connect(asyncio.get_running_loop())
-        written = write_value(value)
+        written, said = write_value(value), message_text(question, value)
         try:
             async with asyncio.timeout(LISTENER):
                 await until_true(self._ros, self._listeners)
         except TimeoutError as error:
-            raise SourceError(f"nobody listens on {self._name}/questions to be told {message_text(question, value)!r}") from error
-        said = message_text(question, value)
+            raise SourceError(f"nobody listens on {self._name}/questions to be told {said!r}") from error
         self._send(self._message(self._types[0].TELL, uuid4().hex, question, asker, text=said, value=written))
 
     async def close(self) -> None:
@@ -330,10 +315,6 @@ class Ros2Person:
             except SourceError as error:
                 _log.warning("ignored an answer on %s/answers: %s", self._name, error)
 
-    def _discovered(self) -> None:
-        """Repeat, a little later, what is open then, as somebody new may have answered it in vain."""
-        asyncio.get_running_loop().call_later(AGAIN, self._repeat)
-
     def _repeat(self) -> None:
         for asked in self._open.values():
             if not asked.answer.done():
@@ -348,18 +329,17 @@ class Ros2Person:
         if self._publisher is None:
             latched = QoSProfile(depth=DEPTH, durability=DurabilityPolicy.TRANSIENT_LOCAL)
             self._publisher = self._ros.node.create_publisher(self._types[0], f"{self._name}/questions", latched)
-            receive = partial(self._receive, loop)
-            matched = SubscriptionEventCallbacks(matched=partial(self._matched, loop))
-            self._subscription = self._ros.node.create_subscription(
-                self._types[1], f"{self._name}/answers", receive, QoSProfile(depth=DEPTH), event_callbacks=matched
-            )
 
-    def _matched(self, loop: asyncio.AbstractEventLoop, change: Any) -> None:
-        if change.current_count_change > 0:
-            call_on_loop(loop, self._discovered)
+            def matched(change: Any) -> None:
+                if change.current_count_change > 0:  # repeat, a little later, what is open then: somebody new may have answered it in vain
+                    call_on_loop(loop, loop.call_later, AGAIN, self._repeat)
 
-    def _receive(self, loop: asyncio.AbstractEventLoop, message: Any) -> None:
-        call_on_loop(loop, self._answered, message.id, None if message.unknown else message.value)
+            def receive(message: Any) -> None:
+                call_on_loop(loop, self._answered, message.id, None if message.unknown else message.value)
+
+            topic, events = f"{self._name}/answers", SubscriptionEventCallbacks(matched=matched)
+            qos = QoSProfile(depth=DEPTH)
+            self._subscription = self._ros.node.create_subscription(self._types[1], topic, receive, qos, event_callbacks=events)
 
     def _listeners(self) -> int:
         return int(self._publisher.get_subscription_count()) if self._publisher is not None else 0

@@ -15,8 +15,7 @@ from pnm.core.machine.bindings import ABOUT_THE_CALL, Bindings, Foreign
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Report, Reporter, Request
 from pnm.errors import PnmError
-from pnm.ros.action_client.goal import Goal, Kept
-from pnm.ros.action_client.liveness import GRACE
+from pnm.ros.action_client.goal import GRACE, Goal, Kept
 from pnm.ros.action_client.server_link import ServerLink
 from pnm.ros.node.graph import server_name
 from pnm.ros.node.messages import fields

@@ -14,7 +14,7 @@ from typing import Any, Final
 from uuid import UUID, uuid4
 
 from pnm.errors import InputError
-from pnm.ros.action_client.liveness import AGAIN
+from pnm.ros.action_client.goal import AGAIN
 from pnm.ros.node.graph import absence, processes, server_name, servers, types
 from pnm.ros.node.messages import import_type
 

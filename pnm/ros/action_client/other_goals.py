@@ -22,7 +22,7 @@ from action_msgs.srv import CancelGoal
 from rclpy.qos import qos_profile_action_status_default
 
 from pnm.ros.action_client.action_services import UnheardTopic, ros_uuid
-from pnm.ros.action_client.liveness import AGAIN
+from pnm.ros.action_client.goal import AGAIN
 from pnm.ros.node.graph import processes
 from pnm.ros.node.ros_thread import RosThread
 

@@ -24,8 +24,7 @@ from pnm.core.machine.bindings import Foreign
 from pnm.core.machine.requests import Accepted, OutcomeKind
 from pnm.errors import PnmError
 from pnm.ros.action_client.connection import Connection
-from pnm.ros.action_client.goal import OVER, UNKNOWN, Goal
-from pnm.ros.action_client.liveness import AGAIN, ASKS, GRACE, Liveness, Verdict
+from pnm.ros.action_client.goal import AGAIN, ASKS, GRACE, OVER, UNKNOWN, Goal, Liveness, Verdict
 from pnm.ros.node.messages import fields, fitted_binding, to_data, to_message
 
 if TYPE_CHECKING:

@@ -58,20 +58,6 @@ class GoalResult:
     fields: Mapping[str, object]
 
 
-@dataclass(frozen=True, slots=True)
-class GoalCallbacks:
-    """The executor of a server's goals; called on the event loop's thread.
-
-    Args:
-        accept: begins the goal, and returns nothing or the reason why it is rejected. Its client hears that it is accepted after that.
-            The reason is only logged: a rejection has no field for it, unlike the result of an aborted goal.
-        cancel: called when a client requests cancellation; may come more than once, and after the end.
-    """
-
-    accept: Callable[[UUID, Any], Awaitable[str]]
-    cancel: Callable[[UUID], None]
-
-
 class _PatientServer(ActionServer):  # type: ignore[misc]
     """An action server of `rclpy` that answers a goal when it is told to."""
 
@@ -106,23 +92,29 @@ class GoalServer:
     The mutable state is, on the ROS thread, the server, the handles of goals that are open and of those whose results are
     being sent, by goal id, and the goals that are being decided about, with the results of those that are over already;
     on the event loop's, the decisions, and when the last goal ended.
+
+    Args:
+        accept: begins a goal, and returns nothing or the reason why it is rejected. Its client hears that it is accepted after that.
+            The reason is only logged: a rejection has no field for it, unlike the result of an aborted goal.
+        cancel: called when a client requests cancellation; may come more than once, and after the end. Both are called on the event
+            loop's thread.
     """
 
-    def __init__(self, ros: RosThread, type_name: str, name: str, callbacks: GoalCallbacks) -> None:
+    def __init__(
+        self, ros: RosThread, type_name: str, name: str, accept: Callable[[UUID, Any], Awaitable[str]], cancel: Callable[[UUID], None]
+    ) -> None:
         self._ros = ros
         self.type = import_type(type_name)
         self._loop = asyncio.get_running_loop()
         self.name = name
-        self._callbacks = callbacks
+        self._accept = accept
+        self._cancel = cancel
         self._server: Any = None
         self._open: dict[UUID, Any] = {}
         self._ending: dict[UUID, Any] = {}
         self._undecided: dict[UUID, Callable[[], GoalResult] | None] = {}
         self._decisions: set[asyncio.Task[None]] = set()
         self._ended = -math.inf
-
-    def __repr__(self) -> str:
-        return f"<GoalServer {self.name}, {len(self._open)} goals open>"
 
     # on the event loop's thread
 
@@ -159,21 +151,25 @@ class GoalServer:
         self._ros.call(self._take_down)
 
     def _decide(self, goal: UUID, request: Any, answer: Callable[[bool], None]) -> None:
-        decision = self._loop.create_task(self._decided(goal, request, answer))
+        async def decide() -> None:
+            try:
+                reason = await self._accept(goal, request)
+            except Exception as error:
+                _log.exception("a goal for %s cannot begin", self.name)
+                reason = f"{type(error).__name__}: {error}"
+            self._ros.call(partial(self._answer, goal, answer, reason))
+
+        decision = self._loop.create_task(decide())
         self._decisions.add(decision)
         decision.add_done_callback(self._decisions.discard)
-
-    async def _decided(self, goal: UUID, request: Any, answer: Callable[[bool], None]) -> None:
-        try:
-            reason = await self._callbacks.accept(goal, request)
-        except Exception as error:
-            _log.exception("a goal for %s cannot begin", self.name)
-            reason = f"{type(error).__name__}: {error}"
-        self._ros.call(partial(self._answer, goal, answer, reason))
 
     # on the ROS thread
 
     def _bring_up(self, kept: Iterable[UUID]) -> None:
+        def cancel(handle: Any) -> CancelResponse:
+            self._loop.call_soon_threadsafe(self._cancel, _id(handle))
+            return CancelResponse.ACCEPT
+
         many = QoSProfile(depth=DEPTH)
         self._server = _PatientServer(
             self._ros.node,
@@ -182,7 +178,7 @@ class GoalServer:
             arrived=self._arrived,
             execute_callback=self._finish,
             handle_accepted_callback=lambda _: None,
-            cancel_callback=self._cancel_asked,
+            cancel_callback=cancel,
             goal_service_qos_profile=many,
             result_service_qos_profile=many,
             cancel_service_qos_profile=many,
@@ -215,10 +211,6 @@ class GoalServer:
     def _execute(self, goal: UUID) -> None:
         handle = self._open[goal] = self._server.handle(goal)
         handle._update_state(GoalEvent.EXECUTE)  # what `execute` does, except for calling back
-
-    def _cancel_asked(self, handle: Any) -> CancelResponse:
-        self._loop.call_soon_threadsafe(self._callbacks.cancel, _id(handle))
-        return CancelResponse.ACCEPT
 
     def _end(self, goal: UUID, result: Callable[[], GoalResult]) -> None:
         if goal in self._undecided:  # its client hears first that it is accepted

@@ -20,7 +20,7 @@ from pnm.actions.simulated_robots import SimulatedWorld
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Report, Request
 from pnm.errors import InputError
-from pnm.ros.action_server.goal_server import GoalCallbacks, GoalResult, GoalServer, GoalStatus
+from pnm.ros.action_server.goal_server import GoalResult, GoalServer, GoalStatus
 from pnm.ros.node.messages import FieldError, fields, to_data, to_message
 from pnm.ros.node.publisher import Publisher, Throttle
 from pnm.ros.node.ros_thread import RosThread
@@ -78,8 +78,7 @@ class SimulatedServers:
     async def open(self, offers: Iterable[Offer]) -> None:
         """Bring the servers up."""
         for offer in offers:
-            callbacks = GoalCallbacks(partial(self._accept, offer), self._cancel)
-            self._servers[offer.server] = GoalServer(self._ros, offer.type, offer.server, callbacks)
+            self._servers[offer.server] = GoalServer(self._ros, offer.type, offer.server, partial(self._accept, offer), self._cancel)
         for server in self._servers.values():
             await server.open()
 
@@ -137,11 +136,10 @@ class SimulatedServers:
 
     def _feed(self) -> None:
         self._is_feeding = False
-        fed = [(id, goal) for id, goal in self._goals.items() if _has_progress(goal.server)]
-        if self._progress is not None and fed:
-            for id, goal in fed:
+        for id, goal in self._goals.items():
+            if self._progress is not None and _has_progress(goal.server):
                 goal.server.feed(id, {"progress": self._progress(id)})
-            self._feed_later()
+                self._feed_later()
 
 
 def _has_progress(server: GoalServer) -> bool:
@@ -164,10 +162,7 @@ def _result_fields(goal: _SimulatedGoal, outcome: Outcome) -> dict[str, object]:
 async def publish_state(ros: RosThread, world: SimulatedWorld, names: frozenset[str], matched: Callable[[], None]) -> None:
     """Publish complete reports about some predicates and functions of a simulated world: now, and whenever it changes.
 
-    Several changes in one turn of the event loop make one report.
-
-    Args:
-        matched: called at every new subscription.
+    Several changes in one turn of the event loop make one report. `matched` is called at every new subscription.
     """
     publisher = Publisher(ros, "pnm_interfaces/msg/State", TOPIC, is_latched=True, matched=matched)
     numbers = count(1)

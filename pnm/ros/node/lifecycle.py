@@ -15,7 +15,7 @@ from pnm.errors import PnmError, RosError
 from pnm.ros.node.graph import processes
 from pnm.ros.node.managed_node import STARTED, refuse_transition
 from pnm.ros.node.ros_thread import RosThread
-from pnm.ros.node.services import Fields, RequestServices
+from pnm.ros.node.services import RequestServices
 
 _log = logging.getLogger(__name__)
 
@@ -81,14 +81,13 @@ class Lifecycle:
         if label == "shutdown":
             self.finalized.set()
 
-    async def _requested(self, request: Any) -> Fields:
+    async def _requested(self, request: Any) -> None:
         wanted = request.transition.label or request.transition.id
         try:
             await self.change(wanted)
         except PnmError as error:
             _log.error("the transition %s has failed: %s", wanted, error)
             raise
-        return {}
 
 
 # --- the only node of its name -------------------------------------------------------------

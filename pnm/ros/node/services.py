@@ -147,8 +147,8 @@ ARRIVAL: Final = 1.0
 """Seconds in which a response arrives: a publisher that is destroyed earlier takes unsent data along."""
 
 Fields: TypeAlias = Mapping[str, object]
-Handler: TypeAlias = Callable[[Any], Awaitable[Fields]]
-"""Returns the fields of the response to a request; an exception becomes the message of a response without success."""
+Handler: TypeAlias = Callable[[Any], Awaitable[Fields | None]]
+"""Returns the fields of the response to a request, if it has any; an exception becomes the message of a response without success."""
 
 _log = logging.getLogger(__name__)
 
@@ -262,7 +262,7 @@ async def arrived(answered: float, arrival: float = ARRIVAL) -> None:
 
 async def _answer(handler: Handler, request: Any) -> Fields:
     try:
-        return {"success": True, **await handler(request)}
+        return {"success": True, **(await handler(request) or {})}
     except (PnmError, TaskRefused) as error:
         return _refusal(str(error))
     except Exception as error:

@@ -4,20 +4,38 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Final
 from uuid import UUID
 
 from pnm.errors import InputError
+from pnm.ros.action_server.goal_server import FEEDBACK, GoalResult, GoalServer, GoalStatus
 from pnm.ros.node.graph import server_name
+from pnm.ros.node.publisher import Throttle
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.node.services import Fields, RequestServices
-from pnm.ros.tasks.executor_topics import TaskTopics
-from pnm.ros.tasks.goal_actions import NAME as PLAN
-from pnm.ros.tasks.goal_actions import NAMES, PlanningServer, TaskServers
-from pnm.tasks import KeptTasks, Make, ServedWorld, TaskRefused, Tasks, TaskState, Wanted
-
-ACTIONS: Final = (*NAMES, PLAN)
+from pnm.ros.tasks import task_messages as messages
+from pnm.ros.tasks.executor_topics import TaskTopics, clock_offset
+from pnm.tasks import (
+    SHORT,
+    Code,
+    KeptTasks,
+    MadePlan,
+    Make,
+    ServedWorld,
+    TaskEnding,
+    TaskListener,
+    TaskRefused,
+    Tasks,
+    TaskState,
+    TaskStatus,
+    TaskStep,
+    TraceEvent,
+    TraceKind,
+    Wanted,
+)
 
 _log = logging.getLogger(__name__)
 
@@ -45,9 +63,6 @@ class TaskNode:
         self._topics = TaskTopics(ros, tasks, world, lambda: self._is_paused)
         self._services = RequestServices(ros)
 
-    def __repr__(self) -> str:
-        return f"<TaskNode {self._closed or 'active'}>"
-
     async def open(self) -> None:
         """Bring everything up; goals are rejected until `activate`."""
         # Topics listen first, so that subscribers can read the end of a task before its client has the result.
@@ -56,14 +71,14 @@ class TaskNode:
         await self._planning.open()
         await self._services.open(
             {
-                "executor/pause": ("pnm_interfaces/srv/PauseTask", self._pause),
-                "executor/resume": ("pnm_interfaces/srv/ResumeTask", self._resume),
-                "executor/cancel": ("pnm_interfaces/srv/CancelTask", self._cancel),
+                "executor/pause": ("pnm_interfaces/srv/PauseTask", lambda request: self.pause(_id(request.task), at_once=request.at_once)),
+                "executor/resume": ("pnm_interfaces/srv/ResumeTask", lambda request: self.resume(_id(request.task))),
+                "executor/cancel": ("pnm_interfaces/srv/CancelTask", lambda request: self.cancel(_id(request.task))),
                 "knowledge/query": ("pnm_interfaces/srv/QueryFacts", self._query),
                 "knowledge/update": ("pnm_interfaces/srv/UpdateFacts", self._update),
                 "problem/get": ("pnm_interfaces/srv/GetProblem", self._get),
                 "problem/save": ("pnm_interfaces/srv/SaveProblem", self._save),
-                "problem/load": ("pnm_interfaces/srv/LoadProblem", self._load),
+                "problem/load": ("pnm_interfaces/srv/LoadProblem", lambda request: self._world.load(request.domain, request.problem)),
             }
         )
 
@@ -143,18 +158,6 @@ class TaskNode:
 
     # the services
 
-    async def _pause(self, request: Any) -> Fields:
-        await self.pause(_id(request.task), at_once=request.at_once)
-        return {}
-
-    async def _resume(self, request: Any) -> Fields:
-        await self.resume(_id(request.task))
-        return {}
-
-    async def _cancel(self, request: Any) -> Fields:
-        await self.cancel(_id(request.task))
-        return {}
-
     async def _query(self, request: Any) -> Fields:
         answers = await self._world.query(request.questions)
         return {"facts": [question for question, _ in answers], "values": [answer for _, answer in answers]}
@@ -169,10 +172,6 @@ class TaskNode:
     async def _save(self, request: Any) -> Fields:
         return {"path": await self._world.save(request.file)}
 
-    async def _load(self, request: Any) -> Fields:
-        await self._world.load(request.domain, request.problem)
-        return {}
-
     def _refuse_inactive(self) -> None:
         if self._closed:
             raise TaskRefused(f"{self._closed}: all tasks are paused until it is activated")
@@ -183,7 +182,7 @@ def action_names(ros: RosThread, plans: Iterable[str]) -> tuple[tuple[str, ...],
 
     Raises `InputError` if the name of a plan is not valid in ROS, or is that of another action.
     """
-    own = tuple(server_name(ros.node, name) for name in ACTIONS)
+    own = tuple(server_name(ros.node, name) for name in (*_ACTIONS, PLAN))
     names: dict[str, str] = {}
     for plan in plans:
         name = server_name(ros.node, plan)
@@ -198,3 +197,246 @@ def action_names(ros: RosThread, plans: Iterable[str]) -> tuple[tuple[str, ...],
 def _id(message: Any) -> UUID | None:
     task = UUID(bytes=bytes(message.uuid))
     return task if task.int else None  # for all tasks
+
+
+# --- tasks as goals of actions -------------------------------------------------------------
+# Of the actions ``achieve_goal`` and ``execute_plan``, and of one action for every plan that is loaded.
+#
+# The id of a task is that of its goal. A goal SUCCEEDED if its task ended with `Code.GOAL_REACHED`; it is CANCELED if
+# cancellation was requested and its task has ended so; in all other cases it is ABORTED, and the result has the reason. A
+# task goes on when the client of its goal disappears.
+
+
+@dataclass(frozen=True, slots=True)
+class _TaskAction:
+    """An action for tasks: its type, the reader of its goals, and the writers of results and feedback."""
+
+    type: str
+    read: Callable[[UUID, Any], Wanted]
+    write: Callable[[TaskEnding, float], Fields]
+    feedback: Callable[[TaskStatus, Iterable[TaskStep]], Fields] = messages.task_feedback_fields
+
+
+_ACTIONS: Final = {
+    "achieve_goal": _TaskAction("pnm_interfaces/action/AchieveGoal", messages.wanted_goal, messages.goal_ending_fields),
+    "execute_plan": _TaskAction("pnm_interfaces/action/ExecutePlan", messages.wanted_plan, messages.plan_ending_fields),
+}
+
+
+class TaskServers(TaskListener):
+    """The action servers for tasks; goals are rejected while `closed` returns a reason.
+
+    `plans` are those that have an action server of their own, with its full name; `kept` are tasks that another process has accepted,
+    and how they have ended, if they have.
+    The mutable state is, by task, the name of the action whose goal it is; the tasks whose cancellation was requested; and those
+    for which feedback is due.
+    """
+
+    def __init__(self, ros: RosThread, tasks: Tasks, plans: Mapping[str, str], closed: Callable[[], str], kept: KeptTasks = ()) -> None:
+        self._ros = ros
+        self._tasks = tasks
+        self._loop = asyncio.get_running_loop()
+        kind, write, feedback = "pnm_interfaces/action/RunPlan", messages.run_ending_fields, messages.run_feedback_fields
+        runs = {name: _TaskAction(kind, partial(messages.wanted_run, plan), write, feedback) for plan, name in plans.items()}
+        self._actions = _ACTIONS | runs
+        self._servers = {
+            name: GoalServer(ros, action.type, name, partial(self._accept, name), self._cancel) for name, action in self._actions.items()
+        }
+        self._closed = closed
+        self._kept = [(wanted, ending) for wanted, ending in kept if wanted.server in self._servers]
+        self._open = {wanted.id: wanted.server for wanted, _ in self._kept}
+        self._cancel_asked: set[UUID] = set()
+        self._feedback_due: set[UUID] = set()
+        self._feedback: Throttle[None] = Throttle(self._loop, FEEDBACK, self._feed)
+        self._work: set[asyncio.Task[Any]] = set()
+        self._stop: Callable[[], None] = lambda: None
+
+    def __repr__(self) -> str:
+        return f"<TaskServers {len(self._open)} goals>"
+
+    async def open(self) -> None:
+        """Bring the servers up."""
+        self._stop = self._tasks.listen(self)
+        for name, server in self._servers.items():
+            await server.open(wanted.id for wanted, _ in self._kept if wanted.server == name)
+        for wanted, ending in self._kept:
+            if ending is not None:
+                self.ended(wanted.id, ending)
+
+    async def close(self) -> None:
+        """End the goals whose tasks have not ended, and take the servers down once all results are sent."""
+        for goal in tuple(self._open):
+            self.ended(goal, TaskEnding(Code.CANCELLED, "the node is shut down; calls of the task have not confirmed the cancellation"))
+        await asyncio.gather(*(server.close() for server in self._servers.values()))
+        self._stop()
+        self._stop = lambda: None
+        self._feedback.close()
+        for task in self._work:
+            task.cancel()
+
+    def note_cancel(self, task: UUID | None) -> None:
+        """Note that the cancellation of a task, or of all, was requested by other means than its goal."""
+        self._cancel_asked |= self._open.keys() & ({task} if task else self._open.keys())
+
+    def restored(self) -> None:
+        """Cancel the tasks of another process whose clients have asked for that before they went on here."""
+        for goal in self._cancel_asked & self._open.keys():
+            self._cancel(goal)
+
+    # goals for tasks
+
+    async def _accept(self, name: str, goal: UUID, request: Any) -> str:
+        """Begin the task of a goal, unless the node is closed: it is kept then. What is wrong with the goal is said in its result."""
+        if reason := self._closed():
+            return reason
+        if goal in self._open or not goal.int:
+            taken = f"the id {goal} is that of another task, or of none; expected a new one"
+            self._end(name, goal, TaskEnding(Code.INVALID_GOAL, taken), is_cancel_asked=False)
+            return ""
+        self._open[goal] = name
+        read = partial(self._actions[name].read, goal, request)
+        texts = (getattr(request, field) for field in ("goal", "plan", "parameters") if hasattr(request, field))
+        try:
+            wanted = replace(read() if sum(map(len, texts)) <= SHORT else await asyncio.to_thread(read), server=name)
+            if goal in self._cancel_asked:  # while it was read
+                self.ended(goal, TaskEnding(Code.CANCELLED, "its client has cancelled it"))
+            elif goal in self._open:
+                self._tasks.begin(wanted)
+        except InputError as error:
+            self.ended(goal, TaskEnding(Code.INVALID_GOAL, str(error)))
+        except Exception as error:
+            _log.exception("a task cannot begin")
+            self.ended(goal, TaskEnding(Code.ERROR, f"{type(error).__name__}: {error}"))
+        return ""
+
+    def _cancel(self, goal: UUID) -> None:
+        async def cancel() -> None:
+            try:
+                await self._tasks.cancel(goal, why="its client has cancelled it")
+            except TaskRefused as refusal:
+                _log.info("a goal cannot be cancelled: %s", refusal)
+            except Exception:
+                _log.exception("a goal cannot be cancelled")
+
+        if goal in self._open:
+            self._cancel_asked.add(goal)
+            task = self._loop.create_task(cancel())
+            self._work.add(task)
+            task.add_done_callback(self._work.discard)
+
+    # events of tasks
+
+    def changed(self, task: UUID) -> None:
+        """Make feedback due."""
+        if task in self._open:
+            self._feedback_due.add(task)
+            self._feedback.note(None)
+
+    def planned(self, task: UUID) -> None:
+        """Make feedback due."""
+        self.changed(task)
+
+    def happened(self, moment: TraceEvent) -> None:
+        """Make feedback due that passes on what the server of a call says."""
+        if moment.kind is TraceKind.FEEDBACK:
+            self.changed(moment.task)
+
+    def ended(self, task: UUID, ending: TaskEnding) -> None:
+        """End the goal of the task."""
+        if task in self._open:
+            is_cancel_asked = task in self._cancel_asked
+            self._cancel_asked.discard(task)
+            self._feedback_due.discard(task)
+            self._end(self._open.pop(task), task, ending, is_cancel_asked)
+
+    def _end(self, name: str, goal: UUID, ending: TaskEnding, is_cancel_asked: bool) -> None:
+        status = status_of(ending.code, is_cancel_asked)
+        self._servers[name].end(goal, lambda: GoalResult(status, self._actions[name].write(ending, clock_offset(self._ros, self._loop))))
+
+    def _feed(self, _: None) -> None:
+        due, self._feedback_due = self._feedback_due, set()
+        for status in self._tasks.status():
+            if status.id in due and status.id in self._open:
+                name = self._open[status.id]
+                self._servers[name].feed(status.id, self._actions[name].feedback(status, self._tasks.plan(status.id)[1]))
+
+
+def status_of(code: Code, is_cancel_asked: bool) -> GoalStatus:
+    """Return the status of a goal whose task ended with this code."""
+    if code is Code.GOAL_REACHED:
+        return GoalStatus.SUCCEEDED
+    return GoalStatus.CANCELED if code is Code.CANCELLED and is_cancel_asked else GoalStatus.ABORTED
+
+
+# --- plans without execution -----------------------------------------------------------
+# The action ``plan``: answers plan requests, from the current state, without execution.
+
+
+PLAN: Final = "plan"
+"""The name of the action."""
+SECOND: Final = 1.0
+"""Seconds between two feedback messages about a search."""
+
+
+class PlanningServer:
+    """The action server for plan requests, which are rejected while `closed` returns a reason.
+
+    The mutable state is the searches by goal, and those whose clients have cancelled them.
+    """
+
+    def __init__(self, ros: RosThread, make: Make, closed: Callable[[], str]) -> None:
+        self._make = make
+        self._loop = asyncio.get_running_loop()
+        self._searches: dict[UUID, asyncio.Task[MadePlan]] = {}
+        self._cancel_asked: set[UUID] = set()
+        self._closed = closed
+        self._server = GoalServer(ros, "pnm_interfaces/action/MakePlan", PLAN, self._accept, self._cancel)
+
+    async def open(self) -> None:
+        """Bring the server up."""
+        await self._server.open()
+
+    async def close(self) -> None:
+        """Cancel all searches, and take the server down."""
+        for search in self._searches.values():
+            search.cancel()
+        if self._searches:
+            await asyncio.wait(self._searches.values())
+        await self._server.close()
+
+    async def _accept(self, goal: UUID, request: Any) -> str:
+        if reason := self._closed():
+            return reason
+        search = self._loop.create_task(self._search(request))
+        feeding = self._loop.create_task(self._feed(goal))
+        self._searches[goal] = search
+        search.add_done_callback(partial(self._end, goal, feeding))
+        return ""
+
+    def _cancel(self, goal: UUID) -> None:
+        if goal in self._searches:
+            self._cancel_asked.add(goal)
+            self._searches[goal].cancel()
+
+    async def _search(self, request: Any) -> MadePlan:
+        try:
+            return await self._make(request.goal.strip(), request.planner.strip(), messages.seconds("timeout", request.timeout))
+        except InputError as error:
+            return MadePlan(Code.INVALID_GOAL, str(error))
+        except Exception as error:
+            _log.exception("a plan cannot be looked for")
+            return MadePlan(Code.ERROR, f"{type(error).__name__}: {error}")
+
+    def _end(self, goal: UUID, feeding: asyncio.Task[None], search: asyncio.Task[MadePlan]) -> None:
+        feeding.cancel()
+        del self._searches[goal]
+        made = MadePlan(Code.CANCELLED, "the search was given up") if search.cancelled() else search.result()
+        status = status_of(made.code, goal in self._cancel_asked)
+        self._cancel_asked.discard(goal)
+        self._server.end(goal, lambda: GoalResult(status, messages.made_fields(made)))
+
+    async def _feed(self, goal: UUID) -> None:
+        began = self._loop.time()
+        while True:
+            await asyncio.sleep(SECOND)
+            self._server.feed(goal, {"seconds": self._loop.time() - began})

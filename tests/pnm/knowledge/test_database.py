@@ -18,8 +18,8 @@ from pnm.files.database import sqlite as sqlite_driver
 from pnm.files.database.database import Database
 from pnm.files.database.place import Place, place_of
 from pnm.files.database.postgres import MAKING
-from pnm.knowledge.database import LAYOUT, DatabaseKnowledge, default_path
 from pnm.knowledge.source import Asker, SourceError
+from pnm.knowledge.sources import LAYOUT, DatabaseKnowledge, default_path
 from tests.support.e2e.hosts.postgres import PostgresServer
 from tests.support.logic.people import about, run_questions
 from tests.support.processes import until
@@ -179,7 +179,7 @@ from uuid import UUID
 from pnm.core.logic.computed_values import Layer, Question
 from pnm.knowledge.source import Asker
 from pnm.files.database.place import place_of
-from pnm.knowledge.database import DatabaseKnowledge
+from pnm.knowledge.sources import DatabaseKnowledge
 
 async def main(file, name, count):
     knowledge = DatabaseKnowledge(place_of(file))

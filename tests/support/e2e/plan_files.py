@@ -7,8 +7,8 @@ from pathlib import Path
 from uuid import UUID
 
 from pnm.core.logic.computed_values import Layer, Question
-from pnm.knowledge.database import DatabaseKnowledge
 from pnm.knowledge.source import Asker
+from pnm.knowledge.sources import DatabaseKnowledge
 
 DOMAIN = """
 actions:

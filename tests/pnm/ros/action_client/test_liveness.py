@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pnm.ros.action_client.liveness import AGAIN, ASKS, GRACE, Liveness, Verdict
+from pnm.ros.action_client.goal import AGAIN, ASKS, GRACE, Liveness, Verdict
 
 OLD, NEW = b"old", b"new"
 

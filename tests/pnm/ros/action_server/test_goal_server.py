@@ -10,7 +10,7 @@ from uuid import UUID
 
 from pnm.core.machine.bindings import Binding
 from pnm.core.machine.requests import OutcomeKind
-from pnm.ros.action_server.goal_server import GoalCallbacks, GoalResult, GoalServer, GoalStatus
+from pnm.ros.action_server.goal_server import GoalResult, GoalServer, GoalStatus
 from pnm.ros.node.ros_thread import RosThread
 from tests.support.ros.child_process import bounded
 from tests.support.ros.recording_client import RecordingClient
@@ -37,7 +37,7 @@ async def serving(ros: RosThread, name: str, accept: Accept) -> AsyncIterator[Se
         return await accept(server, goal, request.goal)
 
     own = RosThread(f"{name}_node")
-    server = GoalServer(own, TYPE, name, GoalCallbacks(decide, lambda goal: server.end(goal, lambda: DONE)))
+    server = GoalServer(own, TYPE, name, decide, lambda goal: server.end(goal, lambda: DONE))
     await server.open()
     client = ServedClient(ros, server, reach=Binding(server=name, type=TYPE))
     yield client
@@ -91,7 +91,7 @@ async def test_a_goal_whose_server_died_before_it_answered_goes_on_in_the_next_p
         await arrived.wait()
         client.server.vanish()
         next_node = RosThread(f"{name}_next")
-        successor = GoalServer(next_node, TYPE, name, GoalCallbacks(lambda *_: accept(successor, *_), lambda _: None))
+        successor = GoalServer(next_node, TYPE, name, lambda *_: accept(successor, *_), lambda _: None)
         await successor.open([sent.id])
         await sent.accepted()
         successor.end(sent.id, lambda: DONE)
