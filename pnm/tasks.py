@@ -123,27 +123,22 @@ class TraceKind(NumberedWord):
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """A task as its client wants it.
-
-    Args:
-        id: of the task; chosen by the client.
-        text: a condition in PDDL or the name of a goal; or the name or the text of a plan.
-        priority: higher ones come first.
-        deadline: seconds from the beginning of the task, None for none.
-        on_conflict: the policy for conflicts.
-        parameters: of a plan that is loaded.
-        is_plan: whether `text` is a plan, which is carried out as it is.
-        server: the action by which it came, without namespaces; empty for none.
-    """
+    """A task as its client wants it, with an id that the client has chosen."""
 
     id: UUID
     text: str
+    """A condition in PDDL or the name of a goal; or the name or the text of a plan."""
     priority: int = 0
+    """Higher ones come first."""
     deadline: float | None = None
+    """Seconds from the beginning of the task, None for none."""
     on_conflict: OnConflict = OnConflict.DEFAULT
     parameters: Mapping[str, object] = field(default_factory=dict)
+    """Those of a plan that is loaded."""
     is_plan: bool = False
+    """Whether `text` is a plan, which is carried out as it is."""
     server: str = ""
+    """The action by which it came, without namespaces; empty for none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,23 +204,16 @@ class TaskStep:
 
 @dataclass(frozen=True, slots=True)
 class TraceEvent:
-    """One thing that has happened to a task.
-
-    Args:
-        task: its id.
-        time: on the clock of the event loop.
-        kind: what kind of thing.
-        subject: the call or transition that it is about.
-        text: details of the event.
-        level: of `logging`; a warning is what would not happen if all went well.
-    """
+    """One thing that has happened to a task, at a time on the clock of the event loop."""
 
     task: UUID
     time: float
     kind: TraceKind
     subject: str = ""
+    """The call or transition that it is about."""
     text: str = ""
     level: int = logging.INFO
+    """That of `logging`; a warning is what would not happen if all went well."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,78 +273,54 @@ class TaskListener:
 
 
 class TaskRefused(Exception):
-    """A task cannot be paused, resumed or cancelled: there is none of this id, or it is over."""
+    """A task cannot be begun, paused, resumed, stepped or cancelled: there is none of this id, or it is not in a state for that."""
 
 
 class TaskCommands(Protocol):
-    """The orders that people and programs may give for the tasks of a process. To be used on the event loop's thread."""
+    """The orders that people and programs may give for a task of a process, or for all if it is None; each may raise `TaskRefused`.
+
+    To be used on the event loop's thread.
+    """
 
     def begin(self, wanted: Wanted, /) -> None:
-        """Begin a task, or raise `TaskRefused` if none may now. Whatever is wrong with it ends it, with a code and a reason."""
+        """Begin a task. Whatever is wrong with it ends it, with a code and a reason."""
 
     async def pause(self, task: UUID | None, /, *, at_once: bool) -> None:
-        """Pause a task, or all; see `Tasks.pause`."""
+        """Start nothing more of it, nor of those that come later if it is None; `at_once` cancels running actions.
+
+        Returns when nothing of it is under way.
+        """
 
     async def resume(self, task: UUID | None, /) -> None:
-        """Let a task that was paused go on, or all; see `Tasks.resume`."""
+        """Let a task that was paused go on."""
 
     async def cancel(self, task: UUID | None, /) -> None:
-        """End a task, or all; see `Tasks.cancel`."""
+        """End it; return when what was under way has confirmed that, or the limit for it has passed."""
 
 
 class Tasks(TaskCommands, Protocol):
-    """A task manager: carries out several tasks at once. To be used on the event loop's thread."""
+    """A task manager: carries out several tasks at once."""
 
     async def pause(self, task: UUID | None, /, *, at_once: bool, why: str = "paused on request", is_kept: bool = True) -> None:
-        """Start nothing more of a task, or of all; return when nothing of it is under way.
-
-        Args:
-            task: which one; all, and those that come later, if it is None.
-            at_once: whether running actions are cancelled.
-            why: the reason, for people.
-            is_kept: whether it is so in the next process as well.
-
-        Raises:
-            TaskRefused: there is no such task.
-        """
+        """Pause, for a reason for people, in the next process as well if `is_kept`."""
 
     async def resume(self, task: UUID | None, /, *, but: Collection[UUID] = ()) -> None:
-        """Let a task that was paused go on, or all but these.
-
-        Raises:
-            TaskRefused: there is no such task, or it is not paused.
-        """
+        """Resume a task, or all but these."""
 
     async def cancel(self, task: UUID | None, /, *, why: str = "cancelled on request") -> None:
-        """End a task, or all; return when what was under way has confirmed it, or the limit for that has passed.
-
-        Raises:
-            TaskRefused: there is no such task.
-        """
+        """Cancel, for a reason for people."""
 
     async def step(self, task: UUID, /) -> None:
-        """Let one request of a paused task leave; return when nothing of it is under way any more.
-
-        Raises:
-            TaskRefused: there is no such task, it is not paused, or nothing of it may begin now.
-        """
+        """Let one request of a paused task leave; return when nothing of it is under way any more."""
 
     def settle(self, request: UUID, /, *, is_done: bool) -> None:
-        """Have a request count as succeeded or failed, because a person says so.
+        """Have a request count as succeeded or failed, because a person says so; raise `TaskRefused` if it is not under way.
 
         Its server is told to cancel it, and it counts so as soon as the server is done with it; until then nothing changes.
-
-        Raises:
-            TaskRefused: it is not under way.
         """
 
     def answer(self, question: UUID, text: str, /) -> None:
-        """Answer a question to a person.
-
-        Raises:
-            TaskRefused: nobody waits for that answer.
-            SourceError: the text is no answer to the question.
-        """
+        """Answer a question to a person; raise `TaskRefused` if nobody waits for that, `SourceError` if the text is no answer to it."""
 
     def status(self) -> tuple[TaskStatus, ...]:
         """Return the status of all tasks that are not over, in the order in which they are served, and of those that ended last."""
@@ -375,13 +339,9 @@ class ServedWorld(Protocol):
     """Knowledge and problem of a process. To be used on the event loop's thread; what is wrong is an `InputError`."""
 
     async def query(self, questions: Sequence[str], /) -> Sequence[tuple[str, str]]:
-        """Return the knowledge for each question, in order; all facts, when there are none.
+        """Return each question, a condition in PDDL or a function, with "true", "false", "unknown", a number or the name of an object.
 
-        Args:
-            questions: conditions in PDDL, or functions.
-
-        Returns:
-            The questions with "true", "false", "unknown", a number or the name of an object.
+        Without questions, all facts are returned.
         """
 
     async def check_goal(self, goal: str, /) -> None:

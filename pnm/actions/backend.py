@@ -48,15 +48,18 @@ class Backend(Protocol):
 
         What is not there yet is waited for, for `wait` seconds. `known` has other declared names than those that are in use.
         """
+        return ()
 
     async def refresh(self) -> None:
         """Ask for what is reported only when it is asked for: the knowledge is to be up to date for a plan."""
 
     async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
         """Look for the servers of these actions; return the names of those that are not there yet."""
+        return ()
 
     async def busy_elsewhere(self) -> tuple[str, ...]:
-        """Return the action servers that are at work on what this process has not asked for."""
+        """Return the action servers that are at work on what this process has not asked for, as far as that is known."""
+        return ()
 
     async def close(self) -> None:
         """Disconnect."""
@@ -81,11 +84,10 @@ def schedule(knowledge: KnowledgeBase, timed: Iterable[TimedChange], began: floa
 
     Those of a time before `after` have been made.
     """
-    loop = asyncio.get_running_loop()
     timers: list[asyncio.TimerHandle] = []
     for change in (change for change in timed if began + change.time >= after):
         assumed = {fluent: value for fluent, value in change.changes.items() if not knowledge.is_sensed(fluent)}
-        timers.append(loop.call_at(began + change.time, knowledge.update, assumed))
+        timers.append(asyncio.get_running_loop().call_at(began + change.time, knowledge.update, assumed))
 
     def stop() -> None:
         for timer in timers:
@@ -94,11 +96,16 @@ def schedule(knowledge: KnowledgeBase, timed: Iterable[TimedChange], began: floa
     return stop
 
 
-class ClientBackend:
-    """The backend of one action client in this process: nothing reports on the world, so all effects are assumed."""
+class ClientBackend(Backend):
+    """The backend of one action client of the caller in this process: nothing reports on the world, so all effects are assumed."""
 
     def __init__(self, client: ActionClient) -> None:
-        self.client = client
+        self._client = client
+
+    @property
+    def client(self) -> ActionClient:
+        """The client, which finds its servers itself."""
+        return self._client
 
     async def open(self, knowledge: KnowledgeBase) -> None:
         """Do nothing: the client is ready."""
@@ -106,22 +113,8 @@ class ClientBackend:
     async def share(self, mark: bytes, find: FindKnowledge, source: Source) -> None:
         """Do nothing: what the client carries out queries nothing."""
 
-    async def check(
-        self, actions: Iterable[GroundAction] = (), wait: float = 0.0, known: Vocabulary | None = None
-    ) -> tuple[Readiness, ...]:
-        """Do nothing: servers and sensors are nothing that could be looked at."""
-        return ()
-
     async def refresh(self) -> None:
         """Do nothing: nothing has to be asked for."""
-
-    async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
-        """Do nothing: the client finds its servers itself."""
-        return ()
-
-    async def busy_elsewhere(self) -> tuple[str, ...]:
-        """Return nothing: what else the client carries out is not known."""
-        return ()
 
     async def close(self) -> None:
         """Do nothing: the client belongs to the caller."""

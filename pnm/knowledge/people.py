@@ -20,7 +20,6 @@ from pnm.knowledge.source import Asker, Source, SourceError, read_value
 
 # --- texts for people, and what their answers mean -----------------------------------------
 
-
 ANSWER_LIMIT: Final = 60.0
 """Time limit for a person's answer, in seconds."""
 PSEUDO: Final = frozenset({"USER", "CONTROLLER"})
@@ -95,12 +94,8 @@ def _meta(meta: str) -> object:
 
 
 # --- a person at the terminal --------------------------------------------------------------
-# A person at the terminal: one question at a time, while everything else goes on.
-#
-# The line is read on a thread, which holds virtual time still: a person cannot answer within a simulated second.
-
-
-_LINE: Final = 4096
+# One question at a time, while everything else goes on. The line is read on a thread, which holds virtual time still: a person
+# cannot answer within a simulated second.
 
 
 class TerminalSource:
@@ -148,13 +143,13 @@ class TerminalSource:
     async def close(self) -> None:
         """Leave the terminal as it is."""
 
-    def _check(self) -> None:
-        if not is_terminal(self._input):
-            raise SourceError("a person was to be asked or told something, but there is no terminal to do it on")
-
     @property
     def _input(self) -> TextIO:
         return sys.stdin if self._answers is None else self._answers
+
+    def _check(self) -> None:
+        if not is_terminal(self._input):
+            raise SourceError("a person was to be asked or told something, but there is no terminal to do it on")
 
     def _show(self, text: str, end: str = "\n") -> None:
         stream = sys.stderr if self._shown is None else self._shown
@@ -185,7 +180,7 @@ class TerminalSource:
             return ""
         if not ready:
             raise SourceError(f"nobody has answered on the terminal within {self._limit:g} s")
-        line = os.read(terminal, _LINE)
+        line = os.read(terminal, 4096)
         if not line:
             raise SourceError("the terminal was closed")
         return line.decode("utf-8", "replace")
@@ -203,9 +198,7 @@ def _name(asker: Asker) -> str:
     return f"[{asker.plan}] " if asker.plan else ""
 
 
-# --- answers given beforehand --------------------------------------------------------------
-# Answers that were given beforehand, in place of a person's: for rehearsals, and where nobody is there to ask.
-
+# --- answers given beforehand, for rehearsals, and where nobody is there to ask -----------
 
 _log = logging.getLogger(__name__)
 
@@ -252,19 +245,12 @@ class ScriptedAnswers:
 
 
 # --- help ----------------------------------------------------------------------------------
-# Help from people: whether a task that cannot go on is to try again, and what has become of an action that nobody knows of any more.
-
+# Whether a task that cannot go on is to try again, and what has become of an action that nobody knows of any more.
 
 TRY_AGAIN: Final = "try again"
 GIVE_UP: Final = "give up"
-HELP: Final = (TRY_AGAIN, GIVE_UP)
-"""The answers of a person who is asked for help."""
-YES: Final = "yes"
-NO: Final = "no"
 _TIMES: Final = 3
 """The number of times that a question with meaningless answers is asked."""
-
-"""Characters of a wrong answer that are repeated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,7 +268,7 @@ class HelpAsked:
 
     question: UUID
     text: str
-    choices: tuple[str, str] = HELP
+    choices: tuple[str, str] = (TRY_AGAIN, GIVE_UP)
     request: UUID | None = None
 
     def __str__(self) -> str:
@@ -319,11 +305,10 @@ async def ask_for_help(person: Source, asker: Asker, trouble: str, note: Callabl
 async def was_carried_out(person: Source, asker: Asker, request: UUID, action: str, note: Callable[[HelpAsked], None]) -> bool:
     """Ask a person whether an action was carried out of which nobody else knows, and have it noted; without an answer it was not.
 
-    Raises:
-        SourceError: there is no person to be asked, or no answer means anything.
+    Raises `SourceError` if there is no person to be asked, or no answer means anything.
     """
-    question = f"Nobody knows how {action} has ended: its action server has forgotten it. Was it carried out? Answer {YES!r} or {NO!r}."
-    return await _chosen(person, asker, "carried_out", HelpAsked(request, question, (YES, NO), request), note) == YES
+    question = f"Nobody knows how {action} has ended: its action server has forgotten it. Was it carried out? Answer 'yes' or 'no'."
+    return await _chosen(person, asker, "carried_out", HelpAsked(request, question, ("yes", "no"), request), note) == "yes"
 
 
 async def _chosen(person: Source, asker: Asker, name: str, first: HelpAsked, note: Callable[[HelpAsked], None]) -> str:

@@ -15,7 +15,6 @@ import os
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from time import time
@@ -32,108 +31,6 @@ from pnm.files.text import private_folder
 from pnm.knowledge.people import ANSWER_LIMIT, ScriptedAnswers, TerminalSource, is_for_people, is_terminal, read_answer
 from pnm.knowledge.source import Asker, MemoryKnowledge, Source, SourceError, read_value, write_value
 
-# --- database -------------------------------------------------------------------------------------
-# Global knowledge in a database: shared by runs, by processes and in PostgreSQL by hosts, and still there after all of them.
-#
-# SQLite keeps its promises when a process is killed, and lets others read while one writes (WAL). A value is stored,
-# on the disk, before `update` returns.
-
-
-LAYOUT: Final = Layout(
-    "knowledge",
-    0x504E4D4B,  # PNMK
-    1,
-    ("CREATE TABLE variables (name TEXT NOT NULL PRIMARY KEY, value TEXT NOT NULL, changed DOUBLE PRECISION NOT NULL, run TEXT NOT NULL)",),
-)
-_STORE: Final = (
-    "INSERT INTO variables VALUES (:name, :value, :changed, :run)"
-    " ON CONFLICT (name) DO UPDATE SET value = excluded.value, changed = excluded.changed, run = excluded.run"
-)
-_READ: Final = SqlQuery("SELECT value FROM variables WHERE name = :name", (str,))
-_FORGET: Final = "DELETE FROM variables WHERE name = :name"
-
-T = TypeVar("T")
-
-
-def default_path() -> Path:
-    """Return the default path of the global knowledge; raise `SourceError` if the user has no home."""
-    state = os.environ.get("XDG_STATE_HOME", "")
-    try:
-        folder = Path(state) if Path(state).is_absolute() else Path.home() / ".local" / "state"
-    except RuntimeError as error:
-        raise SourceError(f"there is no place for the global knowledge: {error}; name a file") from error
-    return folder / "pnm" / "knowledge.sqlite"
-
-
-class DatabaseKnowledge:
-    """Variables in an SQLite file, by default at `default_path`, which is made with its folder when it is first needed; or in PostgreSQL.
-
-    All work is done on one thread, which has the connection; it is the mutable state.
-    """
-
-    def __init__(self, place: Place | None = None) -> None:
-        self.place = default_path() if place is None else place
-        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="knowledge")
-        self._database: Database | None = None
-        self._closed = False
-
-    def __repr__(self) -> str:
-        return f"<DatabaseKnowledge {self.place}>"
-
-    async def query(self, question: Question, asker: Asker, /) -> object:
-        """Return the value, or `MISSING`."""
-        return await self._on_thread(partial(self._read, question.name))
-
-    async def update(self, question: Question, value: object, asker: Asker, /) -> None:
-        """Store the value on the disk; one that is set to None is forgotten."""
-        text = write_value(value)
-        if value is None:
-            await self._on_thread(lambda: self._open().run(_FORGET, name=question.name))
-        else:
-            await self._on_thread(lambda: self._open().run(_STORE, name=question.name, value=text, changed=time(), run=str(asker.run)))
-
-    async def close(self) -> None:
-        """Close the database when everything that was asked for is done."""
-        if not self._closed:
-            done = asyncio.get_running_loop().run_in_executor(self._thread, self._close)
-            self._closed = True
-            self._thread.shutdown(wait=False)
-            await done
-
-    async def _on_thread(self, work: Callable[[], T]) -> T:
-        if self._closed:
-            raise SourceError(f"{self.place} is closed")
-        return await asyncio.get_running_loop().run_in_executor(self._thread, self._translated, work)
-
-    # on the thread
-
-    def _translated(self, work: Callable[[], T]) -> T:
-        try:
-            return work()
-        except (DatabaseError, OSError) as error:
-            self._close()  # the next one opens it anew: it may have been replaced, or its disk have space again
-            raise SourceError(f"the knowledge in {self.place} cannot be used: {error}") from error
-
-    def _read(self, name: str) -> object:
-        rows = self._open().read(_READ, name=name)
-        return read_value(rows[0][0]) if rows else MISSING
-
-    def _open(self) -> Database:
-        if self._database is None:
-            if isinstance(self.place, Path):
-                private_folder(self.place.parent)
-            self._database = Database(self.place, LAYOUT, is_durable=True)
-        return self._database
-
-    def _close(self) -> None:
-        if self._database is not None:
-            self._database.close()
-            self._database = None
-
-
-# --- sources --------------------------------------------------------------------------------------
-
-
 GRACE: Final = 1.0
 """Seconds more for sources with a time limit of their own, whose error message is more precise."""
 LIMIT: Final = 5.0
@@ -141,6 +38,8 @@ LIMIT: Final = 5.0
 PERSON_LIMIT: Final = ANSWER_LIMIT + GRACE
 """Time limit of a person, in seconds."""
 
+
+T = TypeVar("T")
 
 _log = logging.getLogger(__name__)
 
@@ -212,11 +111,11 @@ class Sources:
         if is_for_people(question):
             person = self._person_for(question)
             await self._within(self._person_limit, person.update(question, value, asker), f"nobody has heard {question}")
-            return
-        if not self._shared:
+        elif self._shared:
+            first = self._shared[0]
+            await self._within(self._limit, first.update(question, value, asker), f"{first!r} has not stored {question}")
+        else:
             raise SourceError(f"there is no knowledge base to store {question} in")
-        first = self._shared[0]
-        await self._within(self._limit, first.update(question, value, asker), f"{first!r} has not stored {question}")
 
     async def close(self) -> None:
         """Close all of them; one that fails is logged."""
@@ -237,18 +136,16 @@ class Sources:
         try:
             async with timer:
                 return await answer
-        except TimeoutError as error:
-            if not timer.expired():  # raised by the source itself
-                raise SourceError(f"{otherwise}: {str(error) or type(error).__name__}") from error
-            raise SourceError(f"{otherwise} within {limit:g} s") from error
+        except TimeoutError as error:  # by the timer, or by the source itself
+            how = f" within {limit:g} s" if timer.expired() else f": {str(error) or type(error).__name__}"
+            raise SourceError(f"{otherwise}{how}") from error
+        except SourceError:
+            raise
         except PnmError as error:
-            if isinstance(error, SourceError):
-                raise
             raise SourceError(f"{otherwise}: {error}") from error
 
 
 # --- the registry --------------------------------------------------------------------------
-
 
 GROUPS: Final = {"pnm.knowledge.sources": Layer.GLOBAL, "pnm.people": Layer.PERSON}
 """The groups of entry points, and the layer of the sources in them."""
@@ -305,10 +202,8 @@ _registered: Final[dict[str, _Registered]] = {}
 def register_source(name: str, factory: Factory, *, layer: Layer = Layer.GLOBAL) -> None:
     """Register a source that files can choose; one of the same name is replaced.
 
-    Args:
-        name: such as ``ontology``, or the ``module.class`` that a file for the original implementation names.
-        factory: makes it, given its options and `Surroundings`; a class that takes these will do.
-        layer: `Layer.PERSON` if it stands for a person.
+    The name is such as ``ontology``, or the ``module.class`` that a file for the original implementation has. The factory makes it, given
+    its options and `Surroundings`; a class that takes these will do. The layer is `Layer.PERSON` if it stands for a person.
     """
     _registered[name] = _Registered(lambda: factory, layer)
 
@@ -357,11 +252,7 @@ def open_sources(choices: Sequence[SourceChoice], surroundings: Surroundings, pl
 
 
 def _limit_of(choices: Sequence[SourceChoice], default: float, most: float) -> float:
-    """Return the time limit in seconds for any of them; a source with a ``limit`` of its own keeps that itself, hence the grace.
-
-    Raises:
-        InputError: a source would take longer than runs wait.
-    """
+    """Return the time limit in seconds for any of them; a source with a ``limit`` of its own keeps that itself, hence the grace."""
     limits = [default]
     for choice in choices:
         own = choice.options.get("limit")
@@ -446,3 +337,96 @@ def seconds(options: Mapping[str, object], name: str, default: float) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < float("inf"):
         raise InputError(f"expected a number of seconds for {name}, found {value!r}")
     return float(value)
+
+
+# --- the global knowledge in a database ----------------------------------------------------
+# It is shared by runs, by processes and in PostgreSQL by hosts, and still there after all of them.
+#
+# SQLite keeps its promises when a process is killed, and lets others read while one writes (WAL). A value is stored,
+# on the disk, before `update` returns.
+
+LAYOUT: Final = Layout(
+    "knowledge",
+    0x504E4D4B,  # PNMK
+    1,
+    ("CREATE TABLE variables (name TEXT NOT NULL PRIMARY KEY, value TEXT NOT NULL, changed DOUBLE PRECISION NOT NULL, run TEXT NOT NULL)",),
+)
+_STORE: Final = (
+    "INSERT INTO variables VALUES (:name, :value, :changed, :run)"
+    " ON CONFLICT (name) DO UPDATE SET value = excluded.value, changed = excluded.changed, run = excluded.run"
+)
+_READ: Final = SqlQuery("SELECT value FROM variables WHERE name = :name", (str,))
+_FORGET: Final = "DELETE FROM variables WHERE name = :name"
+
+
+def default_path() -> Path:
+    """Return the default path of the global knowledge; raise `SourceError` if the user has no home."""
+    state = os.environ.get("XDG_STATE_HOME", "")
+    try:
+        folder = Path(state) if Path(state).is_absolute() else Path.home() / ".local" / "state"
+    except RuntimeError as error:
+        raise SourceError(f"there is no place for the global knowledge: {error}; name a file") from error
+    return folder / "pnm" / "knowledge.sqlite"
+
+
+class DatabaseKnowledge:
+    """Variables in an SQLite file, by default at `default_path`, which is made with its folder when it is first needed; or in PostgreSQL.
+
+    All work is done on one thread, which has the connection; it is the mutable state.
+    """
+
+    def __init__(self, place: Place | None = None) -> None:
+        self.place = default_path() if place is None else place
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="knowledge")
+        self._database: Database | None = None
+        self._closed = False
+
+    def __repr__(self) -> str:
+        return f"<DatabaseKnowledge {self.place}>"
+
+    async def query(self, question: Question, asker: Asker, /) -> object:
+        """Return the value, or `MISSING`."""
+
+        def read(database: Database) -> object:
+            rows = database.read(_READ, name=question.name)
+            return read_value(rows[0][0]) if rows else MISSING
+
+        return await self._on_thread(read)
+
+    async def update(self, question: Question, value: object, asker: Asker, /) -> None:
+        """Store the value on the disk; one that is set to None is forgotten."""
+        text = write_value(value)
+        if value is None:
+            await self._on_thread(lambda database: database.run(_FORGET, name=question.name))
+        else:
+            stored = {"name": question.name, "value": text, "changed": time(), "run": str(asker.run)}
+            await self._on_thread(lambda database: database.run(_STORE, **stored))
+
+    async def close(self) -> None:
+        """Close the database when everything that was asked for is done."""
+        if not self._closed:
+            done = asyncio.get_running_loop().run_in_executor(self._thread, self._close)
+            self._closed = True
+            self._thread.shutdown(wait=False)
+            await done
+
+    async def _on_thread(self, work: Callable[[Database], T]) -> T:
+        def on_thread() -> T:
+            try:
+                if self._database is None:
+                    if isinstance(self.place, Path):
+                        private_folder(self.place.parent)
+                    self._database = Database(self.place, LAYOUT, is_durable=True)
+                return work(self._database)
+            except (DatabaseError, OSError) as error:
+                self._close()  # the next one opens it anew: it may have been replaced, or its disk have space again
+                raise SourceError(f"the knowledge in {self.place} cannot be used: {error}") from error
+
+        if self._closed:
+            raise SourceError(f"{self.place} is closed")
+        return await asyncio.get_running_loop().run_in_executor(self._thread, on_thread)
+
+    def _close(self) -> None:
+        if self._database is not None:
+            self._database.close()
+            self._database = None

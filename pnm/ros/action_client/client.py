@@ -83,9 +83,6 @@ class Ros2ActionClient:
         self._timer: Any = None
         ros.on_close(self._lose_all)
 
-    def __repr__(self) -> str:
-        return f"<Ros2ActionClient {len(self._links)} servers, {len(self._goals)} goals>"
-
     # on the event loop's thread
 
     async def prepare(self, actions: Iterable[GroundAction], limit: float = 5.0) -> tuple[str, ...]:
@@ -100,7 +97,7 @@ class Ros2ActionClient:
         self._ros.call(self._keep_looking)
         until = monotonic() + limit
         while True:
-            missing = await self._ros.ask(lambda: tuple(link.name for link in links if not link.ready()))
+            missing = await self._ros.ask(lambda: tuple(link.name for link in links if not link.connection.ready()))
             if not missing or monotonic() >= until:  # polled, because the ROS graph has no event for a single server
                 return missing
             await asyncio.sleep(0.1)
@@ -108,7 +105,7 @@ class Ros2ActionClient:
     def goal_fields(self, action: GroundAction, /) -> tuple[str, ...] | None:
         """Return the names of the fields of the action's goal once its type is known."""
         link = self._links.get(self._key(action))
-        return fields(link.type.Goal) if link is not None and link.type is not None else None
+        return fields(link.connection.type.Goal) if link is not None and link.connection.type is not None else None
 
     def send(self, request: Request, report: Reporter, /) -> None:
         """Send the goal; `report` is called later, on the event loop's thread."""
@@ -130,9 +127,18 @@ class Ros2ActionClient:
 
     def close(self) -> None:
         """Let go of all servers; goals still open are left to them, and nothing more is reported."""
+
+        def end() -> None:
+            if self._timer is not None:
+                self._timer.destroy()
+            for link in set(self._links.values()):
+                link.close()
+            self._others.close()
+            self._goals.clear()
+
         if not self._closed:
             self._closed = True
-            self._ros.call(self._end)
+            self._ros.call(end)
 
     def _pass_on(self) -> None:
         """Pass on the reports that are there, of all that the ROS thread has heard since the loop was woken."""
@@ -168,10 +174,10 @@ class Ros2ActionClient:
             name = server_name(self._ros.node, server)
             same = next((link for link in self._links.values() if link.name == name), None)
             if same is None:
-                options: dict[str, Any] = {"several": several, "may_act": self._may_act, "grace": self._grace}
-                same = ServerLink(self._ros.node, server, type_name, self._ros.joined, self._others, **options)
+                known = self._ros.node, server, type_name, self._ros.joined, self._others
+                same = ServerLink(*known, several=several, may_act=self._may_act, grace=self._grace)
             else:
-                same.expect(type_name, several=several)
+                same.connection.expect(type_name, several=several)
             self._links[key] = same
         return self._links[key]
 
@@ -225,14 +231,6 @@ class Ros2ActionClient:
     def _lose_all(self) -> None:
         for goal, _ in tuple(self._goals.values()):
             goal.end(OutcomeKind.LOST if goal.is_accepted else OutcomeKind.UNAVAILABLE, _CLOSED)
-
-    def _end(self) -> None:
-        if self._timer is not None:
-            self._timer.destroy()
-        for link in set(self._links.values()):
-            link.close()
-        self._others.close()
-        self._goals.clear()
 
 
 def _may_be_blind(request: Request) -> bool:

@@ -76,9 +76,6 @@ class Connection:
         if self.type is not None:
             self._connect()
 
-    def __repr__(self) -> str:
-        return f"<Connection {self.name} {self.handshake}>"
-
     def expect(self, type_name: str | None, *, several: bool) -> None:
         """Note another binding of the same server; raise an `InputError` if they contradict each other."""
         self._several = self._several or several
@@ -114,10 +111,7 @@ class Connection:
         return self.services is not None and self.services.is_served() and bool(self.processes())
 
     def _connect(self) -> None:
-        from pnm.ros.action_client.action_services import (
-            ActionServices,  # here, because rclpy is an extra
-            UnheardTopic,
-        )
+        from pnm.ros.action_client.action_services import ActionServices, UnheardTopic  # here, because rclpy is an extra
 
         twice, kind = self._note_second_answer, self.type.Impl.FeedbackMessage
         self.services = ActionServices(self._node, self.type, self.name, answered_twice=twice, may_act=self._may_act)
@@ -147,7 +141,7 @@ class Connection:
     @property
     def abandoned(self) -> int:
         """The number of abandoned goals that the server may still be executing."""
-        return self.handshake.abandoned if self.handshake else 0
+        return len(self.handshake.abandoned) if self.handshake else 0
 
     def close(self) -> None:
         """Destroy the client."""
@@ -228,20 +222,13 @@ class Handshake:
         self._met_at = -math.inf
         self._looked = -math.inf
         self._probed = -math.inf
-        self._abandoned: set[UUID] = set()
+        self.abandoned: set[UUID] = set()
+        """Goals that the server may still be executing, or may never have accepted."""
         self._recalled = -math.inf
-
-    def __repr__(self) -> str:
-        return f"<Handshake {'open' if self._met is None else 'done'}, {len(self._abandoned)} goals abandoned>"
-
-    @property
-    def abandoned(self) -> int:
-        """The number of abandoned goals that the server may still be executing."""
-        return len(self._abandoned)
 
     def is_done(self, present: frozenset[bytes], now: float) -> bool:
         """Return True if all present processes have discovered us and none may be executing an abandoned goal."""
-        return self.is_met(present, now) and not self._abandoned
+        return self.is_met(present, now) and not self.abandoned
 
     def is_met(self, present: frozenset[bytes], now: float) -> bool:
         """Return True if all present processes have discovered us, and there was time for all that are alive to show that."""
@@ -267,13 +254,9 @@ class Handshake:
         elif not is_done and now - self._recalled >= AGAIN:
             # only now: before the probes are answered, an answer about a goal would be lost
             self._recalled = now
-            for goal in self._abandoned:
+            for goal in self.abandoned:
                 self._services.cancel_goal(goal)
                 self._services.ask_result(goal, partial(self._on_recalled, goal))
-
-    def abandon(self, goal: UUID) -> None:
-        """Note an abandoned goal, which may never have been accepted."""
-        self._abandoned.add(goal)
 
     def _on_answer(self, present: frozenset[bytes], response: object) -> None:
         # The processes present when the probe was sent: one that came later may not have discovered us yet.
@@ -285,7 +268,7 @@ class Handshake:
     def _on_recalled(self, goal: UUID, response: object) -> None:
         """Any answer ends an abandoned goal: it is over, or the server does not know it."""
         # Several recalls of the same goal may be answered; only the last abandoned goal opens the way.
-        if goal in self._abandoned:
-            self._abandoned.discard(goal)
-            if not self._abandoned:
+        if goal in self.abandoned:
+            self.abandoned.discard(goal)
+            if not self.abandoned:
                 self._changed()

@@ -22,7 +22,7 @@ from uuid import UUID
 
 from pnm.core.machine.bindings import Foreign
 from pnm.core.machine.requests import Accepted, OutcomeKind
-from pnm.errors import PnmError
+from pnm.errors import PnmError, counted
 from pnm.ros.action_client.connection import Connection
 from pnm.ros.action_client.goal import AGAIN, ASKS, GRACE, OVER, UNKNOWN, Goal, Liveness, Verdict
 from pnm.ros.node.messages import fields, fitted_binding, to_data, to_message
@@ -68,32 +68,16 @@ class ServerLink:
         self._queued: deque[Goal] = deque()
         self._unanswered: set[Goal] = set()
         self._accepted: set[Goal] = set()
-        self._connection = Connection(
+        self.connection = Connection(
             node, server, type_name, joined, several=several, changed=self._pump, doubled=self._stop_doubled, may_act=may_act
         )
-        self.name = self._connection.name
+        self.name = self.connection.name
         self._at_work()
-
-    def __repr__(self) -> str:
-        return f"<ServerLink {self.name} {len(self._queued)} queued, {len(self._unanswered)} unanswered, {len(self._accepted)} accepted>"
-
-    @property
-    def type(self) -> Any:
-        """The type of the server; None while it is not known."""
-        return self._connection.type
-
-    def expect(self, type_name: str | None, *, several: bool) -> None:
-        """Note another binding of the same server; raise an `InputError` if they contradict each other."""
-        self._connection.expect(type_name, several=several)
-
-    def ready(self) -> bool:
-        """Return True if the server is there."""
-        return self._connection.ready()
 
     @property
     def is_busy(self) -> bool:
         """Whether `look` has work besides goals: to find the server's type, or to recall abandoned goals."""
-        return self.type is None or bool(self._connection.abandoned)
+        return self.connection.type is None or self.connection.abandoned > 0
 
     def close(self) -> None:
         """Forget all goals without reports, and destroy the client."""
@@ -102,7 +86,7 @@ class ServerLink:
         self._queued.clear()
         self._unanswered.clear()
         self._accepted.clear()
-        self._connection.close()
+        self.connection.close()
 
     # sending
 
@@ -119,10 +103,7 @@ class ServerLink:
             if self._waits(self._queued[0]):
                 break
             goal = self._queued.popleft()
-            if goal.kept:
-                self._find(goal)
-            else:
-                self._send(goal)
+            (self._find if goal.kept else self._send)(goal)
 
     def _waits(self, goal: Goal) -> bool:
         """Return whether a goal must wait until the server is done with what this process has not sent."""
@@ -130,7 +111,7 @@ class ServerLink:
             return False
         if goal.foreign is Foreign.SHARE and not self._others.may_forget:
             return False
-        others = self._others.others(self.name, self._connection.processes())
+        others = self._others.others(self.name, self.connection.processes())
         if goal.foreign is Foreign.SHARE:
             return self._others.are_forgotten(others)
         if others and goal.foreign is Foreign.CANCEL:
@@ -138,29 +119,29 @@ class ServerLink:
         return bool(others) or not self._others.is_heard(self.name)
 
     def _may_send(self) -> bool:
-        return self._may_act() and self._connection.ready() and self._connection.may_send()
+        return self._may_act() and self.connection.ready() and self.connection.may_send()
 
     def _find(self, goal: Goal) -> None:
         """Ask for the result of a goal that another process has sent; a server that does not know it says so, all others are at work."""
-        goal.binding, goal.is_accepted = fitted_binding(goal.binding, self.type), True
+        goal.binding, goal.is_accepted = fitted_binding(goal.binding, self.connection.type), True
         goal.sent = monotonic()
-        goal.liveness = Liveness(self._connection.processes(), asked=goal.sent, grace=self._grace)
+        goal.liveness = Liveness(self.connection.processes(), asked=goal.sent, grace=self._grace)
         self._accepted.add(goal)
         self._ask_result(goal)
         if goal.cancel_asked:  # before anything could be sent
             self._send_cancel(goal)
 
     def _send(self, goal: Goal) -> None:
-        known = fields(self.type.Goal)
+        known = fields(self.connection.type.Goal)
         # Half a goal message would be sent with zeros in the other fields, which the server takes for values.
         if unfilled := goal.unfilled(known):
             reason = f"{self.name} appeared after the goal was filled; there are no values for {', '.join(unfilled)}"
             goal.end(OutcomeKind.UNAVAILABLE, reason)
             return
         try:
-            goal.binding = fitted_binding(goal.binding, self.type)
-            message = to_message(self.type.Goal, goal.data(known))
-            self._connection.services.send_goal(goal.request.id, message, partial(self._answered, goal))
+            goal.binding = fitted_binding(goal.binding, self.connection.type)
+            message = to_message(self.connection.type.Goal, goal.data(known))
+            self.connection.services.send_goal(goal.request.id, message, partial(self._answered, goal))
         except PnmError as error:
             goal.end(OutcomeKind.REJECTED, f"goal for {self.name}: {error}")
             return
@@ -169,9 +150,9 @@ class ServerLink:
             goal.end(OutcomeKind.REJECTED, f"goal for {self.name} cannot be sent: {error}")
             return
         goal.sent = monotonic()
-        goal.postpone(goal.sent, goal.accept / 4.0)
+        goal.postpone(goal.sent, goal.binding.accept / 4.0)
         # The processes of this moment: one that appears later cannot have this goal.
-        goal.liveness = Liveness(self._connection.processes())
+        goal.liveness = Liveness(self.connection.processes())
         self._unanswered.add(goal)
 
     def _answered(self, goal: Goal, response: Any) -> None:
@@ -180,19 +161,19 @@ class ServerLink:
         for later in self._unanswered:  # which a server that takes its time for each goal could not answer before
             if later.sent >= goal.sent:
                 later.sent = now
-                later.postpone(now, later.accept / 4.0)  # if the answers come in quick succession, the next look does
+                later.postpone(now, later.binding.accept / 4.0)  # if the answers come in quick succession, the next look does
         if not response.accepted:  # first of all, since a refusal ends the goal whatever else has happened to it
             goal.end(OutcomeKind.REJECTED, f"{self.name} rejected the goal")
         elif goal.ended:
             # It was accepted after its time limit, when the run had already gone on without it.
-            self._connection.services.cancel_goal(goal.request.id)
+            self.connection.services.cancel_goal(goal.request.id)
         elif goal not in self._accepted:
             self._take_as_accepted(goal)
         self._pump()  # a goal fewer is unanswered, so the next one may go
 
     def _take_as_accepted(self, goal: Goal) -> None:
         goal.is_accepted, goal.unknown_since = True, None
-        goal.liveness = Liveness(self._connection.processes(), asked=monotonic(), grace=self._grace)
+        goal.liveness = Liveness(self.connection.processes(), asked=monotonic(), grace=self._grace)
         self._accepted.add(goal)
         goal.report(Accepted(goal.request.id))
         self._ask_result(goal)
@@ -203,7 +184,7 @@ class ServerLink:
 
     def _ask_result(self, goal: Goal) -> None:
         goal.results_asked += 1
-        self._connection.services.ask_result(goal.request.id, partial(self._result, goal))
+        self.connection.services.ask_result(goal.request.id, partial(self._result, goal))
 
     def _result(self, goal: Goal, answer: Any) -> None:
         goal.results_asked -= 1
@@ -211,9 +192,9 @@ class ServerLink:
             return
         if answer.status == UNKNOWN:
             # Not over at once: the delay lets sensors report the new state first (`RESENSED`), or the server take the goal up.
-            if goal.unknown_since is None and not self._connection.are_several(self._connection.processes()):
+            if goal.unknown_since is None and not self.connection.are_several(self.connection.processes()):
                 goal.unknown_since = monotonic()
-                self._connection.handshake.renew()  # it may be another server that says so, while the goal's own is at work on it
+                self.connection.handshake.renew()  # it may be another server that says so, while the goal's own is at work on it
         elif answer.status in OVER:
             self._accepted.discard(goal)
             self._unanswered.discard(goal)
@@ -222,9 +203,9 @@ class ServerLink:
     def _lose(self, goal: Goal, message: str) -> None:
         self._accepted.discard(goal)
         if not goal.unknown_since:  # a server that does not know the goal is not executing it
-            self._connection.handshake.abandon(goal.request.id)
+            self.connection.handshake.abandoned.add(goal.request.id)
         goal.end(OutcomeKind.LOST, message)
-        self._connection.services.forget_result(goal.request.id)
+        self.connection.services.forget_result(goal.request.id)
 
     # cancelling
 
@@ -239,27 +220,27 @@ class ServerLink:
             self._send_cancel(goal)
 
     def _send_cancel(self, goal: Goal) -> None:
+        def answered(response: Any) -> None:
+            goal.cancel_answered = goal not in self._unanswered  # which the server may not have taken up yet
+            if not response.goals_canceling and not goal.ended:
+                _log.info("%s does not cancel %s", self.name, goal.request.action)
+
         goal.cancel_sent = monotonic()
-        self._connection.services.cancel_goal(goal.request.id, partial(self._cancel_answered, goal))
+        self.connection.services.cancel_goal(goal.request.id, answered)
         if goal in self._unanswered and not goal.results_asked:
             self._ask_result(goal)
-
-    def _cancel_answered(self, goal: Goal, response: Any) -> None:
-        goal.cancel_answered = goal not in self._unanswered  # which the server may not have taken up yet
-        if not response.goals_canceling and not goal.ended:
-            _log.info("%s does not cancel %s", self.name, goal.request.action)
 
     # several servers of one name
 
     def _stop_doubled(self, identity: UUID) -> None:
         """Have all servers cancel a goal that several of them have answered."""
-        self._stop_for_rivals(self._connection.processes())
+        self._stop_for_rivals(self.connection.processes())
         if all(goal.request.id != identity for goal in (*self._unanswered, *self._accepted)):  # one of them has ended it, or rejected it
-            self._connection.services.cancel_goal(identity)
+            self.connection.services.cancel_goal(identity)
 
     def _stop_for_rivals(self, present: frozenset[bytes]) -> None:
         """Cancel all goals if there are several servers that all would carry them out, but are not to."""
-        if rivals := self._connection.rivals(present):
+        if rivals := self.connection.rivals(present):
             for goal in (*self._unanswered, *self._accepted):
                 if not goal.refused:
                     goal.refused = rivals
@@ -272,41 +253,44 @@ class ServerLink:
         now = monotonic()
         self._look_at_queue(now)
         if self._unanswered or self._accepted:
-            present = self._connection.processes()  # one look at the graph for all goals, so that their verdicts agree
+            present = self.connection.processes()  # one look at the graph for all goals, so that their verdicts agree
             self._stop_for_rivals(present)
             for goal in tuple(self._unanswered):
                 goal.postpone(goal.sent, 0.0)
                 self._look_at_unanswered(goal, present, now)
-            self._report_feedback()
+            latest = self.connection.feedback()
+            for goal in (*self._unanswered, *self._accepted):
+                goal.feedback = latest.get(goal.request.id, goal.feedback)
+                if goal.is_accepted:
+                    goal.report_feedback()
             self._look_at_accepted(present, now)
         self._pump()
         if self._queued and self._may_send():  # then only the answers to others are waited for
             for goal in self._queued:
-                goal.postpone(now, goal.accept / 4.0)
+                goal.postpone(now, goal.binding.accept / 4.0)
 
     def _look_at_queue(self, now: float) -> None:
-        is_ready = self.ready()
+        is_ready = self.connection.ready()
         if not self._queued:
             return
-        reason = self._connection.rivals(self._connection.processes()) if is_ready else self._connection.absence(now)
+        reason = self.connection.rivals(self.connection.processes()) if is_ready else self.connection.absence(now)
         if reason:  # all queued goals together: they would all wait in vain for the same server
             while self._queued:
                 goal = self._queued.popleft()
-                if goal.kept and self._connection.handshake:  # it may be at work on it, where it cannot be reached
-                    self._connection.handshake.abandon(goal.request.id)
+                if goal.kept and self.connection.handshake:  # it may be at work on it, where it cannot be reached
+                    self.connection.handshake.abandoned.add(goal.request.id)
                 goal.end(OutcomeKind.LOST if goal.kept else OutcomeKind.UNAVAILABLE, reason)
-        elif is_ready and not self._connection.may_send():
-            abandoned = self._connection.abandoned
+        elif is_ready and not self.connection.may_send():
+            abandoned = self.connection.abandoned
             for goal in [goal for goal in self._queued if not goal.kept]:  # the limits of a run are those of what it has begun
                 goal.sent = goal.sent or now  # the limit counts from here: the server is ready, the goal could have been sent
-                if now - goal.sent >= goal.accept:
-                    given_up = f"did not end {abandoned} abandoned goal{'s' * (abandoned > 1)} within {goal.accept:g} s"
+                if now - goal.sent >= goal.binding.accept:
+                    given_up = f"did not end {counted(abandoned, 'abandoned goal')} within {goal.binding.accept:g} s"
                     self._queued.remove(goal)
                     goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {given_up if abandoned else _silence(goal)}")
-
         elif is_ready and self._waits(self._queued[0]):
             for goal in [goal for goal in self._queued if not goal.kept]:
-                if goal.waits_since is None and self._others.others(self.name, self._connection.processes()):
+                if goal.waits_since is None and self._others.others(self.name, self.connection.processes()):
                     goal.waits_since = now
                     _log.warning("%s waits: %s is at work on goals of other programs", goal.request.action, self.name)
                 elif goal.waits_since is not None and now - goal.waits_since >= goal.timeout:
@@ -322,30 +306,23 @@ class ServerLink:
             return
         if verdict is Verdict.LOST:
             reason = "went away before it answered"
-        elif verdict is Verdict.ASK and goal.liveness.asks == ASKS and not self._connection.are_several(present):
+        elif verdict is Verdict.ASK and goal.liveness.asks == ASKS and not self.connection.are_several(present):
             reason = "was restarted before it answered"
-        elif goal.unknown_since and now - max(goal.unknown_since, goal.sent + goal.accept) >= goal.accept:
+        elif goal.unknown_since and now - max(goal.unknown_since, goal.sent + goal.binding.accept) >= goal.binding.accept:
             reason = f"{_silence(goal)}, and does not know the goal"
         else:
-            if now - goal.sent >= goal.accept and (goal.cancel_sent is None or now - goal.cancel_sent >= AGAIN):
+            if now - goal.sent >= goal.binding.accept and (goal.cancel_sent is None or now - goal.cancel_sent >= AGAIN):
                 self.cancel(goal)
             return
         self._unanswered.discard(goal)
         # Gone from the graph, it may only be cut off and have the goal: it is recalled before the next one is sent.
         if verdict is Verdict.LOST:
-            self._connection.handshake.abandon(goal.request.id)
+            self.connection.handshake.abandoned.add(goal.request.id)
         goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {reason}")
 
     def _at_work(self) -> frozenset[UUID]:
         """Return the goals that the server is at work on, as far as it was heard."""
-        return self._others.watch(self.name, self._connection.processes())
-
-    def _report_feedback(self) -> None:
-        latest = self._connection.feedback()
-        for goal in (*self._unanswered, *self._accepted):
-            goal.feedback = latest.get(goal.request.id, goal.feedback)
-            if goal.is_accepted:
-                goal.report_feedback()
+        return self._others.watch(self.name, self.connection.processes())
 
     def _look_at_accepted(self, present: frozenset[bytes], now: float) -> None:
         requests, at_work = 0, self._at_work()
@@ -358,7 +335,7 @@ class ServerLink:
             goal.status = self._others.status(self.name, goal.request.id) or goal.status
             if goal.request.id in at_work:  # if another process says so, it goes on with what one that died has accepted
                 goal.liveness.processes |= present
-            match goal.liveness.check(present, goal.over, now):
+            match goal.liveness.check(present, goal.status in OVER, now):
                 case Verdict.ASK:
                     requests += 1
                     self._ask_result(goal)
@@ -369,7 +346,7 @@ class ServerLink:
                     goal.end(OVER[goal.status], "its result never came")
                 case Verdict.FINE:
                     pass
-            if goal.unknown_since and self._connection.are_several(present):
+            if goal.unknown_since and self.connection.are_several(present):
                 goal.unknown_since = None  # it was another server that does not know it
             elif goal.unknown_since and now - goal.unknown_since >= RESENSED and goal.may_be_resent:
                 self._accepted.discard(goal)
@@ -379,12 +356,18 @@ class ServerLink:
                     goal.end(OutcomeKind.CANCELED, "cancelled before it was sent")
                 else:
                     self.send(goal)
-            elif goal.unknown_since and now - goal.unknown_since >= RESENSED and not self._connection.are_unclear(present):
+            elif goal.unknown_since and now - goal.unknown_since >= RESENSED and not self.connection.are_unclear(present):
                 self._lose(goal, f"{self.name} no longer knows the goal; it was restarted")
             # Requests may be lost like any other, and cancelling twice does no harm.
-            if not goal.ended and goal.wants_cancel and goal.cancel_sent is not None and now - goal.cancel_sent >= AGAIN:
+            if (
+                not goal.ended
+                and goal.cancel_asked
+                and not goal.cancel_answered
+                and goal.cancel_sent is not None
+                and now - goal.cancel_sent >= AGAIN
+            ):
                 self._send_cancel(goal)
 
 
 def _silence(goal: Goal) -> str:
-    return f"did not answer within {goal.accept:g} s"
+    return f"did not answer within {goal.binding.accept:g} s"
