@@ -15,7 +15,7 @@ import selectors
 from collections.abc import Awaitable, Callable, Coroutine, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, isfinite, ulp
 from time import monotonic
 from typing import Any, Final, TypeVar, cast
@@ -27,17 +27,14 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class TimeUsed:
-    """The used part of a limit.
-
-    Args:
-        limit: its seconds.
-        used: the seconds that were used when it last began to count, or stopped.
-        since: when it last began to count, on the clock of the event loop; None while it does not.
-    """
+    """The used part of a limit."""
 
     limit: float
+    """Its seconds."""
     used: float = 0.0
+    """The seconds that were used when it last began to count, or stopped."""
     since: float | None = None
+    """The time at which it last began to count, on the clock of the event loop; None while it does not."""
 
     def until(self, now: float) -> float:
         """Return the seconds that are used at a time."""
@@ -59,11 +56,7 @@ class TimeLimit:
         self._over = over
         self.note = note
         # state
-        self._seconds = seconds
-        self._used = 0.0
-        """Until the time began to count last."""
-        self._since: float | None = None
-        """The time of that, while it counts."""
+        self._time = TimeUsed(seconds)
         self._has_begun = False
         self._is_paused = False
         self._timer: asyncio.TimerHandle | None = None
@@ -72,7 +65,7 @@ class TimeLimit:
 
     def continue_from(self, left: TimeUsed, at: float) -> None:
         """Begin later with what another process had used when it died, at that time."""
-        self._seconds, self._used = max(self._seconds, left.limit), left.until(at)
+        self._time = TimeUsed(max(self._time.limit, left.limit), left.until(at))
 
     def begin(self) -> None:
         """Start the clock, now or at the end of a pause."""
@@ -98,32 +91,30 @@ class TimeLimit:
     @property
     def left(self) -> float:
         """The seconds left."""
-        passing = 0.0 if self._since is None else asyncio.get_running_loop().time() - self._since
-        return max(0.0, self._seconds - self._used - passing)
+        return max(0.0, self._time.limit - self._time.until(asyncio.get_running_loop().time()))
 
     def allow(self, seconds: float) -> None:
         """Extend the limit to a total of `seconds`; it is never shortened."""
         self._stop()
-        self._seconds = max(self._seconds, seconds)
+        self._time = replace(self._time, limit=max(self._time.limit, seconds))
         self._count()
 
     def _count(self) -> None:
-        if self._since is None and self._has_begun and not (self._is_paused or self.is_used_up):
-            loop = asyncio.get_running_loop()
-            self._since = loop.time()
-            self.note(TimeUsed(self._seconds, self._used, self._since))
-            if isfinite(self._seconds):
-                self._timer = loop.call_later(self.left, self._end)
+        def end() -> None:
+            self.is_used_up = True
+            self._over(self._time.limit)
 
-    def _end(self) -> None:
-        self.is_used_up = True
-        self._over(self._seconds)
+        if self._time.since is None and self._has_begun and not (self._is_paused or self.is_used_up):
+            loop = asyncio.get_running_loop()
+            self._time = replace(self._time, since=loop.time())
+            self.note(self._time)
+            if isfinite(self._time.limit):
+                self._timer = loop.call_later(self.left, end)
 
     def _stop(self) -> None:
-        if self._since is not None:
-            self._used += asyncio.get_running_loop().time() - self._since
-            self._since = None
-            self.note(TimeUsed(self._seconds, self._used))
+        if self._time.since is not None:
+            self._time = TimeUsed(self._time.limit, self._time.until(asyncio.get_running_loop().time()))
+            self.note(self._time)
         if self._timer:
             self._timer.cancel()
             self._timer = None
@@ -239,13 +230,14 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
 
     def run_in_executor(self, executor: Executor | None, func: Callable[..., T], *args: Any) -> asyncio.Future[T]:  # type: ignore[override]
         """Run the function in a thread; the clock stands still until it is done."""
+
+        def release(_: asyncio.Future[Any]) -> None:
+            self._jumping.held -= 1
+
         self._jumping.held += 1
         future = super().run_in_executor(executor, func, *args)
-        future.add_done_callback(self._release)
+        future.add_done_callback(release)
         return future
-
-    def _release(self, _: asyncio.Future[Any]) -> None:
-        self._jumping.held -= 1
 
 
 _STANDSTILL: Final = 0.5
@@ -282,11 +274,15 @@ class FollowingLoop(asyncio.SelectorEventLoop):
     """
 
     def __init__(self, real: Callable[[], float] = monotonic) -> None:
+        def stand_still(seconds: float) -> None:
+            if not self.is_following:  # a clock that is followed may have gone on meanwhile, or not
+                self._offset -= seconds
+
         self._real = self._clock = real
         self._seen = real()
         self._offset = 0.0
         self._latest = -inf
-        super().__init__(_Waiting(self._stand_still, real))
+        super().__init__(_Waiting(stand_still, real))
 
     def continue_from(self, time: float) -> None:
         """Go on from a time, at which another process was: what it had still to wait for is waited for here."""
@@ -312,11 +308,6 @@ class FollowingLoop(asyncio.SelectorEventLoop):
         self._seen = seen
         self._latest = max(self._latest, self._offset + seen)  # sums are rounded
         return self._latest
-
-    def _stand_still(self, seconds: float) -> None:
-        """Go on as if these seconds had not been; a clock that is followed may have gone on, or not."""
-        if not self.is_following:
-            self._offset -= seconds
 
 
 def follow_real_time() -> None:

@@ -11,29 +11,8 @@ from typing import assert_never
 from uuid import UUID
 
 from pnm.clock import collect_if_due, stop_then_cancel
+from pnm.core.execution import events
 from pnm.core.execution.call_results import RunResult
-from pnm.core.execution.events import (
-    Answered,
-    Ask,
-    Begin,
-    Cancel,
-    Command,
-    Event,
-    KnowledgeChanged,
-    Pause,
-    Reattach,
-    ResourcesChanged,
-    Restarted,
-    Resume,
-    Send,
-    Settled,
-    SingleStep,
-    Stop,
-    Store,
-    Tick,
-    Wake,
-    Withdraw,
-)
 from pnm.core.execution.handover import check_succession
 from pnm.core.execution.run import Run
 from pnm.core.logic.computed_values import MISSING, Question
@@ -89,12 +68,12 @@ class Executor:
         self._note = note
         self._asker = Asker(run.id, name)
         self._source_tasks: dict[UUID, asyncio.Task[None]] = {}
-        self._inbox: asyncio.Queue[Event] = asyncio.Queue()
+        self._inbox: asyncio.Queue[events.Event] = asyncio.Queue()
         if run.begun:  # in another process; before anything else, such as a stop, which could cancel no request that is not attached
-            self._inbox.put_nowait(Restarted())
+            self._inbox.put_nowait(events.Restarted())
         self._timer: asyncio.TimerHandle | None = None
         self._leaving: list[Callable[[], None]] = []
-        self._waiting: set[KnowledgeChanged | ResourcesChanged] = set()
+        self._waiting: set[events.KnowledgeChanged | events.ResourcesChanged] = set()
         self._progress: asyncio.Event | None = None
         """The events for those who wait until something has happened."""
         self.ended = False
@@ -103,26 +82,26 @@ class Executor:
     def stop(self, *, cancel: bool = True, reason: str = "cancelled") -> None:
         """End the run: start nothing more; cancel what runs, or wait for it."""
         # Through the inbox like everything else: observers may call this while the run handles an event.
-        self._inbox.put_nowait(Stop(cancel, reason))
+        self._inbox.put_nowait(events.Stop(cancel, reason))
 
     def pause(self, *, at_once: bool = False) -> None:
         """Start nothing more for now; let what runs come to its end, or cancel it, to begin it anew later."""
-        self._inbox.put_nowait(Pause(at_once))
+        self._inbox.put_nowait(events.Pause(at_once))
 
     def resume(self) -> None:
         """Go on after a pause."""
-        self._inbox.put_nowait(Resume())
+        self._inbox.put_nowait(events.Resume())
 
     def step(self) -> bool:
         """Let one request leave during a pause; return whether one has. Not to be called by observers."""
         # At once and not through the inbox: what decides that it may leave does so by what is so now.
-        self._handle(SingleStep())
+        self._handle(events.SingleStep())
         rule = self.run.machine.placed.rule
         return any(rule(fired).action is TransitionAction.SEND for fired in self.run.fired)
 
     def settle(self, request: UUID, kind: OutcomeKind) -> None:
         """Have a request that is under way end in this way, because a person says so, as soon as its server is done with it."""
-        self._inbox.put_nowait(Settled(request, kind))
+        self._inbox.put_nowait(events.Settled(request, kind))
 
     @property
     def paused(self) -> bool:
@@ -138,11 +117,8 @@ class Executor:
         """Go on with another run in the place of this one, at once. Not to be called by observers.
 
         Reports about requests that it takes over reach it, those included that have come but not been handled yet; and so do
-        answers of people to what it would ask them as well.
-
-        Raises:
-            RunError: this run is not being carried out, or is to stop; or something of it is under way that
-                the other does not take over.
+        answers of people to what it would ask them as well. Raises `RunError` if this run is not being carried out, or is to stop;
+        or if something of it is under way that the other does not take over.
         """
         # Before `Begin` is handled the old run has sent nothing that could be taken over, and after the end nothing is listened to.
         if not self._leaving or not self.run.begun:
@@ -155,8 +131,8 @@ class Executor:
         self._leave({*run.take_the_place_of(old, asyncio.get_running_loop().time()), *run.open_requests})
         self._enter()
         # At once and not through the inbox: events that wait there concern requests that it must have adopted by then.
-        self._handle(Begin())
-        self._inbox.put_nowait(Tick())  # so that `paused` is looked at again once the inbox is empty
+        self._handle(events.Begin())
+        self._inbox.put_nowait(events.Tick())  # so that `paused` is looked at again once the inbox is empty
 
     @property
     def is_settled(self) -> bool:
@@ -192,7 +168,7 @@ class Executor:
     async def _carry_out(self) -> RunResult:
         self._enter()
         if not self.run.begun:
-            self._inbox.put_nowait(Begin())
+            self._inbox.put_nowait(events.Begin())
         try:
             moment, together = 0.0, 0
             while not self.run.over:
@@ -205,7 +181,7 @@ class Executor:
                 self._handle(event, moment)
         except BaseException:
             if self._journal.may_act():  # otherwise another process carries it on; their reports will not be heard
-                self._perform([*map(Cancel, self.run.open_requests)])
+                self._perform([*map(events.Cancel, self.run.open_requests)])
             raise
         finally:
             self.ended = True
@@ -219,13 +195,13 @@ class Executor:
 
     def _hear(self, report: Report) -> None:
         report = self.run.as_settled(report)
-        if self._source and self._leaving and isinstance(report, Ended) and self._is_doubtful(report):
-            self._start(report.request, self._ask_what_has_become(report, self._source))
-        else:
-            self._take_in(report)
-
-    def _is_doubtful(self, end: Ended) -> bool:
-        return end.outcome.kind is OutcomeKind.LOST and self.run.when_lost(end.request) is WhenLost.ASK
+        match report:
+            case Ended(request, Outcome(OutcomeKind.LOST)) if (
+                self._source and self._leaving and self.run.when_lost(request) is WhenLost.ASK
+            ):
+                self._start(request, self._ask_what_has_become(report, self._source))
+            case _:
+                self._take_in(report)
 
     def _take_in(self, report: Report) -> None:
         if self._leaving:  # after the end no one reads the inbox, but a server may still confirm what was given up
@@ -233,14 +209,18 @@ class Executor:
         else:
             self._heard_late(report)
 
-    def _heard_late(self, event: Event) -> None:
+    def _heard_late(self, event: events.Event) -> None:
         if isinstance(event, Ended):
             self._journal.confirmed(event.request, self.run.resources)
 
     def _enter(self) -> None:
+        def changed(_: Mapping[Fluent, Value | Unknown]) -> None:
+            if self.run.awaits_knowledge:  # whatever it decides later, it decides by what is known then
+                self._put_once(events.KnowledgeChanged())
+
         knowledge, resources = self.run.knowledge, self.run.resources
-        self._leaving = [layer.listen(self._changed) for layer in (knowledge.world, knowledge.local)]
-        self._leaving.append(resources.listen(partial(self._put_once, ResourcesChanged()), self.run.task))
+        self._leaving = [layer.listen(changed) for layer in (knowledge.world, knowledge.local)]
+        self._leaving.append(resources.listen(partial(self._put_once, events.ResourcesChanged()), self.run.task))
 
     def _leave(self, asked: Collection[UUID] = ()) -> None:
         """Listen no longer, and have nothing waited for, nor asked but these questions."""
@@ -258,39 +238,37 @@ class Executor:
             self._progress.set()  # wakes all that wait now; those that begin to wait later wait for the next event
             self._progress = None
 
-    def _handle(self, event: Event, now: float | None = None) -> None:
-        if isinstance(event, (KnowledgeChanged, ResourcesChanged)):
+    def _handle(self, event: events.Event, now: float | None = None) -> None:
+        if isinstance(event, (events.KnowledgeChanged, events.ResourcesChanged)):
             self._waiting.discard(event)  # before it is handled: a change that its own commands cause has to be looked at again
         self._journal.handle(self.run, event, asyncio.get_running_loop().time() if now is None else now, self._perform)
         self._announce()
 
-    def _perform(self, commands: Sequence[Command]) -> None:
+    def _perform(self, commands: Sequence[events.Command]) -> None:
         for command in commands:
             match command:
-                case Send(request):
+                case events.Send(request):
                     if error := _raised_by(self._client.send, request, self._hear):
                         # The others go on. It may have reached the robot all the same, as may any that is not answered.
                         self._inbox.put_nowait(Ended(request.id, Outcome(OutcomeKind.UNAVAILABLE, message=f"it cannot be sent: {error}")))
-                case Reattach(request, accepted):
-                    self._reattach(request, accepted=accepted)
-                case Cancel(request):
+                case events.Reattach(request, accepted):
+                    client = self._client
+                    again = partial(client.reattach, accepted=accepted) if isinstance(client, ReattachingClient) else None
+                    if again is None or _raised_by(again, request, self._hear):
+                        self._inbox.put_nowait(Ended(request.id, NOT_REATTACHED))
+                case events.Cancel(request):
                     _raised_by(self._client.cancel, request)  # it ends by itself, or its limit for that passes
-                case Wake(at):
+                case events.Wake(at):
                     self._wake_at(at)
-                case Ask(identity, question):
+                case events.Ask(identity, question):
                     self._start(identity, self._ask(identity, question))
-                case Withdraw(identity):
+                case events.Withdraw(identity):
                     if identity in self._source_tasks:
                         self._source_tasks[identity].cancel()
-                case Store(identity, question, value):
+                case events.Store(identity, question, value):
                     self._start(identity, self._update(identity, question, value))
                 case _:
                     assert_never(command)
-
-    def _reattach(self, request: Request, *, accepted: bool) -> None:
-        client = self._client
-        if not isinstance(client, ReattachingClient) or _raised_by(partial(client.reattach, accepted=accepted), request, self._hear):
-            self._inbox.put_nowait(Ended(request.id, NOT_REATTACHED))
 
     def _start(self, identity: UUID, work: Coroutine[None, None, None]) -> None:
         task = self._source_tasks[identity] = asyncio.get_running_loop().create_task(work)
@@ -310,7 +288,7 @@ class Executor:
                 raise
             _log.exception("%s cannot be asked", question)
             message = f"{question} cannot be asked"
-        self._inbox.put_nowait(Answered(identity, answer, message))
+        self._inbox.put_nowait(events.Answered(identity, answer, message))
 
     async def _update(self, identity: UUID, question: Question, value: object) -> None:
         outcome = Outcome(OutcomeKind.SUCCEEDED)
@@ -343,13 +321,9 @@ class Executor:
     def _wake_at(self, at: float | None) -> None:
         if self._timer:
             self._timer.cancel()
-        self._timer = None if at is None else asyncio.get_running_loop().call_at(at, self._inbox.put_nowait, Tick())
+        self._timer = None if at is None else asyncio.get_running_loop().call_at(at, self._inbox.put_nowait, events.Tick())
 
-    def _changed(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
-        if self.run.awaits_knowledge:  # whatever it decides later, it decides by what is known then
-            self._put_once(KnowledgeChanged())
-
-    def _put_once(self, event: KnowledgeChanged | ResourcesChanged) -> None:
+    def _put_once(self, event: events.KnowledgeChanged | events.ResourcesChanged) -> None:
         # Many facts change at once; asking the guards once after all of them is enough, and keeps the inbox short.
         if event not in self._waiting:
             self._waiting.add(event)

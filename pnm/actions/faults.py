@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 from typing import Literal
@@ -13,7 +13,7 @@ from pnm.core.knowledge_base import parse_statement
 from pnm.core.logic.domain import Vocabulary
 from pnm.core.logic.expressions import Fluent, Value
 from pnm.core.machine.plan_graph import GroundAction
-from pnm.errors import InputError
+from pnm.errors import InputError, Position
 from pnm.files.yaml_nodes import Mapped, load_yaml
 
 
@@ -77,6 +77,7 @@ class Faults:
 
 
 NO_FAULTS = Faults()
+_NAME = re.compile(r"[^\s(),]+")
 _MOMENT = re.compile(r"(start|end) of (.+)\Z")
 
 
@@ -84,49 +85,25 @@ def read_faults(path: Path, known: Vocabulary | None = None) -> Faults:
     """Read a faults file, its names checked against the known ones if given; raise `InputError` where something is wrong."""
     top = load_yaml(path)
     top.only("faults", "changes", "seed")
-    faults = Faults(tuple(map(_fault, top.sequence("faults"))), tuple(map(_change, top.sequence("changes"))), top.whole("seed", 0))
-    if known is not None:
-        faults = _spelled(faults, known)
-        for fault, entry in zip(faults.faults, top.sequence("faults"), strict=True):
-            known.check_call(fault.what, entry.position("action" if "action" in entry.nodes else "call"))
-        for change, entry in zip(faults.changes, top.sequence("changes"), strict=True):
-            if change.what:
-                known.check_call(change.what, entry.position("on"))
-            for fluent, value in change.changes.items():
-                known.check_change(fluent, value, entry.position("set"))
-    return faults
-
-
-def _spelled(faults: Faults, known: Vocabulary) -> Faults:
-    """Return the faults with names spelled as they are declared."""
-
-    def call(what: str) -> str:
-        return re.sub(r"[^\s(),]+", lambda name: known.spelled(name[0]), what)
-
-    def value(one: Value) -> Value:
-        return known.spelled(one) if isinstance(one, str) else one
-
-    return replace(
-        faults,
-        faults=tuple([replace(fault, what=call(fault.what)) for fault in faults.faults]),
-        changes=tuple(
-            replace(
-                change,
-                what=call(change.what),
-                changes={tuple(map(known.spelled, fluent)): value(new) for fluent, new in change.changes.items()},
-            )
-            for change in faults.changes
-        ),
-    )
+    faults = tuple([_fault(entry, known) for entry in top.sequence("faults")])
+    return Faults(faults, tuple([_change(entry, known) for entry in top.sequence("changes")]), top.whole("seed", 0))
 
 
 def ground_name(text: str) -> str:
     """Normalise ``move( r1,hall )`` or ``(move r1 hall)`` to ``move(r1, hall)``."""
-    names = re.findall(r"[^\s(),]+", text)
+    names = _NAME.findall(text)
     return f"{names[0]}({', '.join(names[1:])})" if names and ("(" in text) else text.strip()
 
 
-def _fault(entry: Mapped) -> Fault:
+def _call(what: str, position: Position, known: Vocabulary | None) -> str:
+    """Return a call, its names spelled as they are declared."""
+    if known is not None:
+        what = _NAME.sub(lambda name: known.spelled(name[0]), what)
+        known.check_call(what, position)
+    return what
+
+
+def _fault(entry: Mapped, known: Vocabulary | None) -> Fault:
     entry.only("action", "call", "do", "after", "times", "message", "ignores_cancel", "chance")
     action, call, failure = entry.string("action"), entry.string("call"), entry.string("do")
     if (action is None) == (call is None):
@@ -138,7 +115,7 @@ def _fault(entry: Mapped) -> Fault:
     if chance > 1.0:
         raise InputError(f"expected a share from 0 to 1 as 'chance', found {chance:g}", entry.position("chance"))
     return Fault(
-        what=action or ground_name(call or ""),
+        what=_call(action or ground_name(call or ""), entry.position("action" if action else "call"), known),
         kind=FaultKind(failure),
         after=entry.whole("after", 0),
         times=entry.whole("times", None),
@@ -148,7 +125,7 @@ def _fault(entry: Mapped) -> Fault:
     )
 
 
-def _change(entry: Mapped) -> HiddenChange:
+def _change(entry: Mapped, known: Vocabulary | None) -> HiddenChange:
     entry.only("at", "on", "set")
     at, on = entry.number("at", None), entry.string("on")
     if (at is None) == (on is None):
@@ -157,9 +134,13 @@ def _change(entry: Mapped) -> HiddenChange:
         changes = dict(map(parse_statement, entry.strings("set")))
     except InputError as error:
         raise InputError(error.message, entry.position("set")) from error
-    if on is None:
-        return HiddenChange(changes, at=at)
-    match = _MOMENT.match(on)
-    if not match:
+    match = _MOMENT.match(on or "")
+    if on is not None and match is None:
         raise InputError(f"expected 'start of CALL' or 'end of CALL', found {on!r}", entry.position("on"))
-    return HiddenChange(changes, moment="start" if match[1] == "start" else "end", what=ground_name(match[2]))
+    what = _call(ground_name(match[2]), entry.position("on"), known) if match else ""
+    if known is not None:
+        names = {tuple(map(known.spelled, fluent)): value for fluent, value in changes.items()}
+        changes = {fluent: known.spelled(value) if isinstance(value, str) else value for fluent, value in names.items()}
+        for fluent, value in changes.items():
+            known.check_change(fluent, value, entry.position("set"))
+    return HiddenChange(changes, at, None if match is None else "start" if match[1] == "start" else "end", what)
