@@ -76,8 +76,7 @@ class SensorRecorder:
                 _log.error("%s", error)
             self.refused = error
             self._watchdog.close()
-            self._knowledge.forget((refused := self._unknown()).facts, str(error))
-            self._store(refused)
+            self._lose(str(error))
             self.heard.set()
 
     def close(self) -> None:
@@ -87,13 +86,14 @@ class SensorRecorder:
 
     def _forget(self) -> None:
         self.is_stale = True
-        why, silent = f"nothing was heard on {self.instance.name} for {self.instance.sensor.stale:g} s", self._unknown()
+        why = f"nothing was heard on {self.instance.name} for {self.instance.sensor.stale:g} s"
         _log.warning("%s; its facts are unknown", why)
-        self._knowledge.forget(silent.facts, why)
-        self._store(silent)
+        self._lose(why)
 
-    def _unknown(self) -> Reading:
-        return unknown(self.instance, self._knowledge.objects)
+    def _lose(self, why: str) -> None:
+        nothing = unknown(self.instance, self._knowledge.objects)
+        self._knowledge.forget(nothing.facts, why)
+        self._store(nothing)
 
     def _store(self, reading: Reading) -> None:
         self._knowledge.update(reading.facts)
@@ -138,9 +138,7 @@ def resolved(resolve: Callable[[str], object], instance: Instance, what: str) ->
         raise InputError(f"not a name for a {what}: {instance.name!r} ({reason})", instance.sensor.position) from error
 
 
-# --- from a topic --------------------------------------------------------------------------
-# A sensor whose messages come on a topic, with the QoS of each of its publishers: reliable or not, latched or not.
-
+# --- from a topic, with the QoS of each of its publishers: reliable or not, latched or not --
 
 DEPTH: Final = 10
 """Unread messages that are kept."""
@@ -180,13 +178,6 @@ class TopicSensor:
                 while self._spoken <= since and self.recorder.heard.is_set() and not all(latched for _, latched in self._subscriptions):
                     self._news.clear()
                     await self._news.wait()
-
-    def _take(self) -> None:
-        self._waiting = False
-        message, received = self._latest
-        self.recorder.record(partial(value_at, message))
-        self._spoken = max(self._spoken, spoken(message, received))
-        self._news.set()
 
     # on the ROS thread
 
@@ -244,10 +235,17 @@ class TopicSensor:
                 call_on_loop(self.recorder.loop, self.recorder.refuse, InputError(reason, instance.sensor.position))
 
     def _receive(self, message: Any) -> None:
+        def take() -> None:
+            self._waiting = False
+            latest, received = self._latest
+            self.recorder.record(partial(value_at, latest))
+            self._spoken = max(self._spoken, spoken(latest, received))
+            self._news.set()
+
         self._latest = message, self._ros.node.get_clock().now().nanoseconds
         if not self._waiting:
             self._waiting = True
-            call_on_loop(self.recorder.loop, self._take)
+            call_on_loop(self.recorder.loop, take)
 
 
 def spoken(message: Any, received: int) -> int:
@@ -257,9 +255,7 @@ def spoken(message: Any, received: int) -> int:
     return min(stamped or received, received)
 
 
-# --- from a service ------------------------------------------------------------------------
-# A sensor whose messages are the answers of a service that is asked.
-
+# --- from a service, as its answers --------------------------------------------------------
 
 RETRY: Final = 1.0
 """Seconds after which a service that has not answered is asked again."""
@@ -313,7 +309,7 @@ class ServiceSensor:
             self.recorder.refuse(error)
         finally:
             self._is_over = True
-            _release((*waiting, *self._waiting))
+            _release([*waiting, *self._waiting])
             if self._client is not None:
                 await self._client.close()
 
@@ -351,10 +347,7 @@ def _release(waiting: Iterable[asyncio.Future[None]]) -> None:
 
 
 # --- the sensors of a file -----------------------------------------------------------------
-# The sensors of a file: topics that are subscribed to, and services that are asked.
-#
-# Publishers and their types are looked up in the ROS graph periodically.
-
+# Publishers of topics, and their types, are looked up in the ROS graph periodically.
 
 LOOK: Final = 0.5
 """Seconds between two looks for new publishers."""
@@ -393,9 +386,6 @@ class Sensors:
         self._timer: Any = None
         for name, late in sensing.lags(lag).items():
             knowledge.sense((name,), lag=late)
-
-    def __repr__(self) -> str:
-        return f"<Sensors: {len(self._topics)} topics, {len(self._polls)} services>"
 
     async def open(self) -> None:
         """Subscribe and ask, and wait for the first message of all publishers and services that are there."""
@@ -436,7 +426,14 @@ class Sensors:
         await asyncio.gather(*self._tasks, return_exceptions=True)
         for recorder in self._recorders:
             recorder.close()
-        await self._ros.ask(self._destroy)
+
+        def destroy() -> None:
+            if self._timer is not None:
+                self._ros.node.destroy_timer(self._timer)
+            for topic in self._topics:
+                topic.destroy()
+
+        await self._ros.ask(destroy)
 
     async def _wait_for_first(self) -> None:
         async def hear_all() -> None:
@@ -460,16 +457,8 @@ class Sensors:
         for topic in self._topics:
             topic.look()
 
-    def _destroy(self) -> None:
-        if self._timer is not None:
-            self._ros.node.destroy_timer(self._timer)
-        for topic in self._topics:
-            topic.destroy()
 
-
-# --- state topic ----------------------------------------------------------------------------------
-# The state topic ``knowledge/sensed``: complete reports about some predicates and functions, both ends of it.
-
+# --- both ends of the topic ``knowledge/sensed``: complete reports about some names ---------
 
 TOPIC = "knowledge/sensed"
 
@@ -495,7 +484,15 @@ class SensedReports:
         self._heard = asyncio.Event()
         self._closed = False
         self._subscription: Any = None
-        ros.call(partial(self._subscribe, import_type("pnm_interfaces/msg/State")))
+        state = import_type("pnm_interfaces/msg/State")
+
+        def subscribe() -> None:
+            from rclpy.qos import DurabilityPolicy, QoSProfile  # here, because rclpy is an extra
+
+            latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+            self._subscription = ros.node.create_subscription(state, topic, self._receive, latched)
+
+        ros.call(subscribe)
 
     async def first(self, limit: float) -> bool:
         """Wait until the first report was passed on; return whether there was one.
@@ -516,7 +513,7 @@ class SensedReports:
         """Unsubscribe."""
         if not self._closed:
             self._closed = True
-            self._ros.call(self._unsubscribe)
+            self._ros.call(lambda: self._subscription and self._ros.node.destroy_subscription(self._subscription))
 
     async def _has_publisher(self) -> bool:
         settled = asyncio.ensure_future(self._ros.settled())
@@ -534,24 +531,14 @@ class SensedReports:
 
     # on the ROS thread
 
-    def _subscribe(self, state: Any) -> None:
-        from rclpy.qos import DurabilityPolicy, QoSProfile  # here, because rclpy is an extra
-
-        latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._subscription = self._ros.node.create_subscription(state, self._topic, self._receive, latched)
-
-    def _unsubscribe(self) -> None:
-        if self._subscription is not None:
-            self._ros.node.destroy_subscription(self._subscription)
-
     def _receive(self, message: Any) -> None:
         names = frozenset(message.names)
         try:
-            report = names, read_state(message), int(message.sequence)
+            facts = read_state(message)
         except InputError as error:
             call_on_loop(self._loop, self._pass_on, self._refuse, names, str(error))
         else:
-            call_on_loop(self._loop, self._pass_on, self._listener, *report)
+            call_on_loop(self._loop, self._pass_on, self._listener, names, facts, int(message.sequence))
             call_on_loop(self._loop, self._heard.set)
 
 

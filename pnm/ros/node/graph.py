@@ -16,9 +16,7 @@ _FEEDBACK = "/_action/feedback"
 def server_name(node: Any, server: str, position: Position | None = None) -> str:
     """Return the full name of an action server, relative to the node's namespace and remapped; `InputError` if it is not valid in ROS.
 
-    The position is that of the name in a file.
-
-    Names in ROS have no hyphens, names in PDDL often do: ``pick-up`` becomes ``pick_up``.
+    The position is that of the name in a file. Names in ROS have no hyphens, names in PDDL often do: ``pick-up`` becomes ``pick_up``.
     """
     if "\0" in server:  # where `rclpy` would cut the name off: another server would get the goal
         raise InputError(f"not a name for an action server: {server!r} (it contains a zero character)", position)

@@ -51,7 +51,16 @@ class Lifecycle:
 
     async def open(self) -> None:
         """Accept requests for transitions."""
-        await self._ros.ask(lambda: self._ros.node.set_change_state(self._requests.callback(self._requested)))
+
+        async def requested(request: Any) -> None:
+            wanted = request.transition.label or request.transition.id
+            try:
+                await self.change(wanted)
+            except PnmError as error:
+                _log.error("the transition %s has failed: %s", wanted, error)
+                raise
+
+        await self._ros.ask(lambda: self._ros.node.set_change_state(self._requests.callback(requested)))
 
     async def close(self) -> None:
         """Refuse requests from now on, cancel those at work, and shut the node down."""
@@ -81,28 +90,15 @@ class Lifecycle:
         if label == "shutdown":
             self.finalized.set()
 
-    async def _requested(self, request: Any) -> None:
-        wanted = request.transition.label or request.transition.id
-        try:
-            await self.change(wanted)
-        except PnmError as error:
-            _log.error("the transition %s has failed: %s", wanted, error)
-            raise
-
 
 # --- the only node of its name -------------------------------------------------------------
-# Whether a managed node is the only one of its name. Of several that start at the same time the one that was started first goes on.
-
+# Of several that start at the same time the one that was started first goes on.
 
 _ADVICE: Final = "(one that was killed is remembered for up to 20 s)"
 
 
 async def check_alone(ros: RosThread, servers: tuple[str, ...]) -> None:
-    """Check that no other process has the name of the node, or of one of these action servers, or that it was started later.
-
-    Raises:
-        RosError: there is one.
-    """
+    """Raise a `RosError` if another process has the name of the node, unless it was started later, or of one of these action servers."""
 
     def is_first() -> bool:
         """Return whether all other nodes of the name, if there are any, show that they were started later."""

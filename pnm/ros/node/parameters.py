@@ -14,8 +14,6 @@ from typing import Any, Final, TypeAlias
 from pnm.errors import InputError, suggestion
 from pnm.files.database.place import without_password
 
-_log = logging.getLogger(__name__)
-
 ParameterValue: TypeAlias = bool | int | float | str
 
 _OF_ROS: Final = "qos_overrides."
@@ -25,21 +23,18 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class NodeParameter:
-    """One parameter; its type is that of its default.
-
-    Args:
-        name: as ROS 2 has it; the option of a command line has ``-`` for ``_``.
-        default: an empty text stands for no value.
-        choices: the valid texts; empty if all are.
-        option: the name of the command line's option, if it differs.
-    """
+    """One parameter; its type is that of its default."""
 
     name: str
+    """As ROS 2 has it; the option of a command line has ``-`` for ``_``."""
     default: ParameterValue
+    """An empty text stands for no value."""
     description: str
     least: float = 0
     choices: tuple[str, ...] = ()
+    """The valid texts; empty if all are."""
     option: str = ""
+    """The name of the command line's option, if it differs."""
 
 
 def declare(node: Any, parameters: Iterable[NodeParameter], given: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
@@ -50,11 +45,13 @@ def declare(node: Any, parameters: Iterable[NodeParameter], given: Mapping[str, 
     type, is too small, or is none of the choices.
     """
     values: dict[str, ParameterValue] = {}
+    # of ROS arguments and of the files that they name; `rclpy` has no other way to them
+    overrides: Mapping[str, Any] = getattr(node, "_parameter_overrides", {})
     for parameter in parameters:
         name, default = parameter.name, parameter.default
         try:
             descriptor, ignore = _descriptor(parameter), name in given
-            secret = given[name] if ignore else getattr(_overrides(node).get(name), "value", None)
+            secret = given[name] if ignore else getattr(overrides.get(name), "value", None)
             if isinstance(secret, str) and (shown := without_password(secret)) != secret:  # every node may read parameters
                 node.declare_parameter(name, shown, descriptor, ignore_override=True)
                 value: Any = secret
@@ -68,17 +65,11 @@ def declare(node: Any, parameters: Iterable[NodeParameter], given: Mapping[str, 
             expected = f"expected one of {', '.join(parameter.choices)}{f'; {hint}' if hint else ''}"
             raise InputError(f"the parameter {name} is {value!r}; {expected}")
         values[name] = value
-    for name in sorted(_overrides(node)):
+    for name in sorted(overrides):
         if not node.has_parameter(name) and not name.startswith(_OF_ROS):
             hint = suggestion(name, values) or "`ros2 param list` or `pnm serve --help` show which there are"
             _log.warning("there is no parameter %s; it is ignored; %s", name, hint)
     return values
-
-
-def _overrides(node: Any) -> Mapping[str, Any]:
-    """Return the parameters in ROS arguments and in the files that they name; `rclpy` has no other way to them."""
-    overrides: Mapping[str, Any] = getattr(node, "_parameter_overrides", {})
-    return overrides
 
 
 def _descriptor(parameter: NodeParameter) -> Any:
@@ -87,12 +78,9 @@ def _descriptor(parameter: NodeParameter) -> Any:
     descriptor = ParameterDescriptor(description=parameter.description, read_only=True)
     if parameter.choices:
         descriptor.additional_constraints = f"one of {', '.join(parameter.choices)}"
-    match parameter.default:
-        case bool() | str():
-            pass
-        case int():
-            descriptor.integer_range = [IntegerRange(from_value=int(parameter.least), to_value=2**31 - 1, step=0)]
-        case float():
-            limits = FloatingPointRange(from_value=float(parameter.least), to_value=float_info.max, step=0.0)
-            descriptor.floating_point_range = [limits]
+    if isinstance(parameter.default, float):
+        limits = FloatingPointRange(from_value=float(parameter.least), to_value=float_info.max, step=0.0)
+        descriptor.floating_point_range = [limits]
+    elif isinstance(parameter.default, int) and not isinstance(parameter.default, bool):
+        descriptor.integer_range = [IntegerRange(from_value=int(parameter.least), to_value=2**31 - 1, step=0)]
     return descriptor

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Hashable, Mapping
-from functools import partial
 from typing import Any, Final, Generic, TypeVar
 
 from rclpy.event_handler import PublisherEventCallbacks
@@ -40,48 +39,45 @@ class Publisher:
         self.subscriptions = 0
         """The number of subscriptions."""
 
-    def __repr__(self) -> str:
-        return f"<Publisher {self._name}, {self.subscriptions} subscriptions>"
-
     async def open(self) -> None:
         """Advertise the topic."""
-        await self._ros.ask(self._advertise)
+
+        def count(count: int, change: int) -> None:
+            self.subscriptions = count
+            if change > 0:
+                self._matched()
+
+        def advertise() -> None:
+            durability = DurabilityPolicy.TRANSIENT_LOCAL if self._is_latched else DurabilityPolicy.VOLATILE
+            qos = QoSProfile(depth=1 if self._is_latched else DEPTH, durability=durability)
+            matched = PublisherEventCallbacks(
+                matched=lambda info: call_on_loop(self._loop, count, info.current_count, info.current_count_change)
+            )
+            self._publisher = self._ros.node.create_publisher(self._type, self._name, qos, event_callbacks=matched)
+
+        await self._ros.ask(advertise)
 
     def publish(self, fields: Mapping[str, object] | Callable[[], Mapping[str, object]]) -> None:
         """Publish a message of these fields, or of those that a function returns on the ROS thread."""
-        self._ros.call(partial(self._publish, fields))
+
+        def publish() -> None:
+            if self._publisher is not None:
+                self._publisher.publish(to_message(self._type, fields() if callable(fields) else fields))
+
+        self._ros.call(publish)
 
     async def close(self) -> None:
         """Withdraw the topic."""
-        await self._ros.ask(self._withdraw)
 
-    def _count(self, count: int, change: int) -> None:
-        self.subscriptions = count
-        if change > 0:
-            self._matched()
+        def withdraw() -> None:
+            if self._publisher is not None:
+                self._ros.node.destroy_publisher(self._publisher)
+                self._publisher = None
 
-    # on the ROS thread
-
-    def _advertise(self) -> None:
-        durability = DurabilityPolicy.TRANSIENT_LOCAL if self._is_latched else DurabilityPolicy.VOLATILE
-        callbacks = PublisherEventCallbacks(
-            matched=lambda info: call_on_loop(self._loop, self._count, info.current_count, info.current_count_change)
-        )
-        qos = QoSProfile(depth=1 if self._is_latched else DEPTH, durability=durability)
-        self._publisher = self._ros.node.create_publisher(self._type, self._name, qos, event_callbacks=callbacks)
-
-    def _publish(self, fields: Mapping[str, object] | Callable[[], Mapping[str, object]]) -> None:
-        if self._publisher is not None:
-            self._publisher.publish(to_message(self._type, fields() if callable(fields) else fields))
-
-    def _withdraw(self) -> None:
-        if self._publisher is not None:
-            self._ros.node.destroy_publisher(self._publisher)
-            self._publisher = None
+        await self._ros.ask(withdraw)
 
 
-# --- a rate limit --------------------------------------------------------------------------
-# Rate limit: a call per key and period, at once after a pause; calls in between are merged into one.
+# --- a rate limit: a call per key and period, at once after a pause; calls in between become one ----
 
 
 K = TypeVar("K", bound=Hashable)
@@ -99,9 +95,6 @@ class Throttle(Generic[K]):
         self._function = function
         self._due: dict[K, asyncio.TimerHandle] = {}
         self._called: dict[K, float] = {}
-
-    def __repr__(self) -> str:
-        return f"<Throttle {len(self._due)} due>"
 
     def note(self, key: K) -> None:
         """Make a call due, unless there is one."""

@@ -114,15 +114,12 @@ class RosThread:
     `call` has accepted is run, even if the thread is closed at the same time. The node belongs to the thread: use `node`
     only in functions given to `call`, `wait` or `ask`.
 
-    With ``async with`` it is closed at the end of the block.
+    With ``async with`` it is closed at the end of the block. Raises `RosError` if ROS 2 is not installed, or the node cannot be made.
 
     Args:
         args: arguments as a launch file gives them, such as ``["--ros-args", "-r", "__ns:=/r1"]``.
         managed: make a node with a managed life cycle, see `pnm.ros.node.lifecycle`.
         limit: seconds for the node to be made.
-
-    Raises:
-        RosError: ROS 2 is not installed, or the node cannot be made.
     """
 
     def __init__(
@@ -156,9 +153,6 @@ class RosThread:
 
     async def __aexit__(self, *exception: object) -> None:
         await asyncio.to_thread(self.close)  # not on this thread: the ROS thread may be waiting for this loop
-
-    def __repr__(self) -> str:
-        return f"<RosThread {'closed' if self._closing else 'spinning'}, {len(self._functions)} functions waiting>"
 
     def call(self, function: Callable[[], object]) -> bool:
         """Queue the function for the thread; return False, and do nothing, once the thread is closed."""
@@ -207,8 +201,7 @@ class RosThread:
 
     async def settled(self) -> None:
         """Wait until the node has had the time to discover the others, and the ROS graph has stopped changing."""
-        seen: object = None
-        still_since = monotonic()
+        seen, still_since = object(), monotonic()
         while True:
             now = monotonic()
             graph = await self.ask(lambda: (self.node.get_topic_names_and_types(), self.node.get_node_names()))
@@ -259,17 +252,6 @@ class RosThread:
                 break
             except Exception:  # a callback that fails must not end the others
                 _log.exception("a ROS 2 callback failed")
-        self._end(executor, context)
-
-    def _drain(self) -> None:
-        while self._functions:
-            function = self._functions.popleft()
-            try:
-                function()
-            except Exception:
-                _log.exception("a function on the ROS 2 thread failed")
-
-    def _end(self, executor: Any, context: Any) -> None:
         with self._lock:
             self._closing = True  # also after an external shutdown: nothing is accepted any more that would not be run
         self._functions.extend(self._at_end)
@@ -281,3 +263,11 @@ class RosThread:
             rclpy.try_shutdown(context=context)
         except Exception:
             _log.exception("the ROS 2 node did not shut down properly")
+
+    def _drain(self) -> None:
+        while self._functions:
+            function = self._functions.popleft()
+            try:
+                function()
+            except Exception:
+                _log.exception("a function on the ROS 2 thread failed")

@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-from collections.abc import Awaitable, Callable, Iterable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from difflib import get_close_matches
 from functools import partial
@@ -23,7 +23,6 @@ from pnm.ros.node.ros_thread import RosThread, call_on_loop
 from pnm.tasks import TaskRefused
 
 # --- a client of a service -----------------------------------------------------------------
-
 
 IN_FLIGHT: Final = 8
 """Requests without a response at a time; services keep 10 by default and silently drop older ones."""
@@ -56,9 +55,6 @@ class ServiceClient:
         self._met = False
         self._free = asyncio.Semaphore(IN_FLIGHT)
 
-    def __repr__(self) -> str:
-        return f"<ServiceClient {self._name}>"
-
     async def call(self, request: Mapping[str, object], limit: float) -> Any:
         """Send the request as soon as the service is there, and return the response.
 
@@ -80,7 +76,13 @@ class ServiceClient:
 
     async def close(self) -> None:
         """Destroy the client."""
-        await self._ros.ask(self._destroy)
+
+        def destroy() -> None:
+            if self._client is not None:
+                self._ros.node.destroy_client(self._client)
+                self._client = None
+
+        await self._ros.ask(destroy)
 
     async def _answer(self, message: Any) -> Any:
         loop = asyncio.get_running_loop()
@@ -91,15 +93,24 @@ class ServiceClient:
             if not answered.done():
                 answered.set_result(future.result())
 
+        def send() -> Any:
+            future = self._client.call_async(message)
+            future.add_done_callback(partial(call_on_loop, loop, receive))
+            return future
+
+        def forget() -> None:
+            for future in sent if self._client is not None else ():
+                self._client.remove_pending_request(future)
+
         sent: list[Any] = []
         try:
             while not answered.done():
                 met = self._met
-                sent.append(await self._ros.ask(partial(self._send, message, partial(call_on_loop, loop, receive))))
+                sent.append(await self._ros.ask(send))
                 await asyncio.wait((answered,), timeout=None if met else AGAIN)
             return answered.result()
         finally:
-            self._ros.call(partial(self._forget, sent))
+            self._ros.call(forget)
 
     # on the ROS thread
 
@@ -112,16 +123,6 @@ class ServiceClient:
         self._met &= ready  # a service that comes back is a new process, which has yet to discover us
         return ready
 
-    def _send(self, message: Any, answered: Callable[[Any], None]) -> Any:
-        future = self._client.call_async(message)
-        future.add_done_callback(answered)
-        return future
-
-    def _forget(self, futures: Iterable[Any]) -> None:
-        if self._client is not None:
-            for future in futures:
-                self._client.remove_pending_request(future)
-
     def _absence(self) -> str:
         full = str(self._ros.node.resolve_service_name(self._name))
         known = [name for name, _ in self._ros.node.get_service_names_and_types()]
@@ -129,15 +130,8 @@ class ServiceClient:
         similar = f"; similar are {', '.join(near)}" if near else ""
         return f"there is no service {full}{similar}"
 
-    def _destroy(self) -> None:
-        if self._client is not None:
-            self._ros.node.destroy_client(self._client)
-            self._client = None
 
-
-# --- services of ours ----------------------------------------------------------------------
-# Services whose requests are answered by coroutines on the event loop's thread; one that waits holds up no other.
-
+# --- services of ours, answered by coroutines; one that waits holds up no other ------------
 
 DEPTH: Final = 1000
 """Requests that may wait unread; they come in bursts."""
@@ -160,7 +154,7 @@ class RequestServices:
     the services and the number of requests that are not answered yet.
 
     Args:
-        loop: the event loop that answers; the running one by default.
+        loop: answers; the running one by default.
         cancelled: the message for requests that are cancelled, such as by `close`.
         ended: the message for requests after the end of the event loop.
         arrival: seconds that `close` leaves the last response to arrive.
@@ -185,15 +179,23 @@ class RequestServices:
         self._unanswered = 0
         self._answered = -math.inf
 
-    def __repr__(self) -> str:
-        return f"<RequestServices {len(self._services)} services, {len(self._work)} requests at work>"
-
     # on the event loop's thread
 
     async def open(self, services: Mapping[str, tuple[str, Handler]]) -> None:
         """Offer services: by name, relative to the node's namespace, their types and handlers."""
-        for name, (kind, handler) in services.items():
-            await self._ros.ask(partial(self._offer, name, import_type(kind), handler))
+        kinds = {name: import_type(kind) for name, (kind, _) in services.items()}
+
+        def offer() -> None:
+            from rclpy.callback_groups import ReentrantCallbackGroup  # here, because rclpy is an extra
+            from rclpy.qos import QoSProfile
+
+            # reentrant: the next request is taken while this one waits
+            deep, group = QoSProfile(depth=DEPTH), ReentrantCallbackGroup()
+            for name, kind in kinds.items():
+                callback, create = self.callback(services[name][1]), self._ros.node.create_service
+                self._services.append(create(kind, name, callback, qos_profile=deep, callback_group=group))
+
+        await self._ros.ask(offer)
 
     async def close(self) -> None:
         """Refuse the requests that are at work, and take the services down."""
@@ -206,32 +208,29 @@ class RequestServices:
             async with asyncio.timeout(_FAREWELL):
                 await until_true(self._ros, lambda: not self._unanswered)
         await arrived(self._answered, self._arrival)
-        await self._ros.ask(self._take_down)
+
+        def take_down() -> None:
+            for service in self._services:
+                self._ros.node.destroy_service(service)
+            self._services.clear()
+
+        await self._ros.ask(take_down)
 
     def _begin(self, handler: Handler, request: Any, reply: Callable[[Fields], object]) -> None:
+        def done(task: asyncio.Task[Fields]) -> None:
+            self._work.discard(task)
+            self._answered = self._loop.time()
+            reply(_refusal(self._cancelled) if task.cancelled() else task.result())
+
         task = self._loop.create_task(_answer(handler, request))
         self._work.add(task)
-        task.add_done_callback(partial(self._done, reply))
-
-    def _done(self, reply: Callable[[Fields], object], task: asyncio.Task[Fields]) -> None:
-        self._work.discard(task)
-        self._answered = self._loop.time()
-        reply(_refusal(self._cancelled) if task.cancelled() else task.result())
+        task.add_done_callback(done)
 
     # on the ROS thread
 
     def callback(self, handler: Handler) -> Callable[[Any, Any], Awaitable[Any]]:
         """Return a callback for `rclpy` that has the handler answer; for any service in a reentrant callback group."""
         return partial(self._serve, handler)
-
-    def _offer(self, name: str, kind: Any, handler: Handler) -> None:
-        from rclpy.callback_groups import ReentrantCallbackGroup  # here, because rclpy is an extra
-        from rclpy.qos import QoSProfile
-
-        # reentrant: the next request is taken while this one waits
-        deep, group = QoSProfile(depth=DEPTH), ReentrantCallbackGroup()
-        service = self._ros.node.create_service(kind, name, self.callback(handler), qos_profile=deep, callback_group=group)
-        self._services.append(service)
 
     async def _serve(self, handler: Handler, request: Any, response: Any) -> Any:
         """Have the event loop answer; `rclpy` goes on with other callbacks until the future is set."""
@@ -248,11 +247,6 @@ class RequestServices:
             self._unanswered -= 1
         known = type(response).get_fields_and_field_types()
         return to_message(type(response), {name: value for name, value in fields.items() if name in known})
-
-    def _take_down(self) -> None:
-        for service in self._services:
-            self._ros.node.destroy_service(service)
-        self._services.clear()
 
 
 async def arrived(answered: float, arrival: float = ARRIVAL) -> None:
