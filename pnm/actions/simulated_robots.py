@@ -109,10 +109,7 @@ LAG: Final = 0.01
 
 
 def report_changes(world: SimulatedWorld, knowledge: KnowledgeBase, assumed: Iterable[str] = ()) -> None:
-    """Keep knowledge up to date with the world, without the assumed names.
-
-    Reports are immediate, but an action's end effects are reported before its end.
-    """
+    """Keep knowledge up to date with the world, without the assumed names; an action's end effects are reported before its end."""
     names = world.reported(assumed)
     knowledge.sense(names, lag=LAG)
     knowledge.replace(names, world.report(names))
@@ -124,7 +121,6 @@ def report_changes(world: SimulatedWorld, knowledge: KnowledgeBase, assumed: Ite
 
 
 # --- the robots ----------------------------------------------------------------------------
-
 
 SLOWNESS: Final = 10.0
 """The factor by which a slow action takes longer."""
@@ -223,7 +219,19 @@ class SimulatedRobots:
 
     def reattach(self, request: Request, report: Reporter, /, *, accepted: bool) -> None:
         """Report on a request that was sent before, or perform it, beginning in the next turn of the loop."""
-        asyncio.get_running_loop().call_soon(self._report_again, request, report, accepted)
+
+        def report_again() -> None:
+            if job := self._jobs.get(request.id):
+                job.report = report
+                report(Accepted(request.id))
+            elif request.id in self._results:
+                report(Ended(request.id, self._results[request.id][1]))
+            elif accepted and self.bindings.of(request.action.name).when_lost is not WhenLost.RESEND:
+                report(Ended(request.id, Outcome(OutcomeKind.LOST, message="the robot knows nothing of it")))
+            else:
+                self._receive(request, report)
+
+        asyncio.get_running_loop().call_soon(report_again)
 
     def cancel(self, request: UUID, /) -> None:
         """Stop the request unless it ignores that."""
@@ -278,18 +286,11 @@ class SimulatedRobots:
         self._happen("start", action)
         self._schedule(job)
 
-    def _report_again(self, request: Request, report: Reporter, accepted: bool) -> None:
-        if job := self._jobs.get(request.id):
-            job.report = report
-            report(Accepted(request.id))
-        elif request.id in self._results:
-            report(Ended(request.id, self._results[request.id][1]))
-        elif accepted and self.bindings.of(request.action.name).when_lost is not WhenLost.RESEND:
-            report(Ended(request.id, Outcome(OutcomeKind.LOST, message="the robot knows nothing of it")))
-        else:
-            self._receive(request, report)
-
     def _schedule(self, job: _Job) -> None:
+        def lose() -> None:
+            self._lost.add(self.bindings.server(job.request.action))
+            self._fail(job, OutcomeKind.LOST, "the server went away")
+
         duration = self.untimed if job.request.action.duration is None else job.request.action.duration
         kind = job.fault.kind if job.fault else None
         if kind is FaultKind.HANG:
@@ -301,7 +302,7 @@ class SimulatedRobots:
             case FaultKind.ABORT:
                 job.timer = self._later(duration / 2, self._fail, job, OutcomeKind.ABORTED, "the action failed")
             case FaultKind.LOSE_SERVER:
-                job.timer = self._later(duration / 2, self._lose, job)
+                job.timer = self._later(duration / 2, lose)
             case _:
                 job.timer = self._later(duration, self._succeed, job)
 
@@ -326,10 +327,6 @@ class SimulatedRobots:
             self._forget(job)
             job.activity.undo()
             self._end(job, Outcome(kind, message=(job.fault.message if job.fault and kind is OutcomeKind.ABORTED else "") or message))
-
-    def _lose(self, job: _Job) -> None:
-        self._lost.add(self.bindings.server(job.request.action))
-        self._fail(job, OutcomeKind.LOST, "the server went away")
 
     def _end(self, job: _Job, outcome: Outcome) -> None:
         self._forget(job)
@@ -412,9 +409,7 @@ def returned(request: Request, world: SimulatedWorld) -> dict[str, object]:
     return {name: value for name, value in values.items() if value is not MISSING}
 
 
-# --- bindings read backwards, for simulated servers ----------------------------------------
-# The arguments that a goal means, and the result that says how it ended.
-
+# --- bindings read backwards: the arguments that a goal means, and the result of an outcome ----
 
 _CLOSE = 1e-6
 """The allowed difference of numbers: a float32 keeps seven digits."""
@@ -444,9 +439,7 @@ def _fits(source: object, value: object, arguments: dict[str, str]) -> bool:
             return arguments.setdefault(source[1:], str(value)) == str(value)
         case str() if source.startswith(("$", "(")):
             return True
-        case bool() | str():
-            return source == value
-        case int() | float():
+        case int() | float() if not isinstance(source, bool):
             return isinstance(value, int | float) and isclose(source, value, rel_tol=_CLOSE, abs_tol=_CLOSE)
         case _:
             return source == value

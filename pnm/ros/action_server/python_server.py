@@ -23,6 +23,7 @@ import queue
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Generator
+from functools import partial
 from math import inf
 from time import monotonic
 from typing import Any, Final
@@ -39,12 +40,9 @@ from pnm.ros.knowledge import LAYERS, may_be_ours, service_prefix
 from pnm.ros.node.messages import import_type
 from pnm.ros.node.services import AGAIN, DEPTH
 
-# --- the knowledge of the run that sent a goal ---------------------------------------------
-# The client of the knowledge services, for action servers: queries and updates the knowledge of the run that sent a goal.
-#
+# --- the client of the knowledge services of the run that sent a goal ----------------------
 # The id of the goal says which executive that is, see `pnm.ros.knowledge`. Everything that touches `rclpy` happens in one
 # coroutine on the executor that spins the node; threads wait for it.
-
 
 EXECUTIVES: Final = 16
 """Executives whose clients a server keeps; a restarted one counts as another."""
@@ -124,7 +122,8 @@ class RunKnowledge:
     # on the executor
 
     async def _ask(self, goal_handle: Any, service: str, fields: dict[str, object], layer: Layer, meta: object, limit: float) -> Any:
-        timer = self._node.create_timer(_LOOK, _wake, callback_group=self._group, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        timer = self._node.create_timer(_LOOK, lambda: None, callback_group=self._group, clock=steady)  # it wakes the executor
         try:
             if layer not in LAYERS:
                 raise KnowledgeError(f"{layer!r} is not one of {', '.join(map(str, LAYERS))}")
@@ -148,8 +147,7 @@ class RunKnowledge:
         while not client.service_is_ready():
             await _yield_until(goal_handle, until, f"there is no service {prefix}/{service}; the executive that has sent the goal is gone")
         request.timeout = max(0.0, until - monotonic()) or _LOOK
-        sent: list[Any] = []
-        again = 0.0
+        sent, again = list[Any](), 0.0
         try:
             while not (answered := [future for future in sent if future.done()]):
                 if monotonic() >= again:
@@ -167,12 +165,8 @@ class RunKnowledge:
         """Return the clients of an executive; those of the least recently used one are destroyed."""
         with self._lock:
             if prefix not in self._clients:
-                self._clients[prefix] = {
-                    name: self._node.create_client(
-                        kind, f"{prefix}/{name}", qos_profile=QoSProfile(depth=DEPTH), callback_group=self._group
-                    )
-                    for name, kind in self._types.items()
-                }
+                create = partial(self._node.create_client, qos_profile=QoSProfile(depth=DEPTH), callback_group=self._group)
+                self._clients[prefix] = {name: create(kind, f"{prefix}/{name}") for name, kind in self._types.items()}
             self._clients.move_to_end(prefix)
             if len(self._clients) > EXECUTIVES:
                 for client in self._clients.popitem(last=False)[1].values():
@@ -190,12 +184,7 @@ async def _yield_until(goal_handle: Any, until: float, otherwise: str) -> None:
     await _Yield()
 
 
-def _wake() -> None:
-    """Do nothing: the timer wakes the executor."""
-
-
 # --- the action server ---------------------------------------------------------------------
-
 
 __all__ = ["LIMIT", "KnowledgeError", "PnmActionServer", "PnmSimpleActionServer"]
 
@@ -273,17 +262,11 @@ class _ServerWithKnowledge(ActionServer):  # type: ignore[misc]
         self._logger.error(message)  # a logger of `rclpy`, which formats nothing
         return self.action_type.Result()
 
-    def _query(self, goal_handle: Any, layer: Layer, name: str, meta: object, timeout: float) -> object:
-        self._may_wait()
-        return _raised(self._knowledge.wait(self._knowledge.query(goal_handle, layer, name, meta, timeout), timeout))
-
-    def _update(self, goal_handle: Any, layer: Layer, name: str, value: object, meta: object, timeout: float) -> None:
-        self._may_wait()
-        _raised(self._knowledge.wait(self._knowledge.update(goal_handle, layer, name, value, meta, timeout), timeout))
-
-    def _may_wait(self) -> None:
+    def _wait(self, exchange: Any, timeout: float) -> Any:
         if threading.get_ident() == self._spinning:
+            exchange.close()
             raise KnowledgeError("waiting here would stop the executor that is waited for; in a coroutine, await the ..._async method")
+        return _raised(self._knowledge.wait(exchange, timeout))
 
 
 class PnmActionServer(_ServerWithKnowledge):
@@ -292,18 +275,16 @@ class PnmActionServer(_ServerWithKnowledge):
     def query_kb(self, goal_handle: Any, layer: Layer, name: str, meta: object = None, *, timeout: float = LIMIT) -> object:
         """Return the value of a variable, or `pnm.MISSING` if there is none; blocks this thread.
 
-        Raises:
-            KnowledgeError: it could not be queried in time, or the goal is being cancelled.
+        Raises `KnowledgeError` if it could not be queried in time, or the goal is being cancelled.
         """
-        return self._query(goal_handle, layer, name, meta, timeout)
+        return self._wait(self._knowledge.query(goal_handle, layer, name, meta, timeout), timeout)
 
     def update_kb(self, goal_handle: Any, layer: Layer, name: str, value: object, meta: object = None, *, timeout: float = LIMIT) -> None:
         """Store a variable of a type of JSON; when this returns, every query finds it. Blocks this thread.
 
-        Raises:
-            KnowledgeError: it could not be stored in time, or the goal is being cancelled.
+        Raises `KnowledgeError` if it could not be stored in time, or the goal is being cancelled.
         """
-        self._update(goal_handle, layer, name, value, meta, timeout)
+        self._wait(self._knowledge.update(goal_handle, layer, name, value, meta, timeout), timeout)
 
     async def query_kb_async(self, goal_handle: Any, layer: Layer, name: str, meta: object = None, *, timeout: float = LIMIT) -> object:  # noqa: ASYNC109 - none of asyncio
         """Query knowledge like `query_kb`, in a coroutine."""
@@ -339,20 +320,12 @@ class PnmSimpleActionServer(_ServerWithKnowledge):
         super().__init__(node, action_type, action_name, execute_callback, **options)
 
     def query_kb(self, layer: Layer, name: str, meta: object = None, *, timeout: float = LIMIT) -> object:
-        """Return the value of a variable for the current goal, or `pnm.MISSING` if there is none.
-
-        Raises:
-            KnowledgeError: it could not be queried in time, or the goal is being cancelled, or there is none.
-        """
-        return self._query(self._goal(), layer, name, meta, timeout)
+        """Query knowledge like `PnmActionServer.query_kb` for the current goal; also raises `KnowledgeError` if there is none."""
+        return self._wait(self._knowledge.query(self._goal(), layer, name, meta, timeout), timeout)
 
     def update_kb(self, layer: Layer, name: str, value: object, meta: object = None, *, timeout: float = LIMIT) -> None:
-        """Store a variable of a type of JSON for the current goal.
-
-        Raises:
-            KnowledgeError: it could not be stored in time, or the goal is being cancelled, or there is none.
-        """
-        self._update(self._goal(), layer, name, value, meta, timeout)
+        """Update knowledge like `PnmActionServer.update_kb` for the current goal; also raises `KnowledgeError` if there is none."""
+        self._wait(self._knowledge.update(self._goal(), layer, name, value, meta, timeout), timeout)
 
     def _goal(self) -> Any:
         if self._current is None:
@@ -363,15 +336,15 @@ class PnmSimpleActionServer(_ServerWithKnowledge):
         self._waiting.put((goal_handle, callback))
 
     def _work(self) -> None:
+        def not_begun(goal_handle: Any) -> Any:
+            goal_handle.canceled()
+            return self.action_type.Result()
+
         while True:
             goal_handle, callback = self._waiting.get()
             self._current = goal_handle
-            self._run_callback(goal_handle, self._not_begun if goal_handle.is_cancel_requested else callback)
+            self._run_callback(goal_handle, not_begun if goal_handle.is_cancel_requested else callback)
             self._current = None
-
-    def _not_begun(self, goal_handle: Any) -> Any:
-        goal_handle.canceled()
-        return self.action_type.Result()
 
 
 def _raised(answer: Any) -> Any:
