@@ -18,7 +18,6 @@ from pnm.knowledge.field_reader import read_field, read_number, read_object, rea
 from pnm.knowledge.sensor_model import (
     VALUE,
     ByService,
-    ByTopic,
     ExclusiveFact,
     Fact,
     Number,
@@ -86,16 +85,19 @@ class _Reader:
         key = "topic" if is_topic else "service"
         entry.only(key, *_OWN, *(() if is_topic else ("request", "every", "limit")))
         variables = self._variables(entry)
-        way = ByTopic() if is_topic else self._polled(variables)
+        service = None if is_topic else self._polled(variables)
         sensor = Sensor(
-            self._name(key, variables, way),
+            self._name(key, variables, service),
             self._type("msg" if is_topic else "srv"),
             variables,
-            (*(self._statement(item, variables) for item in entry.sequence("facts")), *self._stored(variables)),
-            way,
+            (
+                *(self._statement(item, variables) for item in entry.sequence("facts")),
+                *(self._stored(item, variables) for item in entry.sequence("variables")),
+            ),
+            service,
             _seconds(entry, "stale", self.stale),
             # The answer to a request that was under way when an action ended may be old; the next one is not.
-            entry.number("lag", None if isinstance(way, ByTopic) else 2.0 * way.limit),
+            entry.number("lag", None if service is None else 2.0 * service.limit),
             entry.start,
         )
         if not sensor.statements:
@@ -119,15 +121,15 @@ class _Reader:
             variables.append(Variable(f"?{name}", (kind.text,)))
         return tuple(variables)
 
-    def _name(self, key: str, variables: tuple[Variable, ...], way: ByTopic | ByService) -> str:
+    def _name(self, key: str, variables: tuple[Variable, ...], service: ByService | None) -> str:
         name, where = _text(self.entry, key, "/{robot}/battery"), self.entry.position(key)
         if not _NAME.fullmatch(name):
             raise InputError(f"not a name in ROS: {name!r}; expected something like /{{robot}}/battery", where)
         self._placeholders(name, variables, where)
-        distinguished = {*placeholders(name), *(_terms(way.request) if isinstance(way, ByService) else ())}
+        distinguished = {*placeholders(name), *(_terms(service.request) if service else ())}
         for variable in variables:
             if variable.name[1:] not in distinguished:
-                also = "" if isinstance(way, ByTopic) else " or the request"
+                also = " or the request" if service else ""
                 raise InputError(f"expected {{{variable.name[1:]}}} in {name!r}{also}; otherwise all sensors hear the same", where)
         return name
 
@@ -203,33 +205,28 @@ class _Reader:
         for name in (name for field in fields for name in field.variables):
             self._variable(name, variables, where)
 
-    def _stored(self, around: tuple[Variable, ...]) -> Iterable[Statement]:
-        for entry in self.entry.sequence("variables"):
-            entry.only("name", "for", "field", "table")
-            own = self._variables(entry)
-            variables = (*around, *own)
-            name, where = _text(entry, "name", "{r}_zone"), entry.position("name")
-            self._placeholders(name, variables, where)
-            for variable in variables:
-                if variable.name[1:] not in placeholders(name):
-                    raise InputError(f"expected {{{variable.name[1:]}}} in {name!r}; otherwise all objects share one variable", where)
-            table = None if entry.filled("table") is None else read_table(entry)
-            self._fields([read_field(entry)], variables, entry.position("field"))
-            yield Stored(name, FieldValue(read_field(entry), table), where, own)
+    def _stored(self, entry: Mapped, around: tuple[Variable, ...]) -> Stored:
+        entry.only("name", "for", "field", "table")
+        own = self._variables(entry)
+        variables = (*around, *own)
+        name, where = _text(entry, "name", "{r}_zone"), entry.position("name")
+        self._placeholders(name, variables, where)
+        for variable in variables:
+            if variable.name[1:] not in placeholders(name):
+                raise InputError(f"expected {{{variable.name[1:]}}} in {name!r}; otherwise all objects share one variable", where)
+        field, table = read_field(entry), None if entry.filled("table") is None else read_table(entry)
+        self._fields([field], variables, entry.position("field"))
+        return Stored(name, FieldValue(field, table), where, own)
 
     def _typed(self, fluent: Fluent, kind: FluentKind, variables: tuple[Variable, ...], where: Position) -> Signature | None:
         """Check the names of a fluent and return its signature, if that is known."""
-        own = [
-            self._variable(term, variables, where)
-            for term in fluent[1:]
-            if term[0] == "?" and (term != VALUE or kind is not FluentKind.FACT)
-        ]
+        named = [term for term in fluent[1:] if term[0] == "?" and (term != VALUE or kind is not FluentKind.FACT)]
+        types = {term: self._variable(term, variables, where).types[0] for term in named}
         if self.known is None:
             return None
         signature = self.known.check_kind(fluent[0], kind, where)
         if len(signature.parameters) != len(fluent) - 1:
             raise InputError(f"{fluent[0]} takes {len(signature.parameters)} arguments, found {len(fluent) - 1}", where)
-        types = {variable.name: variable.types[0] for variable in own}
         for term, needed in zip(fluent[1:], signature.parameters, strict=True):
             if term in types and self.known.types[types[term]].isdisjoint(needed):
                 raise InputError(f"{term} is a {types[term]}; {fluent[0]} takes a {' or '.join(needed)}", where)

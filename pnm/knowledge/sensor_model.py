@@ -84,11 +84,6 @@ Statement: TypeAlias = Fact | ExclusiveFact | Number | Object | Stored
 
 
 @dataclass(frozen=True, slots=True)
-class ByTopic:
-    """Read by subscribing to a topic."""
-
-
-@dataclass(frozen=True, slots=True)
 class ByService:
     """Read by asking a service: at the start, after every action, before a new plan is made, and `every` seconds after its last answer."""
 
@@ -110,7 +105,8 @@ class Sensor:
     """Found from the ROS graph if None."""
     variables: tuple[Variable, ...]
     statements: tuple[Statement, ...]
-    way: ByTopic | ByService
+    service: ByService | None
+    """How it is asked; None for a topic, which is subscribed to."""
     stale: float | None
     """Seconds without a message, or for which a request is not answered, after which all its fluents are unknown."""
     lag: float | None
@@ -133,8 +129,7 @@ class Sensing:
     @property
     def names(self) -> frozenset[str]:
         """The predicates and functions that sensors report."""
-        statements = (statement for sensor in self.sensors for statement in sensor.statements)
-        return frozenset(statement.fluent[0] for statement in statements if not isinstance(statement, Stored))
+        return frozenset(self.lags(0.0))
 
     def lags(self, otherwise: float) -> dict[str, float]:
         """Return the lag in seconds of the slowest sensor of each predicate and function."""
@@ -162,9 +157,9 @@ class Instance:
         """The name of its topic or service; names in ROS have no hyphens, names in PDDL often do."""
         return filled(self.sensor.name, self.env).replace("-", "_")
 
-    def request(self, way: ByService) -> dict[str, object]:
+    def request(self, service: ByService) -> dict[str, object]:
         """Return the fields of the request to a service."""
-        return {name: _resolved(value, self.env) for name, value in way.request.items()}
+        return {name: _resolved(value, self.env) for name, value in service.request.items()}
 
 
 @dataclass(frozen=True, slots=True)

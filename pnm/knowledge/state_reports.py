@@ -105,7 +105,7 @@ class StateReports:
         self._ignored = dict(ignored)
         self._lag = lag
         self._stale = stale
-        self._complaints = Complaints(source, _log)
+        self._complaints = Complaints(source)
         self.declare(known)
         self._watchdogs: dict[str, StalenessWatchdog] = {}
         self._before: dict[str, dict[Fluent, Value | Unknown]] = {}
@@ -127,22 +127,18 @@ class StateReports:
         reported = {fluent: value for fluent, value in facts.items() if fluent[0] in watched}
         changed = {fluent[0] for fluent in self._knowledge.replace(watched, {**returned, **reported})}
         for name in watched:
-            self._note_sender(name, sequence, name in changed)
+            last, returns = self._senders.get(name, (0, 0))
+            if name in changed and 1 < sequence <= last:  # each sender counts its reports, and one that is restarted begins with 1
+                returns += 1
+                if returns >= RETURNS:
+                    self._complaints.note(f"several senders contradict each other about {name}; expected names of its own from each")
+            self._senders[name] = sequence, returns
             if name in self._watchdogs:
                 self._watchdogs[name].reset()
             else:
                 silence = f"nothing was reported about {name} for {self._stale:g} s" if self._stale else ""
                 self._watchdogs[name] = StalenessWatchdog(self._stale, partial(self._forget, name, silence))
         self._distrust(self._watched(names) & wrong.keys())
-
-    def _note_sender(self, name: str, sequence: int, has_changed: bool) -> None:
-        """Complain about several senders that contradict each other: each counts its reports, and one that is restarted begins with 1."""
-        last, returns = self._senders.get(name, (0, 0))
-        if has_changed and 1 < sequence <= last:
-            returns += 1
-            if returns >= RETURNS:
-                self._complaints.note(f"several senders contradict each other about {name}; expected names of its own from each")
-        self._senders[name] = sequence, returns
 
     def readiness(self, topic: str, kinds: Collection[str]) -> tuple[Readiness, ...]:
         """Return the readiness of the topic of these reports, once it was heard; its publishers have these types."""
@@ -219,24 +215,18 @@ class StateReports:
 
 # --- complaints: the first is logged at once, those that follow as a number ----------------
 
-
 PERIOD: Final = 60.0
 """Seconds between two lines of the log about the same source."""
 
 
 class Complaints:
-    """Complaints about one source of reports, on the event loop's thread.
+    """Complaints about one source of reports, by the name that people know it by, on the event loop's thread.
 
     The mutable state is how many complaints have not been logged yet, the last one, and the timer of the next line.
-
-    Args:
-        source: what people know it by.
-        log: where the complaints go.
     """
 
-    def __init__(self, source: str, log: logging.Logger) -> None:
+    def __init__(self, source: str) -> None:
         self._source = source
-        self._log = log
         self._count = 0
         self._last = ""
         self._timer: asyncio.TimerHandle | None = None
@@ -244,7 +234,7 @@ class Complaints:
     def note(self, reason: str) -> None:
         """Log why a report is wrong: now, or with others at the end of the period."""
         if self._timer is None:
-            self._log.warning("a report on %s is wrong: %s", self._source, reason)
+            _log.warning("a report on %s is wrong: %s", self._source, reason)
             self._timer = asyncio.get_running_loop().call_later(PERIOD, self._end_period)
         else:
             self._count += 1
@@ -263,5 +253,5 @@ class Complaints:
 
     def _summarize(self) -> None:
         if self._count:
-            self._log.warning("%d more reports on %s were wrong; the last one: %s", self._count, self._source, self._last)
+            _log.warning("%d more reports on %s were wrong; the last one: %s", self._count, self._source, self._last)
             self._count = 0

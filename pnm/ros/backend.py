@@ -23,7 +23,7 @@ from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import ActionClient
 from pnm.core.readiness import Readiness, ReadyState
 from pnm.errors import InputError, suggestion
-from pnm.knowledge.sensor_model import NO_SENSING, ByTopic, Objects, Sensing, Stored, instances, unknown
+from pnm.knowledge.sensor_model import NO_SENSING, Objects, Sensing, Stored, instances, unknown
 from pnm.knowledge.source import FindKnowledge, Source
 from pnm.knowledge.state_reports import StateReports
 from pnm.ros.action_client.client import Ros2ActionClient
@@ -37,9 +37,9 @@ from pnm.ros.sim_time import USE_SIM_TIME, follow_sim_time
 DISCOVERY: Final = 10.0
 """Seconds to wait for servers and reports of robots that are started together with this node."""
 _LOOK: Final = 0.25
+"""Seconds between two looks at the ROS graph while something is waited for."""
 _FINAL: Final = frozenset({ReadyState.READY, ReadyState.UNFIT, ReadyState.OPEN})
 """States that waiting does not change."""
-"""Seconds between two looks at the ROS graph while something is waited for."""
 
 
 class Ros2Backend:
@@ -54,9 +54,7 @@ class Ros2Backend:
         kept: goals of another process of this node that this one goes on with.
 
     The mutable state is what `open` and `share` make.
-
-    Raises:
-        InputError: a fluent has a sensor and is among the assumed ones of the bindings.
+    Raises `InputError` if a fluent has a sensor and is among the assumed ones of the bindings.
     """
 
     def __init__(
@@ -71,10 +69,10 @@ class Ros2Backend:
         kept: Iterable[UUID] = (),
         may_act: Callable[[], bool] = lambda: True,
     ) -> None:
-        self._prefix = prefix
-        self._kept = kept
         for name in sorted(sensing.names & bindings.assumed):
             raise InputError(f"there is a sensor for {name}, which is among the 'assumed' of the bindings; expected one of the two")
+        self._prefix = prefix
+        self._kept = kept
         self._bindings = bindings
         self._shared = ros
         self._sim_time = sim_time
@@ -101,12 +99,21 @@ class Ros2Backend:
         self.ros = self._shared or RosThread("pnm_run", args=USE_SIM_TIME if self._sim_time else ())  # `pnm` is the one that serves
         if self._shared is None:
             await follow_sim_time(self.ros)
+
+        def ended(request: UUID) -> Awaitable[object]:
+            """Withdraw what a server is still asking for a request that is over, and ask how the world is now."""
+            for services in self._services:
+                services.end(request)
+            if self._sensors is not None:
+                self._sensors.expect_news()
+            return self.refresh()
+
         lag, sensing = self._bindings.lag, self._sensing
         self._sensors = Sensors(self.ros, sensing, knowledge, lag)
         from pnm.ros.action_client.other_goals import OtherGoals  # here, because rclpy is an extra
 
         self._others = OtherGoals(self.ros, self._prefix, self._kept, self._may_act)
-        self._client = Ros2ActionClient(self.ros, self._bindings, loop, self._ended, self._others, self._may_act)
+        self._client = Ros2ActionClient(self.ros, self._bindings, loop, ended, self._others, self._may_act)
         ignored = {
             **dict.fromkeys(knowledge.rules.derived, "its facts follow from rules"),
             **dict.fromkeys(sensing.names, "there is a sensor for it"),
@@ -122,10 +129,8 @@ class Ros2Backend:
     ) -> tuple[Readiness, ...]:
         """Return the readiness of the servers of all declared actions and of these, and of all sensors.
 
-        What is not there is looked for until this node has discovered the others, and for `wait` seconds.
-
-        Raises:
-            InputError: the name of a server is not valid in ROS.
+        What is not there is looked for until this node has discovered the others, and for `wait` seconds. Raises `InputError` if the
+        name of a server is not valid in ROS.
         """
         until, has_settled = monotonic() + wait, False
         while True:
@@ -183,14 +188,6 @@ class Ros2Backend:
         self._services.append(KnowledgeServices(self.ros, asyncio.get_running_loop(), service_prefix(mark), find, source))
         await self._services[-1].open()
 
-    def _ended(self, request: UUID) -> Awaitable[object]:
-        """Withdraw what a server is still asking for a request that is over, and ask how the world is now."""
-        for services in self._services:
-            services.end(request)
-        if self._sensors is not None:
-            self._sensors.expect_news()
-        return self.refresh()
-
     async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
         """Look for the servers of these actions that have names already; wait for them only while this node itself is new."""
         named = [action for action in actions if self._bindings.names_server(action)]
@@ -223,9 +220,7 @@ class Ros2Backend:
             await asyncio.to_thread(self.ros.close)  # what still happens on its thread may need this loop
 
 
-# --- how ready action servers and sensors are ----------------------------------------------
-# Pure: `Ros2Backend` takes the snapshot.
-
+# --- how ready action servers are: pure, `Ros2Backend` takes the snapshot ------------------
 
 _EXAMPLES: dict[FluentKind, object] = {FluentKind.FACT: True, FluentKind.NUMBER: 1.0, FluentKind.OBJECT: "object"}
 
@@ -237,9 +232,6 @@ def server_calls(known: Vocabulary, bindings: Bindings) -> Iterator[GroundAction
         choices = [known.arguments(name, parameter) for parameter in parameters]
         some = [chosen if parameter in deciding else chosen[:1] for parameter, chosen in zip(parameters, choices, strict=True)]
         yield from (GroundAction(name, arguments, tuple(parameters)) for arguments in product(*some))
-
-
-# --- actions -------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,15 +254,9 @@ def action_readiness(
     variables: Collection[str],
     patience: float,
 ) -> Iterator[Readiness]:
-    """Yield how ready the servers of the actions are.
+    """Yield how ready the servers of the actions are, given their full names and the declared names.
 
-    Args:
-        servers: their full names.
-        bindings: of the actions.
-        known: the declared names; of actions that it does not know, only a plan knows what goals are filled from.
-        graph: what is there.
-        variables: the names of variables that have values, or that sensors give values to.
-        patience: seconds for which a server that is not there is waited for.
+    The variables are those that have values, or that sensors give values to; a server that is not there is waited for `patience` seconds.
     """
     by_server: defaultdict[str, dict[str, Binding]] = defaultdict(dict)
     for action, server in servers.items():
@@ -384,29 +370,23 @@ def example(own: Mapping[str, object], known: Vocabulary, source: str) -> object
     return own.get(source[1:], MISSING)
 
 
-# --- sensors -------------------------------------------------------------------------------
-
-
 def sensor_readiness(uses: Iterable[SensorUse], graph: GraphSnapshot) -> Iterator[Readiness]:
     """Yield how ready sensors are."""
     for use in uses:
-        is_topic = isinstance(use.instance.sensor.way, ByTopic)
-        yield sensor_row(use, "topic" if is_topic else "service", graph.topics if is_topic else graph.services)
+        yield sensor_row(use, *(("service", graph.services) if use.instance.sensor.service else ("topic", graph.topics)))
 
 
 def sensor_row(use: SensorUse, kind: str, known: Mapping[str, tuple[str, ...]]) -> Readiness:
     """Return the readiness of one sensor, given the present topics or services."""
     sensor, there = use.instance.sensor, known.get(use.name, ())
     first, *others = [part.name if isinstance(part, Stored) else fluent_text(part.fluent) for part in sensor.statements]
-    wanted = sensor.type
-    type_name = wanted or ", ".join(there)
+    wanted, type_name = sensor.type, sensor.type or ", ".join(there)
     row = Readiness(f"{first}{', …' if others else ''}", use.name, type_name, ReadyState.UNFIT, position=sensor.position, is_sensor=True)
     if use.refused is not None:
         return replace(row, advice=use.refused.message, position=use.refused.position)
     if wanted and there and wanted not in there:
-        return replace(
-            row, type=", ".join(there), advice=f"the {kind} {use.name} has the type {', '.join(there)}, the sensor says {wanted}"
-        )
+        types = ", ".join(there)
+        return replace(row, type=types, advice=f"the {kind} {use.name} has the type {types}, the sensor says {wanted}")
     if wanted or len(there) == 1:
         try:
             checked(use.instance, type_name)

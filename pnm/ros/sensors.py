@@ -16,7 +16,7 @@ from pnm.core.logic.computed_values import MISSING
 from pnm.core.logic.expressions import UNKNOWN, Fluent, Unknown, Value, fluent_text
 from pnm.core.message_fields import Look
 from pnm.errors import InputError
-from pnm.knowledge.sensor_model import ByService, ByTopic, Instance, Reading, Sensing, instances, read, unknown
+from pnm.knowledge.sensor_model import ByService, Instance, Reading, Sensing, instances, read, unknown
 from pnm.knowledge.source import SourceError
 from pnm.knowledge.state_reports import StalenessWatchdog
 from pnm.ros.node.messages import FieldError, fitted, import_type, to_message, value_at
@@ -60,7 +60,7 @@ class SensorRecorder:
         self._store(reading)
         self.is_stale = False
         self._watchdog.reset()
-        if isinstance(self.instance.sensor.way, ByService):
+        if self.instance.sensor.service:
             self._watchdog.rest()
         self.heard.set()
 
@@ -122,11 +122,11 @@ def checked(instance: Instance, name: str) -> tuple[Any, Instance]:
     sensor = instance.sensor
     try:
         kind = import_type(name)
-        if isinstance(sensor.way, ByService):
-            to_message(kind.Request, instance.request(sensor.way))
+        if sensor.service:
+            to_message(kind.Request, instance.request(sensor.service))
     except (InputError, FieldError) as error:
         raise InputError(str(error), sensor.position) from error
-    return kind, replace(instance, sensor=fitted(sensor, kind.Response if isinstance(sensor.way, ByService) else kind))
+    return kind, replace(instance, sensor=fitted(sensor, kind.Response if sensor.service else kind))
 
 
 def resolved(resolve: Callable[[str], object], instance: Instance, what: str) -> str:
@@ -268,10 +268,10 @@ class ServiceSensor:
     that is still to be sent, and whether nothing is asked any more.
     """
 
-    def __init__(self, ros: RosThread, recorder: SensorRecorder, way: ByService) -> None:
+    def __init__(self, ros: RosThread, recorder: SensorRecorder, service: ByService) -> None:
         self.recorder = recorder
         self._ros = ros
-        self._way = way
+        self._service = service
         self._client: ServiceClient | None = None
         self._is_wanted = asyncio.Event()
         self._waiting: list[asyncio.Future[None]] = []
@@ -302,7 +302,7 @@ class ServiceSensor:
                     _log.warning("%s", error)
                     last_error = error
                 last_error = error and last_error
-                pause = RETRY if error and self._way.every is None else self._way.every
+                pause = RETRY if error and self._service.every is None else self._service.every
                 with suppress(TimeoutError):
                     await asyncio.wait_for(self._is_wanted.wait(), pause)
         except InputError as error:
@@ -324,7 +324,7 @@ class ServiceSensor:
             _, self.recorder.instance = checked(instance, kind)
             self._client = ServiceClient(self._ros, kind, instance.name)
         try:
-            answer = await self._client.call(instance.request(self._way), self._way.limit)
+            answer = await self._client.call(instance.request(self._service), self._service.limit)
         except SourceError as error:
             return str(error)
         self.recorder.record(partial(value_at, answer))
@@ -374,11 +374,10 @@ class Sensors:
         self._topics: list[TopicSensor] = []
         self._polls: list[ServiceSensor] = []
         for recorder in self._recorders:
-            match recorder.instance.sensor.way:
-                case ByService() as way:
-                    self._polls.append(ServiceSensor(ros, recorder, way))
-                case ByTopic():
-                    self._topics.append(TopicSensor(ros, recorder))
+            if service := recorder.instance.sensor.service:
+                self._polls.append(ServiceSensor(ros, recorder, service))
+            else:
+                self._topics.append(TopicSensor(ros, recorder))
         self._sensors: tuple[TopicSensor | ServiceSensor, ...] = (*self._topics, *self._polls)
         self._tasks: list[asyncio.Task[None]] = []
         self._lag = lag

@@ -28,6 +28,10 @@ class TaskTopics(TaskListener):
     """
 
     def __init__(self, ros: RosThread, tasks: Tasks, world: ServedWorld, paused: Callable[[], bool]) -> None:
+        def note_markings() -> None:
+            for status in self._active():
+                self._due_markings.note(status.id)
+
         self._ros = ros
         self._tasks = tasks
         self._world = world
@@ -41,16 +45,10 @@ class TaskTopics(TaskListener):
         self._status = Publisher(ros, "pnm_interfaces/msg/ExecutorStatus", "executor/status", is_latched=True)
         self._plan = Publisher(ros, "pnm_interfaces/msg/Plans", "executor/plan", is_latched=True)
         self._net = Publisher(ros, "pnm_interfaces/msg/Nets", "executor/net", is_latched=True, matched=self._note_nets)
-        self._marking = Publisher(ros, "pnm_interfaces/msg/Marking", "executor/marking", matched=self._note_markings)
+        self._marking = Publisher(ros, "pnm_interfaces/msg/Marking", "executor/marking", matched=note_markings)
         self._trace = Publisher(ros, "pnm_interfaces/msg/TraceEvent", "executor/trace")
         self._change = Publisher(ros, "pnm_interfaces/msg/KnowledgeChange", "knowledge/changes")
-
-    def __repr__(self) -> str:
-        return f"<TaskTopics {self._due}>"
-
-    @property
-    def _topics(self) -> tuple[Publisher, ...]:
-        return (self._status, self._plan, self._net, self._marking, self._trace, self._change)
+        self._topics = (self._status, self._plan, self._net, self._marking, self._trace, self._change)
 
     async def open(self) -> None:
         """Advertise the topics, and listen to tasks and knowledge."""
@@ -112,10 +110,6 @@ class TaskTopics(TaskListener):
         if self._net.subscriptions:
             self._due.note(self._publish_nets)
 
-    def _note_markings(self) -> None:
-        for status in self._active():
-            self._due_markings.note(status.id)
-
     def _active(self) -> tuple[TaskStatus, ...]:
         return tuple(status for status in self._tasks.status() if status.state is not TaskState.OVER)
 
@@ -158,9 +152,8 @@ def clock_offset(ros: RosThread, loop: asyncio.AbstractEventLoop) -> float:
     return float(ros.node.get_clock().now().nanoseconds * 1e-9 - loop.time())
 
 
-# --- the topic /diagnostics ----------------------------------------------------------------
-# The topic ``/diagnostics``: the node, its tasks, the action servers and sensors that it needs, once a second while somebody listens.
-
+# --- the topic ``/diagnostics`` ------------------------------------------------------------
+# The node, its tasks, the action servers and sensors that it needs, once a second while somebody listens.
 
 TOPIC: Final = "/diagnostics"
 DIAGNOSTICS_PERIOD: Final = 1.0
@@ -224,15 +217,10 @@ def said_of(task: TaskStatus) -> str:
 
 
 class Diagnostics:
-    """Publishes diagnoses, which are made only while there are subscriptions. To be used on the event loop's thread.
+    """Publishes diagnoses of all parts, which are made only while there are subscriptions. To be used on the event loop's thread.
 
     The mutable state is the timer, and the diagnosis that is being made.
-
-    Args:
-        diagnose: how all parts are.
-
-    Raises:
-        InputError: the type of the messages is not installed.
+    Raises `InputError` if the type of the messages is not installed.
     """
 
     def __init__(self, ros: RosThread, diagnose: Callable[[], Awaitable[Iterable[Diagnosis]]]) -> None:
@@ -245,8 +233,13 @@ class Diagnostics:
 
     async def open(self) -> None:
         """Advertise the topic."""
+
+        def begin() -> None:
+            if self._topic.subscriptions and (self._work is None or self._work.done()):
+                self._work = self._loop.create_task(self.publish())
+
         await self._topic.open()
-        self._timer = await self._ros.ask(lambda: self._ros.timer(DIAGNOSTICS_PERIOD, partial(call_on_loop, self._loop, self._begin)))
+        self._timer = await self._ros.ask(lambda: self._ros.timer(DIAGNOSTICS_PERIOD, partial(call_on_loop, self._loop, begin)))
 
     async def close(self) -> None:
         """Withdraw the topic."""
@@ -255,10 +248,6 @@ class Diagnostics:
             self._work.cancel()
             await asyncio.wait((self._work,))
         await self._topic.close()
-
-    def _begin(self) -> None:
-        if self._topic.subscriptions and (self._work is None or self._work.done()):
-            self._work = self._loop.create_task(self.publish())
 
     async def publish(self) -> None:
         """Publish how all parts are now."""

@@ -15,7 +15,7 @@ from pnm.core.machine.bindings import Bindings
 from pnm.core.message_fields import Comparison, Every, Field, FieldValue, Flag, Negation, Some, Unreadable, parse_field, succeeds
 from pnm.errors import InputError
 from pnm.knowledge.sensor_file import read_sensing
-from pnm.knowledge.sensor_model import ByService, ByTopic, instances, read, unknown
+from pnm.knowledge.sensor_model import ByService, instances, read, unknown
 from pnm.ros.backend import Ros2Backend
 from tests.support.files import refused, written
 from tests.support.pddl.sensed_world import EVERYTHING, KNOWN, SENSING, look, objects
@@ -29,9 +29,9 @@ BAD_INPUT = Path(__file__).with_name("refused")
 
 def test_a_file_is_read(everything):
     battery, zone, light = everything.sensors
-    assert (battery.stale, battery.lag, battery.way, battery.type) == (10.0, 0.5, ByTopic(), "test_msgs/msg/BasicTypes")
+    assert (battery.stale, battery.lag, battery.service, battery.type) == (10.0, 0.5, None, "test_msgs/msg/BasicTypes")
     assert (zone.stale, zone.lag, zone.type) == (30.0, None, None)
-    assert light.way == ByService({"room": ["hall"], "level": 2}, 2.0, 0.5)
+    assert light.service == ByService({"room": ["hall"], "level": 2}, 2.0, 0.5)
     assert light.lag == 1.0, "a request may be under way when an action ends, and another one follows it"
     assert everything.names == {"battery", "charged", "at", "location", "dark"}
     assert everything.lags(1.0) == {"battery": 0.5, "charged": 0.5, "at": 1.0, "location": 1.0, "dark": 1.0}

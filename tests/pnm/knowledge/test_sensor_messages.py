@@ -79,7 +79,7 @@ def test_a_table_of_objects_is_needed_only_for_values_that_are_no_objects(everyt
 def test_a_request_names_objects(tmp_path):
     text = "sensors: [{service: s, for: {r: arm}, request: {who: '?r', n: [1, '?r']}, facts: [{fact: '(charged ?r)'}]}]"
     (only,) = instances(read_sensing(written(tmp_path, text), KNOWN), objects)
-    assert only.request(only.sensor.way) == {"who": "a1", "n": [1, "a1"]}
+    assert only.request(only.sensor.service) == {"who": "a1", "n": [1, "a1"]}
     assert read(only, look({}), objects).facts == {("charged", "a1"): True}, "that somebody answers may be all there is to say"
 
 
