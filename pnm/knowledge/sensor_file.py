@@ -15,19 +15,7 @@ from pnm.core.message_fields import Field, FieldValue, fields_in
 from pnm.errors import InputError, Position, suggestion
 from pnm.files.yaml_nodes import Mapped, load_yaml, texts_in
 from pnm.knowledge.field_reader import read_field, read_number, read_object, read_table, read_test
-from pnm.knowledge.sensor_model import (
-    VALUE,
-    ByService,
-    ExclusiveFact,
-    Fact,
-    Number,
-    Object,
-    Sensing,
-    Sensor,
-    Statement,
-    Stored,
-    placeholders,
-)
+from pnm.knowledge.sensor_model import VALUE, ByService, ExclusiveFact, Fact, Number, Object, Sensing, Sensor, Stored, placeholders
 
 EVERY: Final = 1.0
 """Seconds from an answer of a service to the next request, if there is no reason to ask before."""
@@ -165,7 +153,7 @@ class _Reader:
 
     # --- statements ---
 
-    def _statement(self, entry: Mapped, around: tuple[Variable, ...]) -> Statement:
+    def _statement(self, entry: Mapped, around: tuple[Variable, ...]) -> Fact | ExclusiveFact | Number | Object:
         own = self._variables(entry)
         variables = (*around, *own)
         kinds = [key for key in ("fact", "number", "object") if key in entry.nodes]
