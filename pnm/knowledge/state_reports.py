@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
 from math import prod
@@ -77,44 +77,40 @@ _ABSENT: Final[Mapping[FluentKind, Value | Unknown]] = {FluentKind.FACT: False, 
 _log = logging.getLogger(__name__)
 
 
+@dataclass(eq=False, repr=False)
 class StateReports:
     """Records reports that are complete about the names they give, and makes names unknown that become stale or are reported wrongly.
 
-    The mutable state is what is declared; of every name reported so far its watchdog, its last count of reports, and how often that went
-    back; the values that unknown names had before; the statements that were found to be right; and the warnings given.
-
-    Args:
-        knowledge: records the reports.
-        ignored: names whose reports are not recorded, with the reason for a warning; empty for no warning.
-        lag: seconds that reports may be late.
-        stale: seconds without a report after which a name becomes unknown; None for never.
-        known: the declared names, which reports are checked against; None if nothing is declared.
-        source: what people know the source of the reports by.
+    The mutable state is what is declared, and all private fields.
     """
 
-    def __init__(
-        self,
-        knowledge: KnowledgeBase,
-        ignored: Mapping[str, str],
-        lag: float,
-        stale: float | None = None,
-        known: Vocabulary | None = None,
-        source: str = "the state topic",
-    ) -> None:
-        self._knowledge = knowledge
-        self._ignored = dict(ignored)
-        self._lag = lag
-        self._stale = stale
-        self._complaints = Complaints(source)
-        self.declare(known)
-        self._watchdogs: dict[str, StalenessWatchdog] = {}
-        self._before: dict[str, dict[Fluent, Value | Unknown]] = {}
-        self._senders: dict[str, tuple[int, int]] = {}
+    knowledge: KnowledgeBase
+    """It records the reports."""
+    ignored: Mapping[str, str]
+    """Names whose reports are not recorded, with the reason for a warning; empty for no warning."""
+    lag: float
+    """Seconds that reports may be late."""
+    stale: float | None = None
+    """Seconds without a report after which a name becomes unknown; None for never."""
+    known: Vocabulary | None = None
+    """The declared names, which reports are checked against; None if nothing is declared."""
+    source: str = "the state topic"
+    """The name by which people know the source of the reports."""
+    _warned: set[str] = field(default_factory=set)
+    _right: dict[Fluent, Value | Unknown] = field(default_factory=dict)
+    """Statements that were found to be right."""
+    _watchdogs: dict[str, StalenessWatchdog] = field(default_factory=dict)
+    _before: dict[str, dict[Fluent, Value | Unknown]] = field(default_factory=dict)
+    """The values that unknown names had before."""
+    _senders: dict[str, tuple[int, int]] = field(default_factory=dict)
+    """Of every name its last count of reports, and how often that went back."""
+
+    def __post_init__(self) -> None:
+        self._complaints = Complaints(self.source)
 
     def declare(self, known: Vocabulary | None) -> None:
         """Check reports against these names from now on."""
-        self._known = known
-        self._right: dict[Fluent, Value | Unknown] = {}
+        self.known, self._right = known, {}
 
     def record(self, names: Collection[str], facts: Mapping[Fluent, Value | Unknown], sequence: int = 0) -> None:
         """Record a report that is complete about the names; those of which it says what cannot be so become unknown."""
@@ -122,10 +118,10 @@ class StateReports:
         if wrong:
             self._complaints.note(next(iter(wrong.values())))
         watched = self._watched(names) - wrong.keys()
-        self._knowledge.sense(watched, lag=self._lag)
+        self.knowledge.sense(watched, lag=self.lag)
         returned = {fluent: value for name in watched for fluent, value in self._before.pop(name, {}).items()}
         reported = {fluent: value for fluent, value in facts.items() if fluent[0] in watched}
-        changed = {fluent[0] for fluent in self._knowledge.replace(watched, {**returned, **reported})}
+        changed = {fluent[0] for fluent in self.knowledge.replace(watched, {**returned, **reported})}
         for name in watched:
             last, returns = self._senders.get(name, (0, 0))
             if name in changed and 1 < sequence <= last:  # each sender counts its reports, and one that is restarted begins with 1
@@ -136,8 +132,8 @@ class StateReports:
             if name in self._watchdogs:
                 self._watchdogs[name].reset()
             else:
-                silence = f"nothing was reported about {name} for {self._stale:g} s" if self._stale else ""
-                self._watchdogs[name] = StalenessWatchdog(self._stale, partial(self._forget, name, silence))
+                silence = f"nothing was reported about {name} for {self.stale:g} s" if self.stale else ""
+                self._watchdogs[name] = StalenessWatchdog(self.stale, partial(self._forget, name, silence))
         self._distrust(self._watched(names) & wrong.keys())
 
     def readiness(self, topic: str, kinds: Collection[str]) -> tuple[Readiness, ...]:
@@ -157,28 +153,28 @@ class StateReports:
 
     def _watched(self, names: Collection[str]) -> frozenset[str]:
         """Return the names that are recorded; there is a warning about those that are not."""
-        for name in sorted(set(names) & self._ignored.keys()):
-            if self._ignored[name]:
-                _log.warning("reports about %s are ignored: %s", name, self._ignored[name])
-                self._ignored[name] = ""
-        return frozenset(name for name in names if self._known is None or self._known.may_be_reported(name)) - self._ignored.keys()
+        for name in sorted(set(names) & self.ignored.keys()):
+            if self.ignored[name] and name not in self._warned:
+                _log.warning("reports about %s are ignored: %s", name, self.ignored[name])
+                self._warned.add(name)
+        return frozenset(name for name in names if self.known is None or self.known.may_be_reported(name)) - self.ignored.keys()
 
     def _wrong(self, names: Collection[str], facts: Mapping[Fluent, Value | Unknown]) -> dict[str, str]:
         """Return the names of which the report says what cannot be so, with the reasons."""
         wrong: dict[str, str] = {}
-        if self._known is not None:
-            for name in sorted(name for name in names if not (self._known.may_be_reported(name) or name in self._ignored)):
-                wrong[name] = f"{name} is not declared; {suggestion(name, self._known.fluents) or 'nothing it says of that is recorded'}"
+        if self.known is not None:
+            for name in sorted(name for name in names if not (self.known.may_be_reported(name) or name in self.ignored)):
+                wrong[name] = f"{name} is not declared; {suggestion(name, self.known.fluents) or 'nothing it says of that is recorded'}"
         for fluent, value in facts.items():
             name, is_number = fluent[0], not isinstance(value, bool | str)
-            if name in wrong or name in self._ignored:
+            if name in wrong or name in self.ignored:
                 continue
             if name not in names:  # then it is not known what it is about
                 reason = f"it says {statement_text(fluent, value)}, but does not name {name} among the names that it covers"
                 wrong |= {name: reason, **dict.fromkeys(names, reason)}
-            elif self._known is not None and (is_number or self._right.get(fluent) != value):
+            elif self.known is not None and (is_number or self._right.get(fluent) != value):
                 try:
-                    self._known.check_report(fluent, value)
+                    self.known.check_report(fluent, value)
                 except InputError as error:
                     wrong[name] = error.message
                 else:
@@ -194,7 +190,7 @@ class StateReports:
 
     def _distrust(self, names: Collection[str]) -> None:
         """Note that there is a sensor for the names, and that what it sees is not known."""
-        self._knowledge.sense(names, lag=self._lag)
+        self.knowledge.sense(names, lag=self.lag)
         for name in names:
             if name not in self._before:
                 self._forget(name)
@@ -203,14 +199,14 @@ class StateReports:
         if silence:
             _log.warning("%s; it is unknown now", silence)
         before: dict[Fluent, Value | Unknown] = {}
-        signature = self._known.signatures.get(name) if self._known else None
+        signature = self.known.signatures.get(name) if self.known else None
         if signature is not None:
-            objects = [self._knowledge.objects(types) for types in signature.parameters]
+            objects = [self.knowledge.objects(types) for types in signature.parameters]
             if prod(map(len, objects)) <= MAX_INSTANCES:
                 before = {(name, *arguments): _ABSENT[signature.kind] for arguments in product(*objects)}
-        before |= {fluent: absent_value(value) for fluent, value in self._knowledge.facts().items() if fluent[0] == name}
+        before |= {fluent: absent_value(value) for fluent, value in self.knowledge.facts().items() if fluent[0] == name}
         self._before[name] = before
-        self._knowledge.forget(before, silence)
+        self.knowledge.forget(before, silence)
 
 
 # --- complaints: the first is logged at once, those that follow as a number ----------------

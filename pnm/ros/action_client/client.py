@@ -174,8 +174,8 @@ class Ros2ActionClient:
             name = server_name(self._ros.node, server)
             same = next((link for link in self._links.values() if link.name == name), None)
             if same is None:
-                known = self._ros.node, server, type_name, self._ros.joined, self._others
-                same = ServerLink(*known, several=several, may_act=self._may_act, grace=self._grace)
+                own = self._others, self._may_act, self._grace
+                same = ServerLink(self._ros.node, server, type_name, self._ros.joined, several, *own)
             else:
                 same.connection.expect(type_name, several=several)
             self._links[key] = same

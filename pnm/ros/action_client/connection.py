@@ -8,9 +8,10 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import partial
 from time import monotonic
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 from uuid import UUID, uuid4
 
 from pnm.errors import InputError
@@ -29,63 +30,56 @@ FRESH: Final = 0.02
 _UNREAD: Final = 100
 """Messages of feedback that wait to be looked at: in a quarter of a second there are fewer, or the last ones do."""
 
+MayAct: TypeAlias = Callable[[], bool]
+"""Whether something may be sent or cancelled; asked on the ROS thread, right before that. What may not be is kept until it may."""
+
 _log = logging.getLogger(__name__)
 
 
+@dataclass(eq=False, repr=False)
 class Connection:
     """The connection to one action server, of a type that is given or found in the graph.
 
     The mutable state is our client, that of the services and the feedback, and its handshake, once the type is known, the last look at
     the processes, until when a missing server is expected, and when something was answered twice last.
-
-    Args:
-        several: whether there may be several servers of this name, all of which carry out every goal.
-        joined: when the node joined the ROS graph, on the monotonic clock.
-        changed: called when goals may be sent that could not be sent before.
-        doubled: called with a goal that several servers have answered, though there may not be several.
-        may_act: whether a goal may be cancelled; asked right before that.
     """
 
-    def __init__(
-        self,
-        node: Any,
-        server: str,
-        type_name: str | None,
-        joined: float,
-        *,
-        several: bool,
-        changed: Callable[[], None],
-        doubled: Callable[[UUID], None],
-        may_act: Callable[[], bool],
-    ) -> None:
-        self._node = node
-        self.name = server_name(node, server)
-        self._wanted_type = type_name
-        self.type: Any = import_type(type_name) if type_name else None
-        self._several = several
-        self._changed = changed
-        self._doubled = doubled
-        self._may_act = may_act
-        self._doubled_at = -math.inf
-        self.services: Any = None
-        self.handshake: Any = None
-        self._feedback: Any = None
-        self._processes: frozenset[bytes] = frozenset()
-        self._looked = -math.inf
-        self._expected_until = max(joined + START, monotonic() + DISCOVERY)
+    node: Any
+    server: str
+    wanted_type: str | None
+    joined: float
+    """The time at which the node joined the ROS graph, on the monotonic clock."""
+    several: bool
+    """Whether there may be several servers of this name, all of which carry out every goal."""
+    changed: Callable[[], None]
+    """Called when goals may be sent that could not be sent before."""
+    doubled: Callable[[UUID], None]
+    """Called with a goal that several servers have answered, though there may not be several."""
+    may_act: MayAct
+    services: Any = None
+    handshake: Any = None
+    _feedback: Any = None
+    _doubled_at: float = -math.inf
+    _processes: frozenset[bytes] = frozenset()
+    _looked: float = -math.inf
+
+    def __post_init__(self) -> None:
+        self.name = server_name(self.node, self.server)
+        self.type: Any = import_type(self.wanted_type) if self.wanted_type else None
+        self._expected_until = max(self.joined + START, monotonic() + DISCOVERY)
         if self.type is not None:
             self._connect()
 
     def expect(self, type_name: str | None, *, several: bool) -> None:
         """Note another binding of the same server; raise an `InputError` if they contradict each other."""
-        self._several = self._several or several
-        if type_name is None or type_name == self._wanted_type:
+        self.several = self.several or several
+        if type_name is None or type_name == self.wanted_type:
             return
-        if self._wanted_type is None and self.type is None:
-            self._wanted_type, self.type = type_name, import_type(type_name)
+        if self.wanted_type is None and self.type is None:
+            self.wanted_type, self.type = type_name, import_type(type_name)
             self._connect()
         elif import_type(type_name) is not self.type:
-            other = self._wanted_type or f"{self.type.__module__.split('.')[0]}/action/{self.type.__name__}"
+            other = self.wanted_type or f"{self.type.__module__.split('.')[0]}/action/{self.type.__name__}"
             raise InputError(f"the action server {self.name} is bound with two types: {other} and {type_name}")
 
     def ready(self) -> bool:
@@ -99,7 +93,7 @@ class Connection:
         return is_there
 
     def _is_reached(self) -> bool:
-        if self.services is None and (known := types(self._node, self.name)):
+        if self.services is None and (known := types(self.node, self.name)):
             try:
                 self.type = import_type(known[0])
             except InputError as error:
@@ -114,9 +108,9 @@ class Connection:
         from pnm.ros.action_client.action_services import ActionServices, UnheardTopic  # here, because rclpy is an extra
 
         twice, kind = self._note_second_answer, self.type.Impl.FeedbackMessage
-        self.services = ActionServices(self._node, self.type, self.name, answered_twice=twice, may_act=self._may_act)
-        self._feedback = UnheardTopic(self._node, kind, f"{self.name}/_action/feedback", _UNREAD)
-        self.handshake = Handshake(self.services, self._changed)
+        self.services = ActionServices(self.node, self.type, self.name, answered_twice=twice, may_act=self.may_act)
+        self._feedback = UnheardTopic(self.node, kind, f"{self.name}/_action/feedback", _UNREAD)
+        self.handshake = Handshake(self.services, self.changed)
 
     def feedback(self) -> dict[UUID, Any]:
         """Return the latest feedback about each goal of which there is some since the last time."""
@@ -125,12 +119,12 @@ class Connection:
 
     def absence(self, now: float) -> str:
         """Return why the server, which is not ready, is not expected any more; empty while it is."""
-        return absence(servers(self._node), self.name, self._wanted_type) if now >= self._expected_until else ""
+        return absence(servers(self.node), self.name, self.wanted_type) if now >= self._expected_until else ""
 
     def processes(self) -> frozenset[bytes]:
         """Return the processes that serve the action."""
         if (now := monotonic()) - self._looked >= FRESH:
-            self._processes, self._looked = processes(self._node, self.name), now
+            self._processes, self._looked = processes(self.node, self.name), now
         return self._processes
 
     def may_send(self) -> bool:
@@ -164,7 +158,7 @@ class Connection:
         """Return why nothing may be sent: other servers would carry it out as well; empty when there are none, or they are allowed."""
         if not self.are_several(present):
             self._doubled_at = -math.inf
-        elif not self._several:
+        elif not self.several:
             number = max(2, len(present))
             return f"there are {number} action servers {self.name}, all of which would carry out every goal (see `several_servers`)"
         return ""
@@ -172,8 +166,8 @@ class Connection:
     def _note_second_answer(self, goal: UUID | None) -> None:
         """Note that two servers have answered one request, and the goal that it has sent, if it was one."""
         self._doubled_at = monotonic()
-        if goal is not None and not self._several:
-            self._doubled(goal)
+        if goal is not None and not self.several:
+            self.doubled(goal)
 
 
 # --- when is it safe to send a goal? -------------------------------------------------------
@@ -204,27 +198,24 @@ UNWATCHED: Final = 2.0
 """Seconds between two looks at the graph after which all probes are repeated: a cut that both ends notice lasts longer."""
 
 
+@dataclass(eq=False, repr=False)
 class Handshake:
-    """The handshake with the processes that serve one action.
+    """The handshake with the processes that serve one action. All fields but the first two change."""
 
-    The mutable state is the processes that have answered a probe and since when they have, when the graph was last looked at, when the
-    last probe was sent, the abandoned goals, and when they were last recalled.
-
-    Args:
-        services: `pnm.ros.action_client.action_services.ActionServices`, of our client.
-        changed: called when an answer has arrived, after which goals may be sent.
-    """
-
-    def __init__(self, services: Any, changed: Callable[[], None]) -> None:
-        self._services = services
-        self._changed = changed
-        self._met: frozenset[bytes] | None = None
-        self._met_at = -math.inf
-        self._looked = -math.inf
-        self._probed = -math.inf
-        self.abandoned: set[UUID] = set()
-        """Goals that the server may still be executing, or may never have accepted."""
-        self._recalled = -math.inf
+    services: Any
+    """`pnm.ros.action_client.action_services.ActionServices`, of our client."""
+    changed: Callable[[], None]
+    """Called when an answer has arrived, after which goals may be sent."""
+    abandoned: set[UUID] = field(default_factory=set)
+    """Goals that the server may still be executing, or may never have accepted."""
+    _met: frozenset[bytes] | None = None
+    """The processes that have answered a probe."""
+    _met_at: float = -math.inf
+    _looked: float = -math.inf
+    """The time of the last look at the graph."""
+    _probed: float = -math.inf
+    _recalled: float = -math.inf
+    """The time at which the abandoned goals were recalled last."""
 
     def is_done(self, present: frozenset[bytes], now: float) -> bool:
         """Return True if all present processes have discovered us and none may be executing an abandoned goal."""
@@ -250,20 +241,20 @@ class Handshake:
         if not is_met or (len(present) > 1 and now - self._probed >= SUSPICION):
             if now - self._probed >= AGAIN:  # probes are lost silently until the server has discovered us, so they are repeated
                 self._probed = now
-                self._services.ask_result(uuid4(), partial(self._on_answer, present))
+                self.services.ask_result(uuid4(), partial(self._on_answer, present))
         elif not is_done and now - self._recalled >= AGAIN:
             # only now: before the probes are answered, an answer about a goal would be lost
             self._recalled = now
             for goal in self.abandoned:
-                self._services.cancel_goal(goal)
-                self._services.ask_result(goal, partial(self._on_recalled, goal))
+                self.services.cancel_goal(goal)
+                self.services.ask_result(goal, partial(self._on_recalled, goal))
 
     def _on_answer(self, present: frozenset[bytes], response: object) -> None:
         # The processes present when the probe was sent: one that came later may not have discovered us yet.
         if self._met is None or not present <= self._met:
             self._met_at = monotonic()
         self._met = present
-        self._changed()
+        self.changed()
 
     def _on_recalled(self, goal: UUID, response: object) -> None:
         """Any answer ends an abandoned goal: it is over, or the server does not know it."""
@@ -271,4 +262,4 @@ class Handshake:
         if goal in self.abandoned:
             self.abandoned.discard(goal)
             if not self.abandoned:
-                self._changed()
+                self.changed()

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Callable
 from functools import partial
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Final
@@ -23,8 +22,8 @@ from uuid import UUID
 from pnm.core.machine.bindings import Foreign
 from pnm.core.machine.requests import Accepted, OutcomeKind
 from pnm.errors import PnmError, counted
-from pnm.ros.action_client.connection import Connection
-from pnm.ros.action_client.goal import AGAIN, ASKS, GRACE, OVER, UNKNOWN, Goal, Liveness, Verdict
+from pnm.ros.action_client.connection import Connection, MayAct
+from pnm.ros.action_client.goal import AGAIN, ASKS, OVER, UNKNOWN, Goal, Liveness, Verdict
 from pnm.ros.node.messages import fields, fitted_binding, to_data, to_message
 
 if TYPE_CHECKING:
@@ -43,34 +42,21 @@ class ServerLink:
     """The link to one action server. The mutable state is the goals by how far they are, and that of the connection.
 
     Args:
-        several: whether there may be several servers of this name, all of which carry out every goal.
-        joined: when the node joined the ROS graph, on the monotonic clock.
-        may_act: whether a goal may be sent; asked right before that.
-        grace: seconds for which the server may be missing from the graph before its goals are lost.
         others: what servers are at work on that this process has not sent.
+        grace: seconds for which the server may be missing from the graph before its goals are lost.
+        node, server, type_name, joined, several, may_act: see `Connection`; goals are not sent, either, when they may not be.
     """
 
     def __init__(
-        self,
-        node: Any,
-        server: str,
-        type_name: str | None,
-        joined: float,
-        others: OtherGoals,
-        *,
-        several: bool = False,
-        may_act: Callable[[], bool] = lambda: True,
-        grace: float = GRACE,
+        self, node: Any, server: str, type_name: str | None, joined: float, several: bool, others: OtherGoals, may_act: MayAct, grace: float
     ) -> None:
+        self._others = others
         self._may_act = may_act
         self._grace = grace
-        self._others = others
         self._queued: deque[Goal] = deque()
         self._unanswered: set[Goal] = set()
         self._accepted: set[Goal] = set()
-        self.connection = Connection(
-            node, server, type_name, joined, several=several, changed=self._pump, doubled=self._stop_doubled, may_act=may_act
-        )
+        self.connection = Connection(node, server, type_name, joined, several, self._pump, self._stop_doubled, may_act)
         self.name = self.connection.name
         self._at_work()
 
