@@ -28,10 +28,10 @@ from pnm.knowledge.source import FindKnowledge, Source
 from pnm.knowledge.state_reports import StateReports
 from pnm.ros.action_client.client import Ros2ActionClient
 from pnm.ros.knowledge import KnowledgeServices, service_prefix
-from pnm.ros.node.graph import GraphSnapshot, absence, server_name, similar, snapshot
+from pnm.ros.node.graph import GraphSnapshot, absence, resolved, server_name, similar, snapshot
 from pnm.ros.node.messages import fields, fitted_binding, import_type
 from pnm.ros.node.ros_thread import RosThread
-from pnm.ros.sensors import TOPIC, SensedReports, Sensors, SensorUse, checked, resolved
+from pnm.ros.sensors import TOPIC, SensedReports, Sensors, SensorUse, checked
 from pnm.ros.sim_time import USE_SIM_TIME, follow_sim_time
 
 DISCOVERY: Final = 10.0
@@ -146,7 +146,8 @@ class Ros2Backend:
     async def check_sensors(self, sensing: Sensing, objects: Objects) -> None:
         """Raise an `InputError` if these sensors cannot be those of another world: two report the same, or a name is not valid in ROS."""
         every = instances(sensing, objects)
-        await self.ros.ask(lambda: [resolved(self.ros.node.resolve_topic_name, instance, "sensor") for instance in every])
+        resolve = self.ros.node.resolve_topic_name
+        await self.ros.ask(lambda: [resolved(resolve, one.name, "a sensor", one.sensor.position) for one in every])
 
     async def sense_objects(self, sensing: Sensing) -> None:
         """Have the sensors report on the objects that are known now, if these are others than before."""

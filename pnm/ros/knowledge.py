@@ -25,7 +25,7 @@ from pnm.knowledge.people import ANSWER_LIMIT, message_text, question_text, read
 from pnm.knowledge.source import Asker, FindKnowledge, Source, SourceError, read_value, write_value
 from pnm.knowledge.sources import Surroundings, only, seconds, text
 from pnm.ros.node.messages import import_type, to_message
-from pnm.ros.node.ros_thread import RosThread, call_on_loop
+from pnm.ros.node.ros_thread import RosThread, call_on_loop, profile
 from pnm.ros.node.services import Fields, Handler, RequestServices, ServiceClient, until_true
 
 LAYERS: Final = (Layer.LOCAL, Layer.GLOBAL, Layer.ALL, Layer.PERSON)
@@ -324,11 +324,9 @@ class Ros2Person:
 
     def _subscribe(self, loop: asyncio.AbstractEventLoop) -> None:
         from rclpy.event_handler import SubscriptionEventCallbacks  # here, because rclpy is an extra
-        from rclpy.qos import DurabilityPolicy, QoSProfile
 
         if self._publisher is None:
-            latched = QoSProfile(depth=DEPTH, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-            self._publisher = self._ros.node.create_publisher(self._types[0], f"{self._name}/questions", latched)
+            self._publisher = self._ros.node.create_publisher(self._types[0], f"{self._name}/questions", profile(DEPTH, latched=True))
 
             def matched(change: Any) -> None:
                 if change.current_count_change > 0:  # repeat, a little later, what is open then: somebody new may have answered it in vain
@@ -338,8 +336,8 @@ class Ros2Person:
                 call_on_loop(loop, self._answered, message.id, None if message.unknown else message.value)
 
             topic, events = f"{self._name}/answers", SubscriptionEventCallbacks(matched=matched)
-            qos = QoSProfile(depth=DEPTH)
-            self._subscription = self._ros.node.create_subscription(self._types[1], topic, receive, qos, event_callbacks=events)
+            create = self._ros.node.create_subscription
+            self._subscription = create(self._types[1], topic, receive, profile(DEPTH), event_callbacks=events)
 
     def _listeners(self) -> int:
         return int(self._publisher.get_subscription_count()) if self._publisher is not None else 0

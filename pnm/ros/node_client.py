@@ -10,8 +10,6 @@ from functools import partial
 from typing import Any, Final
 from uuid import UUID
 
-from rclpy.qos import DurabilityPolicy, QoSProfile
-
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Ended, Outcome, Report, Request
@@ -20,7 +18,7 @@ from pnm.knowledge.source import SourceError
 from pnm.ros.action_client.client import Ros2ActionClient
 from pnm.ros.knowledge import uuid_field
 from pnm.ros.node.messages import import_type
-from pnm.ros.node.ros_thread import RosThread, call_on_loop
+from pnm.ros.node.ros_thread import RosThread, call_on_loop, profile
 from pnm.ros.node.services import ServiceClient
 
 LIMIT: Final = 10.0
@@ -35,11 +33,7 @@ _NOBODY: Final = UUID(int=0)
 
 
 class NodeClient:
-    """A client of `pnm serve`, over the services, topics and actions that the node has for all.
-
-    Args:
-        ros: the thread of a node of its own, in the namespace of the other one.
-    """
+    """A client of `pnm serve`, over the services, topics and actions that the node has for all; its own node is in the same namespace."""
 
     def __init__(self, ros: RosThread) -> None:
         self._ros = ros
@@ -53,19 +47,15 @@ class NodeClient:
                 raise RosError(await self._absence("nothing is heard on executor/status")) from error
 
     async def task(self, prefix: str) -> UUID:
-        """Return the task whose id begins so; of an empty one, the only task that is not over.
-
-        Raises:
-            InputError: there is none, or more than one.
-        """
+        """Return the task whose id begins so, for an empty one the only task that is not over; raise `InputError` if there is not one."""
         status = await self.status()
         tasks = [UUID(bytes=bytes(task.id.uuid)) for task in status.tasks if prefix or task.state != task.OVER]
         fitting = [task for task in tasks if task.hex.startswith(prefix.replace("-", "").lower())]
         if len(fitting) == 1:
             return fitting[0]
-        known = ", ".join(task.hex[:8] for task in fitting or tasks)
         if not tasks:
             raise InputError("no task is going on")
+        known = ", ".join(task.hex[:8] for task in fitting or tasks)
         if not fitting:
             raise InputError(f"no task has an id that begins with {prefix!r}; there are {known}")
         raise InputError(f"expected the beginning of the id of one task, or --all; there are {known}")
@@ -114,10 +104,8 @@ class NodeClient:
     @asynccontextmanager
     async def hearing(self, kind: str, topic: str, *, latched: bool = False) -> AsyncIterator[asyncio.Queue[Any]]:
         """Subscribe to a topic, whose messages are in the queue."""
-        loop, heard = asyncio.get_running_loop(), asyncio.Queue[Any]()
-        durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
-        qos = QoSProfile(depth=1 if latched else 1000, durability=durability)
-        receive = partial(call_on_loop, loop, heard.put_nowait)
+        heard, qos = asyncio.Queue[Any](), profile(1 if latched else 1000, latched=latched)
+        receive = partial(call_on_loop, asyncio.get_running_loop(), heard.put_nowait)
         subscription = await self._ros.ask(lambda: self._ros.node.create_subscription(import_type(kind), topic, receive, qos))
         try:
             yield heard

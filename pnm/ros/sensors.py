@@ -19,8 +19,9 @@ from pnm.errors import InputError
 from pnm.knowledge.sensor_model import ByService, Instance, Reading, Sensing, instances, read, unknown
 from pnm.knowledge.source import SourceError
 from pnm.knowledge.state_reports import StalenessWatchdog
+from pnm.ros.node.graph import resolved
 from pnm.ros.node.messages import FieldError, fitted, import_type, to_message, value_at
-from pnm.ros.node.ros_thread import RosThread, call_on_loop
+from pnm.ros.node.ros_thread import RosThread, call_on_loop, profile
 from pnm.ros.node.services import ServiceClient
 
 _log = logging.getLogger(__name__)
@@ -129,15 +130,6 @@ def checked(instance: Instance, name: str) -> tuple[Any, Instance]:
     return kind, replace(instance, sensor=fitted(sensor, kind.Response if sensor.service else kind))
 
 
-def resolved(resolve: Callable[[str], object], instance: Instance, what: str) -> str:
-    """Return the full name of the sensor's topic or service; raise an `InputError` if it is not valid in ROS."""
-    try:
-        return str(resolve(instance.name))
-    except Exception as error:
-        reason = (str(error).strip().splitlines() or [repr(error)])[0]
-        raise InputError(f"not a name for a {what}: {instance.name!r} ({reason})", instance.sensor.position) from error
-
-
 # --- from a topic, with the QoS of each of its publishers: reliable or not, latched or not --
 
 DEPTH: Final = 10
@@ -183,7 +175,8 @@ class TopicSensor:
 
     def resolve(self) -> None:
         """Resolve the full name; raise an `InputError` if it is not valid in ROS."""
-        self.name = resolved(self._ros.node.resolve_topic_name, self.recorder.instance, "topic")
+        instance = self.recorder.instance
+        self.name = resolved(self._ros.node.resolve_topic_name, instance.name, "a topic", instance.sensor.position)
 
     def look(self) -> None:
         """Subscribe to new publishers."""
@@ -191,9 +184,9 @@ class TopicSensor:
 
         for info in self._ros.node.get_publishers_info_by_topic(self.name):
             if self._fits(info.topic_type):
-                profile = info.qos_profile
-                reliable = profile.reliability == ReliabilityPolicy.RELIABLE
-                self._subscribe(reliable, reliable and profile.durability == DurabilityPolicy.TRANSIENT_LOCAL)
+                qos = info.qos_profile
+                reliable = qos.reliability == ReliabilityPolicy.RELIABLE
+                self._subscribe(reliable, reliable and qos.durability == DurabilityPolicy.TRANSIENT_LOCAL)
 
     def destroy(self) -> None:
         """Unsubscribe."""
@@ -218,18 +211,13 @@ class TopicSensor:
         return False
 
     def _subscribe(self, reliable: bool, latched: bool) -> None:
-        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # here, because rclpy is an extra
+        from rclpy.qos import ReliabilityPolicy  # here, because rclpy is an extra
 
         if (reliable, latched) not in self._subscriptions:
-            profile = QoSProfile(
-                depth=DEPTH,
-                reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-                durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-            )
-            instance = self.recorder.instance
-            create = self._ros.node.create_subscription
+            instance, create, qos = self.recorder.instance, self._ros.node.create_subscription, profile(DEPTH, latched=latched)
+            qos.reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
             try:
-                self._subscriptions[reliable, latched] = create(self._kind, instance.name, self._receive, profile)
+                self._subscriptions[reliable, latched] = create(self._kind, instance.name, self._receive, qos)
             except Exception as error:  # this process uses the topic with another type, for example
                 reason = f"{instance.name} cannot be listened to: {error}"
                 call_on_loop(self.recorder.loop, self.recorder.refuse, InputError(reason, instance.sensor.position))
@@ -334,7 +322,8 @@ class ServiceSensor:
 
     def resolve(self) -> None:
         """Resolve the full name; raise an `InputError` if it is not valid in ROS."""
-        self.name = resolved(self._ros.node.resolve_service_name, self.recorder.instance, "service")
+        instance = self.recorder.instance
+        self.name = resolved(self._ros.node.resolve_service_name, instance.name, "a service", instance.sensor.position)
 
     def _types(self) -> list[str]:
         return [kind for name, kinds in self._ros.node.get_service_names_and_types() if name == self.name for kind in kinds]
@@ -486,10 +475,7 @@ class SensedReports:
         state = import_type("pnm_interfaces/msg/State")
 
         def subscribe() -> None:
-            from rclpy.qos import DurabilityPolicy, QoSProfile  # here, because rclpy is an extra
-
-            latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-            self._subscription = ros.node.create_subscription(state, topic, self._receive, latched)
+            self._subscription = ros.node.create_subscription(state, topic, self._receive, profile(10, latched=True))
 
         ros.call(subscribe)
 

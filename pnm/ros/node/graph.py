@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from typing import Any
@@ -20,11 +20,17 @@ def server_name(node: Any, server: str, position: Position | None = None) -> str
     """
     if "\0" in server:  # where `rclpy` would cut the name off: another server would get the goal
         raise InputError(f"not a name for an action server: {server!r} (it contains a zero character)", position)
+    topic = server.replace("-", "_") + _STATUS
+    return resolved(lambda _: node.resolve_topic_name(topic), server, "an action server", position).removesuffix(_STATUS)
+
+
+def resolved(resolve: Callable[[str], object], name: str, what: str, position: Position | None) -> str:
+    """Return the full name of something; raise an `InputError` if it is not valid in ROS."""
     try:
-        return str(node.resolve_topic_name(server.replace("-", "_") + _STATUS)).removesuffix(_STATUS)
+        return str(resolve(name))
     except Exception as error:
-        reason = str(error).strip().splitlines()
-        raise InputError(f"not a name for an action server: {server!r}{f' ({reason[0]})' if reason else ''}", position) from error
+        reason = (str(error).strip().splitlines() or [repr(error)])[0]
+        raise InputError(f"not a name for {what}: {name!r} ({reason})", position) from error
 
 
 def processes(node: Any, server: str) -> frozenset[bytes]:

@@ -7,10 +7,9 @@ from collections.abc import Callable, Hashable, Mapping
 from typing import Any, Final, Generic, TypeVar
 
 from rclpy.event_handler import PublisherEventCallbacks
-from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from pnm.ros.node.messages import import_type, to_message
-from pnm.ros.node.ros_thread import RosThread, call_on_loop
+from pnm.ros.node.ros_thread import RosThread, call_on_loop, profile
 
 DEPTH: Final = 1000
 """Messages that slow subscribers may be behind."""
@@ -48,8 +47,7 @@ class Publisher:
                 self._matched()
 
         def advertise() -> None:
-            durability = DurabilityPolicy.TRANSIENT_LOCAL if self._is_latched else DurabilityPolicy.VOLATILE
-            qos = QoSProfile(depth=1 if self._is_latched else DEPTH, durability=durability)
+            qos = profile(1 if self._is_latched else DEPTH, latched=self._is_latched)
             matched = PublisherEventCallbacks(
                 matched=lambda info: call_on_loop(self._loop, count, info.current_count, info.current_count_change)
             )

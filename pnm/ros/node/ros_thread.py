@@ -48,6 +48,13 @@ def call_on_loop(loop: asyncio.AbstractEventLoop, function: Callable[..., object
         _log.debug("the event loop is closed; %s is not called", function)
 
 
+def profile(depth: int, *, latched: bool = False) -> Any:
+    """Return the QoS of a topic or a service: the messages that a slow reader may be behind, and whether late ones get the last ones."""
+    from rclpy.qos import DurabilityPolicy, QoSProfile  # here, because rclpy is an extra
+
+    return QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
+
+
 class Rosout(logging.Handler):
     """Publishes on ``/rosout``, with the time of the wall, what the packages log and what happens to tasks.
 

@@ -19,7 +19,7 @@ from typing import Any, Final, TypeAlias
 from pnm.errors import PnmError, printable
 from pnm.knowledge.source import SourceError
 from pnm.ros.node.messages import FieldError, import_type, to_message
-from pnm.ros.node.ros_thread import RosThread, call_on_loop
+from pnm.ros.node.ros_thread import RosThread, call_on_loop, profile
 from pnm.tasks import TaskRefused
 
 # --- a client of a service -----------------------------------------------------------------
@@ -115,10 +115,8 @@ class ServiceClient:
     # on the ROS thread
 
     def _ready(self) -> bool:
-        from rclpy.qos import QoSProfile  # here, because rclpy is an extra
-
         if self._client is None:
-            self._client = self._ros.node.create_client(self._type, self._name, qos_profile=QoSProfile(depth=100))
+            self._client = self._ros.node.create_client(self._type, self._name, qos_profile=profile(100))
         ready = bool(self._client.service_is_ready())
         self._met &= ready  # a service that comes back is a new process, which has yet to discover us
         return ready
@@ -187,10 +185,8 @@ class RequestServices:
 
         def offer() -> None:
             from rclpy.callback_groups import ReentrantCallbackGroup  # here, because rclpy is an extra
-            from rclpy.qos import QoSProfile
 
-            # reentrant: the next request is taken while this one waits
-            deep, group = QoSProfile(depth=DEPTH), ReentrantCallbackGroup()
+            deep, group = profile(DEPTH), ReentrantCallbackGroup()  # reentrant: the next request is taken while this one waits
             for name, kind in kinds.items():
                 callback, create = self.callback(services[name][1]), self._ros.node.create_service
                 self._services.append(create(kind, name, callback, qos_profile=deep, callback_group=group))
