@@ -41,7 +41,7 @@ class LastWords:
     """
 
     def __init__(self) -> None:
-        self._words: Callable[[], object] = _cancelled
+        self._words: Callable[[], object] = lambda: sys.stderr.write("cancelled\n")
         self.status = CANCELLED
         self.is_program = False
         self.are_said = False
@@ -52,20 +52,12 @@ class LastWords:
 
     def say(self) -> None:
         """Say them, once."""
-        words, self._words, self.are_said = self._words, _nothing, True
+        words, self._words, self.are_said = self._words, lambda: None, True
         words()
 
     def drop(self, status: int) -> None:
         """Have nothing left to say: how it went has been told, and is the exit status."""
-        self._words, self.status = _nothing, status
-
-
-def _cancelled() -> None:
-    sys.stderr.write("cancelled\n")
-
-
-def _nothing() -> None:
-    """Say nothing."""
+        self._words, self.status = lambda: None, status
 
 
 LAST_WORDS: Final = LastWords()
@@ -79,10 +71,7 @@ class StoppableWork:
     `KeyboardInterrupt`. Signals that the caller ignores or handles are left alone;
     SIGINT is ignored in no program that `leave_at_ctrl_c`, which handles it before.
 
-    Args:
-        loop: runs the work.
-        cancelled: called on it whenever the work is cancelled, before that.
-
+    The loop runs the work; `cancelled` is called on it whenever the work is cancelled, before that.
     The mutable state is the task of the work, and when the last signal came, and whether the loop has yet to hear of it.
     """
 
@@ -124,13 +113,14 @@ class StoppableWork:
         if self._is_pending:
             raise KeyboardInterrupt
         self._is_pending = True
-        self._loop.call_soon_threadsafe(self._cancel)
 
-    def _cancel(self) -> None:
-        self._is_pending = False
-        self._cancelled()
-        if self._task is not None:
-            self._task.cancel()
+        def cancel() -> None:
+            self._is_pending = False
+            self._cancelled()
+            if self._task is not None:
+                self._task.cancel()
+
+        self._loop.call_soon_threadsafe(cancel)
 
 
 def leave_within(seconds: float) -> None:
@@ -140,16 +130,16 @@ def leave_within(seconds: float) -> None:
 
 def leave() -> NoReturn:
     """End the process at once. Nothing is closed: what is kept, such as a journal, is as after a crash."""
-    _later(0.0, _say_and_exit)
+
+    def say_and_exit() -> None:
+        try:
+            LAST_WORDS.say()
+        finally:
+            os._exit(LAST_WORDS.status)
+
+    _later(0.0, say_and_exit)
     sleep(_SPEAKING)  # who should read the words may have stopped reading
     os._exit(LAST_WORDS.status)
-
-
-def _say_and_exit() -> None:
-    try:
-        LAST_WORDS.say()
-    finally:
-        os._exit(LAST_WORDS.status)
 
 
 def _later(seconds: float, function: Callable[[], object]) -> None:
@@ -163,12 +153,9 @@ def _later(seconds: float, function: Callable[[], object]) -> None:
 
 
 def leave_at_ctrl_c(words: Callable[[], object]) -> None:
-    """Have Ctrl-C end this program at once where it is not `interruptible`.
+    """Have Ctrl-C end this program at once, with words that say so, where it is not `interruptible`.
 
     While it is being imported, and when it is over, there is nothing to be closed; and what is unwound there is no business of people.
-
-    Args:
-        words: says that it was cancelled.
     """
     LAST_WORDS.belong_to_program(words)
     signal.signal(signal.SIGINT, _leave_now)  # also when it was ignored, as by shells for what they start in the background

@@ -61,14 +61,9 @@ class DraftAction:
 
 
 def first_files(graph: GraphSnapshot, name: str) -> dict[str, str]:
-    """Return the texts of the first files by their names.
+    """Return the texts of the first files by their names, given the name of the domain and the problem.
 
-    Args:
-        graph: what is there.
-        name: of the domain and the problem.
-
-    Raises:
-        InputError: there is no action server, or of none is the type installed.
+    Raises `InputError` if there is no action server, or of none is the type installed.
     """
     actions, left_out, objects = actions_in(graph)
     if not actions:
@@ -81,9 +76,6 @@ def first_files(graph: GraphSnapshot, name: str) -> dict[str, str]:
         "bindings.yaml": bindings_text(actions, left_out),
         "sensing.yaml": sensors,
     }
-
-
-# --- what there is ---------------------------------------------------------------------------------
 
 
 def actions_in(graph: GraphSnapshot) -> tuple[list[DraftAction], list[str], dict[str, list[str]]]:
@@ -141,13 +133,14 @@ def bind_goal(action: DraftAction, goal: Any, objects: dict[str, list[str]]) -> 
         elif NUMBER.fullmatch(kind):
             action.goal.append(f'      {name}: {getattr(goal(), name)}   # decide: a number, or a function of the domain: "(speed)"')
         else:
-            inner = ", ".join(f"{path}: {its}" for path, its in list(_leaves_of(kind))[:12])
+            parts = leaves(import_type(kind.replace("/", "/msg/")), 1) if _MESSAGE.fullmatch(kind) else ()
+            inner = ", ".join(f"{path}: {its}" for path, its in [*parts][:12])
             action.goal.append(f"      # {name}: {{{inner}}}   # decide: a {kind}; its default is sent")
 
 
 def verdict_lines(result: Any) -> Iterator[str]:
     """Yield lines about success and reason, as far as names of fields suggest them."""
-    found = list(leaves(result, "", _DEPTH))
+    found = list(leaves(result, _DEPTH))
     verdict = next((path for path, kind in found if path.rpartition(".")[2] in _VERDICTS and kind == "boolean"), None)
     code = next((path for path, kind in found if path.rpartition(".")[2] in _CODES and "int" in kind), None)
     reason = next((path for path, kind in found if path.rpartition(".")[2] in _REASONS and kind.startswith("string")), None)
@@ -167,18 +160,13 @@ def verdict_lines(result: Any) -> Iterator[str]:
         yield f"    reason: {{field: {code}, table: {{{', '.join(words)}}}}}   # decide: the words that people read"
 
 
-def leaves(message: Any, before: str, depth: int) -> Iterator[tuple[str, str]]:
-    """Yield the paths and types of fields that are no messages themselves."""
+def leaves(message: Any, depth: int) -> Iterator[tuple[str, str]]:
+    """Yield the paths and types of fields that are no messages themselves, down to a depth."""
     for name, kind in message.get_fields_and_field_types().items():
         if not _MESSAGE.fullmatch(kind):
-            yield f"{before}{name}", kind
+            yield name, kind
         elif depth > 1:
-            yield from ((f"{before}{name}.{path}", its) for path, its in _leaves_of(kind))
-
-
-def _leaves_of(kind: str) -> Iterator[tuple[str, str]]:
-    if _MESSAGE.fullmatch(kind):
-        yield from leaves(import_type(kind.replace("/", "/msg/")), "", 1)
+            yield from ((f"{name}.{path}", its) for path, its in leaves(import_type(kind.replace("/", "/msg/")), depth - 1))
 
 
 def sensors_in(graph: GraphSnapshot, robots: list[str]) -> tuple[str, dict[str, str]]:
@@ -189,14 +177,15 @@ def sensors_in(graph: GraphSnapshot, robots: list[str]) -> tuple[str, dict[str, 
         is_robots = len(parts) == 2 and parts[0] in robots
         pattern, variable = (f"/{{robot}}/{parts[1]}", " ?robot") if is_robots else (topic, "")
         word = re.sub(r"\W", "_", parts[-1]).lower()
-        scope = ["    for: {robot: robot}"] if is_robots else []
-        head = "\n".join((f"  - topic: {pattern}", f"    type: {types[0]}", *scope, "    facts:")) + "\n"
+        scope = "    for: {robot: robot}\n" if is_robots else ""
+        head = f"  - topic: {pattern}\n    type: {types[0]}\n{scope}    facts:\n"
+        term = f"({word}{variable}{' - robot' if is_robots else ''})"
         if types == ("std_msgs/msg/Bool",):
             lines[pattern] = f"{head}      - fact: ({word}{variable})   # decide: its name\n        when: {{field: data, eq: true}}\n"
-            declared[f"({word}{' ?robot - robot' if is_robots else ''})"] = "predicate"
+            declared[term] = "predicate"
         elif types == ("sensor_msgs/msg/BatteryState",):
             lines[pattern] = f"{head}      - number: ({word}{variable})\n        field: percentage\n"
-            declared[f"({word}{' ?robot - robot' if is_robots else ''})"] = "function"
+            declared[term] = "function"
         elif not types[0].startswith(("rcl_interfaces/", "pnm_interfaces/", "action_msgs/")):
             others.append(f"# {topic}   {types[0]}\n")
     text = "# What topics and services say of the world. Facts that nothing reports are assumed to come true as actions say.\n\n"
@@ -205,9 +194,6 @@ def sensors_in(graph: GraphSnapshot, robots: list[str]) -> tuple[str, dict[str, 
         text += "\n# decide: which of these say something that goals or actions are about; docs/guides/sensing.md has the entries\n"
         text += "".join(others)
     return text, declared
-
-
-# --- the texts ---------------------------------------------------------------------------------------
 
 
 def domain_text(name: str, actions: list[DraftAction], sensed: Mapping[str, str]) -> str:

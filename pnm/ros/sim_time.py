@@ -19,8 +19,6 @@ USE_SIM_TIME: Final = ("--ros-args", "-p", "use_sim_time:=true")
 """Arguments for a node that follows ``/clock``."""
 LIMIT: Final = 10.0
 """Seconds of real time for a simulation to be heard."""
-
-
 STILL: Final = 5.0
 """Seconds of real time without a move after which it is said that ``/clock`` stands still."""
 JUMP: Final = 60.0
@@ -35,7 +33,6 @@ class SimClock:
     """A ``/clock`` as it is heard: its time, and what people should know of it, as it stands still, goes on or jumps.
 
     Times are in seconds; `real` ones are of a clock that nobody stops or sets.
-
     The mutable state is what it shows, the real time of its last move, since when its pace is measured, how many publish it, the last
     jump and when that was, and whether it stands still. It changes on the ROS thread.
     """
@@ -62,11 +59,10 @@ class SimClock:
             return ""
         began, since = self._since
         step, paused = shown - self.now, real - self._moved
-        pace = (self.now - began) / (self._moved - since) if self._moved > since else 0.0
-        self.now = shown
         if not step:
             return ""
-        self._moved = real
+        pace = (self.now - began) / (self._moved - since) if self._moved > since else 0.0
+        self.now, self._moved = shown, real
         was_still, self._still = self._still, ""
         if step <= -_BACK:
             return self._tell_jump(f"/clock went back by {-step:g} s, as if a simulation was reset: limits go on from there", shown, real)
@@ -101,10 +97,7 @@ async def follow_sim_time(ros: RosThread) -> SimClock | None:
     """Have the event loop follow ``/clock`` from now on if the node's parameter ``use_sim_time`` is set, and return that clock.
 
     A simulation that is paused pauses all limits, and after one that is reset they go on. Both are logged, as is one that jumps.
-
-    Raises:
-        InputError: the event loop is one that cannot.
-        RosError: nothing is heard on ``/clock``.
+    Raises `InputError` if the event loop is one that cannot, `RosError` if nothing is heard on ``/clock``.
     """
     if not await ros.ask(lambda: ros.node.get_parameter("use_sim_time").value):
         return None

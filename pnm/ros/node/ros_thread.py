@@ -82,11 +82,11 @@ class Rosout(logging.Handler):
         """Publish by this node from now on, unless another one does, or ROS arguments say that nothing shall be."""
         from rcl_interfaces.msg import Log
         from rclpy.duration import Duration
-        from rclpy.qos import DurabilityPolicy, QoSProfile
 
         named = ros.node.get_publisher_names_and_types_by_node(ros.node.get_name(), ros.node.get_namespace())
         if any(topic == "/rosout" for topic, _ in named):
-            qos = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL, lifespan=Duration(seconds=10))  # as ROS has it
+            qos = profile(1000, latched=True)
+            qos.lifespan = Duration(seconds=10)  # as ROS has it
             self._publishers[ros] = ros.node.create_publisher(Log, "/rosout", qos)
             for logger in self.LOGGERS:
                 logger.addHandler(self)
