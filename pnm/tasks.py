@@ -277,19 +277,13 @@ class TaskRefused(Exception):
 
 
 class TaskCommands(Protocol):
-    """The orders that people and programs may give for a task of a process, or for all if it is None; each may raise `TaskRefused`.
-
-    To be used on the event loop's thread.
-    """
+    """The orders for a task of a process, or for all if it is None, on the event loop's thread; each may raise `TaskRefused`."""
 
     def begin(self, wanted: Wanted, /) -> None:
         """Begin a task. Whatever is wrong with it ends it, with a code and a reason."""
 
     async def pause(self, task: UUID | None, /, *, at_once: bool) -> None:
-        """Start nothing more of it, nor of those that come later if it is None; `at_once` cancels running actions.
-
-        Returns when nothing of it is under way.
-        """
+        """Start nothing more of it, nor, if it is None, of later ones; cancel what runs if `at_once`. Returns when nothing is under way."""
 
     async def resume(self, task: UUID | None, /) -> None:
         """Let a task that was paused go on."""
@@ -339,10 +333,7 @@ class ServedWorld(Protocol):
     """Knowledge and problem of a process. To be used on the event loop's thread; what is wrong is an `InputError`."""
 
     async def query(self, questions: Sequence[str], /) -> Sequence[tuple[str, str]]:
-        """Return each question, a condition in PDDL or a function, with "true", "false", "unknown", a number or the name of an object.
-
-        Without questions, all facts are returned.
-        """
+        """Return each question, a condition or a function in PDDL, with its answer as a text: all facts, if there are no questions."""
 
     async def check_goal(self, goal: str, /) -> None:
         """Raise an error for a mistake in the goal of a task."""

@@ -36,10 +36,7 @@ class Backend(Protocol):
         """Connect, and begin to bring the knowledge up to date with state reports."""
 
     async def share(self, mark: bytes, find: FindKnowledge, source: Source) -> None:
-        """Let action servers query and update the knowledge of the run that sent them a request.
-
-        The identities of all requests begin with `mark`; `source` answers what the run does not know.
-        """
+        """Let action servers query the knowledge of the run whose requests' ids begin with `mark`, and what `source` answers beside it."""
 
     async def check(
         self, actions: Iterable[GroundAction] = (), wait: float = 0.0, known: Vocabulary | None = None
@@ -80,10 +77,7 @@ async def check_ready(backend: Backend, actions: Iterable[GroundAction] = (), kn
 
 
 def schedule(knowledge: KnowledgeBase, timed: Iterable[TimedChange], began: float, after: float = -inf) -> Callable[[], None]:
-    """Schedule the timed changes that no sensor reports, after the plan began at `began`; return a function that cancels them.
-
-    Those of a time before `after` have been made.
-    """
+    """Schedule the timed changes after `after` that no sensor reports, of a plan begun at `began`; return a function that cancels them."""
     timers: list[asyncio.TimerHandle] = []
     for change in (change for change in timed if began + change.time >= after):
         assumed = {fluent: value for fluent, value in change.changes.items() if not knowledge.is_sensed(fluent)}

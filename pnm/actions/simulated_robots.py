@@ -416,10 +416,7 @@ _CLOSE = 1e-6
 
 
 def arguments_of(goal: Mapping[str, object], message: Mapping[str, object]) -> dict[str, str] | None:
-    """Return the arguments by parameter that a message means which was filled by these goal fields; None if it was not.
-
-    What variables and functions have filled says nothing.
-    """
+    """Return the arguments that a message means which these goal fields filled, or None; variables and functions say nothing."""
     arguments: dict[str, str] = {}
     return arguments if _fits(goal, message, arguments) else None
 

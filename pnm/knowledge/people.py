@@ -303,10 +303,7 @@ async def ask_for_help(person: Source, asker: Asker, trouble: str, note: Callabl
 
 
 async def was_carried_out(person: Source, asker: Asker, request: UUID, action: str, note: Callable[[HelpAsked], None]) -> bool:
-    """Ask a person whether an action was carried out of which nobody else knows, and have it noted; without an answer it was not.
-
-    Raises `SourceError` if there is no person to be asked, or no answer means anything.
-    """
+    """Ask a person whether a lost action was carried out; without an answer it was not. `SourceError` if none means anything."""
     question = f"Nobody knows how {action} has ended: its action server has forgotten it. Was it carried out? Answer 'yes' or 'no'."
     return await _chosen(person, asker, "carried_out", HelpAsked(request, question, ("yes", "no"), request), note) == "yes"
 

@@ -33,11 +33,7 @@ class Source(Protocol):
     """A knowledge base outside of runs, or a person. Every method is called on the event loop, by many runs at once."""
 
     async def query(self, question: Question, asker: Asker, /) -> object:
-        """Return the answer to the question, or `MISSING`; cancelled when the answer is no longer needed.
-
-        Raises:
-            SourceError: the source could not be reached.
-        """
+        """Return the answer, or `MISSING`; raise `SourceError` if there is no way to it. Cancelled when it is no longer needed."""
 
     async def update(self, question: Question, value: object, asker: Asker, /) -> None:
         """Store the value, or forget it if it is None; when this returns, every later query finds it so.

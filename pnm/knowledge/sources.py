@@ -78,11 +78,7 @@ class Sources:
         return MISSING
 
     def answer(self, question: UUID, text: str) -> bool:
-        """Take a person's answer from elsewhere, so that the person is not asked any more; return whether the question is open.
-
-        Raises:
-            SourceError: the text is no answer to the question.
-        """
+        """Take a person's answer from elsewhere; return whether the question is open. Raise `SourceError` if the text is no answer."""
         asked, waiting = self._open.get(question, (None, None))
         if asked is None or waiting is None or waiting.done():
             return False
@@ -370,10 +366,7 @@ def default_path() -> Path:
 
 
 class DatabaseKnowledge:
-    """Variables in an SQLite file, by default at `default_path`, which is made with its folder when it is first needed; or in PostgreSQL.
-
-    All work is done on one thread, which has the connection; it is the mutable state.
-    """
+    """Variables in an SQLite file, by default at `default_path`, or in PostgreSQL; one thread has the connection, opened when needed."""
 
     def __init__(self, place: Place | None = None) -> None:
         self.place = default_path() if place is None else place

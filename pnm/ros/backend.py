@@ -127,11 +127,7 @@ class Ros2Backend:
     async def check(
         self, actions: Iterable[GroundAction] = (), wait: float = 0.0, known: Vocabulary | None = None
     ) -> tuple[Readiness, ...]:
-        """Return the readiness of the servers of all declared actions and of these, and of all sensors.
-
-        What is not there is looked for until this node has discovered the others, and for `wait` seconds. Raises `InputError` if the
-        name of a server is not valid in ROS.
-        """
+        """Return how ready all is, when others are discovered and `wait` seconds are over; `InputError` for an invalid name of a server."""
         until, has_settled = monotonic() + wait, False
         while True:
             rows = await self.look(actions, known)

@@ -61,10 +61,7 @@ class DraftAction:
 
 
 def first_files(graph: GraphSnapshot, name: str) -> dict[str, str]:
-    """Return the texts of the first files by their names, given the name of the domain and the problem.
-
-    Raises `InputError` if there is no action server, or of none is the type installed.
-    """
+    """Return the texts of the first files by their names; raise `InputError` if of no action server the type is installed."""
     actions, left_out, objects = actions_in(graph)
     if not actions:
         found = "; ".join(left_out) or "there is no action server in the ROS graph (is the robot on, and ROS_DOMAIN_ID the same?)"

@@ -480,10 +480,7 @@ class SensedReports:
         ros.call(subscribe)
 
     async def first(self, limit: float) -> bool:
-        """Wait until the first report was passed on; return whether there was one.
-
-        Gives up after `limit` seconds, and as soon as the ROS graph is known to have no publisher of reports.
-        """
+        """Wait for the first report until `limit` seconds are over, or the graph is known to have no publisher; return whether it came."""
         try:
             async with asyncio.timeout(limit):
                 while not self._heard.is_set():
@@ -528,10 +525,7 @@ class SensedReports:
 
 
 def read_state(message: Any) -> Facts:
-    """Return the facts, objects and numbers of a ``pnm_interfaces/msg/State``; a NaN is unknown.
-
-    Raises `InputError` if a fact is malformed, or there are not as many values as fluents.
-    """
+    """Return the facts, objects and numbers of a ``State``, a NaN as unknown; raise `InputError` if one of them is malformed."""
     if len(message.fluents) != len(message.values):
         raise InputError(f"{len(message.fluents)} fluents, but {len(message.values)} values")
     facts: Facts = dict(map(parse_statement, message.facts))

@@ -194,11 +194,7 @@ class Unheard(CallbackGroup):  # type: ignore[misc]
 
 
 class UnheardTopic:
-    """A subscription without a callback, only to be used on the ROS thread.
-
-    Args:
-        raw: whether messages are taken as the bytes that have arrived.
-    """
+    """A subscription without a callback, only to be used on the ROS thread; `raw` messages are taken as the bytes that have arrived."""
 
     def __init__(self, node: Any, kind: Any, topic: str, qos: Any, *, raw: bool = False) -> None:
         self._node = node

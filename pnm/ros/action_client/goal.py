@@ -205,10 +205,7 @@ _TIME: Final = ("sec", "nanosec")
 
 
 def feedback_line(message: Any) -> str:
-    """Return the fields of a message as "distance_remaining 1.2, recoveries 0".
-
-    Headers, empty texts and nested messages that nobody filled in are left out.
-    """
+    """Return the fields that somebody filled in, but for headers and empty texts, as "distance_remaining 1.2, recoveries 0"."""
     line = ""
     for part in readable_fields(message):
         longer = f"{line}, {part}" if line else part

@@ -67,10 +67,7 @@ class _Yield:
 
 
 class RunKnowledge:
-    """Clients of the executives whose goals are executed on a node.
-
-    The mutable state is the clients of each executive, the latest last, and those that have had a response.
-    """
+    """Clients of the executives whose goals are executed on a node, the latest last, and which of them have had a response."""
 
     def __init__(self, node: Any) -> None:
         self._node = node
@@ -273,17 +270,11 @@ class PnmActionServer(_ServerWithKnowledge):
     """An action server for any number of goals at a time, each with the knowledge of its run."""
 
     def query_kb(self, goal_handle: Any, layer: Layer, name: str, meta: object = None, *, timeout: float = LIMIT) -> object:
-        """Return the value of a variable, or `pnm.MISSING` if there is none; blocks this thread.
-
-        Raises `KnowledgeError` if it could not be queried in time, or the goal is being cancelled.
-        """
+        """Return the value of a variable, or `pnm.MISSING`; raise `KnowledgeError` if there is none in time. Blocks this thread."""
         return self._wait(self._knowledge.query(goal_handle, layer, name, meta, timeout), timeout)
 
     def update_kb(self, goal_handle: Any, layer: Layer, name: str, value: object, meta: object = None, *, timeout: float = LIMIT) -> None:
-        """Store a variable of a type of JSON; when this returns, every query finds it. Blocks this thread.
-
-        Raises `KnowledgeError` if it could not be stored in time, or the goal is being cancelled.
-        """
+        """Store a value of a type of JSON, for every later query; raise `KnowledgeError` if it is not in time. Blocks this thread."""
         self._wait(self._knowledge.update(goal_handle, layer, name, value, meta, timeout), timeout)
 
     async def query_kb_async(self, goal_handle: Any, layer: Layer, name: str, meta: object = None, *, timeout: float = LIMIT) -> object:  # noqa: ASYNC109 - none of asyncio

@@ -34,10 +34,7 @@ def resolved(resolve: Callable[[str], object], name: str, what: str, position: P
 
 
 def processes(node: Any, server: str) -> frozenset[bytes]:
-    """Return the processes that serve the action, by the GID of their status publisher, which is new after every restart.
-
-    A process that is killed stays in the graph until its lease ends, 20 s by default.
-    """
+    """Return the processes that serve the action, by the GID of their status publisher; a killed one stays for its lease of 20 s."""
     return frozenset(bytes(info.endpoint_gid) for info in node.get_publishers_info_by_topic(server + _STATUS))
 
 

@@ -37,10 +37,7 @@ class ManagedTransitions(Protocol):
 
 
 class Lifecycle:
-    """Makes the transitions of a managed node, on request of its program or over the ROS service ``change_state``.
-
-    The mutable state is the service's requests at work. The node was made with ``managed=True``.
-    """
+    """Makes the transitions of a node made with ``managed=True``, for its program or over the service ``change_state``."""
 
     def __init__(self, ros: RosThread, transitions: ManagedTransitions) -> None:
         self._ros = ros
@@ -70,10 +67,7 @@ class Lifecycle:
             await self.change("shutdown")
 
     async def change(self, wanted: int | str) -> None:
-        """Make a transition, given by its number or its label.
-
-        Raises `RosError` if it cannot be made in this state, `PnmError` if it has failed: the node is in the state in which it was.
-        """
+        """Make a transition, given by number or label; raise `RosError` if it cannot be made in this state, `PnmError` if it has failed."""
         label = await self._ros.ask(partial(self._ros.node.begin, wanted))
         transition = getattr(self._transitions, "cleanup" if label == "shutdown" else label)
         try:

@@ -38,10 +38,7 @@ _ADVICE: Final = "add a goal mapping to the binding"
 
 
 class FieldError(PnmError):
-    """A value does not fit the field of a message; nothing was sent.
-
-    The path is that of the field, such as ``pose.position.x`` or ``poses[2]``.
-    """
+    """A value does not fit the field of a message, whose path is such as ``pose.position.x`` or ``poses[2]``; nothing was sent."""
 
     def __init__(self, path: str, needs: str, got: str, advice: str = "") -> None:
         super().__init__(f"field {path} needs {needs}, got {got}{f'; {advice}' if advice else ''}")

@@ -56,10 +56,7 @@ class ServiceClient:
         self._free = asyncio.Semaphore(IN_FLIGHT)
 
     async def call(self, request: Mapping[str, object], limit: float) -> Any:
-        """Send the request as soon as the service is there, and return the response.
-
-        Raises `SourceError` if there is no such service, it does not answer in time, or the request does not fit it.
-        """
+        """Send the request once the service is there; `SourceError` if it is not, does not answer in time, or it does not fit."""
         is_there = False
         try:
             async with asyncio.timeout(limit), self._free:
