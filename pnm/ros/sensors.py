@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Coroutine, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -102,6 +102,16 @@ class SensorRecorder:
         changed = {name: value for name, value in reading.variables.items() if value != (None if known[name] is MISSING else known[name])}
         if changed:
             self._knowledge.store(changed)
+
+
+async def _first_of(*works: Coroutine[Any, Any, object]) -> None:
+    """Wait until one of these is done, and cancel the others."""
+    tasks = [*map(asyncio.ensure_future, works)]
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
 
 
 @dataclass(frozen=True, slots=True)
@@ -428,16 +438,11 @@ class Sensors:
             for recorder in self._recorders:
                 await recorder.heard.wait()
 
-        all_heard = asyncio.ensure_future(hear_all())
-        settled = asyncio.ensure_future(self._ros.settled())
-        try:
-            await asyncio.wait((all_heard, settled), return_when=asyncio.FIRST_COMPLETED)
-            await self._ros.ask(self._look)  # the timer's last look may be older than the publishers that are there
-            if [sensor for sensor in self._sensors if not sensor.recorder.heard.is_set() and await sensor.is_there()]:
-                await asyncio.wait((all_heard,), timeout=FIRST)
-        finally:
-            all_heard.cancel()
-            settled.cancel()
+        await _first_of(hear_all(), self._ros.settled())
+        await self._ros.ask(self._look)  # the timer's last look may be older than the publishers that are there
+        if [sensor for sensor in self._sensors if not sensor.recorder.heard.is_set() and await sensor.is_there()]:
+            with suppress(TimeoutError):
+                await asyncio.wait_for(hear_all(), FIRST)
 
     # on the ROS thread
 
@@ -483,10 +488,10 @@ class SensedReports:
         """Wait for the first report until `limit` seconds are over, or the graph is known to have no publisher; return whether it came."""
         try:
             async with asyncio.timeout(limit):
-                while not self._heard.is_set():
-                    if not await self._has_publisher():
-                        return False
-                    await asyncio.wait_for(self._heard.wait(), limit)
+                await _first_of(self._ros.settled(), self._heard.wait())
+                if not (self._heard.is_set() or await self._ros.ask(lambda: self._subscription.get_publisher_count())):
+                    return False
+                await self._heard.wait()
         except TimeoutError:
             _log.warning("nothing was reported on %s within %g s", self._topic, limit)
         return self._heard.is_set()
@@ -496,16 +501,6 @@ class SensedReports:
         if not self._closed:
             self._closed = True
             self._ros.call(lambda: self._subscription and self._ros.node.destroy_subscription(self._subscription))
-
-    async def _has_publisher(self) -> bool:
-        settled = asyncio.ensure_future(self._ros.settled())
-        heard = asyncio.ensure_future(self._heard.wait())
-        try:
-            await asyncio.wait((settled, heard), return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            settled.cancel()
-            heard.cancel()
-        return self._heard.is_set() or bool(await self._ros.ask(lambda: self._subscription.get_publisher_count()))
 
     def _pass_on(self, listener: Callable[..., None], *report: object) -> None:
         if not self._closed:
