@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import assert_never
 from uuid import UUID
@@ -37,47 +37,38 @@ from pnm.knowledge.source import Asker, Source, SourceError
 _log = logging.getLogger(__name__)
 
 
+@dataclass(eq=False, repr=False)
 class Executor:
     """The executor of one run, with the client that carries out its actions, on one asyncio loop.
 
     The mutable state is the run, which another may succeed; the inbox of events, and which changes wait in it; the timer; the
     subscriptions to knowledge and resources; the open queries and updates of the source; and which requests people have settled.
-
-    Args:
-        run: what is driven.
-        client: what requests are sent to.
-        source: answers queries and takes updates of what the run does not know itself.
-        name: of the run, for people who are asked.
-        journal: keeps what happens before anything is done about it; the run was made by it.
-        note: is told what a person is asked about a request that was lost, and what has come of it.
     """
 
-    def __init__(
-        self,
-        run: Run,
-        client: ActionClient,
-        source: Source | None = None,
-        name: str = "",
-        journal: Journal = NO_JOURNAL,
-        note: Callable[[HelpAsked | HelpEnded], None] = note_nothing,
-    ) -> None:
-        self.run = run
-        self._client = client
-        self._source = source
-        self._journal = journal
-        self._note = note
-        self._asker = Asker(run.id, name)
+    run: Run
+    client: ActionClient
+    source: Source | None = None
+    """It answers queries and takes updates of what the run does not know itself."""
+    name: str = ""
+    """The name of the run, for people who are asked."""
+    journal: Journal = NO_JOURNAL
+    """It keeps what happens before anything is done about it; the run was made by it."""
+    note: Callable[[HelpAsked | HelpEnded], None] = note_nothing
+    """It is told what a person is asked about a request that was lost, and what has come of it."""
+    ended: bool = field(default=False, init=False)
+    """Whether the run was carried out, and is not any more."""
+
+    def __post_init__(self) -> None:
+        self._asker = Asker(self.run.id, self.name)
         self._source_tasks: dict[UUID, asyncio.Task[None]] = {}
         self._inbox: asyncio.Queue[events.Event] = asyncio.Queue()
-        if run.begun:  # in another process; before anything else, such as a stop, which could cancel no request that is not attached
+        if self.run.begun:  # in another process; before anything else, such as a stop, which could cancel no request that is not attached
             self._inbox.put_nowait(events.Restarted())
         self._timer: asyncio.TimerHandle | None = None
         self._leaving: list[Callable[[], None]] = []
         self._waiting: set[events.KnowledgeChanged | events.ResourcesChanged] = set()
         self._progress: asyncio.Event | None = None
         """The events for those who wait until something has happened."""
-        self.ended = False
-        """Whether the run was carried out, and is not any more."""
 
     def stop(self, *, cancel: bool = True, reason: str = "cancelled") -> None:
         """End the run: start nothing more; cancel what runs, or wait for it."""
@@ -126,7 +117,7 @@ class Executor:
         check_succession(self.run.handover, run.handover)  # before anything changes: a refusal leaves the old run going on
         # From here on reports that wait in the inbox are handled by the new run; they name the request, not the run.
         old, self.run = self.run, run
-        self._journal.succeeded(old, run)
+        self.journal.succeeded(old, run)
         self._asker = replace(self._asker, run=run.id)
         self._leave({*run.take_the_place_of(old, asyncio.get_running_loop().time()), *run.open_requests})
         self._enter()
@@ -180,13 +171,13 @@ class Executor:
                 together -= 1
                 self._handle(event, moment)
         except BaseException:
-            if self._journal.may_act():  # otherwise another process carries it on; their reports will not be heard
+            if self.journal.may_act():  # otherwise another process carries it on; their reports will not be heard
                 self._perform([*map(events.Cancel, self.run.open_requests)])
             raise
         finally:
             self.ended = True
             self._leave()
-            self._journal.retired(self.run)
+            self.journal.retired(self.run)
             self.run.retire()
             # Reports that came with the last event would be lost, and with them the resources that their requests keep.
             while not self._inbox.empty():
@@ -196,10 +187,8 @@ class Executor:
     def _hear(self, report: Report) -> None:
         report = self.run.as_settled(report)
         match report:
-            case Ended(request, Outcome(OutcomeKind.LOST)) if (
-                self._source and self._leaving and self.run.when_lost(request) is WhenLost.ASK
-            ):
-                self._start(request, self._ask_what_has_become(report, self._source))
+            case Ended(request, Outcome(OutcomeKind.LOST)) if self.source and self._leaving and self.run.when_lost(request) is WhenLost.ASK:
+                self._start(request, self._ask_what_has_become(report, self.source))
             case _:
                 self._take_in(report)
 
@@ -211,7 +200,7 @@ class Executor:
 
     def _heard_late(self, event: events.Event) -> None:
         if isinstance(event, Ended):
-            self._journal.confirmed(event.request, self.run.resources)
+            self.journal.confirmed(event.request, self.run.resources)
 
     def _enter(self) -> None:
         def changed(_: Mapping[Fluent, Value | Unknown]) -> None:
@@ -241,23 +230,23 @@ class Executor:
     def _handle(self, event: events.Event, now: float | None = None) -> None:
         if isinstance(event, (events.KnowledgeChanged, events.ResourcesChanged)):
             self._waiting.discard(event)  # before it is handled: a change that its own commands cause has to be looked at again
-        self._journal.handle(self.run, event, asyncio.get_running_loop().time() if now is None else now, self._perform)
+        self.journal.handle(self.run, event, asyncio.get_running_loop().time() if now is None else now, self._perform)
         self._announce()
 
     def _perform(self, commands: Sequence[events.Command]) -> None:
         for command in commands:
             match command:
                 case events.Send(request):
-                    if error := _raised_by(self._client.send, request, self._hear):
+                    if error := _raised_by(self.client.send, request, self._hear):
                         # The others go on. It may have reached the robot all the same, as may any that is not answered.
                         self._inbox.put_nowait(Ended(request.id, Outcome(OutcomeKind.UNAVAILABLE, message=f"it cannot be sent: {error}")))
                 case events.Reattach(request, accepted):
-                    client = self._client
+                    client = self.client
                     again = partial(client.reattach, accepted=accepted) if isinstance(client, ReattachingClient) else None
                     if again is None or _raised_by(again, request, self._hear):
                         self._inbox.put_nowait(Ended(request.id, NOT_REATTACHED))
                 case events.Cancel(request):
-                    _raised_by(self._client.cancel, request)  # it ends by itself, or its limit for that passes
+                    _raised_by(self.client.cancel, request)  # it ends by itself, or its limit for that passes
                 case events.Wake(at):
                     self._wake_at(at)
                 case events.Ask(identity, question):
@@ -278,8 +267,8 @@ class Executor:
         answer: object = MISSING
         message = ""
         try:
-            if self._source:
-                answer = await self._source.query(question, replace(self._asker, question=identity))
+            if self.source:
+                answer = await self.source.query(question, replace(self._asker, question=identity))
         except SourceError as error:
             message = str(error)
             _log.warning("%s has no answer: %s", question, message)  # the run may go on with that, as a choice does
@@ -293,8 +282,8 @@ class Executor:
     async def _update(self, identity: UUID, question: Question, value: object) -> None:
         outcome = Outcome(OutcomeKind.SUCCEEDED)
         try:
-            if self._source:
-                await self._source.update(question, value, self._asker)
+            if self.source:
+                await self.source.update(question, value, self._asker)
         except SourceError as error:
             outcome = Outcome(OutcomeKind.ABORTED, message=str(error))
         except (Exception, asyncio.CancelledError) as error:
@@ -308,7 +297,7 @@ class Executor:
         """Ask a person about a request that was lost; until then it counts as under way."""
         outcome, action = end.outcome, self.run.open_calls[end.request].action
         try:
-            if await was_carried_out(source, self._asker, end.request, str(action), self._note):
+            if await was_carried_out(source, self._asker, end.request, str(action), self.note):
                 outcome = Outcome(OutcomeKind.SUCCEEDED, message="a person says that it was carried out")
             else:
                 outcome = replace(outcome, message=f"{outcome.message}; no person says that it was carried out")
@@ -316,7 +305,7 @@ class Executor:
             outcome = replace(outcome, message=f"{outcome.message}; a person was asked about it in vain: {error}")
         finally:  # also when the run has ended meanwhile: no robot is at work on it
             self._take_in(Ended(end.request, outcome))
-            self._note(HelpEnded(outcome.message, end.request))
+            self.note(HelpEnded(outcome.message, end.request))
 
     def _wake_at(self, at: float | None) -> None:
         if self._timer:
