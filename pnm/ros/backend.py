@@ -6,7 +6,7 @@ import asyncio
 from collections import defaultdict
 from collections.abc import Awaitable, Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from itertools import product
 from time import monotonic
@@ -42,51 +42,40 @@ _FINAL: Final = frozenset({ReadyState.READY, ReadyState.UNFIT, ReadyState.OPEN})
 """States that waiting does not change."""
 
 
+@dataclass(eq=False, repr=False)
 class Ros2Backend:
     """The action servers found in the ROS 2 graph, the facts published on `knowledge/sensed`, and sensors.
-
-    Args:
-        known: the declared names, which reports are checked against; None if nothing is declared.
-        ros: the thread of a node that goes on when the backend is closed; by default the backend has one of its own.
-        sim_time: whether time is that of a simulation, from ``/clock``.
-        may_act: whether something may be sent; asked by any thread, right before that.
-        prefix: the first bytes of the ids of all goals that processes of this node send; empty if they have none in common.
-        kept: goals of another process of this node that this one goes on with.
 
     The mutable state is what `open` and `share` make.
     Raises `InputError` if a fluent has a sensor and is among the assumed ones of the bindings.
     """
 
-    def __init__(
-        self,
-        bindings: Bindings,
-        sensing: Sensing = NO_SENSING,
-        known: Vocabulary | None = None,
-        ros: RosThread | None = None,
-        *,
-        sim_time: bool = False,
-        prefix: bytes = b"",
-        kept: Iterable[UUID] = (),
-        may_act: Callable[[], bool] = lambda: True,
-    ) -> None:
-        for name in sorted(sensing.names & bindings.assumed):
+    bindings: Bindings
+    sensing: Sensing = NO_SENSING
+    known: Vocabulary | None = None
+    """The declared names, which reports are checked against; None if nothing is declared."""
+    ros: Any = None
+    """The thread of a node that goes on when the backend is closed; by default the backend has one of its own, once it is open."""
+    _: KW_ONLY
+    sim_time: bool = False
+    """Whether time is that of a simulation, from ``/clock``."""
+    prefix: bytes = b""
+    """The first bytes of the ids of all goals that processes of this node send; empty if they have none in common."""
+    kept: Iterable[UUID] = ()
+    """Goals of another process of this node that this one goes on with."""
+    may_act: Callable[[], bool] = lambda: True
+    """Whether something may be sent; asked by any thread, right before that."""
+
+    def __post_init__(self) -> None:
+        for name in sorted(self.sensing.names & self.bindings.assumed):
             raise InputError(f"there is a sensor for {name}, which is among the 'assumed' of the bindings; expected one of the two")
-        self._prefix = prefix
-        self._kept = kept
-        self._bindings = bindings
-        self._shared = ros
-        self._sim_time = sim_time
-        self._may_act = may_act
-        self._sensing = sensing
-        self._known = known
+        self._is_shared = self.ros is not None
         self._knowledge = KnowledgeBase()
         self._sensed: SensedReports | None = None
         self._reports: StateReports | None = None
         self._sensors: Sensors | None = None
         self._client: Any = None
         self._services: list[KnowledgeServices] = []
-        self.ros: Any = ros
-        """The thread of the node, once the backend is open."""
 
     @property
     def client(self) -> ActionClient:
@@ -96,8 +85,8 @@ class Ros2Backend:
     async def open(self, knowledge: KnowledgeBase) -> None:
         """Join the ROS 2 graph and wait for the first report about the world, if there is a publisher of reports."""
         loop, self._knowledge = asyncio.get_running_loop(), knowledge
-        self.ros = self._shared or RosThread("pnm_run", args=USE_SIM_TIME if self._sim_time else ())  # `pnm` is the one that serves
-        if self._shared is None:
+        if not self._is_shared:
+            self.ros = RosThread("pnm_run", args=USE_SIM_TIME if self.sim_time else ())  # `pnm` is the one that serves
             await follow_sim_time(self.ros)
 
         def ended(request: UUID) -> Awaitable[object]:
@@ -108,18 +97,18 @@ class Ros2Backend:
                 self._sensors.expect_news()
             return self.refresh()
 
-        lag, sensing = self._bindings.lag, self._sensing
+        lag, sensing = self.bindings.lag, self.sensing
         self._sensors = Sensors(self.ros, sensing, knowledge, lag)
         from pnm.ros.action_client.other_goals import OtherGoals  # here, because rclpy is an extra
 
-        self._others = OtherGoals(self.ros, self._prefix, self._kept, self._may_act)
-        self._client = Ros2ActionClient(self.ros, self._bindings, loop, ended, self._others, self._may_act)
+        self._others = OtherGoals(self.ros, self.prefix, self.kept, self.may_act)
+        self._client = Ros2ActionClient(self.ros, self.bindings, loop, ended, self._others, self.may_act)
         ignored = {
             **dict.fromkeys(knowledge.rules.derived, "its facts follow from rules"),
             **dict.fromkeys(sensing.names, "there is a sensor for it"),
-            **dict.fromkeys(self._bindings.assumed, ""),
+            **dict.fromkeys(self.bindings.assumed, ""),
         }
-        self._reports = StateReports(knowledge, ignored, lag, sensing.stale, self._known, TOPIC)
+        self._reports = StateReports(knowledge, ignored, lag, sensing.stale, self.known, TOPIC)
         self._sensed = SensedReports(self.ros, loop, self._reports.record, self._reports.refuse)
         await self._sensors.open()
         await self._sensed.first(DISCOVERY)
@@ -149,15 +138,15 @@ class Ros2Backend:
         """Have the sensors report on the objects that are known now, if these are others than before."""
         if self._sensors is not None and instances(sensing, self._knowledge.objects) != self._sensors.instances:
             await self._sensors.close()
-            self._sensors = Sensors(self.ros, sensing, self._knowledge, self._bindings.lag)
+            self._sensors = Sensors(self.ros, sensing, self._knowledge, self.bindings.lag)
             await self._sensors.open()
 
     async def look(self, actions: Iterable[GroundAction] = (), known: Vocabulary | None = None) -> tuple[Readiness, ...]:
         """Return the present readiness, as far as this node has discovered the others; see `check`."""
-        known = known or self._known or Vocabulary({})
-        every = dict.fromkeys((*server_calls(known, self._bindings), *actions))
-        calls = [call for call in every if self._bindings.names_server(call)]
-        bound = {call: (self._bindings.server(call), self._bindings.of(call.name).position) for call in calls}
+        known = known or self.known or Vocabulary({})
+        every = dict.fromkeys((*server_calls(known, self.bindings), *actions))
+        calls = [call for call in every if self.bindings.names_server(call)]
+        bound = {call: (self.bindings.server(call), self.bindings.of(call.name).position) for call in calls}
         node = self.ros.node
         servers = await self.ros.ask(lambda: {call: server_name(node, *named) for call, named in bound.items()})
         graph, topic = await self.ros.ask(lambda: (snapshot(node), str(node.resolve_topic_name(TOPIC))))
@@ -166,8 +155,8 @@ class Ros2Backend:
         sensed = (unknown(use.instance, self._knowledge.objects).variables for use in uses)
         variables = frozenset(self._knowledge.variables()).union(*sensed)
         reports = self._reports.readiness(topic, graph.topics.get(topic, ())) if self._reports else ()
-        rows = (*action_readiness(servers, self._bindings, known, graph, variables, self._patience), *sensor_readiness(uses, graph))
-        return *rows, *open_readiness([call for call in every if call not in bound], self._bindings), *reports
+        rows = (*action_readiness(servers, self.bindings, known, graph, variables, self._patience), *sensor_readiness(uses, graph))
+        return *rows, *open_readiness([call for call in every if call not in bound], self.bindings), *reports
 
     async def refresh(self) -> None:
         """Ask the services that are sensors, and wait for their answers, within their limits."""
@@ -176,7 +165,7 @@ class Ros2Backend:
 
     def declare(self, known: Vocabulary) -> None:
         """Check reports against these names from now on."""
-        self._known = known
+        self.known = known
         if self._reports is not None:
             self._reports.declare(known)
 
@@ -187,7 +176,7 @@ class Ros2Backend:
 
     async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
         """Look for the servers of these actions that have names already; wait for them only while this node itself is new."""
-        named = [action for action in actions if self._bindings.names_server(action)]
+        named = [action for action in actions if self.bindings.names_server(action)]
         return await self._client.prepare(named, self._patience)  # type: ignore[no-any-return]
 
     async def busy_elsewhere(self) -> tuple[str, ...]:
@@ -201,7 +190,7 @@ class Ros2Backend:
 
     async def close(self) -> None:
         """Leave the ROS 2 graph; a simulation whose time was followed may have left before."""
-        if self._shared is None:
+        if not self._is_shared:
             follow_real_time()
         if self._reports is not None:
             self._reports.close()
@@ -213,7 +202,7 @@ class Ros2Backend:
             self._client.close()
         if self._sensed is not None:
             self._sensed.close()
-        if self.ros is not None and self._shared is None:
+        if self.ros is not None and not self._is_shared:
             await asyncio.to_thread(self.ros.close)  # what still happens on its thread may need this loop
 
 
