@@ -6,23 +6,22 @@ import asyncio
 import logging
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterable
+from dataclasses import dataclass, field
 from functools import partial
 from time import monotonic
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 from uuid import UUID
 
 from pnm.core.machine.bindings import ABOUT_THE_CALL, Bindings, Foreign
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Report, Reporter, Request
 from pnm.errors import PnmError
+from pnm.ros.action_client.connection import MayAct
 from pnm.ros.action_client.goal import GRACE, Goal, Kept
 from pnm.ros.action_client.server_link import ServerLink
 from pnm.ros.node.graph import server_name
 from pnm.ros.node.messages import fields
 from pnm.ros.node.ros_thread import RosThread, call_on_loop
-
-if TYPE_CHECKING:
-    from pnm.ros.action_client.other_goals import OtherGoals
 
 LOOK: Final = 0.25
 """Seconds between two looks at the goals that are under way."""
@@ -37,6 +36,7 @@ _AT_ONCE: Final = frozenset({OutcomeKind.SUCCEEDED, OutcomeKind.CANCELED})
 """Ends that are reported at once: the effects of the one are looked for, and the other is waited for."""
 
 
+@dataclass(eq=False, repr=False)
 class Ros2ActionClient:
     """An `ActionClient` for action servers of any type.
 
@@ -44,44 +44,34 @@ class Ros2ActionClient:
     its fields counts as rejected. Every request that was sent is answered by exactly one `Ended` until `close`,
     even when the ROS thread is closed before.
 
-    Args:
-        ended: called on the event loop's thread with each request that is over, before its end is reported, to have asked how the world
-            is then. An end without success is reported when that is known: it decides whether there is another attempt.
-        may_act: whether something may be sent; asked on the ROS thread, right before that. What may not be is kept until it may.
-        others: what servers are at work on that this process has not sent.
-        grace: seconds for which a server may be missing from the graph before the goals that it has accepted are lost.
-
     The mutable state is on the ROS thread (the links, the open goals, and the requests whose cancelling has to wait), except `_closed`, and
     the ends that are to be reported; the reports on their way to the event loop are on both.
     """
 
-    def __init__(
-        self,
-        ros: RosThread,
-        bindings: Bindings,
-        loop: asyncio.AbstractEventLoop,
-        ended: Callable[[UUID], Awaitable[object]] = lambda request: asyncio.sleep(0),
-        others: OtherGoals | None = None,
-        may_act: Callable[[], bool] = lambda: True,
-        grace: float = GRACE,
-    ) -> None:
-        self._ros = ros
-        self._bindings = bindings
-        self._loop = loop
-        self._ended = ended
-        self._may_act = may_act
-        self._grace = grace
-        self._uncancelled: set[UUID] = set()
+    ros: RosThread
+    bindings: Bindings
+    loop: asyncio.AbstractEventLoop
+    ended: Callable[[UUID], Awaitable[object]] = lambda request: asyncio.sleep(0)
+    """Called on the event loop's thread with each request that is over, before its end is reported, to have asked how the world is
+    then. An end without success is reported when that is known: it decides whether there is another attempt."""
+    others: Any = None
+    """`pnm.ros.action_client.other_goals.OtherGoals`: what servers are at work on that this process has not sent."""
+    may_act: MayAct = lambda: True
+    grace: float = GRACE
+    """Seconds for which a server may be missing from the graph before the goals that it has accepted are lost."""
+    _links: dict[_Key, ServerLink] = field(default_factory=dict)
+    _goals: dict[UUID, tuple[Goal, ServerLink]] = field(default_factory=dict)
+    _uncancelled: set[UUID] = field(default_factory=set)
+    _reports: deque[tuple[Reporter, Report]] = field(default_factory=deque)
+    _ends: set[asyncio.Future[None]] = field(default_factory=set)
+    _closed: bool = False
+    _timer: Any = None
+
+    def __post_init__(self) -> None:
         from pnm.ros.action_client.other_goals import OtherGoals  # here, because rclpy is an extra
 
-        self._others = others or OtherGoals(ros, may_act=may_act)
-        self._links: dict[_Key, ServerLink] = {}
-        self._goals: dict[UUID, tuple[Goal, ServerLink]] = {}
-        self._reports: deque[tuple[Reporter, Report]] = deque()
-        self._closed = False
-        self._ends: set[asyncio.Future[None]] = set()
-        self._timer: Any = None
-        ros.on_close(self._lose_all)
+        self.others = self.others or OtherGoals(self.ros, may_act=self.may_act)
+        self.ros.on_close(self._lose_all)
 
     # on the event loop's thread
 
@@ -93,11 +83,11 @@ class Ros2ActionClient:
         It is no error when a server is missing: it is looked for again when a goal is sent to it.
         """
         keys = dict.fromkeys(map(self._key, actions))
-        links = await self._ros.ask(lambda: [self._link(key) for key in keys])
-        self._ros.call(self._keep_looking)
+        links = await self.ros.ask(lambda: [self._link(key) for key in keys])
+        self.ros.call(self._keep_looking)
         until = monotonic() + limit
         while True:
-            missing = await self._ros.ask(lambda: tuple(link.name for link in links if not link.connection.ready()))
+            missing = await self.ros.ask(lambda: tuple(link.name for link in links if not link.connection.ready()))
             if not missing or monotonic() >= until:  # polled, because the ROS graph has no event for a single server
                 return missing
             await asyncio.sleep(0.1)
@@ -112,18 +102,18 @@ class Ros2ActionClient:
         # Noted before the thread is left: the type may become known until the goal is dispatched.
         is_blind = _may_be_blind(request) and self.goal_fields(request.action) is None
         # Later and not at once: the caller does not expect a report before `send` has returned.
-        if not self._ros.call(partial(self._send, request, report, is_blind=is_blind)):
-            self._loop.call_soon(report, Ended(request.id, Outcome(OutcomeKind.UNAVAILABLE, message=_CLOSED)))
+        if not self.ros.call(partial(self._send, request, report, is_blind=is_blind)):
+            self.loop.call_soon(report, Ended(request.id, Outcome(OutcomeKind.UNAVAILABLE, message=_CLOSED)))
 
     def reattach(self, request: Request, report: Reporter, /, *, accepted: bool) -> None:
         """Find out what has become of a goal that another process has sent, by its id; `report` is called later."""
         kept, is_blind = Kept.ACCEPTED if accepted else Kept.UNANSWERED, _may_be_blind(request)
-        if not self._ros.call(partial(self._send, request, report, is_blind=is_blind, kept=kept)):
-            self._loop.call_soon(report, Ended(request.id, Outcome(OutcomeKind.LOST, message=_CLOSED)))
+        if not self.ros.call(partial(self._send, request, report, is_blind=is_blind, kept=kept)):
+            self.loop.call_soon(report, Ended(request.id, Outcome(OutcomeKind.LOST, message=_CLOSED)))
 
     def cancel(self, request: UUID, /) -> None:
         """Ask for the request to be cancelled; it ends when the server says so, or not at all if it refuses."""
-        self._ros.call(partial(self._cancel, request))
+        self.ros.call(partial(self._cancel, request))
 
     def close(self) -> None:
         """Let go of all servers; goals still open are left to them, and nothing more is reported."""
@@ -133,22 +123,22 @@ class Ros2ActionClient:
                 self._timer.destroy()
             for link in set(self._links.values()):
                 link.close()
-            self._others.close()
+            self.others.close()
             self._goals.clear()
 
         if not self._closed:
             self._closed = True
-            self._ros.call(end)
+            self.ros.call(end)
 
     def _pass_on(self) -> None:
         """Pass on the reports that are there, of all that the ROS thread has heard since the loop was woken."""
         while self._reports:
             report, what = self._reports.popleft()
             if not self._closed:  # one by one, since a reporter may fail
-                self._loop.call_soon(partial(self._report_end, report) if isinstance(what, Ended) else report, what)
+                self.loop.call_soon(partial(self._report_end, report) if isinstance(what, Ended) else report, what)
 
     def _report_end(self, report: Reporter, end: Ended) -> None:
-        asked, at_once = self._ended(end.request), end.outcome.kind in _AT_ONCE
+        asked, at_once = self.ended(end.request), end.outcome.kind in _AT_ONCE
 
         async def report_then() -> None:
             await asked
@@ -162,8 +152,8 @@ class Ros2ActionClient:
             report(end)
 
     def _key(self, action: GroundAction) -> _Key:
-        binding = self._bindings.of(action.name)
-        return self._bindings.server(action), binding.type, binding.several_servers
+        binding = self.bindings.of(action.name)
+        return self.bindings.server(action), binding.type, binding.several_servers
 
     # on the ROS thread
 
@@ -171,20 +161,20 @@ class Ros2ActionClient:
         """Return the link to a server: one for each, by whatever name and type bindings speak of it."""
         if key not in self._links:
             server, type_name, several = key
-            name = server_name(self._ros.node, server)
+            name = server_name(self.ros.node, server)
             same = next((link for link in self._links.values() if link.name == name), None)
             if same is None:
-                own = self._others, self._may_act, self._grace
-                same = ServerLink(self._ros.node, server, type_name, self._ros.joined, several, *own)
+                own = self.others, self.may_act, self.grace
+                same = ServerLink(self.ros.node, server, type_name, self.ros.joined, several, *own)
             else:
                 same.connection.expect(type_name, several=several)
             self._links[key] = same
         return self._links[key]
 
     def _send(self, request: Request, report: Reporter, *, is_blind: bool = False, kept: Kept | None = None) -> None:
-        binding = self._bindings.of(request.action.name)
-        foreign = binding.foreign or (Foreign.WAIT if self._bindings.resources(request.action) else Foreign.SHARE)
-        timeout = self._bindings.timeout(request.action)
+        binding = self.bindings.of(request.action.name)
+        foreign = binding.foreign or (Foreign.WAIT if self.bindings.resources(request.action) else Foreign.SHARE)
+        timeout = self.bindings.timeout(request.action)
         goal = Goal(request, binding, partial(self._hear, report), kept, foreign, timeout, is_blind)
         try:
             link = self._link(self._key(request.action))
@@ -198,7 +188,7 @@ class Ros2ActionClient:
         self._keep_looking()
 
     def _cancel(self, request: UUID) -> None:
-        if not self._may_act():
+        if not self.may_act():
             self._uncancelled.add(request)
         elif request in self._goals:
             goal, link = self._goals[request]
@@ -209,17 +199,17 @@ class Ros2ActionClient:
             self._goals.pop(what.request, None)
         self._reports.append((report, what))
         if len(self._reports) == 1:  # else the loop has been woken, and has yet to look
-            call_on_loop(self._loop, self._pass_on)
+            call_on_loop(self.loop, self._pass_on)
 
     def _keep_looking(self) -> None:
         """Have the timer run while, and only while, a goal is under way or a link has something to look after."""
         if self._timer is None:
-            self._timer = self._ros.timer(LOOK, self._look)
+            self._timer = self.ros.timer(LOOK, self._look)
         elif self._timer.is_canceled():
             self._timer.reset()
 
     def _look(self) -> None:
-        if not self._may_act():
+        if not self.may_act():
             return
         while self._uncancelled:
             self._cancel(self._uncancelled.pop())

@@ -12,7 +12,7 @@ import logging
 import math
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from functools import partial
 from typing import Any, Final
@@ -86,41 +86,40 @@ class _PatientServer(ActionServer):  # type: ignore[misc]
         self.add_future(self._result_futures[goal.bytes])
 
 
+@dataclass(eq=False, repr=False)
 class GoalServer:
-    """One action server.
+    """One action server. What is private changes, on one of two threads."""
 
-    The mutable state is, on the ROS thread, the server, the handles of goals that are open and of those whose results are
-    being sent, by goal id, and the goals that are being decided about, with the results of those that are over already;
-    on the event loop's, the decisions, and when the last goal ended.
+    ros: RosThread
+    type_name: str
+    name: str
+    accept: Callable[[UUID, Any], Awaitable[str]]
+    """Begins a goal, and returns nothing or the reason why it is rejected. Its client hears that it is accepted after that.
+    The reason is only logged: a rejection has no field for it, unlike the result of an aborted goal."""
+    cancel: Callable[[UUID], None]
+    """Called when a client requests cancellation; may come more than once, and after the end. Both are called on the loop's thread."""
+    # on the ROS thread
+    _server: Any = None
+    _open: dict[UUID, Any] = field(default_factory=dict)
+    """The handles of goals that are open."""
+    _ending: dict[UUID, Any] = field(default_factory=dict)
+    """Those of goals whose results are being sent."""
+    _undecided: dict[UUID, Callable[[], GoalResult] | None] = field(default_factory=dict)
+    """Goals that are being decided about, with the results of those that are over already."""
+    # on the event loop's thread
+    _decisions: set[asyncio.Task[None]] = field(default_factory=set)
+    _ended: float = -math.inf
+    """The time of the end of the last goal."""
 
-    Args:
-        accept: begins a goal, and returns nothing or the reason why it is rejected. Its client hears that it is accepted after that.
-            The reason is only logged: a rejection has no field for it, unlike the result of an aborted goal.
-        cancel: called when a client requests cancellation; may come more than once, and after the end. Both are called on the event
-            loop's thread.
-    """
-
-    def __init__(
-        self, ros: RosThread, type_name: str, name: str, accept: Callable[[UUID, Any], Awaitable[str]], cancel: Callable[[UUID], None]
-    ) -> None:
-        self._ros = ros
-        self.type = import_type(type_name)
+    def __post_init__(self) -> None:
         self._loop = asyncio.get_running_loop()
-        self.name = name
-        self._accept = accept
-        self._cancel = cancel
-        self._server: Any = None
-        self._open: dict[UUID, Any] = {}
-        self._ending: dict[UUID, Any] = {}
-        self._undecided: dict[UUID, Callable[[], GoalResult] | None] = {}
-        self._decisions: set[asyncio.Task[None]] = set()
-        self._ended = -math.inf
+        self.type = import_type(self.type_name)
 
     # on the event loop's thread
 
     async def open(self, kept: Iterable[UUID] = ()) -> None:
         """Bring the server up, with goals that another process of this name has accepted: their clients are still waiting."""
-        await self._ros.ask(partial(self._bring_up, tuple(kept)))
+        await self.ros.ask(partial(self._bring_up, tuple(kept)))
 
     def feed(self, goal: UUID, fields: Mapping[str, object]) -> None:
         """Send feedback about a goal, if it is open."""
@@ -129,35 +128,35 @@ class GoalServer:
             if goal in self._open:
                 self._open[goal].publish_feedback(to_message(self.type.Feedback, fields))
 
-        self._ros.call(publish)
+        self.ros.call(publish)
 
     def end(self, goal: UUID, result: Callable[[], GoalResult]) -> None:
         """End a goal, if it is open; the function is called on the ROS thread."""
         self._ended = self._loop.time()
-        self._ros.call(partial(self._end, goal, result))
+        self.ros.call(partial(self._end, goal, result))
 
     async def close(self, limit: float = _FAREWELL) -> None:
         """Take the server down, once the results of ended goals have arrived."""
         with suppress(TimeoutError):
             async with asyncio.timeout(limit):
-                await until_true(self._ros, lambda: not (self._undecided or self._open or self._ending))
+                await until_true(self.ros, lambda: not (self._undecided or self._open or self._ending))
         await arrived(self._ended)
-        await self._ros.ask(self._take_down)
+        await self.ros.ask(self._take_down)
         for decision in self._decisions:
             decision.cancel()
 
     def vanish(self) -> None:
         """Take the server down at once; open goals get no result, as if the process had died."""
-        self._ros.call(self._take_down)
+        self.ros.call(self._take_down)
 
     def _decide(self, goal: UUID, request: Any, answer: Callable[[bool], None]) -> None:
         async def decide() -> None:
             try:
-                reason = await self._accept(goal, request)
+                reason = await self.accept(goal, request)
             except Exception as error:
                 _log.exception("a goal for %s cannot begin", self.name)
                 reason = f"{type(error).__name__}: {error}"
-            self._ros.call(partial(self._answer, goal, answer, reason))
+            self.ros.call(partial(self._answer, goal, answer, reason))
 
         decision = self._loop.create_task(decide())
         self._decisions.add(decision)
@@ -167,12 +166,12 @@ class GoalServer:
 
     def _bring_up(self, kept: Iterable[UUID]) -> None:
         def cancel(handle: Any) -> CancelResponse:
-            self._loop.call_soon_threadsafe(self._cancel, _id(handle))
+            self._loop.call_soon_threadsafe(self.cancel, _id(handle))
             return CancelResponse.ACCEPT
 
         many = QoSProfile(depth=DEPTH)
         self._server = _PatientServer(
-            self._ros.node,
+            self.ros.node,
             self.type,
             self.name,
             arrived=self._arrived,

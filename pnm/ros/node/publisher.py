@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass
 from typing import Any, Final, Generic, TypeVar
 
 from rclpy.event_handler import PublisherEventCallbacks
@@ -15,28 +16,25 @@ DEPTH: Final = 1000
 """Messages that slow subscribers may be behind."""
 
 
+@dataclass(eq=False, repr=False)
 class Publisher:
-    """One topic to publish on.
+    """One topic to publish on. What is private, and the number of subscriptions, changes."""
 
-    The mutable state is the publisher of `rclpy`, on the ROS thread, and the number of subscriptions, on the event loop's.
+    ros: RosThread
+    type_name: str
+    name: str
+    is_latched: bool = False
+    """Whether late subscribers get the last message, and no earlier one: until the last came they would believe that."""
+    matched: Callable[[], None] = lambda: None
+    """Called on the event loop's thread at every new subscription."""
+    subscriptions: int = 0
+    """The number of subscriptions, on the event loop's thread."""
+    _publisher: Any = None
+    """That of `rclpy`, on the ROS thread."""
 
-    Args:
-        is_latched: whether late subscribers get the last message, and no earlier one: until the last came they would believe that.
-        matched: called on the event loop's thread at every new subscription.
-    """
-
-    def __init__(
-        self, ros: RosThread, type_name: str, name: str, *, is_latched: bool = False, matched: Callable[[], None] = lambda: None
-    ) -> None:
-        self._ros = ros
+    def __post_init__(self) -> None:
         self._loop = asyncio.get_running_loop()
-        self._type = import_type(type_name)
-        self._name = name
-        self._is_latched = is_latched
-        self._matched = matched
-        self._publisher: Any = None
-        self.subscriptions = 0
-        """The number of subscriptions."""
+        self._type = import_type(self.type_name)
 
     async def open(self) -> None:
         """Advertise the topic."""
@@ -44,16 +42,16 @@ class Publisher:
         def count(count: int, change: int) -> None:
             self.subscriptions = count
             if change > 0:
-                self._matched()
+                self.matched()
 
         def advertise() -> None:
-            qos = profile(1 if self._is_latched else DEPTH, latched=self._is_latched)
+            qos = profile(1 if self.is_latched else DEPTH, latched=self.is_latched)
             matched = PublisherEventCallbacks(
                 matched=lambda info: call_on_loop(self._loop, count, info.current_count, info.current_count_change)
             )
-            self._publisher = self._ros.node.create_publisher(self._type, self._name, qos, event_callbacks=matched)
+            self._publisher = self.ros.node.create_publisher(self._type, self.name, qos, event_callbacks=matched)
 
-        await self._ros.ask(advertise)
+        await self.ros.ask(advertise)
 
     def publish(self, fields: Mapping[str, object] | Callable[[], Mapping[str, object]]) -> None:
         """Publish a message of these fields, or of those that a function returns on the ROS thread."""
@@ -62,17 +60,17 @@ class Publisher:
             if self._publisher is not None:
                 self._publisher.publish(to_message(self._type, fields() if callable(fields) else fields))
 
-        self._ros.call(publish)
+        self.ros.call(publish)
 
     async def close(self) -> None:
         """Withdraw the topic."""
 
         def withdraw() -> None:
             if self._publisher is not None:
-                self._ros.node.destroy_publisher(self._publisher)
+                self.ros.node.destroy_publisher(self._publisher)
                 self._publisher = None
 
-        await self._ros.ask(withdraw)
+        await self.ros.ask(withdraw)
 
 
 # --- a rate limit: a call per key and period, at once after a pause; calls in between become one ----

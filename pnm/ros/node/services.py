@@ -12,6 +12,7 @@ import logging
 import math
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import partial
 from typing import Any, Final, TypeAlias
@@ -142,37 +143,26 @@ Handler: TypeAlias = Callable[[Any], Awaitable[Fields | None]]
 _log = logging.getLogger(__name__)
 
 
+@dataclass(eq=False, repr=False)
 class RequestServices:
     """Some services, opened and closed together. Their responses have the fields ``success`` and ``message``.
 
     The mutable state is, on the event loop's thread, the requests at work, and when the last one was answered; on the ROS thread,
     the services and the number of requests that are not answered yet.
-
-    Args:
-        loop: answers; the running one by default.
-        cancelled: the message for requests that are cancelled, such as by `close`.
-        ended: the message for requests after the end of the event loop.
-        arrival: seconds that `close` leaves the last response to arrive.
     """
 
-    def __init__(
-        self,
-        ros: RosThread,
-        *,
-        loop: asyncio.AbstractEventLoop | None = None,
-        cancelled: str = "the node is shut down, or cleaned up",
-        ended: str = "the node has ended",
-        arrival: float = ARRIVAL,
-    ) -> None:
-        self._ros = ros
-        self._loop = loop or asyncio.get_running_loop()
-        self._cancelled = cancelled
-        self._ended = ended
-        self._arrival = arrival
-        self._work: set[asyncio.Task[Fields]] = set()
-        self._services: list[Any] = []
-        self._unanswered = 0
-        self._answered = -math.inf
+    ros: RosThread
+    loop: asyncio.AbstractEventLoop = field(default_factory=asyncio.get_running_loop)
+    cancelled: str = "the node is shut down, or cleaned up"
+    """The message for requests that are cancelled, such as by `close`."""
+    ended: str = "the node has ended"
+    """The message for requests after the end of the event loop."""
+    arrival: float = ARRIVAL
+    """Seconds that `close` leaves the last response to arrive."""
+    _work: set[asyncio.Task[Fields]] = field(default_factory=set)
+    _services: list[Any] = field(default_factory=list)
+    _unanswered: int = 0
+    _answered: float = -math.inf
 
     # on the event loop's thread
 
@@ -185,10 +175,10 @@ class RequestServices:
 
             deep, group = profile(DEPTH), ReentrantCallbackGroup()  # reentrant: the next request is taken while this one waits
             for name, kind in kinds.items():
-                callback, create = self.callback(services[name][1]), self._ros.node.create_service
+                callback, create = self.callback(services[name][1]), self.ros.node.create_service
                 self._services.append(create(kind, name, callback, qos_profile=deep, callback_group=group))
 
-        await self._ros.ask(offer)
+        await self.ros.ask(offer)
 
     async def close(self) -> None:
         """Refuse the requests that are at work, and take the services down."""
@@ -199,23 +189,23 @@ class RequestServices:
         # Three things in this order: the coroutines have ended, rclpy has sent their responses, and these have arrived.
         with suppress(TimeoutError):
             async with asyncio.timeout(_FAREWELL):
-                await until_true(self._ros, lambda: not self._unanswered)
-        await arrived(self._answered, self._arrival)
+                await until_true(self.ros, lambda: not self._unanswered)
+        await arrived(self._answered, self.arrival)
 
         def take_down() -> None:
             for service in self._services:
-                self._ros.node.destroy_service(service)
+                self.ros.node.destroy_service(service)
             self._services.clear()
 
-        await self._ros.ask(take_down)
+        await self.ros.ask(take_down)
 
     def _begin(self, handler: Handler, request: Any, reply: Callable[[Fields], object]) -> None:
         def done(task: asyncio.Task[Fields]) -> None:
             self._work.discard(task)
-            self._answered = self._loop.time()
-            reply(_refusal(self._cancelled) if task.cancelled() else task.result())
+            self._answered = self.loop.time()
+            reply(_refusal(self.cancelled) if task.cancelled() else task.result())
 
-        task = self._loop.create_task(_answer(handler, request))
+        task = self.loop.create_task(_answer(handler, request))
         self._work.add(task)
         task.add_done_callback(done)
 
@@ -232,10 +222,10 @@ class RequestServices:
         answer = Future()
         self._unanswered += 1
         try:
-            self._loop.call_soon_threadsafe(self._begin, handler, request, lambda fields: self._ros.call(lambda: answer.set_result(fields)))
+            self.loop.call_soon_threadsafe(self._begin, handler, request, lambda fields: self.ros.call(lambda: answer.set_result(fields)))
             fields: Fields = await answer
         except RuntimeError:  # the event loop is closed
-            fields = _refusal(self._ended)
+            fields = _refusal(self.ended)
         finally:
             self._unanswered -= 1
         known = type(response).get_fields_and_field_types()
