@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     import asyncio
 
 T = TypeVar("T")
-
 _ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 """Signals that end a process unless it handles them: Ctrl-C, `kill` and supervisors, a terminal that is closed, Ctrl-\\."""
 _ONE_REQUEST: Final = 1.0

@@ -244,7 +244,6 @@ class MadePlan:
 
 KeptTasks: TypeAlias = Iterable[tuple[Wanted, TaskEnding | None]]
 """Tasks that another process has accepted, and how they have ended; None for those that go on."""
-
 Make: TypeAlias = Callable[[str, str, float | None], Awaitable[MadePlan]]
 """Finds a plan for a goal from the world as it is, with a planner ("" for the default) and a limit in seconds (None likewise); what is
 wrong with the goal is in the result. A search that is cancelled ends the planner."""

@@ -23,7 +23,6 @@ NEVER: Final = "never"
 """In the place of these seconds: asked only when there is a reason."""
 LIMIT: Final = 1.0
 """Seconds that a service may take to answer."""
-
 _TYPE: Final = re.compile(r"[a-z][a-z0-9_]*/(msg|srv)/[A-Z][A-Za-z0-9]*")
 _NAME: Final = re.compile(r"[~/]?[\w{}-]+(/[\w{}-]+)*", re.ASCII)
 _VARIABLE: Final = re.compile(r"[A-Za-z][\w-]*", re.ASCII)

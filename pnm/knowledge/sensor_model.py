@@ -19,7 +19,6 @@ from pnm.errors import InputError, Position
 
 VALUE: Final = "?value"
 """In a fact: the object that the field names; the fact holds for this object and for no other."""
-
 Objects: TypeAlias = Callable[[tuple[str, ...]], tuple[str, ...]]
 """Returns the objects of any of the types."""
 

@@ -55,7 +55,6 @@ FindKnowledge: TypeAlias = Callable[[UUID], tuple[Layered, Asker] | None]
 # --- in the memory of this process ---------------------------------------------------------
 # Values on their way out of the process and back: JSON, bounded.
 
-
 _SHOWN: Final = 60
 
 

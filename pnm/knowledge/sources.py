@@ -37,10 +37,7 @@ LIMIT: Final = 5.0
 """Time limit of a knowledge base, in seconds."""
 PERSON_LIMIT: Final = ANSWER_LIMIT + GRACE
 """Time limit of a person, in seconds."""
-
-
 T = TypeVar("T")
-
 _log = logging.getLogger(__name__)
 
 

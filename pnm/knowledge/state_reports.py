@@ -73,7 +73,6 @@ MAX_INSTANCES: Final = 10_000
 RETURNS: Final = 3
 """The number of steps back in the count of reports before they count as those of several senders."""
 _ABSENT: Final[Mapping[FluentKind, Value | Unknown]] = {FluentKind.FACT: False, FluentKind.OBJECT: UNDEFINED, FluentKind.NUMBER: UNKNOWN}
-
 _log = logging.getLogger(__name__)
 
 

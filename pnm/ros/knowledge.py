@@ -30,7 +30,6 @@ from pnm.ros.node.services import Fields, Handler, RequestServices, ServiceClien
 
 LAYERS: Final = (Layer.LOCAL, Layer.GLOBAL, Layer.ALL, Layer.PERSON)
 """The layers by their numbers in requests."""
-
 _Key: TypeAlias = tuple[UUID, Handler, str]
 """The goal, the handler, and all fields of the request."""
 
@@ -137,7 +136,6 @@ def may_be_ours(goal: bytes) -> bool:
 
 # --- the source ``ros2``: global knowledge of an ontology, a database or another executive -----------
 
-
 NAME: Final = "knowledge"
 LIMIT: Final = 4.0
 """Seconds to find the service and for its response; new nodes discover each other within 3."""
@@ -207,7 +205,6 @@ def thread(surroundings: Surroundings) -> RosThread:
 # At first contact an answer may be lost: DDS matches the two topics one after the other, so a question may be heard, and answered,
 # before the publisher of the answer knows that we listen. So open questions are repeated when a publisher of answers is new.
 
-
 LISTENER: Final = 5.0
 """Seconds to wait for a subscriber of a message."""
 DEPTH: Final = 100
@@ -216,7 +213,6 @@ AGAIN: Final = 1.0
 """Seconds after the discovery of a publisher of answers at which open questions are repeated."""
 _FAREWELL: Final = 1.0
 """Seconds to deliver the last withdrawals."""
-
 _log = logging.getLogger(__name__)
 
 

@@ -454,7 +454,6 @@ class Sensors:
 # --- both ends of the topic ``knowledge/sensed``: complete reports about some names ---------
 
 TOPIC = "knowledge/sensed"
-
 Facts = dict[Fluent, Value | Unknown]
 Listener = Callable[[frozenset[str], Facts, int], None]
 Refuse = Callable[[frozenset[str], str], None]

@@ -14,7 +14,6 @@ from pnm.ros.node.messages import import_type
 from pnm.ros.node.ros_thread import RosThread, call_on_loop
 
 _log = logging.getLogger(__name__)
-
 USE_SIM_TIME: Final = ("--ros-args", "-p", "use_sim_time:=true")
 """Arguments for a node that follows ``/clock``."""
 LIMIT: Final = 10.0

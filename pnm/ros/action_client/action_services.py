@@ -31,9 +31,7 @@ _REMEMBERED: Final = 1000
 """Requests of a service whose second answer is noticed."""
 _UNANSWERED: Final = 20_000
 """Requests of a service that wait for answers: a server that hangs gets some every second, and answers none."""
-
 _log = logging.getLogger(__name__)
-
 Answered = Callable[[Any], object]
 """Called with the response to a request."""
 

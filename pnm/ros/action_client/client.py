@@ -25,13 +25,9 @@ from pnm.ros.node.ros_thread import RosThread, call_on_loop
 
 LOOK: Final = 0.25
 """Seconds between two looks at the goals that are under way."""
-
 _log = logging.getLogger(__name__)
-
 _CLOSED: Final = "the ROS 2 node was closed"
-
 _Key = tuple[str, str | None, bool]
-
 _AT_ONCE: Final = frozenset({OutcomeKind.SUCCEEDED, OutcomeKind.CANCELED})
 """Ends that are reported at once: the effects of the one are looked for, and the other is waited for."""
 

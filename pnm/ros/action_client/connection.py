@@ -29,10 +29,8 @@ FRESH: Final = 0.02
 """Seconds for which one look at the processes in the graph counts: goals by the hundred are sent in less."""
 _UNREAD: Final = 100
 """Messages of feedback that wait to be looked at: in a quarter of a second there are fewer, or the last ones do."""
-
 MayAct: TypeAlias = Callable[[], bool]
 """Whether something may be sent or cancelled; asked on the ROS thread, right before that. What may not be is kept until it may."""
-
 _log = logging.getLogger(__name__)
 
 
@@ -188,7 +186,6 @@ class Connection:
 # A goal is *abandoned* when its server is taken for lost: the server may only be cut off, and go on with it. When it is
 # back it is asked to cancel the abandoned goals, and gets no new one until it has answered that they are over, or that it
 # does not know them. Everything here runs on the ROS thread.
-
 
 SECOND_ANSWER: Final = 2.0
 """Seconds in which a second server answers a probe as well."""

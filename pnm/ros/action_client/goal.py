@@ -15,7 +15,6 @@ from pnm.ros.node.messages import fields, plain
 # action_msgs/msg/GoalStatus
 UNKNOWN: Final = 0
 OVER: Final = {4: OutcomeKind.SUCCEEDED, 5: OutcomeKind.CANCELED, 6: OutcomeKind.ABORTED}
-
 _MESSAGES: Final = ("message", "error_msg", "error_string")
 """Result fields for an error text: ours, Nav2's, MoveIt's and ros2_control's."""
 

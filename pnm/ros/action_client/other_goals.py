@@ -32,7 +32,6 @@ _AT_WORK: Final = (1, 2, 3)
 """Accepted, executing, canceling: action_msgs/msg/GoalStatus."""
 _REMEMBERED: Final = 10_000
 """Goals of this process that are known as its own: many more than servers are at work on at a time."""
-
 _log = logging.getLogger(__name__)
 
 

@@ -38,7 +38,6 @@ FEEDBACK: Final = 0.1
 """Seconds between two feedback messages."""
 _FAREWELL: Final = 2.0
 """Seconds to send the last results."""
-
 _log = logging.getLogger(__name__)
 
 

@@ -184,10 +184,8 @@ async def _yield_until(goal_handle: Any, until: float, otherwise: str) -> None:
 # --- the action server ---------------------------------------------------------------------
 
 __all__ = ["LIMIT", "KnowledgeError", "PnmActionServer", "PnmSimpleActionServer"]
-
 LIMIT: Final = 10.0
 """Seconds for an answer. A first contact over DDS takes up to 5; give people more, by ``timeout``."""
-
 _Execute = Callable[[Any], Any]
 
 

@@ -30,7 +30,6 @@ DECISION: Final = 5.0
 """Seconds the client may take to accept a request; the goal is rejected then."""
 FEEDBACK: Final = 0.5
 """Seconds between two feedback messages about the progress of an action."""
-
 _log = logging.getLogger(__name__)
 
 

@@ -325,7 +325,6 @@ def value_at(message: Any, where: Field) -> object:
 
 # --- bindings fitted to the type of their action server, or refused ------------------------
 
-
 Example = Callable[[str], object]
 """Returns a value that a parameter, a variable or a fluent may have; `MISSING` if its kind is not known."""
 

@@ -15,7 +15,6 @@ from pnm.errors import InputError, suggestion
 from pnm.files.database.place import without_password
 
 ParameterValue: TypeAlias = bool | int | float | str
-
 _OF_ROS: Final = "qos_overrides."
 """The prefixes of parameters that a node declares when it makes their subjects."""
 _log = logging.getLogger(__name__)

@@ -75,7 +75,6 @@ class Publisher:
 
 # --- a rate limit: a call per key and period, at once after a pause; calls in between become one ----
 
-
 K = TypeVar("K", bound=Hashable)
 
 

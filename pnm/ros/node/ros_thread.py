@@ -31,12 +31,10 @@ else:
     _missing = None
 
 T = TypeVar("T")
-
 _DISCOVERY: Final = 4.0
 """Seconds in which a new node discovers the others: participants announce themselves every 3 s, and on one host often only then."""
 _STILL: Final = 0.5
 """Seconds without change after which the graph counts as settled."""
-
 _log = logging.getLogger(__name__)
 
 

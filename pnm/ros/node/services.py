@@ -135,11 +135,9 @@ _FAREWELL: Final = 1.0
 """Seconds to send the last responses."""
 ARRIVAL: Final = 1.0
 """Seconds in which a response arrives: a publisher that is destroyed earlier takes unsent data along."""
-
 Fields: TypeAlias = Mapping[str, object]
 Handler: TypeAlias = Callable[[Any], Awaitable[Fields | None]]
 """Returns the fields of the response to a request, if it has any; an exception becomes the message of a response without success."""
-
 _log = logging.getLogger(__name__)
 
 

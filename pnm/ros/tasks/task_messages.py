@@ -24,7 +24,6 @@ MAX_LENGTH: Final = 100_000
 """Characters of a goal, a plan or its parameters: it is part of every message about tasks, long after its end."""
 CAUSES: Final = (None, *Cause)
 """The causes of failures by their numbers in messages."""
-
 Fields = dict[str, object]
 
 

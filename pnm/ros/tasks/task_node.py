@@ -371,7 +371,6 @@ def status_of(code: Code, is_cancel_asked: bool) -> GoalStatus:
 # --- plans without execution -----------------------------------------------------------
 # The action ``plan``: answers plan requests, from the current state, without execution.
 
-
 PLAN: Final = "plan"
 """The name of the action."""
 SECOND: Final = 1.0
