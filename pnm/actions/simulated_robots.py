@@ -329,7 +329,6 @@ class SimulatedRobots:
             self._end(job, Outcome(kind, message=(job.fault.message if job.fault and kind is OutcomeKind.ABORTED else "") or message))
 
     def _end(self, job: _Job, outcome: Outcome) -> None:
-        self._forget(job)
         self.log.ended(job.request, outcome)
         self._answer(job.request, job.report, outcome)
         if outcome.kind is OutcomeKind.SUCCEEDED:

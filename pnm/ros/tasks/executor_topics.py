@@ -207,13 +207,9 @@ def diagnosis_of_tasks(tasks: Sequence[TaskStatus]) -> Diagnosis:
     level = Level.OK if all(task.state in _UNEVENTFUL for task in going_on) else Level.WARN
     if last is not None and last.code not in (None, Code.GOAL_REACHED, Code.CANCELLED):
         level, message = Level.ERROR, f"{message}; the last one failed: {last.code.word}: {last.reason}"
-    return Diagnosis("tasks", level, message, {f"{task.id.hex[:8]} {task.goal}": said_of(task) for task in tasks})
-
-
-def said_of(task: TaskStatus) -> str:
-    """Return the state of a task, with what it does or why it is so."""
-    state = task.code.word if task.code is not None else task.state.word
-    return ": ".join(filter(None, (state, ", ".join(task.running) or task.reason)))
+    states = ((task, task.state.word if task.code is None else task.code.word, ", ".join(task.running) or task.reason) for task in tasks)
+    said = {f"{task.id.hex[:8]} {task.goal}": f"{state}: {why}" if why else state for task, state, why in states}
+    return Diagnosis("tasks", level, message, said)
 
 
 class Diagnostics:
@@ -251,20 +247,20 @@ class Diagnostics:
 
     async def publish(self) -> None:
         """Publish how all parts are now."""
-        diagnoses, node = tuple(await self._diagnose()), self._ros.node
-        self._topic.publish(lambda: array_fields(diagnoses, node.get_fully_qualified_name(), node.get_clock().now().nanoseconds * 1e-9))
+        diagnoses = tuple(await self._diagnose())
 
+        def fields() -> Mapping[str, object]:
+            node = self._ros.node.get_fully_qualified_name()
+            status = [
+                {
+                    "level": int(diagnosis.level),
+                    "name": f"{node.lstrip('/')}: {diagnosis.name}",
+                    "message": diagnosis.message,
+                    "hardware_id": node,
+                    "values": [{"key": key, "value": str(value)} for key, value in diagnosis.values.items()],
+                }
+                for diagnosis in diagnoses
+            ]
+            return {"header": {"stamp": self._ros.node.get_clock().now().nanoseconds * 1e-9}, "status": status}
 
-def array_fields(diagnoses: Iterable[Diagnosis], node: str, now: float) -> dict[str, object]:
-    """Return the fields of a ``DiagnosticArray``."""
-    status = [
-        {
-            "level": int(diagnosis.level),
-            "name": f"{node.lstrip('/')}: {diagnosis.name}",
-            "message": diagnosis.message,
-            "hardware_id": node,
-            "values": [{"key": key, "value": str(value)} for key, value in diagnosis.values.items()],
-        }
-        for diagnosis in diagnoses
-    ]
-    return {"header": {"stamp": now}, "status": status}
+        self._topic.publish(fields)
