@@ -45,7 +45,7 @@ def test_a_report_that_cannot_be_so_makes_unknown_what_it_is_about_and_is_told_o
 
 def test_wrong_reports_are_logged_once_in_every_period_as_long_as_there_are_any(caplog):
     async def main():
-        complaints = Complaints("a topic", logging.getLogger("test"))
+        complaints = Complaints("a topic")
         for _ in range(3):
             complaints.note("it is wrong")
         await asyncio.sleep(PERIOD + 1.0)
