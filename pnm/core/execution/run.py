@@ -300,7 +300,7 @@ class Run(RunView):
             if check and check.cause is Cause.INVARIANT_FALSE:
                 self._calls.attempt(call).interrupt(self._guards.context(call, None))
             if firing.action is not None:
-                self._perform(firing.action, call, place, state.now)
+                self._perform(firing.action, call, place, state.now, is_turn=bool(firing.turns))
         if check is not None:
             self._results.last_check = check
         if firing.action is TransitionAction.ADOPT and call is not None:
@@ -354,8 +354,8 @@ class Run(RunView):
         if rule.gives_up:
             self._calls.forget(call)
 
-    def _perform(self, action: TransitionAction, call: int, place: int | None, now: float) -> None:
-        """Carry out the action of a transition."""
+    def _perform(self, action: TransitionAction, call: int, place: int | None, now: float, *, is_turn: bool = False) -> None:
+        """Carry out the action of a transition; `is_turn` if the run may begin to end with it."""
         calls = self._calls
         if action is _SEND:
             course = self._results.course(call)
@@ -377,7 +377,7 @@ class Run(RunView):
         # Results of the request may have been stored just before, even if the action itself writes nothing.
         if changes_knowledge or self._has_changed_knowledge:
             self._has_changed_knowledge = False
-            self._agenda.ask_about_knowledge(now)
+            self._agenda.ask_about_knowledge(now, of_all=is_turn)
 
     def _give(self, rule: Rule, call: int) -> None:
         """Give back the resources of the call; a request that was given up keeps them."""

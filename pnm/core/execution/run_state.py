@@ -88,8 +88,11 @@ class Agenda:
         """Whether places are asked again when facts change."""
         return len(self._readers) > 0
 
-    def ask_about_knowledge(self, now: float) -> None:
-        """Ask those places again, in their order, whose decision may be another one since they were asked last."""
+    def ask_about_knowledge(self, now: float, *, of_all: bool = False) -> None:
+        """Ask those places again, in their order, whose decision may be another one since they were asked last.
+
+        With `of_all`, the run may have begun to end meanwhile: all that listen are asked, since each has an exit for that.
+        """
         if not self._readers:
             return
         if self._world.rules is not self._rules:  # the world has begun anew
@@ -97,7 +100,7 @@ class Agenda:
         world, local = self._world.changed_since(self._asked[0]), self._local.changed_since(self._asked[1])
         self._asked = self._world.changes, self._local.changes
         is_due = self._timers and self._timers[0][0] <= now  # then time may have decided as well, whatever has changed
-        if world is None or local is None or is_due:
+        if world is None or local is None or is_due or of_all:
             self.places.extend([place for place in self.undecided if self._index.decision(place).listens])
         elif concerned := self._readers.concerned(world):
             self.places.extend(sorted(concerned, key=self.undecided.__getitem__))
