@@ -34,6 +34,7 @@ from pnm.core.machine.plan_graph import (
     Recovery,
     Step,
     Then,
+    WaitUntil,
     every_step,
     ground_schema,
 )
@@ -170,6 +171,11 @@ class _Region:
     steps: list[Step] = field(default_factory=list)
     orderings: list[Ordering] = field(default_factory=list)
 
+    def grounded(self, condition: Condition) -> Condition:
+        """Return a condition with the values of the call that recovers, where they are known in the plan."""
+        env = Substitution.of({name[1:]: data for name, data in self.outer.items()}).env
+        return ground(condition, env) if env else condition
+
 
 class PlanGraphBuilder:
     """Makes the graph of one plan. The mutable state is the number of steps so far, where calls stand, and which have recoveries.
@@ -225,12 +231,13 @@ class PlanGraphBuilder:
             case StepList(_, steps, is_concurrent):
                 return self._ordered(steps, replace(region, depth=region.depth + 1), in_sequence=not is_concurrent)
             case LeafStep(_, leaf):
-                return self._alone(leaf.renumbered(self._number(position), ()), region)
+                own = replace(leaf, condition=region.grounded(leaf.condition)) if isinstance(leaf, WaitUntil) else leaf
+                return self._alone(own.renumbered(self._number(position), ()), region)
             case LoopStep(_, condition, body, limit):
-                return self._alone(Loop(self._number(position), condition, self._inside(body, region), limit), region)
+                return self._alone(Loop(self._number(position), region.grounded(condition), self._inside(body, region), limit), region)
             case ChoiceStep(_, condition, then, otherwise):
                 flows = self._inside(then, region), self._inside(otherwise, region)
-                return self._alone(Choice(self._number(position), condition, *flows), region)
+                return self._alone(Choice(self._number(position), region.grounded(condition), *flows), region)
             case _:
                 assert_never(step)
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from pnm.core.logic.expressions import Fluent, fluent_text
-from pnm.core.machine.plan_graph import ActionCall, Flow, Moment, PlanGraph, Step, every_step, flows, in_order
+from pnm.core.machine.plan_graph import ActionCall, Flow, Moment, PlanGraph, Step, WaitUntil, every_step, flows, in_order
 from pnm.core.pictures.export import quoted
 from pnm.core.pictures.svg import cut, picture, xml
 from pnm.errors import counted
@@ -174,6 +174,8 @@ def words_of(step: Step) -> StepWords:
         duration = "" if step.action.duration is None else f", {step.action.duration:g} s"
         what = str(step.action.operation) if step.action.operation is not None else ", ".join(step.action.arguments)
         return StepWords(step.action.name, what, f"{step}, planned at {step.planned:g} s{duration}")
+    if isinstance(step, WaitUntil):
+        return StepWords("wait until", str(step.condition), f"{step}, {step.limit:g} s at most")
     inner = [str(one) for flow in flows(step) for one in every_step(flow.steps)]
     return StepWords(type(step).__name__.lower(), f"{len(inner)} steps", "\n".join((str(step), *inner)))
 

@@ -11,7 +11,8 @@ from pathlib import Path
 
 from hypothesis import given
 
-from pnm.core.machine.plan_graph import PlanGraph
+from pnm.core.logic.conditions import Holds
+from pnm.core.machine.plan_graph import PlanGraph, WaitUntil
 from pnm.core.pictures.plan_picture import laid_out, plan_dot
 from tests.support.runs.plan_graphs import nested_plan, plan, plans, two_robots
 
@@ -39,6 +40,11 @@ def test_what_a_step_holds_stands_in_a_frame() -> None:
     assert text.count("subgraph cluster_") == 4
     assert re.findall(r"(\d) -> (\d) \[style=dotted\]", text) == [("4", "0"), ("5", "1"), ("5", "2"), ("2", "3")]
     assert "Hello & <bye>" in text
+
+
+def test_a_wait_says_what_for_and_how_long() -> None:
+    text = plan_dot(PlanGraph((WaitUntil(0, Holds(("open", "door")), 5.0),)))
+    assert '[label="wait until  #0\\n(open door)", tooltip="wait_until((open door))#0, 5 s at most"]' in text
 
 
 if __name__ == "__main__" and "--write" in sys.argv:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import pytest
+
 from pnm.core.logic.computed_values import Layer
+from pnm.core.machine.plan_graph import Choice, Loop, WaitUntil
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from tests.support.runs.direct import Answer, Trace, answering_with, drive, succeed
 from tests.support.yaml.examples import NESTED, PAPER_DOMAIN, PAPER_PLAN
@@ -41,6 +44,33 @@ def test_the_listings_of_the_paper() -> None:
 
 def test_values_that_a_step_gives_are_not_seen_by_preconditions() -> None:
     assert not run_text("actions: {a: {params: [x], preconditions: {Exists: [LocalQuery: x]}}}\nplan: [a: {x: 1}]\n").result.goal
+
+
+WAITS = """\
+actions:
+  knock: {duration: 2, effects: [(open door)]}
+  enter: {params: [d], recoveries: {during: {aborted: {do: [STEP, retry], times: 1}}}}
+plan:
+- concurrent_actions: [{knock: }, {enter: {d: door}}]
+"""
+
+
+@pytest.mark.parametrize(
+    "step",
+    [
+        '{wait_until: {condition: "(open ?d)", limit: 5}}',
+        '{if: "(open ?d)", then: [], else: [{wait_until: {condition: (never), limit: 1}}]}',
+        '{while: {condition: {not: "(open ?d)"}, actions: [knock: ], limit: 9}}',
+    ],
+)
+def test_a_condition_in_a_recovery_is_about_the_call_that_recovers(step: str) -> None:
+    left = [Outcome(OutcomeKind.ABORTED)]
+    plan = only_plan(WAITS.replace("STEP", step))
+    conditions = [one.condition for one in plan.graph.every_step if isinstance(one, WaitUntil | Choice | Loop)]
+    assert not any("?d" in str(condition) for condition in conditions)
+    succeeded = Outcome(OutcomeKind.SUCCEEDED)
+    trace = run_text(WAITS.replace("STEP", step), lambda request: left.pop() if left and request.action.name == "enter" else succeeded)
+    assert trace.result.goal, trace.result.reason
 
 
 def test_queries_in_what_a_step_gives_are_answered() -> None:
