@@ -19,7 +19,6 @@ from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered, statement_text
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Feedback, Postponed, Request
 from pnm.core.resources import Resources
 from pnm.errors import PnmError, counted
@@ -164,8 +163,18 @@ class Replay:
         match record:
             case records.Happened():
                 return self._happened(number, time, record)
-            case records.TaskAccepted() | records.TaskHeld() | records.TaskNoted() | records.TaskOver():
-                self._note_task(record)
+            case records.TaskAccepted(wanted):
+                made = [replayed for replayed in self.runs.values() if replayed.made.task == wanted.id]  # of a plan, before it is accepted
+                self.tasks[wanted.id] = ReplayedTask(record, self.now, self, self.is_held, made)
+            case records.TaskHeld(None, is_held):
+                self.is_held = is_held
+            case records.TaskHeld(task, is_held):
+                if task in self.tasks:
+                    self.tasks[task].is_held = is_held
+            case records.TaskNoted(task, note):
+                self.tasks[task].notes.append(note)
+            case records.TaskOver(task, ending):
+                self.tasks[task].ending = ending
             case records.SharedBegan(capacities, began=began):
                 self.shared, self.resources, self.bases = record, Resources(capacities), {}
                 self.began, self.segment_began, self.length = began, time, 1
@@ -226,7 +235,7 @@ class Replay:
             Layered(self.world, self.bases[made.local]),
             id=made.run,
             bindings=source.bindings,
-            goal_fields=lambda action: self.runs[made.run].goal_fields(action),
+            goal_fields=lambda action: replayed.goal_fields(action),
             asks=made.asks,
             origin=made.origin,
             resources=self.resources,
@@ -234,7 +243,8 @@ class Replay:
             priority=made.priority,
             adopted=made.adopted,
         )
-        replayed = self.runs[made.run] = ReplayedRun(made, run, self._known_fields, self)
+        replayed = ReplayedRun(made, run, lambda action: self.fields.get(str(action)) if self.fields else None, self)
+        self.runs[made.run] = replayed
         if made.task in self.tasks:
             task = self.tasks[made.task]
             task.runs = [one for one in task.runs if not one.made.gives_way(made, has_begun=one.run.begun)]
@@ -244,26 +254,6 @@ class Replay:
         replayed.is_over, replayed.result = True, replayed.run.result_so_far()
         if (here := records.became(replayed.result, replayed.run.machine.plan)) != results:
             _differ(number, "ends with", here, results)
-
-    def _known_fields(self, action: GroundAction) -> tuple[str, ...] | None:
-        return self.fields.get(str(action)) if self.fields else None
-
-    def _note_task(self, record: records.TaskAccepted | records.TaskHeld | records.TaskNoted | records.TaskOver) -> None:
-        match record:
-            case records.TaskAccepted(wanted):
-                made = [replayed for replayed in self.runs.values() if replayed.made.task == wanted.id]  # of a plan, before it is accepted
-                self.tasks[wanted.id] = ReplayedTask(record, self.now, self, self.is_held, made)
-            case records.TaskHeld(chosen, is_held):
-                if chosen is None:
-                    self.is_held = is_held
-                elif chosen in self.tasks:
-                    self.tasks[chosen].is_held = is_held
-            case records.TaskNoted(id, note):
-                self.tasks[id].notes.append(note)
-            case records.TaskOver(id, ending):
-                self.tasks[id].ending = ending
-            case _:
-                assert_never(record)
 
     def _note(self, delta: records.KnowledgeDelta) -> None:
         if self._deltas is not None:

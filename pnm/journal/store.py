@@ -19,9 +19,8 @@ write is durable always: a lease that was taken back would be another's while it
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
-from functools import partial
 from math import inf
 from pathlib import Path
 from threading import Lock
@@ -135,17 +134,17 @@ class JournalFile:
         self._file_lock = lock
         self._is_durable = durability is Durability.POWER_LOSS
         log_is_there = _has_log(place)
-        if lock and not adopts:
-            _check_there(place, lock)
+        if lock and lock.left and not adopts and isinstance(place, Path) and not place.exists():
+            kept = f"{lock.left.holder} has kept {lock.left.last} records in it"
+            expected = "it was deleted or moved; expected it with its log, or --adopt to begin anew"
+            raise InputError(f"the journal {place} is not there, and {kept}: {expected}")
         self._database = _opened(place, read_only=False, durability=durability)
         try:
             with self._lock, journal_errors(self.place, "written"):
                 if lock and isinstance(place, Path) and place.stat().st_size <= _QUICK:
                     self._database.do(lambda driver: driver.check())
-                check = partial(
-                    self._check_home, Home.of(place, node) if node is not None else None, adopts=adopts, log_is_there=log_is_there
-                )
-                self.epoch: Final = self._begin_epoch(wall, check, only_free=lease is not None)
+                home = Home.of(place, node) if node is not None else None
+                self.epoch: Final = self._begin_epoch(wall, home, adopts, log_is_there or not lock, only_free=lease is not None)
                 self._last, self._segment = self._number(tables.LAST), self._number(tables.LAST_SEGMENT)
                 walls = self._database.read(tables.SEGMENTS)
                 self.segment_wall: Final = walls[-1][1] if walls else wall
@@ -161,7 +160,8 @@ class JournalFile:
             self._database.close()
             raise
 
-    def _begin_epoch(self, wall: float, check: Callable[[int, str], None], *, only_free: bool) -> int:
+    def _begin_epoch(self, wall: float, home: Home | None, adopts: bool, log_is_there: bool, *, only_free: bool) -> int:
+        """Begin an epoch unless another process holds the journal, it is not all there, or it belongs elsewhere; it belongs here then."""
         database, me = self._database, this_process()
         with database.transaction(is_durable=True):
             database.run(tables.MAKE)
@@ -169,24 +169,19 @@ class JournalFile:
             epoch, holder, left = (free or database.read(tables.LEASE))[0]
             if not free or (only_free and left > 0.0):
                 raise HeldByAnother(f"{holder} holds the journal {self.place}", holder, left)
-            check(epoch, holder)
+            left = self._file_lock.left if self._file_lock else None
+            lacks = _lacks(left, epoch, self._number(tables.LAST), holder, log_is_there=log_is_there)
+            if lacks and not adopts:
+                raise InputError(f"the journal {self.place} {lacks}; {_WHOLE}")
+            if home is not None:
+                known = Home(*row) if (row := next(iter(database.read(tables.HOME)), None)) else home
+                if known != home and not adopts:
+                    writer = database.read(tables.LAST_HOLDER)[0][0]
+                    raise InputError(f"the journal {self.place} {known.unlike(home, writer)}; {_ADOPT}")
+                database.run(tables.SETTLE, **home._asdict())
             database.run(tables.TAKE, epoch=epoch + 1, me=me, seconds=self._lease)
             database.run(tables.BEGIN_EPOCH, epoch=epoch + 1, wall=wall, me=me)
         return int(epoch) + 1
-
-    def _check_home(self, home: Home | None, epoch: int, holder: str, *, adopts: bool, log_is_there: bool) -> None:
-        """Raise an `InputError` unless the journal is all there, and belongs here; it does from now on."""
-        left, last = self._file_lock.left if self._file_lock else None, self._number(tables.LAST)
-        lacks = _lacks(left, epoch, last, holder, log_is_there=log_is_there or not self._file_lock)
-        if lacks and not adopts:
-            raise InputError(f"the journal {self.place} {lacks}; {_WHOLE}")
-        rows = self._database.read(tables.HOME)
-        known = Home(*rows[0]) if rows else home
-        if home is not None and known is not None:
-            if known != home and not adopts:
-                writer = self._database.read(tables.LAST_HOLDER)[0][0]
-                raise InputError(f"the journal {self.place} {known.unlike(home, writer)}; {_ADOPT}")
-            self._database.run(tables.SETTLE, **home._asdict())
 
     def _mark(self, *, is_closed: bool = False) -> None:
         """Note beside the file how far it has come."""
@@ -366,15 +361,6 @@ def _has_log(place: Place) -> bool:
     return isinstance(place, Path) and has_log(place)
 
 
-def _check_there(place: Place, lock: FileLock) -> None:
-    """Raise an `InputError` if there is no file any more that its lock says has been written."""
-    if lock.left and isinstance(place, Path) and not place.exists():
-        kept = f"{lock.left.holder} has kept {lock.left.last} records in it"
-        raise InputError(
-            f"the journal {place} is not there, and {kept}: it was deleted or moved; expected it with its log, or --adopt to begin anew"
-        )
-
-
 class Holding(NamedTuple):
     """The holder of a journal.
 
@@ -434,7 +420,13 @@ class KeptJournal:
             JournalError: it cannot be read now.
         """
         self._warn()
-        while rows := self._read_from(after):
+        while True:
+            rows = self._read(tables.ROWS, first=after, most=_READ)
+            if after == self.seen.number > 0:
+                self._compare(self.seen, rows)
+            rows = rows[1:] if rows and rows[0][0] == after else rows
+            if not rows:
+                return
             for sequence, epoch, time, text, checksum in rows:
                 self.seen = Seen(sequence, epoch, checksum)
                 if tables.checksum(text, sequence, epoch, time) != checksum:
@@ -450,12 +442,6 @@ class KeptJournal:
         lacks, self._lacks = self._lacks, ""
         if lacks:
             _log.warning("the journal %s %s", self.place, lacks)
-
-    def _read_from(self, after: int) -> Rows:
-        rows, seen = self._read(tables.ROWS, first=after, most=_READ), self.seen
-        if after == seen.number > 0:
-            self._compare(seen, rows)
-        return rows[1:] if rows and rows[0][0] == after else rows
 
     def look(self, seen: Seen) -> None:
         """Raise `Rewritten` if a record that was read is not there any more."""
@@ -525,18 +511,15 @@ class KeptJournal:
 
     def home(self) -> Home | None:
         """Return where it belongs, if that is known."""
-        rows = self._read(tables.HOME)
-        return Home(*rows[0]) if rows else None
+        return next((Home(*row) for row in self._read(tables.HOME)), None)
 
     def writer(self) -> str:
         """Return the process that has written it last."""
-        rows = self._read(tables.LAST_HOLDER)
-        return str(rows[0][0]) if rows else ""
+        return next((str(holder) for (holder,) in self._read(tables.LAST_HOLDER)), "")
 
     def holding(self) -> Holding:
         """Return who holds it."""
-        rows = self._read(tables.LEASE)
-        return Holding(*rows[0]) if rows else Holding(0, "", 0.0)
+        return next((Holding(*row) for row in self._read(tables.LEASE)), Holding(0, "", 0.0))
 
     def wait(self, seconds: float) -> None:
         """Wait until its holder lets it go, or for so long."""

@@ -10,7 +10,6 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
 from typing import TypeVar
 
 from pnm.errors import PnmError
@@ -47,7 +46,7 @@ class Database:
         self._is_durable = is_durable
         self._driver: Driver | None = None
         self._limit = OperationLimit()
-        self._translated = _Translated(self._limit, Sqlite.said if isinstance(place, Path) else Postgres.said, self._drop)
+        self._kind: type[Sqlite | Postgres] = Sqlite if isinstance(place, Path) else Postgres
         self.connect()
 
     @property
@@ -59,7 +58,7 @@ class Database:
         """Open the connection unless it is open."""
         if self._driver is not None:
             return
-        with self._translated:
+        with self._translated():
             if isinstance(self.place, Path):
                 driver: Driver = Sqlite(self.place, self._limit, read_only=self._read_only, is_durable=self._is_durable)
             else:
@@ -73,7 +72,7 @@ class Database:
 
     def run(self, sql: str, **values: object) -> Rows:
         """Execute a statement, in the transaction if there is one; return its rows."""
-        with self._translated:
+        with self._translated():
             return self._connected().run(sql, values)
 
     def read(self, query: SqlQuery, **values: object) -> Rows:
@@ -90,12 +89,12 @@ class Database:
     def run_many(self, sql: str, rows: Sequence[Mapping[str, object]]) -> None:
         """Execute a statement for each row."""
         if rows:
-            with self._translated:
+            with self._translated():
                 self._connected().run_many(sql, rows)
 
     def do(self, work: Callable[[Driver], T]) -> T:
         """Return the result of the driver."""
-        with self._translated:
+        with self._translated():
             return work(self._connected())
 
     @contextmanager
@@ -108,25 +107,25 @@ class Database:
         """
         if is_new:
             self.connect()
-        with self._translated:
+        with self._translated():
             if self._driver is None:
                 raise DatabaseError("there is no connection")
             self._driver.begin(is_durable=is_durable)
         try:
             yield
-            with self._translated:
+            with self._translated():
                 assert self._driver is not None
                 self._driver.run("COMMIT", {})
         except BaseException:
             if self._driver is not None:
-                with suppress(DatabaseError), self._translated:
+                with suppress(DatabaseError), self._translated():
                     self._driver.run("ROLLBACK", {})
             raise
 
     def close(self) -> None:
         """Close the connection."""
         if self._driver is not None:
-            with suppress(DatabaseError), self._translated:
+            with suppress(DatabaseError), self._translated():
                 self._driver.close()
             self._driver = None
 
@@ -135,33 +134,21 @@ class Database:
         assert self._driver is not None
         return self._driver
 
-    def _drop(self) -> None:
-        """Forget a connection that an error has ended."""
-        if self._driver is not None and not self._driver.survives:
-            with suppress(Exception):
-                self._driver.close()
-            self._driver = None
-
-
-class _Translated:
-    """An operation of a driver, within its limit. Its errors are a `DatabaseError`; the connection is dropped after one that it does not
-    survive.
-    """
-
-    def __init__(self, limit: OperationLimit, said: Callable[[Exception], DatabaseError], drop: Callable[[], None]) -> None:
-        self._limit = limit
-        self._said = said
-        self._drop = drop
-
-    def __enter__(self) -> None:
-        """Begin what a driver does."""
+    @contextmanager
+    def _translated(self) -> Iterator[None]:
+        """Do something within the limit of an operation; errors are a `DatabaseError`, and end a connection that does not survive them."""
         self._limit.begin()
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
-        if isinstance(error, Exception) and not isinstance(error, PnmError):
-            self._drop()
+        try:
+            yield
+        except PnmError:
+            raise
+        except Exception as error:
+            if self._driver is not None and not self._driver.survives:
+                with suppress(Exception):
+                    self._driver.close()
+                self._driver = None
             reason = self._limit.exceeded or ("it answers with more than there is memory for" if isinstance(error, MemoryError) else "")
-            raise (DatabaseError(reason) if reason else self._said(error)) from error
+            raise (DatabaseError(reason) if reason else self._kind.said(error)) from error
 
 
 # --- moving and copying SQLite files, with all that is in their write-ahead logs -----------

@@ -202,15 +202,23 @@ def _connected(url: ServerUrl, limit: OperationLimit) -> _Limited:
     if hasattr(socket, "TCP_USER_TIMEOUT"):  # of Linux
         plain.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(LIMIT * 1000))
     mode = url.options.get("sslmode", "prefer")
+    limited: socket.socket
     try:
         is_encrypted = mode != "disable" and _may_encrypt(plain)
         if not is_encrypted and mode not in ("disable", "prefer"):
             raise DatabaseError("the server refuses to encrypt the connection")
-        family = plain.family, plain.type, plain.proto
-        limited = _encrypted(plain, url.host, is_verified=mode == "verify-full") if is_encrypted else _Limited(*family, plain.detach())
+        if is_encrypted:
+            context = ssl.create_default_context()
+            if mode != "verify-full":
+                context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+            context.sslsocket_class = _LimitedSsl
+            limited = context.wrap_socket(plain, server_hostname=url.host)
+        else:
+            limited = _Limited(plain.family, plain.type, plain.proto, plain.detach())
     except BaseException:
         plain.close()
         raise
+    assert isinstance(limited, _Limited)
     limited.limit = limit
     return limited
 
@@ -223,13 +231,3 @@ def _may_encrypt(plain: socket.socket) -> bool:
         case b"" | b"E":
             raise DatabaseError("the server refuses the connection")
     raise DatabaseError(_NONSENSE)
-
-
-def _encrypted(plain: socket.socket, host: str, *, is_verified: bool) -> _Limited:
-    context = ssl.create_default_context()
-    if not is_verified:
-        context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
-    context.sslsocket_class = _LimitedSsl
-    encrypted = context.wrap_socket(plain, server_hostname=host)
-    assert isinstance(encrypted, _Limited)
-    return encrypted

@@ -112,8 +112,15 @@ class Sqlite(Driver):
 
     def prepare(self, layout: Layout | None, *, read_only: bool) -> None:
         """Make the tables unless they are there; refuse those of something else or of another version."""
-        if layout is not None:
-            self._within(partial(_patiently, partial(self._prepare, layout, read_only=read_only)))
+        until, is_prepared = monotonic() + LIMIT, layout is None
+        while layout is not None and not is_prepared:
+            try:
+                self._within(partial(self._prepare, layout, read_only=read_only))
+                is_prepared = True
+            except sqlite3.OperationalError as error:  # SQLite does not wait by itself while its journal mode is being changed
+                if "locked" not in str(error) or monotonic() >= until:
+                    raise
+                sleep(_AGAIN)
         self._connection.execute(f"PRAGMA busy_timeout = {LIMIT * 1000:.0f}")
         if not read_only:
             self._identities = {os.fspath(file): _identity(os.fspath(file)) for file in files_of(self._path) if file.exists()}
@@ -187,8 +194,12 @@ class Sqlite(Driver):
         to.touch(0o600, exist_ok=False)
         try:
             self._throughout("VACUUM INTO :to", to=str(to))
-            for path in (to, to.parent):
-                _sync(path)
+            for path in (to, to.parent):  # its content, and its name in the folder
+                file = os.open(path, os.O_RDONLY)
+                try:
+                    os.fsync(file)
+                finally:
+                    os.close(file)
         except BaseException:
             to.unlink()
             raise
@@ -206,30 +217,9 @@ class Sqlite(Driver):
         return int(self._connection.execute(f"PRAGMA {pragma}").fetchone()[0])
 
 
-def _sync(path: Path) -> None:
-    """Have a file, or the names in a folder, on the disk."""
-    file = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(file)
-    finally:
-        os.close(file)
-
-
 def _identity(file: str) -> tuple[int, int]:
     found = os.stat(file)
     return found.st_dev, found.st_ino
-
-
-def _patiently(work: Callable[[], None]) -> None:
-    """Retry while another process has the file: SQLite does not wait by itself while its journal mode is being changed."""
-    until = monotonic() + LIMIT
-    while True:
-        try:
-            return work()
-        except sqlite3.OperationalError as error:
-            if "locked" not in str(error) or monotonic() >= until:
-                raise
-            sleep(_AGAIN)
 
 
 @cache
