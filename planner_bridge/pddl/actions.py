@@ -39,18 +39,17 @@ def actions(sections: Iterable[Group], symbols: SymbolTable) -> dict[str, Action
         name = new_name(section.rest[0], "action")
         if first.setdefault(name.lower(), section) is not section:
             raise wrong(section, f"the action {name!r} is declared twice; the first time in line {where(first[name.lower()]).line}")
-        schemas[name] = (_durative if section.head == DURATIVE else _instantaneous)(name, section, symbols)
+        if section.head == DURATIVE:
+            schemas[name] = _durative(name, section, symbols)
+            continue
+        parts = keyed(section.rest[1:], f"the action {name!r}", (":parameters", ":precondition", ":effect", _VARS))
+        parameters = _parameters(parts, symbols)
+        scope = TermScope(symbols).inside(parameters)
+        empty = Group((), section.offset, section.source)
+        precondition, preferences = split_preferences(parts.get(":precondition", empty), scope)
+        changes = effects(parts.get(":effect", empty), scope)
+        schemas[name] = ActionSchema(name, parameters, precondition=precondition, end_effects=changes, preferences=preferences)
     return schemas
-
-
-def _instantaneous(name: str, section: Group, symbols: SymbolTable) -> ActionSchema:
-    parts = keyed(section.rest[1:], f"the action {name!r}", (":parameters", ":precondition", ":effect", _VARS))
-    parameters = _parameters(parts, symbols)
-    scope = TermScope(symbols).inside(parameters)
-    empty = Group((), section.offset, section.source)
-    precondition, preferences = split_preferences(parts.get(":precondition", empty), scope)
-    changes = effects(parts.get(":effect", empty), scope)
-    return ActionSchema(name, parameters, precondition=precondition, end_effects=changes, preferences=preferences)
 
 
 def _durative(name: str, section: Group, symbols: SymbolTable) -> ActionSchema:

@@ -11,13 +11,14 @@ Names are compared without case and spelled as first declared, in a problem as i
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 from pathlib import Path
 from typing import Final, Literal, TypeAlias
 
 from planner_bridge.model.problem import Domain, Metric, Problem
 from planner_bridge.pddl.actions import DURATIVE, INSTANTANEOUS, actions
+from planner_bridge.pddl.comments import Anchor, AnchorPath, Comment, CommentTable, LineIndex, attach
 from planner_bridge.pddl.expressions import (
     CONNECTIVES,
     Atom,
@@ -30,12 +31,13 @@ from planner_bridge.pddl.expressions import (
     show_types,
     text_of,
     time,
+    tokens,
     where,
     wrong,
 )
 from planner_bridge.pddl.formulas import TermScope, condition, constraints, split_preferences
 from planner_bridge.pddl.requirements import REFUSED_IN_INIT, Leniency, Requirements, requirements
-from planner_bridge.pddl.sections import Definition, define
+from planner_bridge.pddl.sections import Definition, define, typed_runs
 from planner_bridge.pddl.symbols import (
     TOTAL_COST,
     SymbolTable,
@@ -45,6 +47,7 @@ from planner_bridge.pddl.symbols import (
     declared_predicates,
     declared_types,
 )
+from planner_bridge.pddl.writer import ACTION, COMPOUND, PARTS, fact_anchor, form_anchor, form_of, is_timed, rule_anchor
 from pnm.core.logic.conditions import TRUE, Compare, Condition, every_part, polarities
 from pnm.core.logic.domain import ActionSchema, Declaration, Preference, ProblemModel, check_choices
 from pnm.core.logic.effects import Set, TimedChange, every_effect
@@ -238,8 +241,16 @@ def rules(sections: Iterable[Group], symbols: SymbolTable) -> Rules:
         given = symbols.variables(head.rest)
         if len(given) != len(declared.parameters):
             raise wrong(head, f"expected {declared}, found {counted(len(given), 'variable')}")
-        variables = tuple(_narrowed(own, needed, head, symbols) for own, needed in zip(given, declared.parameters, strict=True))
-        read.append((DerivationRule(declared.name, variables, condition(body, TermScope(symbols).inside(variables))), section))
+        variables: list[Variable] = []
+        for own, needed in zip(given, declared.parameters, strict=True):
+            if all(symbols.domain.matches((kind,), needed.types) for kind in own.types):
+                variables.append(own)
+            elif all(symbols.domain.matches((kind,), own.types) for kind in needed.types):  # its own type is wider or missing
+                variables.append(Variable(own.name, needed.types))
+            else:
+                raise wrong(head, f"{own.name!r} is of type {show_types(own.types)}; expected {show_types(needed.types)}")
+        rule = DerivationRule(declared.name, tuple(variables), condition(body, TermScope(symbols).inside(variables)))
+        read.append((rule, section))
     _check_stratification(read)
     return Rules(tuple(rule for rule, _ in read))
 
@@ -261,15 +272,6 @@ def derived_predicates(sections: Iterable[Group], symbols: SymbolTable) -> dict[
             declared = Declaration(name, symbols.variables(head.rest))
         derived[declared.name] = declared
     return derived
-
-
-def _narrowed(given: Variable, needed: Variable, node: Node, symbols: SymbolTable) -> Variable:
-    """Return the variable of a head with its own type, or with that of the declaration where its own is wider or missing."""
-    if all(symbols.domain.matches((kind,), needed.types) for kind in given.types):
-        return given
-    if all(symbols.domain.matches((kind,), given.types) for kind in needed.types):
-        return Variable(given.name, needed.types)
-    raise wrong(node, f"{given.name!r} is of type {show_types(given.types)}; expected {show_types(needed.types)}")
 
 
 def _check_stratification(rules: list[tuple[DerivationRule, Group]]) -> None:
@@ -421,3 +423,122 @@ def expressions_in(action: ActionSchema) -> Iterator[Expression]:
             yield from (part.left, part.right)
     yield from (constraint.bound for constraint in action.duration or ())
     yield from (effect.value for effect in every_effect((*action.start_effects, *action.end_effects)) if isinstance(effect, Set))
+
+
+# --- comments -------------------------------------------------------------------------------------
+# The comments of a file, attached to the things they are about: sections, declarations, actions, conditions, facts.
+
+
+def comments(text: str, kind: Literal["domain", "problem"]) -> CommentTable:
+    """Return the comments of the text of a domain or a problem, which must be correct."""
+    if ";" not in text:
+        return {}
+    ends: dict[int, int] = {}
+    all_comments: list[Comment] = []
+    opened: list[int] = []
+    for token, offset in tokens(text):
+        if token == "(":
+            opened.append(offset)
+        elif token == ")" and opened:
+            ends[opened.pop()] = offset + 1
+        elif token[0] == ";":
+            all_comments.append(Comment(token.rstrip(), offset))
+    definition = define(text, "", kind, DOMAIN_SECTIONS if kind == "domain" else PROBLEM_SECTIONS)
+    finder = _AnchorFinder(ends)
+    anchors = [finder.anchor(definition.whole, (kind,))]
+    for section in definition.sections:
+        anchors.extend(finder.section(section, (kind,)))
+    verbatim = [(anchor.start, anchor.end) for anchor in anchors if anchor.opaque]
+    free = [comment for comment in all_comments if not any(start < comment.offset < end for start, end in verbatim)]
+    return attach(free, anchors, LineIndex.of(text), _ListEnds(anchors).owner_above)
+
+
+class _ListEnds:
+    """Decides whether a comment stands at the end of a list, and under which of its parts."""
+
+    def __init__(self, anchors: list[Anchor]) -> None:
+        self._anchors = {anchor.path: anchor for anchor in anchors}
+        sections = [anchor for anchor in anchors[1:] if self._around(anchor.path) == anchors[0]]
+        self._last_section = max(sections, key=lambda anchor: anchor.start, default=anchors[0])
+
+    def owner_above(self, comment: Comment, last: Anchor | None, following: Anchor | None) -> AnchorPath | None:
+        """Return the part under which the comment stands, or None if another one follows in the list."""
+        if last is None:
+            return None
+        if comment.offset >= self._anchors[last.path[:1]].end:
+            return self._last_section.path
+        around = last
+        under = last.path
+        while around.end <= comment.offset:
+            under = around.path
+            around = self._around(under)
+        return under if following is None or following.start >= around.end else None
+
+    def _around(self, path: AnchorPath) -> Anchor:
+        path = path[:-1]
+        while path not in self._anchors:
+            path = path[:-1]
+        return self._anchors[path]
+
+
+@dataclass(frozen=True, slots=True)
+class _AnchorFinder:
+    """Finds the things in a definition that comments can be about."""
+
+    ends: Mapping[int, int]
+    """For the offset of every list, the offset behind it."""
+
+    def anchor(self, node: Node, path: AnchorPath, last: Node | None = None, opaque: bool = False) -> Anchor:
+        behind = last or node
+        end = behind.offset + len(behind.text) if isinstance(behind, Atom) else self.ends.get(behind.offset, behind.offset + 1)
+        return Anchor(path, node.offset, end, opaque)
+
+    def section(self, section: Group, path: AnchorPath) -> Iterator[Anchor]:
+        head = section.head
+        name = section.rest[0] if section.rest else section
+        inner = (*path, head)
+        if head in (*HIERARCHY, *NETWORK):  # kept as they stand, with the comments in them
+            yield self.anchor(section, (*inner, name.key if isinstance(name, Atom) else ""), opaque=True)
+        elif head == ":derived":
+            inner = (*inner, rule_anchor(form_of(section)))
+            yield self.anchor(section, inner)
+            yield from self.formulas(section.rest[1:], inner)
+        elif head in (":action", ":durative-action"):
+            yield from self.action(section, (*path, ACTION, form_anchor(form_of(name))))
+        else:
+            yield self.anchor(section, inner)
+            if head in (":types", ":constants", ":objects"):
+                names = (name for names, _ in typed_runs(section.rest) for name in names)
+                yield from (self.anchor(name, (*inner, name.key)) for name in names if isinstance(name, Atom))
+            elif head in (":predicates", ":functions"):
+                yield from (self.anchor(part, (*inner, part.head)) for part in section.rest if isinstance(part, Group))
+            elif head == ":init":
+                facts = (part for part in section.rest if isinstance(part, Group))
+                yield from (self.anchor(fact, (*inner, fact_anchor(form_of(fact)))) for fact in facts)
+            elif head in (":goal", ":constraints"):
+                yield from self.formulas(section.rest, inner)
+
+    def action(self, section: Group, path: AnchorPath) -> Iterator[Anchor]:
+        yield self.anchor(section, path)
+        for keyword, value in zip(section.rest[1::2], section.rest[2::2], strict=False):
+            part = PARTS.get(form_anchor(form_of(keyword)), "")
+            yield self.anchor(keyword, (*path, part), value)
+            if part in ("condition", "effect"):
+                yield from self.formulas((value,), (*path, part))
+
+    def formulas(self, nodes: Iterable[Node], path: AnchorPath) -> Iterator[Anchor]:
+        """Yield the anchors of conditions or effects that stand beside each other, and of the forms in them."""
+        for node in nodes:
+            if not isinstance(node, Group) or not node.items or node.head.startswith("?"):
+                continue
+            if node.head == "and":
+                yield from self.formulas(node.rest, path)
+            elif is_timed(form := form_of(node)):
+                yield from self.formulas(node.items[2:], path)
+            else:
+                inner = (*path, form_anchor(form))
+                yield self.anchor(node, inner)
+                operand = node.rest[0] if node.rest else None
+                is_compound = isinstance(operand, Group) and (operand.head in COMPOUND or operand.head == "and")
+                if node.head in COMPOUND and (node.head != "not" or is_compound):
+                    yield from self.formulas(node.rest, inner)

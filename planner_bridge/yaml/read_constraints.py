@@ -14,9 +14,9 @@ from pnm.core.logic.domain import Preference
 from pnm.core.logic.expressions import Constant, ValueOf, Variable, expression_fluents
 from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError, suggestion
-from pnm.files.yaml_keys import Key, Keys, Schema, listed, needed, pair, ref, text, written
+from pnm.files.yaml_keys import Key, Keys, listed, needed, pair, ref, text, written
 from pnm.files.yaml_nodes import Mapped, Node
-from pnm.language.formulas.conditions import Quantified, read_condition, read_expression, read_quantified
+from pnm.language.formulas.readers import Quantified, read_condition, read_expression, read_quantified
 from pnm.language.formulas.scope import FormulaScope, read_typed
 from pnm.language.formulas.words import CONDITION, Words, needed_form
 
@@ -44,12 +44,9 @@ class QuantifiedConstraint(Quantified):
     body = needed(_CONSTRAINT, "the constraint on them").named("constraint")
 
 
-def _operands(times: int, conditions: int) -> Schema:
-    return CONDITION if (times, conditions) == (0, 1) else pair(*[_EXPRESSION] * times, *[CONDITION] * conditions)
-
-
+_OPERANDS: Final = {word: [*[_EXPRESSION] * times, *[CONDITION] * conditions] for word, (times, conditions) in _COUNTS.items()}
 CONSTRAINT_WORDS: Final[Words] = {
-    **{word: (_ABOUT[word], _operands(*counts)) for word, counts in _COUNTS.items()},
+    **{word: (_ABOUT[word], operands[0] if len(operands) == 1 else pair(*operands)) for word, operands in _OPERANDS.items()},
     "forall": ("for all objects of some types", QuantifiedConstraint.json()),
 }
 """The words that a constraint begins with."""

@@ -33,7 +33,7 @@ from planner_bridge.pddl.writer import (
 from planner_bridge.yaml.emitter import Bare, Entry, Value, YamlList, YamlMapping, depth, document, items, single
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
 from pnm.core.logic.domain import ActionSchema, Declaration, DurationConstraint, Preference
-from pnm.core.logic.effects import Effect, Effects, ForEach, Set, When
+from pnm.core.logic.effects import Effects, ForEach, Set, When
 from pnm.core.logic.expressions import Arithmetic, Constant, Expression, ValueOf, Variable, fluent_text
 from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import DEFAULT, NO_BINDINGS, Binding, Bindings, Foreign, Table, WhenLost
@@ -256,25 +256,23 @@ def effects(listed: Effects, notes: Notes) -> YamlList:
     entries: list[Entry] = []
     for effect in listed:
         own = notes.at(form_anchor(effects_form((effect,)))) if notes else NO_NOTES
-        entries.append(Entry(_effect(effect, own), note=own.take()))
+        written: Value
+        match effect:
+            case Set(fluent, Constant(True)):
+                written = fluent_text(fluent)
+            case Set(fluent, Constant(False)):
+                written = single("not", fluent_text(fluent))
+            case Set(fluent, value, operation):
+                written = single(operation.replace("-", "_"), items([fluent_text(fluent), expression(value)], short=True), short=True)
+            case When(condition, inner, early):
+                tested = Entry(conditions(condition, own), "at_start" if early else "condition")
+                written = single("when", YamlMapping((tested, Entry(effects(inner, own), "effects"))))
+            case ForEach(variables, inner):
+                written = single("forall", _quantified(variables, "effects", effects(inner, own)))
+            case _:
+                assert_never(effect)
+        entries.append(Entry(written, note=own.take()))
     return YamlList(tuple(entries))
-
-
-def _effect(effect: Effect, notes: Notes) -> Value:
-    match effect:
-        case Set(fluent, Constant(True)):
-            return fluent_text(fluent)
-        case Set(fluent, Constant(False)):
-            return single("not", fluent_text(fluent))
-        case Set(fluent, value, operation):
-            return single(operation.replace("-", "_"), items([fluent_text(fluent), expression(value)], short=True), short=True)
-        case When(condition, inner, early):
-            tested = Entry(conditions(condition, notes), "at_start" if early else "condition")
-            return single("when", YamlMapping((tested, Entry(effects(inner, notes), "effects"))))
-        case ForEach(variables, inner):
-            return single("forall", _quantified(variables, "effects", effects(inner, notes)))
-        case _:
-            assert_never(effect)
 
 
 def duration(bounds: tuple[DurationConstraint, ...]) -> Value:

@@ -119,7 +119,12 @@ class Codec:
             return lambda value: f'{begin},"name":{_quoted(value.name)}}}'
         if issubclass(kind, tuple):
             return lambda value: f'{begin},"items":{self._array(value)}}}'
-        parts = [(field.name, f",{_quoted(field.name)}:", *_default(field), self._short(field)) for field in fields(kind) if field.init]
+        parts: list[tuple[str, str, object, type | None, _Short | None]] = []
+        for field in (field for field in fields(kind) if field.init):
+            factory = field.default_factory  # of a default that is not always the same: what is empty by default
+            empty = None if factory is NO_DEFAULT else type(factory())
+            default = _NONE_SUCH if field.default is NO_DEFAULT else field.default
+            parts.append((field.name, f",{_quoted(field.name)}:", default, empty, self._short(field)))
 
         def write(value: Any) -> str:
             text = begin
@@ -270,13 +275,6 @@ _READERS: Final[Mapping[str, Callable[[dict[str, Any]], Any]]] = {
     "missing": lambda _: MISSING,
 }
 """The readers of what has a tag and is no value of a class."""
-
-
-def _default(field: Field[Any]) -> tuple[object, type | None]:
-    """Return the default of a field, if it has one that is always the same; and the type of what is empty by default."""
-    if field.default_factory is not NO_DEFAULT:
-        return _NONE_SUCH, type(field.default_factory())
-    return field.default if field.default is not NO_DEFAULT else _NONE_SUCH, None
 
 
 _NONE_SUCH: Final = object()

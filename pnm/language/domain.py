@@ -1,4 +1,4 @@
-"""Domains: the model that people and planners share, and how its actions are executed."""
+"""Domains: the model that people and planners share, and how its actions are executed: from YAML to schemas and bindings."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from pnm.core.machine.bindings import DEFAULT, Binding
 from pnm.errors import InputError, Position, Tolerated
 from pnm.files.yaml_nodes import Mapped, Node
 from pnm.knowledge.sources import SourceChoice, check_source
-from pnm.language.formulas.conditions import read_condition
-from pnm.language.formulas.effects import read_conditions, read_duration, read_timed_effects
+from pnm.language.formulas.readers import read_condition, read_conditions, read_duration, read_timed_effects
 from pnm.language.formulas.scope import NOTHING_DECLARED, FormulaScope, read_names, read_typed, read_typed_text, shown, unknown
 from pnm.language.formulas.values import read_data
 from pnm.language.grammar import RESERVED, Action, ActionKind, ClassName, DomainKeys, ProblemKeys, RuleKeys, TimedFacts
 
 CLASSES: Final = {"ROSAtomicAction": ActionKind.ROS, "RPNAtomicAction": ActionKind.RPN, "KBAction": ActionKind.KB}
 """The classes that files for the original implementation name; none of them is imported."""
+_KINDS: Final[dict[str, ActionKind]] = {kind.value: kind for kind in CLASSES.values()}
 OPERATION: Final = "operation"
 """The parameter of an `ActionKind.KB` action that has the operation on knowledge."""
 
@@ -130,6 +130,15 @@ def read_action(schema: ActionSchema, keys: Action, scope: FormulaScope) -> Lang
     """Read how an action is executed."""
     if schema.name in RESERVED:
         raise InputError(f"{schema.name!r} is a word of the language; expected another name for the action", keys.entry.start)
+    kind = ActionKind.ROS
+    if (node := keys.type) is not None:
+        name = read_class(node)[1] if node.is_mapping else node.text
+        if name is None:
+            raise node.wrong(f"expected a kind of action such as ros_action, found {shown(node)}")
+        known = CLASSES if node.is_mapping else _KINDS
+        if name not in known:
+            raise unknown("kind of action", name, known, node.position)
+        kind = known[name]
     is_open = keys.params is None
     inner = replace(scope, variables=None if is_open else {}).inside(schema.parameters)
     returns: list[tuple[str, Data]] = []
@@ -140,7 +149,7 @@ def read_action(schema: ActionSchema, keys: Action, scope: FormulaScope) -> Lang
         returns.append((name, data))
     return LanguageAction(
         schema,
-        ActionKind.ROS if keys.type is None else _kind(keys.type),
+        kind,
         keys.entry.start,
         is_open,
         binding=read_binding(keys),
@@ -148,18 +157,6 @@ def read_action(schema: ActionSchema, keys: Action, scope: FormulaScope) -> Lang
         returns=tuple(returns),
         recoveries=keys.recoveries,
     )
-
-
-def _kind(node: Node) -> ActionKind:
-    """Return how the action is executed."""
-    kinds: dict[str, ActionKind] = {kind.value: kind for kind in CLASSES.values()}
-    name = read_class(node)[1] if node.is_mapping else node.text
-    if name is None:
-        raise node.wrong(f"expected a kind of action such as ros_action, found {shown(node)}")
-    known = CLASSES if node.is_mapping else kinds
-    if name not in known:
-        raise unknown("kind of action", name, known, node.position)
-    return known[name]
 
 
 def read_class(node: Node) -> tuple[str, str]:

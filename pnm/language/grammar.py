@@ -1,7 +1,7 @@
 """The grammar of the YAML language: the keys of domains, problems, actions, plans, steps and worlds, in the order of the pages.
 
 The readers read by these classes, `pnm schema` writes them as a JSON Schema, and the tables of the pages are made of them;
-the words of formulas stand in `pnm.language.formulas.words` and `pnm.language.formulas.effects`.
+the words of formulas stand in `pnm.language.formulas.words` and `pnm.language.formulas.readers`.
 """
 
 from __future__ import annotations

@@ -62,16 +62,14 @@ async def check_values(plan: HandWrittenPlan, knowledge: Layered, source: Source
             read = parts(given[asked]) if asked in given else ()
             askable |= {asked, *(str(part.name.value) for part in read if isinstance(part, Query) and isinstance(part.name, Literal))}
     for name in nameless:
-        if name not in askable and not await _is_known(name, source, asker):
+        try:
+            question = Question(name, Layer.GLOBAL, "null")
+            is_known = name in askable or (source is not None and await source.query(question, asker) not in (MISSING, None))
+        except Exception:  # a knowledge base that cannot be asked: the run reports that if it needs the value
+            is_known = True
+        if not is_known:
             where = f"{{{name}: …}} among the parameters (--set {name}=…), or under initial_knowledge, or one in the global knowledge"
             raise InputError(f"{plan.name} needs a value for its parameter {name!r}; expected {where}")
-
-
-async def _is_known(name: str, source: Source | None, asker: Asker) -> bool:
-    try:
-        return source is not None and await source.query(Question(name, Layer.GLOBAL, "null"), asker) not in (MISSING, None)
-    except Exception:  # a knowledge base that cannot be asked: the run reports that if it needs the value
-        return True
 
 
 _log = logging.getLogger(__name__)

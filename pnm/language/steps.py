@@ -24,7 +24,7 @@ from pnm.errors import InputError, Position, Tolerated
 from pnm.files.yaml_nodes import Mapped, Node
 from pnm.language import grammar
 from pnm.language.domain import OPERATION, LanguageAction
-from pnm.language.formulas.conditions import read_condition
+from pnm.language.formulas.readers import read_condition
 from pnm.language.formulas.scope import FormulaScope, known_names, shown, unknown
 from pnm.language.formulas.values import read_data, read_operation
 
@@ -324,8 +324,18 @@ class StepReader:
         if not action.is_open and key not in parameters:
             raise InputError(f"{action.name} has no parameter {key!r}; {known_names(key, parameters)}", where)
         data = read_data(node, self.scope)
-        if f"?{key}" in action.objects:
-            _check_object(action, key, node, self.declared)
+        if f"?{key}" not in action.objects or node.is_mapping:
+            return GivenValue(data, node.position)
+        # refuse what cannot be the name of an object, such as an ``on`` without quotes, and objects that are not there
+        value, name, declared = node.plain(), node.written, self.declared
+        if isinstance(value, bool) or not isinstance(value, str | int | float):
+            hint = f"; write {name!r} with quotes" if name else ""
+            raise node.wrong(f"{key} of {action.name} is the name of an object, not {shown(node)}{hint}")
+        if not name.startswith(("?", "(")) and declared.objects:
+            types = next(variable.types for variable in action.schema.parameters if variable.name == f"?{key}")
+            if declared.all_types(declared.objects.get(name, ())).isdisjoint(types):
+                fitting = {fit for kind in types for fit in declared.objects_by_type.get(kind, ())}
+                raise unknown(f"object for {key} of {action.name} (one of type {' or '.join(types)})", name, fitting, node.position)
         return GivenValue(data, node.position)
 
     def _operation(self, action: LanguageAction, arguments: Mapped) -> KnowledgeOperation:
@@ -344,23 +354,6 @@ def taken_literally(steps: Node, variables: Collection[str]) -> Iterator[Tolerat
                 value = f"{{LocalQuery: {name}}}"
                 how = value if match[0] == node.text else f"{{Operation: [concat, [..., {value}]]}}"
                 yield Tolerated(f"{match[0]!r} stays as it is written; for the value of {name} write {how}", node.position)
-
-
-def _check_object(action: LanguageAction, key: str, node: Node, declared: ProblemModel) -> None:
-    """Refuse what cannot be the name of an object, such as an ``on`` without quotes, and objects that are not there."""
-    if node.is_mapping:
-        return
-    value = node.plain()
-    if isinstance(value, bool) or not isinstance(value, str | int | float):
-        hint = f"; write {node.written!r} with quotes" if node.written else ""
-        raise node.wrong(f"{key} of {action.name} is the name of an object, not {shown(node)}{hint}")
-    name = node.written
-    if name.startswith(("?", "(")) or not declared.objects:
-        return
-    types = next(variable.types for variable in action.schema.parameters if variable.name == f"?{key}")
-    if declared.all_types(declared.objects.get(name, ())).isdisjoint(types):
-        fitting = {fit for kind in types for fit in declared.objects_by_type.get(kind, ())}
-        raise unknown(f"object for {key} of {action.name} (one of type {' or '.join(types)})", name, fitting, node.position)
 
 
 def _place(keys: grammar.Place) -> StepPlacement:

@@ -2,7 +2,8 @@
 
 Every list is walked once; what is inside of blocks that are done in sequence or at the same time ends up in the same
 flow, with orderings from the steps that are last in one to those that are first in the next. Where several meet
-several others there is a junction, so that orderings do not multiply.
+several others there is a junction, so that orderings do not multiply. The values that a step gives are substituted for the parameters
+of its action.
 """
 
 from __future__ import annotations
@@ -351,7 +352,16 @@ class _After:
 def _waits(steps: tuple[WrittenStep, ...], *, in_sequence: bool) -> list[tuple[_After, ...]]:
     """Return the conditions of each step: in a sequence, if it names none, all before it that wait for no later one themselves."""
     numbers = {step.place.id: number for number, step in enumerate(steps) if step.place.id is not None}
-    written = [_written_waits(step, steps, numbers) for step in steps]
+    written: list[tuple[_After, ...]] = []
+    for place in (step.place for step in steps):
+        if late := next((wait for wait in place.end_after if wait.delay), None):
+            raise InputError("an end cannot be delayed: it comes when the action's time is up", late.position)
+        for wait in (*(place.after or ()), *place.end_after):
+            if wait.moment is Moment.START and not isinstance(steps[numbers[wait.id]], CallStep):
+                raise InputError(f"{wait.id!r} is no call; only the end of such a step can be waited for", wait.position)
+        starts = (_After(numbers[wait.id], wait.moment, wait.delay) for wait in place.after or ())
+        ends = (_After(numbers[wait.id], wait.moment, wait.delay, Moment.END) for wait in place.end_after)
+        written.append(tuple(dict.fromkeys((*starts, *ends))))
     over: dict[int, list[int]] = {number: [] for number in range(len(steps) + 1)}  # the steps that can be over from this one on
     for number, last in enumerate(_last_waited_for(written)):
         over[last + 1].append(number)
@@ -366,18 +376,6 @@ def _waits(steps: tuple[WrittenStep, ...], *, in_sequence: bool) -> list[tuple[_
         waits.append((*usual, *written[number]))
     _check_cycles(steps, waits)
     return waits
-
-
-def _written_waits(step: WrittenStep, steps: tuple[WrittenStep, ...], numbers: Mapping[str, int]) -> tuple[_After, ...]:
-    for wait in step.place.end_after:
-        if wait.delay:
-            raise InputError("an end cannot be delayed: it comes when the action's time is up", wait.position)
-    for wait in (*(step.place.after or ()), *step.place.end_after):
-        if wait.moment is Moment.START and not isinstance(steps[numbers[wait.id]], CallStep):
-            raise InputError(f"{wait.id!r} is no call; only the end of such a step can be waited for", wait.position)
-    starts = (_After(numbers[wait.id], wait.moment, wait.delay) for wait in step.place.after or ())
-    ends = (_After(numbers[wait.id], wait.moment, wait.delay, Moment.END) for wait in step.place.end_after)
-    return tuple(dict.fromkeys((*starts, *ends)))
 
 
 def _last_waited_for(waits: Sequence[tuple[_After, ...]]) -> list[int]:

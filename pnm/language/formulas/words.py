@@ -166,14 +166,12 @@ def forms(words: Words, *, most: int | None = 1) -> dict[str, Any]:
     known = {_spelled(word): described(*about) for word, about in words.items()}
     if most is None:
         return {"properties": known}
-    others = {word: [key for key in _spellings(word) if key != _spelled(word)] for word in words}
-    patterns = {f"^({'|'.join(keys)})$": words[word][1] for word, keys in others.items() if keys}
+    patterns: dict[str, Schema] = {}
+    for word, (_, schema) in words.items():
+        names = [name for name in (word, *(synonym for synonym, meaning in SYNONYMS.items() if meaning == word)) if name[0].isalpha()]
+        others = [key for name in names for key in (name, name[0].upper() + name[1:]) if key != _spelled(word)]
+        patterns |= {f"^({'|'.join(others)})$": schema} if others else {}
     return {"properties": known, "patternProperties": patterns, "additionalProperties": False, "maxProperties": most}
-
-
-def _spellings(word: str) -> list[str]:
-    small = [word, *(synonym for synonym, meaning in SYNONYMS.items() if meaning == word)]
-    return [key for one in small if one[0].isalpha() for key in (one, one[0].upper() + one[1:])]
 
 
 OPERATORS_KNOWN: Final = sorted(OPERATORS.keys() | _NAMES.keys())

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from planner_bridge.pddl import parse_domain, write_domain
-from planner_bridge.pddl.attach_comments import comments
 from planner_bridge.pddl.comments import Note
+from planner_bridge.pddl.reader import comments
 from planner_bridge.yaml.reader import parse
 from planner_bridge.yaml.writer import write_domain as domain_as_yaml
 from tests.support.yaml.conversion import comments_in, notes

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.pddl.attach_comments import comments
 from planner_bridge.pddl.comments import CommentTable
+from planner_bridge.pddl.reader import comments
 from planner_bridge.yaml.convert import exported, imported
 from planner_bridge.yaml.emitter import Entry, YamlList, YamlMapping, document, scalar
 from planner_bridge.yaml.reader import parse

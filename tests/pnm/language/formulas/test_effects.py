@@ -13,8 +13,16 @@ from pnm.core.logic.domain import Declaration, DomainModel, DurationConstraint, 
 from pnm.core.logic.effects import ForEach, Set, When
 from pnm.core.logic.expressions import Arithmetic, Constant, ValueOf, Variable
 from pnm.errors import InputError
-from pnm.language.formulas.conditions import read_condition, read_expression
-from pnm.language.formulas.effects import TimedConditions, WrittenEffects, read_conditions, read_duration, read_effects, read_timed_effects
+from pnm.language.formulas.readers import (
+    TimedConditions,
+    WrittenEffects,
+    read_condition,
+    read_conditions,
+    read_duration,
+    read_effects,
+    read_expression,
+    read_timed_effects,
+)
 from pnm.language.formulas.scope import FormulaScope, read_names, read_typed
 from pnm.language.formulas.values import read_data, read_operation
 from tests.support.files import refused_by_file

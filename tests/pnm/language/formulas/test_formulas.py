@@ -7,7 +7,7 @@ import pytest
 from pnm.core.logic.computed_values import Compound, Data, KnowledgeOperation, Layer, Operation, Parameter, Query, Update
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not
 from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, ValueOf, Variable
-from pnm.language.formulas.conditions import FALSE, read_condition
+from pnm.language.formulas.readers import FALSE, read_condition
 from pnm.language.formulas.values import read_data, read_operation
 from tests.support.yaml.formulas import lit, node, q
 
