@@ -86,10 +86,7 @@ NO_NOTES: Final = Notes.of({})
 
 
 def write_with_notes(table: CommentTable, write: Callable[[Notes], str]) -> str:
-    """Write a text with all notes: those on things that are not written go to the thing around these.
-
-    `write` takes the notes that it writes; the one on the empty path, too.
-    """
+    """Write a text with all notes, by a function; those on things that are not written go to the thing around these."""
     notes = Notes.of(table)
     text = write(notes)
     remaining = notes.store.notes

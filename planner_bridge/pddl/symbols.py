@@ -60,10 +60,7 @@ _PLACES: Final[Mapping[str, str]] = {
 
 @dataclass
 class SymbolTable:
-    """The types, objects, predicates and functions that are declared.
-
-    The mutable state is the symbols that are used without having been declared.
-    """
+    """The types, objects, predicates and functions that are declared. The mutable state is those that are used undeclared."""
 
     domain: Domain
     objects: Mapping[str, Types]

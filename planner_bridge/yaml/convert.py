@@ -74,10 +74,7 @@ def exported(
 
 
 def imported(file: Path) -> Imported:
-    """Return the domain of a YAML file, and its problem, as PDDL, and how its actions are bound as a bindings file.
-
-    Raises `InputError` if the file is wrong, or has what PDDL has not.
-    """
+    """Return a YAML file's domain and problem as PDDL, and a bindings file; raise `InputError` if it is wrong, or not to be said in PDDL."""
     contents = read(file)
     texts = {"domain.pddl": domain_text(contents.domain, contents.of("domain"))}
     domain = parse_domain(texts["domain.pddl"], "domain.pddl")  # which warns of requirements that other planners will miss

@@ -108,13 +108,12 @@ class Keys:
     @classmethod
     def check(cls, entry: Mapped) -> None:
         """Refuse every key that the mapping cannot have, naming the nearest, or the one that it belongs under."""
-        known = cls.known
-        for key in [key for key in entry.nodes if key not in known]:
-            for name, outer in known.items():
+        for key, (where, _) in entry.nodes.items():
+            for name, outer in cls.known.items() if key not in cls.known else ():
                 if outer.inner is not None and name in entry.nodes and key in outer.inner.known:
-                    raise InputError(f"{key!r} belongs under {name!r}: two more spaces before it", entry.nodes[key][0])
-        entry.only(*known)
-        for name in (name for name, key in known.items() if key.is_needed):
+                    raise InputError(f"{key!r} belongs under {name!r}: two more spaces before it", where)
+        entry.only(*cls.known)
+        for name in (name for name, key in cls.known.items() if key.is_needed):
             entry.needed(name)
 
     @classmethod
@@ -219,7 +218,7 @@ def section(values: Schema, words: str, usual: str = "") -> Key[Mapped]:
 def each(kind: type[K], values: Schema, words: str, usual: str = "") -> Key[dict[str, K]]:
     """Make a key for mappings of one kind by their names."""
     schema = {"type": ["object", "null"], "additionalProperties": values}
-    return Key(lambda entry, key: {name: kind(inner) for name, inner in entry.mapping(key).items()}, schema, words, usual)
+    return Key(lambda entry, key: {name: kind(inner) for name, inner in entry.section(key).mappings().items()}, schema, words, usual)
 
 
 def inside(kind: type[K], words: str) -> Key[K]:

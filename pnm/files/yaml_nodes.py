@@ -123,10 +123,6 @@ class Mapped:
         """Return where the value of the key stands, or the mapping itself."""
         return position(self.nodes[key][1], self.file) if key in self.nodes else self.start
 
-    def mapping(self, key: str) -> dict[str, Mapped]:
-        """Return a mapping of mappings; empty when the key is not there."""
-        return {} if self._empty(key) else Mapped.of(self.nodes[key][1], self.file).mappings()
-
     def mappings(self) -> dict[str, Mapped]:
         """Return the mappings that all values must be."""
         return {
@@ -271,9 +267,14 @@ class Node:
         return tuple(Node(self.file, item) for item in self.raw.value) if isinstance(self.raw, yaml.SequenceNode) else None
 
     @property
+    def each(self) -> tuple[Node, ...]:
+        """The items of a list, or the value itself."""
+        return (self,) if self.items is None else self.items
+
+    @property
     def listed(self) -> tuple[Node, ...]:
         """The items of a list, or the value itself; nothing for nothing."""
-        return () if self.is_null else (self,) if self.items is None else self.items
+        return () if self.is_null else self.each
 
     @property
     def text(self) -> str | None:

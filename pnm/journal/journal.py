@@ -113,11 +113,7 @@ class Journal:
     # --- tasks ----------------------------------------------------------------------------------
 
     def accepted(self, wanted: Wanted, order: int) -> None:
-        """Keep a task that is about to be accepted.
-
-        Raises:
-            JournalError: it cannot be kept.
-        """
+        """Keep a task that is about to be accepted; raise `JournalError` if it cannot be kept."""
 
     def held(self, task: UUID | None, *, is_held: bool) -> None:
         """Record that an operator has paused a task, or those that are still to come, or has let them go on."""
@@ -305,11 +301,7 @@ class WrittenJournal(Journal):
         return super().go_on(replayed, observer, self._remembering(goal_fields))
 
     def accepted(self, wanted: Wanted, order: int) -> None:
-        """Keep a task that is about to be accepted.
-
-        Raises:
-            JournalError: it cannot be kept.
-        """
+        """Keep a task that is about to be accepted; raise `JournalError` if it cannot be kept."""
         task = records.TaskAccepted(wanted, order, self._wall())
         self._record(task, task=self._task_row(records.TaskSummary(task, self._runs[wanted.id])))
         self._write(looks=True)

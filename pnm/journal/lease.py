@@ -41,10 +41,7 @@ def elapsed() -> float:
 
 
 class Watch(Hold):
-    """The hold of a journal file, whose lock nobody else has. Once a second, on real time, it is looked whether the file is there.
-
-    The mutable state is the thread that does so.
-    """
+    """The hold of a journal file, whose lock nobody else has. A thread looks once a second, on real time, whether the file is there."""
 
     def __init__(self) -> None:
         self._closing = threading.Event()

@@ -154,11 +154,7 @@ class Replay:
         self.runs, self.tasks, self.requests, self._machines = {}, {}, {}, {}
 
     def apply(self, number: int, time: float, record: records.Record) -> ReplayStep:
-        """Replay a record.
-
-        Raises:
-            ReplayDiffers: its run does something else than it did then.
-        """
+        """Replay a record; raise `ReplayDiffers` if its run does something else than it did then."""
         self.now, self.length = max(self.now, time), self.length + 1
         match record:
             case records.Happened():

@@ -320,11 +320,7 @@ class JournalFile:
 
 
 def copy_journal(path: Path, to: Path) -> None:
-    """Make one file of a journal, also while it is written: to be looked at, or for safety; it belongs where the other one does.
-
-    Raises:
-        JournalError: that cannot be done.
-    """
+    """Make one file of a journal, also while it is written; it belongs where that does. Raise `JournalError` if it cannot be made."""
     with journal_errors(path, "copied"):
         copy_file(path, to)
     _settle(to)
@@ -479,11 +475,7 @@ class KeptJournal:
             yield text
 
     def part(self, key: str) -> str:
-        """Return the part of this key.
-
-        Raises:
-            JournalError: there is none.
-        """
+        """Return the part of this key; raise `JournalError` if there is none."""
         rows = self._read(tables.PART, key=key)
         if not rows:
             raise JournalError(f"the journal {self.place} names the part {key}, which is not there")
@@ -493,11 +485,7 @@ class KeptJournal:
         return str(text)
 
     def check(self) -> int:
-        """Read everything; return how many records there are.
-
-        Raises:
-            JournalError: something is damaged or missing.
-        """
+        """Read everything, and return how many records there are; raise `JournalError` if something is damaged or missing."""
         with journal_errors(self.place, "read"):
             self._database.do(lambda driver: driver.check())
         if self._lacks:

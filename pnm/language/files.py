@@ -33,20 +33,12 @@ _LONE_KEY: Final = re.compile(r"( *)-( +)[^\s#'\"\[{][^#'\"\[{]*:\s*\Z")
 
 
 def read_documents(path: Path) -> tuple[tuple[Mapped, ...], tuple[Tolerated, ...]]:
-    """Return the documents of a file, and warnings about what was tolerated in it.
-
-    Raises:
-        InputError: there is no such file, or it is not YAML, not text, too large, or a document is not a mapping.
-    """
+    """Return the documents of a file, and warnings about what was tolerated; raise `InputError` if it is not there, or no YAML mappings."""
     return parse_documents(read_text(path, MAX_BYTES), str(path))
 
 
 def parse_documents(text: str, file: str) -> tuple[tuple[Mapped, ...], tuple[Tolerated, ...]]:
-    """Return the documents of a text, and warnings about what was tolerated in it.
-
-    Raises:
-        InputError: it is not YAML, too large, or a document is not a mapping.
-    """
+    """Return the documents of a text, and warnings about what was tolerated in it; raise `InputError` if these are no mappings in YAML."""
     try:
         return parse_yaml(text, file, ANCHORS), ()
     except InputError as error:
@@ -113,11 +105,7 @@ class PlanHead:
 
 
 def read_domain(path: Path) -> LanguageDomain:
-    """Read the domain of a file, whatever else is in it.
-
-    Raises:
-        InputError: there is none, something is malformed, or has names that are not there.
-    """
+    """Read the domain of a file, whatever else is in it; raise `InputError` if there is none, or something in it is wrong."""
     documents, warnings = read_documents(path)
     for document in documents:
         _entries(document)

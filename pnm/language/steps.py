@@ -305,7 +305,7 @@ class StepReader:
         times = None if keys is None else keys.times
         causes = usual if when is None or own is None else frozenset({own})
         whole = node if keys is None else keys.do
-        items = (whole,) if whole.items is None else whole.items
+        items = whole.each
         if not items or items[-1].text is None:
             raise (items[-1] if items else whole).wrong(f"expected a command at the end of the chain: {', '.join(grammar.COMMANDS)}")
         *steps, command = items
@@ -370,7 +370,7 @@ def _waits(node: Node | None) -> tuple[Wait, ...] | None:
     if node is None:
         return None
     waits: list[Wait] = []
-    for item in (node,) if node.items is None else node.items:
+    for item in node.each:
         if item.text is not None:
             waits.append(Wait(item.text, item.position))
             continue

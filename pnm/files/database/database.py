@@ -76,11 +76,7 @@ class Database:
             return self._connected().run(sql, values)
 
     def read(self, query: SqlQuery, **values: object) -> Rows:
-        """Return the rows of a query.
-
-        Raises:
-            DamagedDatabase: they have values that nobody writes there.
-        """
+        """Return the rows of a query; raise `DamagedDatabase` if they have values that nobody writes there."""
         rows = self.run(query.sql, **values)
         if any(tuple(map(type, row)) != query.columns for row in rows):
             raise DamagedDatabase("it has values of another type than were written")
@@ -155,11 +151,7 @@ class Database:
 
 
 def copy_file(path: Path, to: Path) -> None:
-    """Make one file with all that has been committed, also while another process writes.
-
-    Raises:
-        DatabaseError: that cannot be done; there is no such file then.
-    """
+    """Make one file with all that is committed, also while it is written; raise `DatabaseError`, without a file, if that cannot be done."""
     _check_new(to)
     _do(path, lambda file: file.copy(to), read_only=True)
 

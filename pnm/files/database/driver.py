@@ -134,10 +134,7 @@ class OperationExceeded(OSError):
 
 
 class OperationLimit:
-    """Time and size left to an operation; one goes on at a time.
-
-    The mutable state is until when it may go on, the bytes that it may still bring, and why it was ended.
-    """
+    """Time and size left to an operation; one goes on at a time. The mutable state is both, and why it was ended."""
 
     def __init__(self) -> None:
         self._until = 0.0
@@ -157,21 +154,13 @@ class OperationLimit:
         return bool(self.exceeded)
 
     def seconds(self) -> float:
-        """Return the seconds left.
-
-        Raises:
-            OperationExceeded: there are none.
-        """
+        """Return the seconds left; raise `OperationExceeded` if there are none."""
         if self.is_over:
             raise OperationExceeded(self.exceeded)
         return self._until - monotonic()
 
     def take(self, size: int) -> None:
-        """Take in so many bytes.
-
-        Raises:
-            OperationExceeded: these are too many.
-        """
+        """Take in so many bytes; raise `OperationExceeded` if these are too many."""
         self._bytes -= size
         if self._bytes < 0:
             self.exceeded = f"it answers with more than {SIZE // 1024**2} MB"

@@ -94,11 +94,7 @@ class Sqlite(Driver):
         self._within(lambda: self._connection.executemany(_spelled(sql), rows))
 
     def _within(self, work: Callable[[], T]) -> T:
-        """Do some work within the limit.
-
-        Raises:
-            KeyboardInterrupt: a signal came meanwhile; SQLite swallows what is raised while it looks whether it may go on.
-        """
+        """Do some work within the limit; raise `KeyboardInterrupt` for a signal, which SQLite swallows while it looks if it may go on."""
         try:
             return work()
         except sqlite3.OperationalError as error:
@@ -180,11 +176,7 @@ class Sqlite(Driver):
         self._connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
 
     def gather_all(self) -> None:
-        """Write the log back to the file.
-
-        Raises:
-            DatabaseError: another process reads what was there before.
-        """
+        """Write the log back to the file; raise `DatabaseError` if another process reads what was there before."""
         self._throughout("PRAGMA wal_checkpoint(TRUNCATE)")
         if has_log(self._path):
             raise DatabaseError("another process reads it; expected none")

@@ -72,9 +72,9 @@ def _condition(construct: words.Form, scope: FormulaScope) -> Condition:
     argument = construct.argument
     match construct.word:
         case "and":
-            return conjunction(read_condition(operand, scope) for operand in construct.operands())
+            return conjunction(read_condition(operand, scope) for operand in construct.argument.each)
         case "or":
-            return Any(tuple(read_condition(operand, scope) for operand in construct.operands()))
+            return Any(tuple(read_condition(operand, scope) for operand in construct.argument.each))
         case "not":
             return Not(read_condition(construct.items(1)[0], scope))
         case "imply":
@@ -289,7 +289,7 @@ def _parts(node: Node, scope: FormulaScope) -> tuple[Effect | Condition, ...]:
     construct = words.needed_form(node, _PLANNED if scope.strict else EFFECT_WORDS, "an effect")
     match construct.word:
         case "and":
-            return tuple(part for item in construct.operands() for part in _parts(item, scope))
+            return tuple(part for item in construct.argument.each for part in _parts(item, scope))
         case "holds":
             return (_becomes(construct.items(1)[0], True, scope),)
         case "not":
@@ -401,7 +401,7 @@ def read_duration(node: Node, scope: FormulaScope = ANYTHING) -> tuple[DurationC
     """Read a duration: an expression, or a list of bounds ``{"<=": expression}``; an empty list for any duration."""
     if node.items is None and words.form(node, BOUND_WORDS) is None:
         return (DurationConstraint("=", _bound(node, scope)),)
-    bounds = [words.needed_form(item, BOUND_WORDS, "a bound") for item in ((node,) if node.items is None else node.items)]
+    bounds = [words.needed_form(item, BOUND_WORDS, "a bound") for item in node.each]
     return tuple([DurationConstraint(_BOUNDS[bound.word], _bound(bound.argument, scope)) for bound in bounds])
 
 

@@ -181,8 +181,7 @@ def read_typed(node: Node, scope: FormulaScope = ANYTHING) -> tuple[Variable, ..
 
     In a list a name may stand without its ``?``.
     """
-    parts = (node,) if node.items is None else node.items
-    return _variables([pair for part in parts if not part.is_null for pair in _typed(_text(part), part, scope)], node)
+    return _variables(_typed_list(node, scope), node)
 
 
 def read_typed_text(text: str, node: Node, scope: FormulaScope = ANYTHING, *, distinct: bool = True) -> tuple[Variable, ...]:
@@ -200,18 +199,20 @@ def _variables(pairs: list[tuple[str, tuple[str, ...]]], node: Node, *, distinct
 
 def read_names(node: Node, scope: FormulaScope = ANYTHING) -> dict[str, tuple[str, ...]]:
     """Read names with their types, such as objects: ``r1 r2 - robot kitchen - place``, or a list of such texts."""
-    parts = (node,) if node.items is None else node.items
     typed: dict[str, Types] = {}
-    for name, types in [pair for part in parts if not part.is_null for pair in _typed(_text(part), part, scope)]:
+    for name, types in _typed_list(node, scope):
         typed[name] = tuple(dict.fromkeys((*typed.get(name, ()), *types)))
     return typed
 
 
-def _text(node: Node) -> str:
-    if node.text is None:
-        hint = f"; write {node.written!r} with quotes" if node.written else f", found {shown(node)}"
-        raise node.wrong(f"expected names and types such as '?r - robot ?to - place'{hint}")
-    return node.text
+def _typed_list(node: Node, scope: FormulaScope) -> list[tuple[str, Types]]:
+    pairs: list[tuple[str, Types]] = []
+    for part in (part for part in node.each if not part.is_null):
+        if part.text is None:
+            hint = f"; write {part.written!r} with quotes" if part.written else f", found {shown(part)}"
+            raise part.wrong(f"expected names and types such as '?r - robot ?to - place'{hint}")
+        pairs += _typed(part.text, part, scope)
+    return pairs
 
 
 def _typed(text: str, node: Node, scope: FormulaScope) -> list[tuple[str, tuple[str, ...]]]:

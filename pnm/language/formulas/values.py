@@ -58,7 +58,7 @@ def read_form(construct: Form, scope: FormulaScope) -> Data:
         return _query(construct, scope)
     match word:
         case "and" | "or":
-            return Operation(word, tuple(read_data(operand, scope) for operand in construct.operands()))
+            return Operation(word, tuple(read_data(operand, scope) for operand in construct.argument.each))
         case "not":
             return Operation("not", (read_data(construct.items(1)[0], scope),))
         case "imply":
@@ -126,7 +126,7 @@ def comparison_parts(construct: Form) -> tuple[Node, Node, Node]:
 def operation_parts(construct: Form) -> tuple[Node, tuple[Node, ...]]:
     """Return the operator and the operands of ``Operation: [operator, [a, b, ...]]``, or ``[operator, a]``."""
     operator, rest = construct.items(2)
-    return operator, (rest,) if rest.items is None else rest.items
+    return operator, rest.each
 
 
 def _operation(construct: Form, scope: FormulaScope, *, changing: bool = False) -> Operation:

@@ -108,14 +108,10 @@ class Form:
 
     def items(self, *allowed: int) -> tuple[Node, ...]:
         """Return the operands: those of a list, or the one that stands for itself; only these counts are allowed."""
-        items = (self.argument,) if self.argument.items is None else self.argument.items
+        items = self.argument.each
         if len(items) not in allowed:
             raise self.argument.wrong(f"{self.written} takes {' or '.join(map(str, allowed))} operands, found {len(items)}")
         return items
-
-    def operands(self) -> tuple[Node, ...]:
-        """Return any number of operands: those of a list, or the one that stands for itself."""
-        return (self.argument,) if self.argument.items is None else self.argument.items
 
 
 def form(node: Node, words: Collection[str], *, in_value: bool = False) -> Form | None:
