@@ -42,6 +42,7 @@ class Note:
 
 NO_NOTE: Final = Note()
 CommentTable: TypeAlias = Mapping[AnchorPath, Note]
+NO_COMMENTS: Final[CommentTable] = {}
 
 
 @dataclass(slots=True)

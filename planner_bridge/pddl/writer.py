@@ -13,7 +13,7 @@ from operator import attrgetter, itemgetter
 from typing import Final, TypeAlias, assert_never
 
 from planner_bridge.model.problem import Domain, Problem
-from planner_bridge.pddl.comments import NO_NOTE, CommentTable, Line, Note, Notes, render_lines, write_with_notes
+from planner_bridge.pddl.comments import NO_COMMENTS, NO_NOTE, CommentTable, Line, Note, Notes, render_lines, write_with_notes
 from planner_bridge.pddl.expressions import NUMBER, TIME_SPECIFIERS, Atom, Node, number_text
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
 from pnm.core.logic.domain import ActionSchema, Declaration, Preference
@@ -50,7 +50,6 @@ class Verbatim:
 Form: TypeAlias = "str | list[Form] | Noted | Keyed | Verbatim"
 WIDTH: Final = 100
 _ONE_A_LINE: Final = (":types", ":constants", ":objects", ":predicates", ":functions", ":init")
-NO_COMMENTS: Final[CommentTable] = {}
 ACTION: Final = "action"
 PARTS: Final = {
     ":precondition": "condition",

@@ -74,7 +74,7 @@ def exported(
 
 
 def imported(file: Path) -> Imported:
-    """Return a YAML file's domain and problem as PDDL, and a bindings file; raise `InputError` if it is wrong, or not to be said in PDDL."""
+    """Return a YAML file as PDDL and bindings; raise `InputError` if it is wrong, or has what PDDL has not."""
     contents = read(file)
     texts = {"domain.pddl": domain_text(contents.domain, contents.of("domain"))}
     domain = parse_domain(texts["domain.pddl"], "domain.pddl")  # which warns of requirements that other planners will miss

@@ -16,25 +16,11 @@ from typing import Any, Final
 import yaml
 
 from planner_bridge.model.problem import Domain, Problem
+from planner_bridge.pddl import writer as pddl
 from planner_bridge.pddl.comments import Anchor, AnchorPath, Comment, CommentTable, LineIndex, attach
 from planner_bridge.pddl.expressions import CONNECTIVES, NAME, NUMBER, Group, with_article
 from planner_bridge.pddl.expressions import parse as parse_lists
 from planner_bridge.pddl.reader import HIERARCHY, NETWORK
-from planner_bridge.pddl.writer import (
-    ACTION,
-    COMPOUND,
-    Form,
-    change_form,
-    condition_form,
-    constraint_form,
-    effects_form,
-    fact_anchor,
-    form_anchor,
-    hierarchy_anchor,
-    preference_form,
-    rule_anchor,
-    rule_form,
-)
 from planner_bridge.yaml.read_constraints import is_about_states, read_constraint, read_metric, read_preference
 from pnm.actions.bindings_file import read_binding
 from pnm.core.logic.domain import ActionSchema, DomainModel, Preference, ProblemModel
@@ -261,12 +247,12 @@ class _Outline:
 # --- the things of a file ------------------------------------------------------------------
 
 
-def _condition(node: Node) -> Form:
-    return condition_form(read_condition(node))
+def _condition(node: Node) -> pddl.Form:
+    return pddl.condition_form(read_condition(node))
 
 
-def _effect(node: Node) -> Form:
-    return effects_form(read_effects(node).effects)
+def _effect(node: Node) -> pddl.Form:
+    return pddl.effects_form(read_effects(node).effects)
 
 
 @dataclass(frozen=True, slots=True)
@@ -296,19 +282,19 @@ class _Anchors:
                 case "constraints":
                     yield self._item(section, where)
                     for item in items:
-                        yield self._item((*section, form_anchor(constraint_form(read_constraint(item, ANYTHING)))), item.position)
+                        yield self._item((*section, pddl.form_anchor(pddl.constraint_form(read_constraint(item, ANYTHING)))), item.position)
                 case "preferences":
                     for item in items:
                         holder = (*path, ":goal" if is_about_states(item) else ":constraints")
-                        yield self._item((*holder, form_anchor(preference_form(read_preference(item, ANYTHING)))), item.position)
+                        yield self._item((*holder, pddl.form_anchor(pddl.preference_form(read_preference(item, ANYTHING)))), item.position)
                 case "derived":
                     for item, rule in zip(items, self.domain.rules, strict=True):
-                        inner = (*section, rule_anchor(rule_form(rule)))
+                        inner = (*section, pddl.rule_anchor(pddl.rule_form(rule)))
                         yield self._item(inner, item.position)
                         yield from self._formulas(item.mapped().needed("condition"), inner, _condition)
                 case "hierarchy" | "network":
                     for item in items:
-                        yield self._item((*path, *hierarchy_anchor(item.written)), item.position, opaque=True)
+                        yield self._item((*path, *pddl.hierarchy_anchor(item.written)), item.position, opaque=True)
                 case "actions" if not node.is_null:
                     for name, position, action in node.mapped().entries():
                         yield from self._action(self.domain.actions[name], position, action, path)
@@ -326,12 +312,12 @@ class _Anchors:
                 case "init" if item.is_mapping:
                     time = item.mapped().needed("at").written
                     for fact in item.mapped().listed("facts"):
-                        yield self._item((*path, fact_anchor(["at", time, _fact(fact)])), fact.position)
+                        yield self._item((*path, pddl.fact_anchor(["at", time, _fact(fact)])), fact.position)
                 case "init":
-                    yield self._item((*path, fact_anchor(_fact(item))), item.position)
+                    yield self._item((*path, pddl.fact_anchor(_fact(item))), item.position)
 
     def _action(self, schema: ActionSchema, position: Position, action: Node, path: AnchorPath) -> Iterator[Anchor]:
-        inner = (*path, ACTION, schema.name.lower())
+        inner = (*path, pddl.ACTION, schema.name.lower())
         yield self._item(inner, position)
         for key, where, node in () if action.is_null else action.mapped().entries():
             if key in _PARTS:
@@ -343,9 +329,9 @@ class _Anchors:
                     yield self._item((*inner, "condition"), where)
                 for item in node.listed:
                     preference = read_preference(item, ANYTHING, timed=schema.duration is not None)
-                    yield self._item((*inner, "condition", form_anchor(preference_form(preference))), item.position)
+                    yield self._item((*inner, "condition", pddl.form_anchor(pddl.preference_form(preference))), item.position)
 
-    def _formulas(self, node: Node, path: AnchorPath, form: Callable[[Node], Form]) -> Iterator[Anchor]:
+    def _formulas(self, node: Node, path: AnchorPath, form: Callable[[Node], pddl.Form]) -> Iterator[Anchor]:
         """Yield conditions or effects that stand beside each other, and those in them; ``and`` and moments are looked through."""
         entries = node.mapped().entries() if node.is_mapping else ()
         keys = [key.lower() for key, _, _ in entries]
@@ -357,23 +343,23 @@ class _Anchors:
                 yield from self._formulas(value, path, form)
         elif not node.is_null and (keys or not node.is_mapping):
             whole = form(node)
-            inner = (*path, form_anchor(whole))
+            inner = (*path, pddl.form_anchor(whole))
             yield self._item(inner, node.position)
             for part, own_form in _parts(whole, node, form):
                 yield from self._formulas(part, inner, own_form)
 
 
-def _fact(node: Node) -> Form:
+def _fact(node: Node) -> pddl.Form:
     ((fluent, value),) = read_facts((node,), ANYTHING).items()
-    return change_form(fluent, value)
+    return pddl.change_form(fluent, value)
 
 
-def _parts(whole: Form, node: Node, form: Callable[[Node], Form]) -> Iterator[tuple[Node, Callable[[Node], Form]]]:
+def _parts(whole: pddl.Form, node: Node, form: Callable[[Node], pddl.Form]) -> Iterator[tuple[Node, Callable[[Node], pddl.Form]]]:
     """Yield the formulas in another that comments can be about, each with how it is read: the negation of a fact has none."""
     match whole:
-        case ["not", [str() as head, *_]] if head not in COMPOUND and head != "and":
+        case ["not", [str() as head, *_]] if head not in pddl.COMPOUND and head != "and":
             return
-        case [str() as head, *_] if head in COMPOUND:
+        case [str() as head, *_] if head in pddl.COMPOUND:
             argument = node.mapped().entries()[0][2]
         case _:
             return

@@ -9,27 +9,9 @@ from itertools import groupby
 from typing import Final, assert_never
 
 from planner_bridge.model.problem import Domain, Problem
-from planner_bridge.pddl.comments import NO_NOTE, NO_NOTES, CommentTable, Notes, write_with_notes
+from planner_bridge.pddl import writer as pddl
+from planner_bridge.pddl.comments import NO_COMMENTS, NO_NOTE, NO_NOTES, CommentTable, Notes, write_with_notes
 from planner_bridge.pddl.expressions import number_text
-from planner_bridge.pddl.writer import (
-    ACTION,
-    NO_COMMENTS,
-    change_form,
-    condition_form,
-    constraint_form,
-    effects_form,
-    fact_anchor,
-    flat,
-    form_anchor,
-    hierarchy_anchor,
-    nested,
-    preference_form,
-    rule_anchor,
-    rule_form,
-    typed_lines,
-    types_form,
-    variables_form,
-)
 from planner_bridge.yaml.emitter import Bare, Entry, Value, YamlList, YamlMapping, depth, document, items, single
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
 from pnm.core.logic.domain import ActionSchema, Declaration, DurationConstraint, Preference
@@ -83,10 +65,10 @@ def domain_entries(domain: Domain, notes: Notes, bindings: Bindings) -> list[Ent
     root = own.take().joined(notes.take())
     rules: list[Entry] = []
     for rule in domain.rules:
-        form = rule_form(rule)
-        inner = own.at(":derived", rule_anchor(form))
+        form = pddl.rule_form(rule)
+        inner = own.at(":derived", pddl.rule_anchor(form))
         note = inner.take()
-        keys = Entry(flat(form[1]), "fact"), Entry(conditions(rule.condition, inner), "condition")
+        keys = Entry(pddl.flat(form[1]), "fact"), Entry(conditions(rule.condition, inner), "condition")
         rules.append(Entry(YamlMapping(keys), note=note))
     entries = [
         _requirements(domain.requirements, own),
@@ -97,11 +79,11 @@ def domain_entries(domain: Domain, notes: Notes, bindings: Bindings) -> list[Ent
         Entry(YamlList(tuple(rules)), "derived"),
         _constraints(domain, own),
         Entry(preferences(domain.preferences, NO_NOTES, own.at(":constraints")), "preferences"),
-        Entry(YamlList(tuple(Entry(text, note=own.at(*hierarchy_anchor(text)).take()) for text in domain.hierarchy)), "hierarchy"),
+        Entry(YamlList(tuple(Entry(text, note=own.at(*pddl.hierarchy_anchor(text)).take()) for text in domain.hierarchy)), "hierarchy"),
     ]
     actions: list[Entry] = []
     for schema in domain.actions.values():
-        inner = own.at(ACTION, schema.name.lower())
+        inner = own.at(pddl.ACTION, schema.name.lower())
         bound = binding_entries(bindings.actions.get(schema.name, LANGUAGE_DEFAULT), LANGUAGE_DEFAULT, type_key="ros_type")
         actions.append(Entry(YamlMapping((*_parts(schema, inner), *bound)), schema.name, inner.take(), apart=bool(actions)))
     entries.append(Entry(YamlMapping(tuple(actions)), "actions"))
@@ -119,7 +101,7 @@ def _requirements(words: tuple[str, ...], notes: Notes) -> Entry:
 
 def _names(key: str, pairs: Iterable[tuple[str, tuple[str, ...]]], notes: Notes) -> Entry:
     own = notes.at(f":{key}")
-    lines = tuple([Entry(text, note=note) for text, note in typed_lines(pairs, own)])
+    lines = tuple([Entry(text, note=note) for text, note in pddl.typed_lines(pairs, own)])
     return Entry(YamlList(lines), key, own.take())
 
 
@@ -127,8 +109,8 @@ def _declarations(key: str, declared: Iterable[Declaration], notes: Notes) -> En
     own = notes.at(f":{key}")
     lines: list[Entry] = []
     for declaration in declared:
-        text = flat([declaration.name, *variables_form(declaration.parameters)])
-        values = f" - {flat(types_form(declaration.values))}" if declaration.values else ""
+        text = pddl.flat([declaration.name, *pddl.variables_form(declaration.parameters)])
+        values = f" - {pddl.flat(pddl.types_form(declaration.values))}" if declaration.values else ""
         lines.append(Entry(f"{text}{values}", note=own.at(declaration.name.lower()).take()))
     return Entry(YamlList(tuple(lines)), key, own.take())
 
@@ -157,13 +139,13 @@ def _parts(schema: ActionSchema, notes: Notes) -> Iterator[Entry]:
 
 def _problem(problem: Problem, notes: Notes) -> Iterator[Entry]:
     goal, facts = notes.at(":goal"), notes.at(":init")
-    forms = [change_form(fluent, value) for fluent, value in problem.init.items() if value is not False]
-    at_first = [Entry(flat(form), note=facts.at(fact_anchor(form)).take()) for form in forms]
+    forms = [pddl.change_form(fluent, value) for fluent, value in problem.init.items() if value is not False]
+    at_first = [Entry(pddl.flat(form), note=facts.at(pddl.fact_anchor(form)).take()) for form in forms]
     later: list[Entry] = []
     for timed in problem.timed:
         time = number_text(timed.time)
-        forms = [change_form(fluent, value) for fluent, value in timed.changes.items()]
-        changes = [Entry(flat(form), note=facts.at(fact_anchor(["at", time, form])).take()) for form in forms]
+        forms = [pddl.change_form(fluent, value) for fluent, value in timed.changes.items()]
+        changes = [Entry(pddl.flat(form), note=facts.at(pddl.fact_anchor(["at", time, form])).take()) for form in forms]
         later.append(Entry(YamlMapping((Entry(Bare(time), "at"), Entry(YamlList(tuple(changes)), "facts")))))
     entries = [
         _requirements(problem.requirements, notes),
@@ -175,7 +157,7 @@ def _problem(problem: Problem, notes: Notes) -> Iterator[Entry]:
     yield Entry(problem.name, "name")
     yield from (entry for entry in entries if not _is_empty(entry))
     if problem.network:
-        yield Entry(problem.network, "network", notes.at(*hierarchy_anchor(problem.network)).take())
+        yield Entry(problem.network, "network", notes.at(*pddl.hierarchy_anchor(problem.network)).take())
     if problem.goal != TRUE or not problem.network:
         yield Entry(conditions(problem.goal, goal), "goal", goal.take())
     if problem.metric:
@@ -195,7 +177,7 @@ def conditions(condition: Condition, notes: Notes) -> Value:
 def _noted(condition: Condition, notes: Notes) -> Entry:
     if isinstance(condition, All):  # which is looked through when comments are read
         return Entry(_condition(condition, notes))
-    own = notes.at(form_anchor(condition_form(condition))) if notes else NO_NOTES
+    own = notes.at(pddl.form_anchor(pddl.condition_form(condition))) if notes else NO_NOTES
     return Entry(_condition(condition, own), note=own.take())
 
 
@@ -229,11 +211,11 @@ def _quantified(variables: tuple[Variable, ...], key: str, body: Value) -> YamlM
 
 def typed(variables: tuple[Variable, ...]) -> Value:
     """Write variables with their types: as one text, or as a list of texts if that would be long."""
-    text = " ".join(map(flat, variables_form(variables)))
+    text = " ".join(map(pddl.flat, pddl.variables_form(variables)))
     if len(text) <= _LONG:
         return text
     runs = groupby(variables, key=lambda variable: variable.types)
-    return items(f"{' '.join(variable.name for variable in run)} - {flat(types_form(types))}" for types, run in runs)
+    return items(f"{' '.join(variable.name for variable in run)} - {pddl.flat(pddl.types_form(types))}" for types, run in runs)
 
 
 def expression(value: Expression) -> Value:
@@ -255,7 +237,7 @@ def effects(listed: Effects, notes: Notes) -> YamlList:
     """Write effects, each an item of a list."""
     entries: list[Entry] = []
     for effect in listed:
-        own = notes.at(form_anchor(effects_form((effect,)))) if notes else NO_NOTES
+        own = notes.at(pddl.form_anchor(pddl.effects_form((effect,)))) if notes else NO_NOTES
         written: Value
         match effect:
             case Set(fluent, Constant(True)):
@@ -288,11 +270,11 @@ def constraints(listed: Iterable[Constraint], notes: Notes) -> YamlList:
     """Write constraints on the course of states, each an item of a list."""
     entries: list[Entry] = []
     for constraint in listed:
-        own = notes.at(form_anchor(constraint_form(constraint)))
+        own = notes.at(pddl.form_anchor(pddl.constraint_form(constraint)))
         times: list[Entry] = [Entry(Bare(number_text(time))) for time in constraint.times]
         operands = [*times, *(_noted(condition, NO_NOTES) for condition in constraint.conditions)]
         value: Value = single(constraint.operator.replace(" ", "_"), operands[0].value if len(operands) == 1 else YamlList(tuple(operands)))
-        for variables in reversed(nested(constraint.variables)):
+        for variables in reversed(pddl.nested(constraint.variables)):
             value = single("forall", _quantified(variables, "constraint", value))
         entries.append(Entry(value, note=own.take()))
     return YamlList(tuple(entries))
@@ -302,8 +284,8 @@ def preferences(listed: Iterable[Preference], states: Notes, courses: Notes) -> 
     """Write preferences, each an item of a list; the notes are those of the sections where PDDL has them."""
     entries: list[Entry] = []
     for preference in listed:
-        wanted, quantifiers = preference.wanted, nested(preference.variables)
-        own = (courses if isinstance(wanted, tuple) else states).at(form_anchor(preference_form(preference)))
+        wanted, quantifiers = preference.wanted, pddl.nested(preference.variables)
+        own = (courses if isinstance(wanted, tuple) else states).at(pddl.form_anchor(pddl.preference_form(preference)))
         keys: list[Entry] = [Entry(preference.name, "name")] if preference.name else []
         if quantifiers:
             keys.append(Entry(typed(quantifiers[0]) if len(quantifiers) == 1 else items(map(typed, quantifiers)), "variables"))

@@ -23,21 +23,11 @@ from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import MISSING, Layer, Literal, Query, Question, parts
 from pnm.core.logic.expressions import bind
+from pnm.core.machine import requests
 from pnm.core.machine.bindings import ABOUT_THE_CALL
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import GroundAction
-from pnm.core.machine.requests import (
-    NOT_REATTACHED,
-    Accepted,
-    ActionClient,
-    Ended,
-    Outcome,
-    OutcomeKind,
-    ReattachingClient,
-    Reporter,
-    Request,
-)
 from pnm.core.machine.verification.verify import Proof, verify
 from pnm.core.resources import Resources
 from pnm.errors import InputError, suggestion
@@ -324,7 +314,7 @@ class PlansClient:
         self._tasks: set[asyncio.Task[None]] = set()
 
     @property
-    def _client(self) -> ActionClient:
+    def _client(self) -> requests.ActionClient:
         return self._runner.backend.client
 
     def goal_fields(self, action: GroundAction, /) -> tuple[str, ...] | None:
@@ -332,14 +322,14 @@ class PlansClient:
         program = self._runner.programs.get(action.name)
         return self._client.goal_fields(action) if program is None else program.plan.parameters
 
-    def send(self, request: Request, report: Reporter, /) -> None:
+    def send(self, request: requests.Request, report: requests.Reporter, /) -> None:
         """Begin to carry the plan out, or send the goal."""
         if request.action.name not in self._runner.programs:
             self._client.send(request, report)
             return
         self._begin(self._run_plan(request, report))
 
-    def reattach(self, request: Request, report: Reporter, /, *, accepted: bool) -> None:
+    def reattach(self, request: requests.Request, report: requests.Reporter, /, *, accepted: bool) -> None:
         """Go on with the plan that the request has begun in another process; or have it found out what became of the goal."""
         replayed = self._runner.kept.pop(request.id, None)
         if replayed is not None:
@@ -347,10 +337,10 @@ class PlansClient:
             self._begin(self._execute(request, plan_run, report))
         elif request.action.name in self._runner.programs:  # nothing of it was begun
             self.send(request, report)
-        elif isinstance(self._client, ReattachingClient):
+        elif isinstance(self._client, requests.ReattachingClient):
             self._client.reattach(request, report, accepted=accepted)
         else:
-            asyncio.get_running_loop().call_soon(report, Ended(request.id, NOT_REATTACHED))
+            asyncio.get_running_loop().call_soon(report, requests.Ended(request.id, requests.NOT_REATTACHED))
 
     def _begin(self, work: Coroutine[None, None, None]) -> None:
         task = asyncio.get_running_loop().create_task(work)
@@ -369,29 +359,33 @@ class PlansClient:
         """Return the run that a request for a plan has started; None if it has none, or it is over."""
         return self._plan_runs.get(request)
 
-    async def _run_plan(self, request: Request, report: Reporter) -> None:
+    async def _run_plan(self, request: requests.Request, report: requests.Reporter) -> None:
         given = {name: value for name, value in request.goal.items() if name not in ABOUT_THE_CALL}
         try:
             plan_run = self._runner.prepare_run(
                 request.action.name, given, self._observer, task=self._task, priority=self._priority, caller=request.id
             )
         except InputError as error:
-            report(Ended(request.id, Outcome(OutcomeKind.REJECTED, message=str(error))))
+            report(requests.Ended(request.id, requests.Outcome(requests.OutcomeKind.REJECTED, message=str(error))))
             return
         await self._execute(request, plan_run, report)
 
-    async def _execute(self, request: Request, plan_run: PlanRun, report: Reporter) -> None:
+    async def _execute(self, request: requests.Request, plan_run: PlanRun, report: requests.Reporter) -> None:
         self._plan_runs[request.id] = plan_run
-        report(Accepted(request.id))
+        report(requests.Accepted(request.id))
         try:
             result = await self._runner.execute(plan_run)
         except Exception as error:  # the calling plan waits for its end
             _log.exception("%s has come to no end", request.action)
-            report(Ended(request.id, Outcome(OutcomeKind.ABORTED, message=f"internal error: {type(error).__name__}: {error}")))
+            report(
+                requests.Ended(
+                    request.id, requests.Outcome(requests.OutcomeKind.ABORTED, message=f"internal error: {type(error).__name__}: {error}")
+                )
+            )
             return
         finally:
             del self._plan_runs[request.id]
-        unsuccessful = OutcomeKind.CANCELED if request.id in self._cancelled else OutcomeKind.ABORTED
+        unsuccessful = requests.OutcomeKind.CANCELED if request.id in self._cancelled else requests.OutcomeKind.ABORTED
         self._cancelled.discard(request.id)
-        kind = OutcomeKind.SUCCEEDED if result.goal else unsuccessful
-        report(Ended(request.id, Outcome(kind, plan_run.results, "" if result.goal else result.reason)))
+        kind = requests.OutcomeKind.SUCCEEDED if result.goal else unsuccessful
+        report(requests.Ended(request.id, requests.Outcome(kind, plan_run.results, "" if result.goal else result.reason)))
