@@ -39,7 +39,7 @@ def test_merging_goes_through_merged_mappings() -> None:
 def test_what_is_merged_is_told_where_it_stands() -> None:
     found = only_document("base: &base\n  number: hello\nall:\n  mine:\n    <<: *base\n")
     with pytest.raises(InputError, match=r"F:2:11: expected a number of at least 0 under 'number'"):
-        found.mapping("all")["mine"].number("number", None)
+        found.section("all").mappings()["mine"].number("number", None)
 
 
 def test_a_merge_key_in_quotes_is_a_name() -> None:
@@ -49,7 +49,7 @@ def test_a_merge_key_in_quotes_is_a_name() -> None:
 @pytest.mark.parametrize("value", ["3", "[a]", "text", "[{a: 1}, 2]"])
 def test_only_mappings_are_merged(value: str) -> None:
     with pytest.raises(InputError, match="expected a mapping"):
-        only_document(f"a:\n  <<: {value}\n").mapping("a")
+        only_document(f"a:\n  <<: {value}\n").section("a")
 
 
 def test_documents_keep_their_positions() -> None:
