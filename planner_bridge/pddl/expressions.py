@@ -7,7 +7,6 @@ A part holds its offset in the text; line and column are computed when they are 
 from __future__ import annotations
 
 import re
-from bisect import bisect_right
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from decimal import Decimal
@@ -15,6 +14,7 @@ from difflib import get_close_matches
 from functools import cached_property
 from typing import Final, Literal, TypeAlias, get_args
 
+from planner_bridge.pddl.comments import LineIndex
 from pnm.core.logic.effects import OPERATIONS
 from pnm.errors import InputError, Position, Tolerated, counted
 
@@ -22,7 +22,6 @@ MAX_DEPTH: Final = 100
 """Lists inside lists; formulas are walked recursively later, by several calls a level."""
 
 _TOKEN: Final = re.compile(r"[()]|;[^\r\n]*|\?[^\s()?;]*|[^\s()?;]+")
-_LINE_END: Final = re.compile(r"\r\n?|\n")
 _LONELY: Final = re.compile(r"\?\s+[^\s()?;]")
 """A variable with a space behind its question mark."""
 _CLOSING: Final = re.compile(r"(?:[)\s]|;[^\r\n]*)*")
@@ -44,16 +43,12 @@ class SourceText:
 
     def position(self, offset: int) -> Position:
         """Return the line and column of an offset."""
-        line = bisect_right(self._line_starts, offset)
-        return Position(self.file, line, offset - self._line_starts[line - 1] + 1)
-
-    def line_start(self, offset: int) -> int:
-        """Return the offset at which the line of an offset begins."""
-        return self._line_starts[bisect_right(self._line_starts, offset) - 1]
+        return Position(self.file, self.lines.number(offset) + 1, self.lines.column(offset) + 1)
 
     @cached_property
-    def _line_starts(self) -> list[int]:
-        return [0, *(match.end() for match in _LINE_END.finditer(self.text))]
+    def lines(self) -> LineIndex:
+        """The beginnings of its lines."""
+        return LineIndex.of(self.text)
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +192,7 @@ class _Parser:
         start, word = self.suspect or (0, None)
         text, opened = self.source.text, list[tuple[int, int]]()  # offsets, and columns of those that begin a line
         for token, offset in tokens(text):
-            before = text[self.source.line_start(offset) : offset]
+            before = text[self.source.lines.start(offset) : offset]
             column = len(before) if before.isspace() or not before else -1
             is_less = column >= 0 and token[0] != ";" and opened and opened[-1][1] >= max(1, column + (token == ")"))
             if is_less and len(opened) > 1 and opened[-1][0] >= start:

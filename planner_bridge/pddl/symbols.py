@@ -210,45 +210,34 @@ Lists: TypeAlias = Iterable[Sequence[Node]]
 """The contents of each section of a name: a type at the end of one does not hold for the names in another."""
 
 
-@dataclass(frozen=True, slots=True)
-class _TypeHierarchy:
-    first: dict[str, Node] = field(default_factory=dict)
-    """The first position of each type."""
-    spelled: dict[str, str] = field(default_factory=lambda: {"object": "object"})
-    supertypes: dict[str, dict[str, None]] = field(default_factory=dict)
-    """For every type in order, the types written behind its ``-``, in order."""
-    declared: set[str] = field(default_factory=set)
-    """Types that have stood before a ``-``, or without one."""
-
-    def name(self, node: Node) -> str:
-        written = new_name(node, "type")
-        name = self.spelled.setdefault(written.lower(), written)
-        self.first.setdefault(name, node)
-        self.supertypes.setdefault(name, {})
-        return name
-
-    def declare(self, node: Node) -> str:
-        name = self.name(node)
-        if name in self.declared and name != "object":
-            Leniency.TYPE_TWICE.note(node, node)
-        self.declared.add(name)
-        return name
-
-
 def declared_types(lists: Lists, requirements: Requirements) -> dict[str, Types]:
     """Read the type hierarchy; a type that only stands behind a ``-`` is declared by that."""
-    table = _TypeHierarchy()
+    first: dict[str, Node] = {}
+    spelled = {"object": "object"}
+    supertypes: dict[str, dict[str, None]] = {}  # for every type in order, the types written behind its ``-``, in order
+
+    def named(node: Node) -> str:
+        written = new_name(node, "type")
+        name = spelled.setdefault(written.lower(), written)
+        first.setdefault(name, node)
+        supertypes.setdefault(name, {})
+        return name
+
+    declared: set[str] = set()
     for nodes, types_node in chain.from_iterable(map(typed_runs, lists)):
         requirements.need(nodes[0], ":typing")
-        children = [table.declare(name) for name in nodes]
-        above = dict.fromkeys(table.name(word) for word in type_words(types_node)) if types_node else {}
-        for child in children:
-            table.supertypes[child].update(above)
-    hierarchy = {name: tuple(parent for parent in above if parent != "object") for name, above in table.supertypes.items()}
+        for node in nodes:
+            if (name := named(node)) in declared and name != "object":
+                Leniency.TYPE_TWICE.note(node, node)
+            declared.add(name)
+        above = dict.fromkeys(named(word) for word in type_words(types_node)) if types_node else {}
+        for node in nodes:
+            supertypes[named(node)].update(above)
+    hierarchy = {name: tuple(parent for parent in above if parent != "object") for name, above in supertypes.items()}
     domain = Domain("", types=hierarchy)
     for name, parents in hierarchy.items():
         if any(name in domain.supertypes(parent) for parent in parents):
-            raise wrong(table.first[name], f"the type {name!r} is a kind of itself")
+            raise wrong(first[name], f"the type {name!r} is a kind of itself")
     hierarchy.pop("object", None)
     return hierarchy
 
