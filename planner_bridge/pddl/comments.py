@@ -87,7 +87,7 @@ NO_NOTES: Final = Notes.of({})
 
 
 def write_with_notes(table: CommentTable, write: Callable[[Notes], str]) -> str:
-    """Write a text with all notes: `write` takes those that it writes, also that on the empty path; others go to the thing around theirs."""
+    """Write a text with all notes: `write` takes those that it writes, also that on the empty path; others go to the thing around."""
     notes = Notes.of(table)
     text = write(notes)
     remaining = notes.store.notes

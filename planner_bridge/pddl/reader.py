@@ -51,7 +51,7 @@ from planner_bridge.pddl.writer import ACTION, COMPOUND, PARTS, fact_anchor, for
 from pnm.core.logic.conditions import TRUE, Compare, Condition, every_part, polarities
 from pnm.core.logic.domain import ActionSchema, Declaration, Preference, ProblemModel, check_choices
 from pnm.core.logic.effects import Set, TimedChange, every_effect
-from pnm.core.logic.expressions import Constant, Expression, Fluent, Value, Variable, expression_fluents, fluent_text
+from pnm.core.logic.expressions import Constant, Fluent, Value, Variable, expression_fluents, fluent_text
 from pnm.core.logic.rules import DerivationRule, Rules
 from pnm.errors import Tolerated, counted
 from pnm.files.text import read_any_text
@@ -394,7 +394,12 @@ def missing_numbers(problem: ProblemModel) -> tuple[Fluent, ...]:
 def numbers_read(problem: ProblemModel, action: ActionSchema) -> Iterator[Fluent]:
     """Yield everything that the action reads with at most one parameter, for all objects of its type; untyped ones may be any object."""
     types = {variable.name: variable.types for variable in action.parameters if variable.types != ("object",)}
-    for fluent in chain.from_iterable(map(expression_fluents, expressions_in(action))):
+    parts = chain.from_iterable(map(every_part, (action.precondition, action.invariant, action.end_condition)))
+    compared = (side for part in parts if isinstance(part, Compare) for side in (part.left, part.right))
+    bounds = (constraint.bound for constraint in action.duration or ())
+    effects = every_effect((*action.start_effects, *action.end_effects))
+    values = (effect.value for effect in effects if isinstance(effect, Set))
+    for fluent in chain.from_iterable(map(expression_fluents, (*compared, *bounds, *values))):
         match fluent:
             case (_,):
                 yield fluent
@@ -402,15 +407,6 @@ def numbers_read(problem: ProblemModel, action: ActionSchema) -> Iterator[Fluent
                 yield from ((name, each) for kind in types[variable] for each in problem.objects_by_type.get(kind, ()))
             case _:
                 pass
-
-
-def expressions_in(action: ActionSchema) -> Iterator[Expression]:
-    """Yield the expressions that the action computes: in its conditions, its duration and its effects."""
-    for part in chain.from_iterable(map(every_part, (action.precondition, action.invariant, action.end_condition))):
-        if isinstance(part, Compare):
-            yield from (part.left, part.right)
-    yield from (constraint.bound for constraint in action.duration or ())
-    yield from (effect.value for effect in every_effect((*action.start_effects, *action.end_effects)) if isinstance(effect, Set))
 
 
 # --- comments -------------------------------------------------------------------------------------

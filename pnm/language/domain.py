@@ -224,17 +224,8 @@ def declaration_parts(node: Node) -> tuple[str, str, str]:
     return match[1], match[2], match[3] or ""
 
 
-def read_derived(top: DomainKeys, scope: FormulaScope) -> Rules:
-    """Read ``derived``: a list of ``{fact: (reachable ?p - place), condition: c}``."""
-    rules = [read_rule(node, scope) for node in top.derived]
-    try:
-        return Rules(tuple(rules))
-    except UnstratifiedError as error:
-        raise InputError(str(error), top.entry.position("derived")) from error
-
-
 def read_rule(node: Node, scope: FormulaScope) -> DerivationRule:
-    """Read one rule; variables of its head that have no type have that of the declaration."""
+    """Read ``{fact: (reachable ?p - place), condition: c}``; variables of its head that have no type have that of the declaration."""
     keys = RuleKeys(node.mapped())
     fact, condition = keys.fact, keys.condition
     name, text, _ = declaration_parts(fact)
@@ -274,15 +265,6 @@ def read_facts(nodes: Iterable[Node], scope: FormulaScope) -> dict[Fluent, Value
     return facts
 
 
-def read_initial(problem: ProblemKeys, scope: FormulaScope) -> tuple[dict[Fluent, Value], tuple[TimedChange, ...]]:
-    """Read ``init``: the initial facts, and timed ones: ``{at: 5, facts: [...]}``, in seconds."""
-    items = problem.init
-    written = [TimedFacts(item.mapped()) for item in items if item.is_mapping]
-    timed = [TimedChange(keys.at, read_facts(keys.facts, scope)) for keys in written]
-    facts = read_facts([item for item in items if not item.is_mapping], scope)
-    return facts, tuple(sorted(timed, key=lambda change: change.time))
-
-
 # --- domain ---------------------------------------------------------------------------------------
 
 
@@ -320,12 +302,19 @@ def read_model(top: DomainKeys, *, strict: bool = False) -> ProblemModel:
     section = top.problem if top.entry.filled("problem") else None
     declared = read_declarations(top, section, strict=strict)
     scope = FormulaScope(declared, {}, strict, borrows=section is None)
-    domain = replace(declared.domain, rules=read_derived(top, scope))
+    rules = tuple([read_rule(node, scope) for node in top.derived])
+    try:
+        domain = replace(declared.domain, rules=Rules(rules))
+    except UnstratifiedError as error:
+        raise InputError(str(error), top.entry.position("derived")) from error
     scope = replace(scope, declared=replace(declared, domain=domain))
     domain = replace(domain, actions={name: read_schema(name, keys, scope) for name, keys in top.actions.items()})
     if section is None:
         return replace(declared, domain=domain)
-    facts, timed = read_initial(section, scope)
+    written = [TimedFacts(item.mapped()) for item in section.init if item.is_mapping]
+    changes = [TimedChange(keys.at, read_facts(keys.facts, scope)) for keys in written]
+    timed = tuple(sorted(changes, key=lambda change: change.time))
+    facts = read_facts([item for item in section.init if not item.is_mapping], scope)
     return replace(declared, domain=domain, init=facts, timed=timed, goal=read_goal(section.goal, scope))
 
 
