@@ -113,7 +113,6 @@ def _moments_inside(node: Group) -> set[TimeSpecifier]:
 
 
 def _untimed(node: Node) -> Node:
-    """Return the condition without the time specifiers inside it."""
     if not isinstance(node, Group):
         return node
     return node.items[2] if _time_specifier(node) else Group(tuple([_untimed(part) for part in node.items]), node.offset, node.source)

@@ -189,7 +189,6 @@ def rule_form(rule: DerivationRule) -> list[Form]:
 
 
 def _with_preferences(condition: Condition, preferences: Iterable[Preference]) -> Form:
-    """Write a goal or a precondition, with the preferences that stand in it."""
     soft = [preference_form(preference) for preference in preferences if not isinstance(preference.wanted, tuple)]
     return joined([*map(condition_form, conjuncts(condition)), *soft]) if soft else condition_form(condition)
 

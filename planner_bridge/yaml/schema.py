@@ -39,7 +39,6 @@ def _one_or_several(item: Schema, about: str) -> Schema:
 
 
 def _steps() -> Iterator[tuple[str, Schema]]:
-    """Yield the definitions of steps and of what stands in them."""
     step, command, chain = ref("step"), ref("command"), ref("chain")
     arguments = {
         "description": "Calls an action or a plan: parameters and their values.",
@@ -89,7 +88,6 @@ def _formula(about: str, name: str, known: words.Words, moments: type[Keys]) -> 
 
 
 def _formulas() -> Iterator[tuple[str, Schema]]:
-    """Yield the definitions of formulas and of what stands in them."""
     about = "A fact such as (at ?r kitchen), a list, or a form such as Comparison."
     yield from _formula(about, "condition", words.TESTS, readers.ConditionsByMoment)
     about = "A fact that becomes true, a list, or a form such as increase."
@@ -123,7 +121,6 @@ def _formulas() -> Iterator[tuple[str, Schema]]:
 
 
 def _planning() -> Iterator[tuple[str, Schema]]:
-    """Yield the definitions of what only planners read."""
     about = {"description": "A constraint on the course of a plan.", "type": "object", "minProperties": 1}
     yield "constraint", {**about, **words.forms(CONSTRAINT_WORDS)}
     yield "constraints", _one_or_several(ref("constraint"), "Constraints; all of them.")

@@ -366,7 +366,6 @@ class WrittenJournal(Journal):
             self._begin_segment(self._bases[records.WORLD], self._shared)
 
     def _drop(self) -> None:
-        """Drop what is old."""
         self._dropped = self._wall()
         try:
             self._file.drop(self._dropped - self._kept, self._dropped - LISTED * self._kept)
@@ -383,7 +382,6 @@ class WrittenJournal(Journal):
             self._drop()
 
     def _task_row(self, summary: records.TaskSummary) -> TaskRow:
-        """Return the row of a task, as it is listed."""
         accepted, ended = summary.accepted, summary.ended
         wall = accepted.wall if ended is None else ended
         return TaskRow(accepted.wanted.id.hex, wall, ended is not None, self._codec.text(summary))
