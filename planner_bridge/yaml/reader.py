@@ -30,10 +30,10 @@ from pnm.errors import InputError, Position, Tolerated
 from pnm.files.text import read_text
 from pnm.files.yaml_nodes import MAX_BYTES, Mapped, Node, compose
 from pnm.language.domain import declaration_parts, read_facts, read_model
-from pnm.language.files import ANCHORS, domain_document
 from pnm.language.formulas.readers import ConditionsByMoment, read_condition, read_effects
 from pnm.language.formulas.scope import ANYTHING, FormulaScope, read_names, shown
 from pnm.language.grammar import BINDING_KEYS, DomainKeys, NamedPlan, ProblemKeys
+from pnm.language.plan import ANCHORS, domain_document
 
 _LEFT_OUT: Final = ("instances", "external_knowledge_base", "knowledge", "action_types")
 """The keys of a domain that PDDL has nothing like."""

@@ -8,7 +8,7 @@ import pytest
 
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import MAX_DOCUMENTS, MAX_NODES, Mapped, load_yaml, parse_yaml
-from pnm.language.files import parse_documents, read_documents
+from pnm.language.plan import parse_documents, read_documents
 from tests.support.files import refused
 
 BAD_INPUT = Path(__file__).with_name("refused")

@@ -22,9 +22,9 @@ from pnm.core.machine.bindings import Binding
 from pnm.core.machine.failure_causes import Cause
 from pnm.errors import InputError
 from pnm.knowledge.field_reader import FieldComparison
-from pnm.language import files, grammar, steps
+from pnm.language import grammar, steps
 from pnm.language.formulas import words
-from pnm.language.plan import read_plans
+from pnm.language.plan import parse_documents, read_plans
 from tests.support.files import ROOT
 from tests.support.yaml.programs import programs
 
@@ -38,7 +38,7 @@ EXAMPLES = sorted(path for folder in ("domains", "problems") for path in (ROOT /
 
 def violations(text: str) -> list[str]:
     """Return what the schema has against the documents of a text."""
-    documents, _ = files.parse_documents(text, "F")
+    documents, _ = parse_documents(text, "F")
     plain = [{key: node.plain() for key, _, node in document.entries()} for document in documents]
     return [f"{list(error.path)}: {error.message}" for one in plain for error in CHECK.iter_errors(one)]
 
