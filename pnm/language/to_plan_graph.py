@@ -104,7 +104,11 @@ def ground_action(step: CallStep, outer: Mapping[str, Data], facts: KnowledgeBas
     own = Substitution.of(given)
     unbound = {name: data for name, data in outer.items() if name not in {variable.name for variable in step.action.schema.parameters}}
     operation = None if step.operation is None else filled_operation(step.operation, unbound)
-    names = _parameters(step, operation)
+    names = tuple(step.given) if step.action.is_open else tuple(variable.name[1:] for variable in step.action.schema.parameters)
+    if operation is not None and not step.action.is_open:  # of an action on knowledge, those that are used or given
+        datas = (operation.name, operation.value, operation.meta) if isinstance(operation, Update) else (operation,)
+        used = step.action.mentioned.union(*map(parameters_in, datas))
+        names = tuple(name for name in names if name != OPERATION and (name in step.given or f"?{name}" in used))
     duration = step.duration
     fixed = next((constraint.bound for constraint in step.action.schema.duration or () if constraint.operation == "="), None)
     if duration is None and fixed is not None:  # by numbers that do not change or hold at the beginning
@@ -118,18 +122,6 @@ def ground_action(step: CallStep, outer: Mapping[str, Data], facts: KnowledgeBas
         action, parameters=names, given=tuple(given.items()), operation=operation, resources=resources, returns=step.action.returns
     )
     return called, own
-
-
-def _parameters(step: CallStep, operation: KnowledgeOperation | None) -> tuple[str, ...]:
-    """Return the names of the parameters: of an action on knowledge, those that are used or given."""
-    if step.action.is_open:
-        return tuple(step.given)
-    names = tuple(variable.name[1:] for variable in step.action.schema.parameters)
-    if operation is None:
-        return names
-    datas = (operation.name, operation.value, operation.meta) if isinstance(operation, Update) else (operation,)
-    used = step.action.mentioned.union(*map(parameters_in, datas))
-    return tuple(name for name in names if name != OPERATION and (name in step.given or f"?{name}" in used))
 
 
 def usual_recoveries(action: LanguageAction) -> tuple[Recovery, ...]:
