@@ -332,9 +332,7 @@ class TaskServers(TaskListener):
             self._feedback_due.add(task)
             self._feedback.note(None)
 
-    def planned(self, task: UUID) -> None:
-        """Make feedback due."""
-        self.changed(task)
+    planned = changed
 
     def happened(self, moment: TraceEvent) -> None:
         """Make feedback due that passes on what the server of a call says."""
