@@ -28,14 +28,15 @@ _log = logging.getLogger(__name__)
 
 
 class SensorRecorder:
-    """Records what one sensor, for one choice of objects, reports.
+    """A sensor for one choice of objects, what it reports being recorded; it hears of that as one of its two kinds does.
 
     The mutable state is the instance, whose constants are resolved once its type is known, its watchdog, the statements that
     the last message did not fit, why the sensor cannot be used, whether all sensors are open, whether it has fallen silent, and whether it
     is closed.
     """
 
-    def __init__(self, instance: Instance, knowledge: KnowledgeBase) -> None:
+    def __init__(self, ros: RosThread, instance: Instance, knowledge: KnowledgeBase) -> None:
+        self.ros = ros
         self.instance = instance
         self.heard = asyncio.Event()
         self.refused: InputError | None = None
@@ -46,6 +47,13 @@ class SensorRecorder:
         self._unread: frozenset[int] = frozenset()
         self._closed = False
         self._watchdog = StalenessWatchdog(instance.sensor.stale, self._forget)
+
+    def resolve(self) -> None:
+        """Resolve the full name, on the ROS thread; raise an `InputError` if it is not valid in ROS."""
+        node, position = self.ros.node, self.instance.sensor.position
+        is_service = self.instance.sensor.service is not None
+        resolve, what = (node.resolve_service_name, "a service") if is_service else (node.resolve_topic_name, "a topic")
+        self.name = resolved(resolve, self.instance.name, what, position)
 
     def record(self, look: Look) -> None:
         """Record the facts and variables of a message, given how to read its fields."""
@@ -146,16 +154,15 @@ DEPTH: Final = 10
 """Unread messages that are kept."""
 
 
-class TopicSensor:
+class TopicSensor(SensorRecorder):
     """A sensor that subscribes to one topic, once for every QoS of its publishers.
 
     The mutable state is, on the ROS thread, the type and the subscriptions; the latest message, until the event loop has
     taken it: of messages that come faster than that, only the last one counts; and for when the last one speaks.
     """
 
-    def __init__(self, ros: RosThread, recorder: SensorRecorder) -> None:
-        self.recorder = recorder
-        self._ros = ros
+    def __init__(self, ros: RosThread, instance: Instance, knowledge: KnowledgeBase) -> None:
+        super().__init__(ros, instance, knowledge)
         self._kind: Any = None
         self._subscriptions: dict[tuple[bool, bool], Any] = {}
         self._waiting = False
@@ -168,7 +175,7 @@ class TopicSensor:
 
     async def is_there(self) -> bool:
         """Return True if the topic has publishers of the right type."""
-        return bool(await self._ros.ask(lambda: self._subscriptions))
+        return bool(await self.ros.ask(lambda: self._subscriptions))
 
     async def refresh(self, since: int, until: float) -> None:
         """Wait until the topic speaks for a time after this one, in nanoseconds of ROS; until then on the loop's clock at most.
@@ -177,22 +184,17 @@ class TopicSensor:
         """
         with suppress(TimeoutError):
             async with asyncio.timeout_at(until):
-                while self._spoken <= since and self.recorder.heard.is_set() and not all(latched for _, latched in self._subscriptions):
+                while self._spoken <= since and self.heard.is_set() and not all(latched for _, latched in self._subscriptions):
                     self._news.clear()
                     await self._news.wait()
 
     # on the ROS thread
 
-    def resolve(self) -> None:
-        """Resolve the full name; raise an `InputError` if it is not valid in ROS."""
-        instance = self.recorder.instance
-        self.name = resolved(self._ros.node.resolve_topic_name, instance.name, "a topic", instance.sensor.position)
-
     def look(self) -> None:
         """Subscribe to new publishers."""
         from rclpy.qos import DurabilityPolicy, ReliabilityPolicy  # here, because rclpy is an extra
 
-        for info in self._ros.node.get_publishers_info_by_topic(self.name):
+        for info in self.ros.node.get_publishers_info_by_topic(self.name):
             if self._fits(info.topic_type):
                 qos = info.qos_profile
                 reliable = qos.reliability == ReliabilityPolicy.RELIABLE
@@ -201,49 +203,49 @@ class TopicSensor:
     def destroy(self) -> None:
         """Unsubscribe."""
         for subscription in self._subscriptions.values():
-            self._ros.node.destroy_subscription(subscription)
+            self.ros.node.destroy_subscription(subscription)
         self._subscriptions.clear()
 
     def _fits(self, type_name: str) -> bool:
         """Return True for the type of the sensor: that in the file, or else the first one that is found."""
-        wanted = self.recorder.instance.sensor.type
-        if self._kind is None and not self.recorder.refused:
+        wanted = self.instance.sensor.type
+        if self._kind is None and not self.refused:
             try:
-                self._kind, self.recorder.instance = checked(self.recorder.instance, wanted or type_name)
+                self._kind, self.instance = checked(self.instance, wanted or type_name)
                 self._type_name = wanted or type_name
             except InputError as error:
-                call_on_loop(self.recorder.loop, self.recorder.refuse, error)
+                call_on_loop(self.loop, self.refuse, error)
         if self._kind is None or type_name == self._type_name:
             return self._kind is not None
         if type_name not in self._foreign:
             self._foreign.add(type_name)
-            _log.warning("%s is ignored where it has the type %s; expected %s", self.recorder.instance.name, type_name, self._type_name)
+            _log.warning("%s is ignored where it has the type %s; expected %s", self.instance.name, type_name, self._type_name)
         return False
 
     def _subscribe(self, reliable: bool, latched: bool) -> None:
         from rclpy.qos import ReliabilityPolicy  # here, because rclpy is an extra
 
         if (reliable, latched) not in self._subscriptions:
-            instance, create, qos = self.recorder.instance, self._ros.node.create_subscription, profile(DEPTH, latched=latched)
+            instance, create, qos = self.instance, self.ros.node.create_subscription, profile(DEPTH, latched=latched)
             qos.reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
             try:
                 self._subscriptions[reliable, latched] = create(self._kind, instance.name, self._receive, qos)
             except Exception as error:  # this process uses the topic with another type, for example
                 reason = f"{instance.name} cannot be listened to: {error}"
-                call_on_loop(self.recorder.loop, self.recorder.refuse, InputError(reason, instance.sensor.position))
+                call_on_loop(self.loop, self.refuse, InputError(reason, instance.sensor.position))
 
     def _receive(self, message: Any) -> None:
         def take() -> None:
             self._waiting = False
             latest, received = self._latest
-            self.recorder.record(partial(value_at, latest))
+            self.record(partial(value_at, latest))
             self._spoken = max(self._spoken, spoken(latest, received))
             self._news.set()
 
-        self._latest = message, self._ros.node.get_clock().now().nanoseconds
+        self._latest = message, self.ros.node.get_clock().now().nanoseconds
         if not self._waiting:
             self._waiting = True
-            call_on_loop(self.recorder.loop, take)
+            call_on_loop(self.loop, take)
 
 
 def spoken(message: Any, received: int) -> int:
@@ -259,16 +261,15 @@ RETRY: Final = 1.0
 """Seconds after which a service that has not answered is asked again."""
 
 
-class ServiceSensor:
+class ServiceSensor(SensorRecorder):
     """A sensor that asks one service.
 
     The mutable state is its client, once its type is known, whether there is a reason to ask, who waits for an answer to a request
     that is still to be sent, and whether nothing is asked any more.
     """
 
-    def __init__(self, ros: RosThread, recorder: SensorRecorder, service: ByService) -> None:
-        self.recorder = recorder
-        self._ros = ros
+    def __init__(self, ros: RosThread, instance: Instance, knowledge: KnowledgeBase, service: ByService) -> None:
+        super().__init__(ros, instance, knowledge)
         self._service = service
         self._client: ServiceClient | None = None
         self._is_wanted = asyncio.Event()
@@ -277,7 +278,7 @@ class ServiceSensor:
 
     async def is_there(self) -> bool:
         """Return True if there is such a service."""
-        return bool(await self._ros.ask(self._types))
+        return bool(await self.ros.ask(self._types))
 
     async def refresh(self) -> None:
         """Ask at once, and wait for the answer; for twice the limit at most, since a request may be under way."""
@@ -296,7 +297,7 @@ class ServiceSensor:
                 waiting, self._waiting = self._waiting, []
                 error = await self._ask()
                 _release(waiting)
-                if error and error != last_error and self.recorder.is_open:  # before, the look at all sensors says it
+                if error and error != last_error and self.is_open:  # before, the look at all sensors says it
                     _log.warning("%s", error)
                     last_error = error
                 last_error = error and last_error
@@ -304,7 +305,7 @@ class ServiceSensor:
                 with suppress(TimeoutError):
                     await asyncio.wait_for(self._is_wanted.wait(), pause)
         except InputError as error:
-            self.recorder.refuse(error)
+            self.refuse(error)
         finally:
             self._is_over = True
             _release([*waiting, *self._waiting])
@@ -313,30 +314,23 @@ class ServiceSensor:
 
     async def _ask(self) -> str:
         """Ask once, and record the answer; return why there is none."""
-        self.recorder.expect()
-        instance = self.recorder.instance
+        self.expect()
+        instance = self.instance
         if self._client is None:
-            kind = instance.sensor.type or next(iter(await self._ros.ask(self._types)), None)
+            kind = instance.sensor.type or next(iter(await self.ros.ask(self._types)), None)
             if kind is None:
                 return f"there is no service {instance.name} yet"
-            _, self.recorder.instance = checked(instance, kind)
-            self._client = ServiceClient(self._ros, kind, instance.name)
+            _, self.instance = checked(instance, kind)
+            self._client = ServiceClient(self.ros, kind, instance.name)
         try:
             answer = await self._client.call(instance.request(self._service), self._service.limit)
         except SourceError as error:
             return str(error)
-        self.recorder.record(partial(value_at, answer))
+        self.record(partial(value_at, answer))
         return ""
 
-    # on the ROS thread
-
-    def resolve(self) -> None:
-        """Resolve the full name; raise an `InputError` if it is not valid in ROS."""
-        instance = self.recorder.instance
-        self.name = resolved(self._ros.node.resolve_service_name, instance.name, "a service", instance.sensor.position)
-
     def _types(self) -> list[str]:
-        return [kind for name, kinds in self._ros.node.get_service_names_and_types() if name == self.name for kind in kinds]
+        return [kind for name, kinds in self.ros.node.get_service_names_and_types() if name == self.name for kind in kinds]
 
 
 def _release(waiting: Iterable[asyncio.Future[None]]) -> None:
@@ -357,7 +351,7 @@ FIRST: Final = 3.0
 class Sensors:
     """The sensors of a file, for every choice of their objects. To be used on the event loop's thread.
 
-    The mutable state is the recorders, the tasks that ask services, and when the last action has ended.
+    The mutable state is the sensors, the tasks that ask services, and when the last action has ended.
     `lag` is that of sensors that do not specify it, in seconds.
     Raises `InputError` if two sensors report the same facts, or one reports derived facts. A sensor whose type is not installed, or
     lacks a field, is refused: its use says why.
@@ -369,14 +363,8 @@ class Sensors:
         """The sensors for every choice of their objects, as the file has them."""
         for name in sorted(sensing.names & knowledge.rules.derived):
             raise InputError(f"facts of {name} follow from rules; they are neither set nor sensed")
-        self._recorders = [SensorRecorder(instance, knowledge) for instance in self.instances]
-        self._topics: list[TopicSensor] = []
-        self._polls: list[ServiceSensor] = []
-        for recorder in self._recorders:
-            if service := recorder.instance.sensor.service:
-                self._polls.append(ServiceSensor(ros, recorder, service))
-            else:
-                self._topics.append(TopicSensor(ros, recorder))
+        self._topics = [TopicSensor(ros, one, knowledge) for one in self.instances if not one.sensor.service]
+        self._polls = [ServiceSensor(ros, one, knowledge, service) for one in self.instances if (service := one.sensor.service)]
         self._sensors: tuple[TopicSensor | ServiceSensor, ...] = (*self._topics, *self._polls)
         self._tasks: list[asyncio.Task[None]] = []
         self._lag = lag
@@ -392,17 +380,14 @@ class Sensors:
         if self._topics:
             self._timer = await self._ros.ask(lambda: self._ros.timer(LOOK, self._look))
         self._tasks = [asyncio.create_task(poll.poll()) for poll in self._polls]
-        if self._recorders:
+        if self._sensors:
             await self._wait_for_first()
-        for recorder in self._recorders:
-            recorder.is_open = True
+        for sensor in self._sensors:
+            sensor.is_open = True
 
     def uses(self) -> tuple[SensorUse, ...]:
         """Return the states of the sensors, once they are open."""
-        return tuple(
-            SensorUse(one.recorder.instance, one.name, one.recorder.heard.is_set(), one.recorder.refused, one.recorder.is_stale)
-            for one in self._sensors
-        )
+        return tuple(SensorUse(one.instance, one.name, one.heard.is_set(), one.refused, one.is_stale) for one in self._sensors)
 
     def expect_news(self) -> None:
         """Note that an action has ended: what topics have said before may not be so any more."""
@@ -414,7 +399,7 @@ class Sensors:
         Topics are waited for that have said nothing since the last action has ended, each until its lag after that is over.
         """
         since, ended = self._ended
-        topics = (topic.refresh(since, ended + topic.recorder.instance.sensor.lag_or(self._lag)) for topic in self._topics)
+        topics = (topic.refresh(since, ended + topic.instance.sensor.lag_or(self._lag)) for topic in self._topics)
         await asyncio.gather(*topics, *(poll.refresh() for poll in self._polls))
 
     async def close(self) -> None:
@@ -422,8 +407,8 @@ class Sensors:
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
-        for recorder in self._recorders:
-            recorder.close()
+        for sensor in self._sensors:
+            sensor.close()
 
         def destroy() -> None:
             if self._timer is not None:
@@ -435,12 +420,12 @@ class Sensors:
 
     async def _wait_for_first(self) -> None:
         async def hear_all() -> None:
-            for recorder in self._recorders:
-                await recorder.heard.wait()
+            for sensor in self._sensors:
+                await sensor.heard.wait()
 
         await _first_of(hear_all(), self._ros.settled())
         await self._ros.ask(self._look)  # the timer's last look may be older than the publishers that are there
-        if [sensor for sensor in self._sensors if not sensor.recorder.heard.is_set() and await sensor.is_there()]:
+        if [sensor for sensor in self._sensors if not sensor.heard.is_set() and await sensor.is_there()]:
             with suppress(TimeoutError):
                 await asyncio.wait_for(hear_all(), FIRST)
 
