@@ -40,15 +40,7 @@ def export(
     """Write a domain, a problem and a plan as YAML."""
     bound = bindings_for(domain, bindings, None)
     with options.searching(planner, planner_timeout) if with_plan else nullcontext():
-        result = exported(
-            domain,
-            problem,
-            with_plan=with_plan,
-            bindings=bound,
-            planner=planner,
-            timeout=planner_timeout,
-            improve=improve,
-        )
+        result = exported(domain, problem, with_plan=with_plan, bindings=bound, planner=planner, timeout=planner_timeout, improve=improve)
     options.print_warnings(result.warnings)
     if result.reason:
         SafeConsole(stderr=True).print_reason("no plan:", result.reason)

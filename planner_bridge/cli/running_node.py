@@ -54,9 +54,7 @@ _TRACE: Final = ("pnm_interfaces/msg/TraceEvent", "executor/trace")
 
 namespace_option = click.option("-n", "--namespace", default="", help="the namespace of the node")
 one_or_all = options(
-    click.argument("task", default=""),
-    click.option("--all", "every", is_flag=True, help="all tasks, also later ones"),
-    namespace_option,
+    click.argument("task", default=""), click.option("--all", "every", is_flag=True, help="all tasks, also later ones"), namespace_option
 )
 
 

@@ -127,9 +127,7 @@ class _Names:
 
     def __init__(self, problem: Problem) -> None:
         self.actions = {name.lower(): schema for name, schema in problem.domain.actions.items()}
-        self.of_types = cache(
-            lambda types: {name.lower(): name for kind in types for name in problem.objects_by_type.get(kind, ())},
-        )
+        self.of_types = cache(lambda types: {name.lower(): name for kind in types for name in problem.objects_by_type.get(kind, ())})
 
 
 def _step(line: str, names: _Names, state: State, position: Position, now: float) -> PlanStep:
