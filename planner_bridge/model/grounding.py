@@ -25,7 +25,6 @@ def ground_action(schema: ActionSchema, arguments: tuple[str, ...], duration: fl
     """Return the action with the arguments in place of its parameters; an instantaneous one has no duration, whatever was planned.
 
     Args:
-        schema: the action.
         arguments: as many objects as it has parameters.
         duration: the planned one, in seconds.
 

@@ -77,15 +77,7 @@ class NodeContext:
 async def open_context(
     ros: Any, options: Options, observer: NodeObserver, fenced: Callable[[Fenced], None], stack: AsyncExitStack
 ) -> NodeContext:
-    """Read and check all files of a node, and open what its tasks share.
-
-    Args:
-        ros: the thread of the node.
-        options: of the node.
-        observer: notified of what is found.
-        fenced: called when another node has taken the journal over.
-        stack: closes what is opened.
-    """
+    """Read and check all files of a node, and open what its tasks share."""
     cancel = threading.Event()
     try:
         await asyncio.to_thread(check_planner, options.planner, cancel)

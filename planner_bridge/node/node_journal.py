@@ -55,7 +55,6 @@ def journal_of(chosen: str, node: str, domain_id: int, origin: str) -> Place | N
     Args:
         chosen: what the user has chosen; empty for nothing.
         node: its name, with its namespace.
-        domain_id: of ROS.
         origin: a digest of what its world is made from.
     """
     if chosen:
@@ -125,13 +124,8 @@ async def resume(
     """Open the journal when no other process holds it; the time of what goes on in it goes on as well.
 
     Args:
-        options: of the node.
-        place: of the journal; None for none.
-        node: its name, with its namespace.
         origin: a digest of what its world is made from.
-        observer: notified of what becomes of the journal.
         fenced: called when another node has taken the journal over.
-        stack: closes the journal.
     """
     if place is None:
         observer.journalled("", None)

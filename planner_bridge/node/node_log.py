@@ -123,9 +123,7 @@ async def open_diagnoses(
 
     Args:
         look: returns how ready action servers and sensors are.
-        state: returns that of the life cycle.
         clock: that of the simulation whose time is followed, if one is.
-        journal: of the tasks.
     """
     from pnm.ros.tasks.executor_topics import (  # here, because rclpy is an extra
         Diagnosis,

@@ -91,7 +91,6 @@ class SharedWorld:
     The mutable state is the object values of functions that `changes` has seen last.
 
     Args:
-        problem: the domain, the objects, and the default goal.
         elapsed: returns the seconds since the problem's initial state, by which timed facts of `problem_text` are earlier.
     """
 

@@ -217,7 +217,6 @@ def forecast(plan: PlanGraph, events: Sequence[PlanEvent], left: Mapping[int, fl
     """Return the forecast of a plan, each call of which takes its planned duration.
 
     Args:
-        plan: what is being carried out.
         events: those of its events that are still to come, in an order that the plan allows.
         left: for the calls that are under way, the seconds that they are expected to take from now.
         state: of the world, as it is known to be.

@@ -41,8 +41,6 @@ class PartialOrder:
         """Order the happenings.
 
         Args:
-            calls: of the plan.
-            orderings: of its graph.
             timed: what changes by itself.
             due: before this the goal is not looked at.
         """

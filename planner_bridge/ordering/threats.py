@@ -192,8 +192,6 @@ def threats(graph: PlanGraph, order: PartialOrder, problem: Problem, links: Caus
     """Yield the conflicts in any order that the graph allows.
 
     Args:
-        graph: the plan.
-        order: of its happenings.
         problem: its initial state is the one that the plan starts from.
         links: what counts as read: the objects, the rules, the fluents that can order anything, and orders that must be kept.
         projected: whether the initial state is the one after all calls that are under way, and not the one before their ends.

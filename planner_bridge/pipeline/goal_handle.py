@@ -52,7 +52,6 @@ class TaskJournal:
         """Return the journal with the task in it that is not finished, if there is one; raise an `InputError` if it cannot be used.
 
         Args:
-            journal: where it is.
             origin: the texts that its world is made from.
         """
         from pnm.journal.resume import take_up  # here, because it takes its time to import, for which runs without a journal need not wait

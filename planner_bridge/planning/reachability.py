@@ -107,7 +107,6 @@ class Reachability:
     """The literals that the goal may need, each with its lack. The mutable state is these, and how much was looked at.
 
     Args:
-        problem: what cannot be solved.
         possible: facts and numbers that may have any value.
     """
 

@@ -52,7 +52,6 @@ def solve(
     """Search for a plan, validate it, and leave out what it does not need, at most `timeout` seconds.
 
     Args:
-        problem: what is to be solved.
         planner: kairos, an engine of unified-planning, ``race`` for several at once, or ``race:kairos,aries`` for these.
         timeout: seconds that the search may take, besides the time to load a planner; a plan that is found late keeps what it has.
         improve: seconds for which Kairos looks for a better plan once there is one, at most; 0 for the first plan.
@@ -116,8 +115,6 @@ def reduced(problem: Problem, result: PlanningResult, parsed: kairos.Problem | N
     """Return the result with a plan that has no needless step; one of a task network, or with preferences, is more than a way to a goal.
 
     Args:
-        problem: what the plan is for.
-        result: a plan, or none.
         parsed: the problem as Kairos reads it, if that is there already.
         until: when to stop looking, on the clock of `time.monotonic`; the plan may have needless steps then.
     """

@@ -237,10 +237,6 @@ class TaskMonitor:
     """The clock of a task, which is stopped when its time is used up, or a constraint of its monitor is violated.
 
     The mutable state is what stands below "state".
-
-    Args:
-        context: of the task.
-        kept: the goal as another process left it, if it goes on here.
     """
 
     def __init__(self, context: TaskContext, kept: KeptGoal | None = None) -> None:

@@ -35,8 +35,6 @@ class Conflict:
     """A task beside which a plan cannot be carried out.
 
     Args:
-        task: the other task.
-        name: its name for people.
         footprint: what its plan still needs and changes.
         why: the fact or function in the way.
         yields: whether it has a lower priority, so that it can be preempted.
@@ -59,8 +57,6 @@ class RunningCalls:
     """Calls of another task that have begun and not ended: until then the world is not what it will be.
 
     Args:
-        task: the other task.
-        name: its name for people.
         calls: which are under way, being cancelled, or waiting for their effects.
         yields: whether it has a lower priority, so that it can be preempted.
     """
@@ -110,18 +106,10 @@ class TaskContext:
     """A goal, and everything that is there to reach it.
 
     Args:
-        task: the task.
-        problem: its goal is pursued.
         knowledge: of the runs of the task, over the world that all tasks share.
-        backend: carries the actions out.
-        settings: planner, bindings, limits and policies.
-        resources: shared by the calls of all tasks.
         source: answers what runs do not know; None for none.
         helper: the person who is asked for help when the task cannot go on; None for none.
-        scheduler: knows the other tasks.
         on_conflict: what to do about a goal that is in conflict with those of other tasks.
-        new_run_id: makes the identities of runs.
-        journal: records the runs.
     """
 
     task: Task
@@ -202,7 +190,6 @@ class Preemption(TaskListener):
 
     Args:
         tasks: all that are not over.
-        resources: what they share.
         queue: where they wait for their turn to plan.
     """
 

@@ -25,8 +25,6 @@ class TaskEnded(Exception):
     """The task has come to its end, with a code and a reason.
 
     Args:
-        code: how it ended.
-        reason: why.
         can_be_helped: whether a person who mends something may keep it from ending so.
         by_facts: whether it is tried again when facts change, as well.
     """
@@ -316,7 +314,6 @@ class Watchdog:
     What is proved is the machine of a plan; this is for what stands around it. A task never stands still unless there is a mistake here.
 
     Args:
-        control: of the task.
         end: called each time that the task is found to stand still.
 
     The mutable state is when something has happened last, and the timer.

@@ -72,7 +72,6 @@ class GoalLoop:
     last attempt began, the question to a person that is open, and that of the other parts.
 
     Args:
-        context: of the task.
         history: what has failed before.
         given: a plan to begin with, in place of one that would have to be found; the task ends with it.
         kept: the goal as another process left it, if it goes on here.

@@ -44,9 +44,6 @@ class PlanExecution(Observer):
     for, or is finishing; and whether the plan is blocked.
 
     Args:
-        context: of the task.
-        monitor: of the task.
-        log: what has failed before.
         begin_with: the machine of a plan, with its proof; or the run with which another process has begun.
         origin: the time from which the times of plans count.
     """

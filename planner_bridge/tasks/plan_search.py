@@ -60,8 +60,6 @@ class NoPlan(Exception):
     """The planner has found no plan without the forbidden calls, and would find none without the other tasks.
 
     Args:
-        result: the planner's answer.
-        forbidden: the calls.
         busy: action servers that are at work on what this process has not asked for: while a robot moves, it is nowhere.
     """
 
@@ -235,7 +233,6 @@ class PlanSearch:
         """Attempt to find a plan with the planner.
 
         Args:
-            forbidden: the calls that it may not use.
             run: one that goes on meanwhile, and is succeeded by another; None if there is none.
 
         Raises:

@@ -207,8 +207,6 @@ class Progress:
     """A plan, and how far it has come.
 
     Args:
-        plan: what is being carried out.
-        calls: what has become of its calls.
         under_way: the numbers of the calls whose requests are out; they go on, whatever follows.
     """
 
@@ -263,10 +261,7 @@ def decide(
 
     Args:
         now: the problem from the world as it is known to be.
-        progress: what the run executed, and what became of it.
-        knowledge: what is known.
         history: of all failures, those of this run included.
-        limits: how long to go on.
         unusable: calls whose action server is not there, that need a resource that is withheld, or whose goals lack a value.
     """
     if given_up := history.given_up(limits):

@@ -93,9 +93,7 @@ class TaskCounts:
     Args:
         plans: that a planner has found, or that were given to begin with.
         replans: new machines after the first, with the rest of a plan or with another one.
-        requests: that were sent to action servers.
         failures: calls, and other steps, that were given up.
-        has_run: whether there was a machine.
     """
 
     plans: int
@@ -327,8 +325,6 @@ class GoalNote:
     """The memory of a goal from one run to the next.
 
     Args:
-        history: of its failures.
-        plans: how many have been found.
         decision: why another run follows the last one; None for a plan that was found, and for help.
         helped: how often a person has helped.
     """
@@ -367,11 +363,8 @@ class KeptGoal:
     """A goal as another process left it.
 
     Args:
-        log: its record.
-        run: the run that goes on, if there is one.
         left_at: when the process died, on the clock of the event loop.
         trajectory: what has become of its constraints; None if it had not begun.
-        used: how much of its limit is used.
     """
 
     log: TaskLog

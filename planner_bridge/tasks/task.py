@@ -57,12 +57,9 @@ class Task(TaskObserver):
     """A task among others; it notes what happens to it. The mutable state is what has a default.
 
     Args:
-        wanted: what it is about.
         order: tasks are numbered as they come in.
         listener: listens to all tasks.
-        clock: the time, in seconds.
         observers: listen to this task besides.
-        stopwatch: measures where its time goes.
     """
 
     wanted: Wanted

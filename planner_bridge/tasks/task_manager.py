@@ -63,10 +63,8 @@ class TaskManager:
     Args:
         problem: the domain and the objects of goals; its initial state is not looked at.
         runner: carries out the plans that are loaded; all tasks share its world, backend, which is open, resources, source and journal.
-        settings: planner, bindings, limits and policies.
         read_goal: reads a goal; raises InputError.
         helper: the person who is asked for help when a task cannot go on; None for none.
-        limits: how many tasks there may be.
     """
 
     def __init__(
@@ -136,11 +134,6 @@ class TaskManager:
 
     async def run(self, wanted: Wanted, observer: TaskObserver, stopwatch: Stopwatch) -> TaskResult:
         """Carry out a task and return its result. Cancelling this stops the task; cancelling it again leaves it alone.
-
-        Args:
-            wanted: what the task is about.
-            observer: listens to the task.
-            stopwatch: measures where its time goes.
 
         Raises:
             InputError: there is something wrong with the task; nothing was started.

@@ -125,7 +125,6 @@ def read_text(wanted: Wanted, read_goal: Callable[[str], Condition], loaded: Col
     """Read the text of a task.
 
     Args:
-        wanted: the task.
         read_goal: reads a goal; raises InputError.
         loaded: the names of the plans that are loaded.
         now: has the actions and objects of a plan as a text.
@@ -159,8 +158,6 @@ class PlanTask:
     When it is paused at once, a plan that it calls is cancelled and begins anew later.
 
     Args:
-        runner: carries out the plan.
-        context: of the task.
         kept: the task as another process left it, if it goes on here.
 
     Raises:
