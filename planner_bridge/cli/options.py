@@ -20,7 +20,7 @@ import click
 
 from planner_bridge.model.problem import Problem
 from planner_bridge.pipeline.loading import load, warning_lines
-from planner_bridge.view.commands import Controlled
+from planner_bridge.view.serving import Controlled
 from pnm.errors import InputError, PnmError, Tolerated
 from pnm.files.database.place import Place, place_of
 from pnm.files.text import secret_in, write_private
@@ -284,10 +284,6 @@ def check_output(path: Path, *, force: bool) -> None:
 def write_files(texts: Mapping[Path, str], *, force: bool) -> None:
     """Write texts to new files in folders that exist, and name them on stderr.
 
-    Args:
-        texts: by file.
-        force: whether files that exist are replaced.
-
     Raises:
         InputError: a file exists, unless they are replaced, or cannot be written. Nothing is written if that is known before.
     """
@@ -348,7 +344,6 @@ def waiting(text: str, console: Console | None = None) -> AbstractContextManager
     """Return a display, while it is entered, of waiting, its limit and its seconds so far; on terminals only.
 
     Args:
-        text: what is waited for, with its limit.
         console: that of the output; by default stderr.
     """
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn

@@ -22,8 +22,7 @@ from planner_bridge.planning.solve import check_planner
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import Settings, TaskObserver
-from planner_bridge.view.commands import Controlled
-from planner_bridge.view.serving import Operator, PageProcess
+from planner_bridge.view.serving import Controlled, Operator, PageProcess
 from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import NO_FAULTS, read_faults
 from pnm.clock import run_async
@@ -161,10 +160,6 @@ def looked_at(
 
     Args:
         journal: that of the run, if it has one; where it is looked at it has one in any case, which is kept no longer than this.
-        view: the port of the page; None without one.
-        timeline: the file of the timeline; None without one.
-        controlled: what may be controlled on the page.
-        force: whether that file is replaced.
 
     Yields:
         The journal, and the page.

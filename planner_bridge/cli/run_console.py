@@ -309,7 +309,6 @@ class NodePage(NodeObserver):
     """Shows a node on a page as soon as it is known which journal is its own, also while another process holds that.
 
     Args:
-        page: where it is shown.
         given: the journal as it was given on the command line, with the password that others leave out; empty for none.
     """
 

@@ -442,8 +442,7 @@ def serve(files: tuple[Path, ...], view: int | None, controls: bool, **given: Pa
     from planner_bridge.node.node_journal import NONE
     from planner_bridge.node.node_log import NodeObserver
     from planner_bridge.node.serve import serve
-    from planner_bridge.view.commands import Controlled
-    from planner_bridge.view.serving import PageProcess
+    from planner_bridge.view.serving import Controlled, PageProcess
     from pnm.core.execution.events import broadcast
 
     for file in files:

@@ -84,9 +84,6 @@ class Answer:
     """A statement, how it is known, and the reasons for it.
 
     Args:
-        statement: in one sentence.
-        known: how it is known.
-        reasons: why it is so.
         claims: what others can check of it.
     """
 

@@ -45,13 +45,7 @@ def answered(text: str, world: KnowledgeBase) -> tuple[Answer, ...]:
 
 
 def why_goal(problem: Problem, found: PlanningResult, limit: AnswerLimit) -> tuple[Answer, ...]:
-    """Return the purpose of each call of a plan; or why there is none, and what would help.
-
-    Args:
-        problem: with the goal.
-        found: a plan, or what a planner has said instead.
-        limit: until when to look further.
-    """
+    """Return the purpose of each call of a plan; or why there is none, and what would help."""
     if found.plan is not None:
         return (why_plan(problem, found.plan),)
     reason = why_no_plan(problem, found, limit)
@@ -168,13 +162,7 @@ def _by_size(label: Label) -> tuple[int, list[tuple[str, bool]]]:
 
 
 def what_would_help(problem: Problem, limit: AnswerLimit, reason: Answer) -> Answer:
-    """Return the smallest changes of facts after which there is a plan.
-
-    Args:
-        problem: what has no plan, as far as is known.
-        limit: until when to look.
-        reason: why it has none.
-    """
+    """Return the smallest changes of facts after which there is a plan."""
     if (reachability := limit.reached(problem)) is None:
         return Answer("helpful changes were not searched: the problem is too large", Known.NOT_PROVED)
     fixed, proved, is_exhaustive = frozenset(_facts_in(reachability, problem.goal)), 0, reason.known.is_certain

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Final, NamedTuple, assert_never
 from uuid import UUID
 
@@ -30,8 +30,7 @@ from pnm.core.pictures.timeline import Replan, replan
 from pnm.errors import PnmError
 from pnm.files.database.place import Place
 from pnm.journal import records
-from pnm.journal import replay as replaying
-from pnm.journal.replay import Replay, ReplayedRun
+from pnm.journal.replay import Replay, ReplayedRun, ReplayStep
 from pnm.journal.resume import damage, steps_after
 from pnm.journal.store import KeptJournal
 from pnm.knowledge.people import HelpAsked, HelpEnded
@@ -49,13 +48,7 @@ class Attempt(NamedTuple):
         call: the number of the call there.
         sender: the run that has sent it.
         sent_for: the number of the call there.
-        action: with its arguments.
-        number: which attempt it is.
-        record: with which it was sent.
-        sent: when that was.
         accepted: when its server took it on.
-        ended: when it was over.
-        outcome: how.
         feedback: what its server has said last while it was at work.
     """
 
@@ -78,10 +71,7 @@ class Trouble:
     """A hindrance or a failure of a step.
 
     Args:
-        step: which one.
         cause: with what was expected and what was observed.
-        record: with which it came.
-        time: when.
         attempt: how often its call had been sent by then.
         is_failure: whether the step was given up; else it is tried again, or recovers.
         hindrance: what has led to a failure, and was trouble of its own before.
@@ -122,9 +112,6 @@ class RunHistory:
 
     Args:
         record: with which it was made.
-        time: when that was.
-        made: what it was made from.
-        source: what its machine was made from.
         state: the facts when it was made.
         executed: executes what has not been executed yet, and returns the run.
     """
@@ -240,8 +227,6 @@ class TaskHistory:
     """The history of a task. The history of its journal alone changes it.
 
     Args:
-        accepted: what it is about.
-        time: when it was accepted.
         runs: its runs, in the order in which they were made.
     """
 
@@ -302,7 +287,7 @@ class JournalHistory:
         self._replay = Replay(self._sources.__getitem__)
         self._pending: deque[tuple[int, float, records.Record]] = deque()
         """The records that the replay has not executed yet."""
-        self.step: replaying.ReplayStep | None = None
+        self._step: ReplayStep | None = None
         """The record that was executed last."""
         self._executed: dict[UUID, ReplayedRun] = {}
         self.world = KnowledgeBase()
@@ -345,13 +330,13 @@ class JournalHistory:
         """Its time."""
         return self.segments[0][1] if self.segments else 0.0
 
-    def execute(self) -> Replay:
-        """Execute the runs as far as that is not done, and return the state after the last record; raises as `steps_after` does."""
+    def execute(self) -> ReplayStep | None:
+        """Execute the runs as far as that is not done, and return the last record as it was executed; raises as `steps_after` does."""
         with no_collection():
             while self._pending:
                 number, time, record = self._pending[0]  # which stays if it cannot be executed: there is no state after it
                 try:
-                    step = self._replay.apply(number, time, record)
+                    self._step = self._replay.apply(number, time, record)
                     if isinstance(record, records.SharedBegan):
                         self._replay.forget()
                         self._held, self._holding = {}, set()
@@ -359,12 +344,17 @@ class JournalHistory:
                         self._executed[record.run] = self._replay.runs[record.run]
                     elif isinstance(record, _FREES):
                         self._note_resources(self._replay.now)
-                    self.step = step
                 except PnmError:
                     raise
                 except Exception as error:
                     raise damage("the journal", number - 1, error) from error
                 self._pending.popleft()
+        return self._step
+
+    @property
+    def replay(self) -> Replay:
+        """The state after the last record; raises as `steps_after` does."""
+        self.execute()
         return self._replay
 
     @property
@@ -373,16 +363,12 @@ class JournalHistory:
         self.execute()
         return self._held
 
-    def apply(self, number: int, time: float, record: records.Record) -> replaying.ReplayStep:
+    def apply(self, number: int, time: float, record: records.Record) -> ReplayStep:
         """Note a record; it is executed once somebody asks for the state after it."""
         self.number, self.time, self._observed = number, max(self.time, time), 0
         self._pending.append((number, time, record))
         self._note(time, record)
-        return replaying.ReplayStep(number, time, record)
-
-    def _run(self, id: UUID) -> ReplayedRun:
-        self.execute()
-        return self._executed[id]
+        return ReplayStep(number, time, record)
 
     def task_of(self, record: records.Record) -> UUID | None:
         """Return the task that a record is about; None if it is about none."""
@@ -416,12 +402,17 @@ class JournalHistory:
                 self._note_run(record)
             case records.RunSucceeded(run, successor, results):
                 self._note_results(self.runs[run], results)
-                self._hand_over(self.runs[successor])
+                for call, taken in self.runs[successor].made.adopted.items():  # requests that pass to it
+                    if taken.request in self.attempts:
+                        self.attempts[taken.request] = self.attempts[taken.request]._replace(run=successor, call=call)
             case records.RunRetired(run, results):
                 self._note_results(self.runs[run], results)
-            case records.TaskAccepted():
-                self._begins = begins
-                self._accept(record)
+            case records.TaskAccepted(wanted):
+                self._begins, known = begins, self.tasks.get(wanted.id)
+                if known is None or known.accepted != record:  # else it is said again
+                    since = self.segments[-1][0]
+                    made = [run for run in self.runs.values() if run.made.task == wanted.id and run.record >= since]  # of a plan, before it
+                    self.tasks[wanted.id] = TaskHistory(record, self.time, made)
             case records.TaskHeld():
                 self._begins = begins
             case records.TaskEntered(id, state, reason) if id in self.tasks:
@@ -431,8 +422,12 @@ class JournalHistory:
             case records.TimeCounted(of, used) if of in self.tasks:
                 self.tasks[of].used = used
             case records.TaskOver(id, ending):
-                self._begins = begins
-                self._end(self.tasks[id], ending, is_told=not begins or self.segments[-1][0] == 1)
+                self._begins, task = begins, self.tasks[id]
+                if task.ended is None:  # else it is said again
+                    task.is_told = not begins or self.segments[-1][0] == 1
+                    task.ending, task.ended, task.state, task.reason = ending, self.time, TaskState.OVER, ending.message
+                    for own in task.runs:
+                        own.follow(f"its task is over: {ending.code.word}")
             case _:
                 pass
 
@@ -452,19 +447,6 @@ class JournalHistory:
             self.tasks = {id: task for id, task in self.tasks.items() if task.runs}
 
     # --- tasks ------------------------------------------------------------------------------------
-
-    def _accept(self, accepted: records.TaskAccepted) -> None:
-        id = accepted.wanted.id
-        if id not in self.tasks or self.tasks[id].accepted != accepted:  # else it is said again
-            made = [run for run in self.runs.values() if run.made.task == id and run.record >= self.segments[-1][0]]  # of a plan, before it
-            self.tasks[id] = TaskHistory(accepted, self.time, made)
-
-    def _end(self, task: TaskHistory, ending: TaskEnding, *, is_told: bool) -> None:
-        if task.ended is None:  # else it is said again
-            task.is_told = is_told
-            task.ending, task.ended, task.state, task.reason = ending, self.time, TaskState.OVER, ending.message
-            for run in task.runs:
-                run.follow(f"its task is over: {ending.code.word}")
 
     def _note_task(self, task: TaskHistory, note: object) -> None:
         match note:
@@ -489,7 +471,11 @@ class JournalHistory:
         if (source := self._sources.get(made.machine)) is None:
             assert self._source is not None, "a history reads machines where it reads records"
             source = self._sources[made.machine] = self._source(made.machine)
-        executed = partial(self._run, made.run)
+
+        def executed() -> ReplayedRun:
+            self.execute()
+            return self._executed[made.run]
+
         run = self.runs[made.run] = RunHistory(self.number, self.time, made, source, snapshot(self.world), executed, origin=made.origin)
         if (task := self.tasks.get(made.task)) is None:
             return
@@ -498,15 +484,11 @@ class JournalHistory:
         if run.is_own:
             if len(task.own_runs) > 1:
                 before = task.own_runs[-2]
-                run.replan, run.is_decided = _replan(before, source, task.decision), task.decision is not None
+                left = (str(result.call.action) for result in before.last_results.values() if not result.is_done)
+                run.replan = replan(decision_words(task.decision), left, (str(call.action) for call in source.plan.calls))
+                run.is_decided = task.decision is not None
                 before.follow(run.replan.why)
             task.decision = None
-
-    def _hand_over(self, new: RunHistory) -> None:
-        """Note that a run goes on with requests of another one."""
-        for call, taken in new.made.adopted.items():
-            if taken.request in self.attempts:
-                self.attempts[taken.request] = self.attempts[taken.request]._replace(run=new.id, call=call)
 
     def _note_results(self, run: RunHistory, results: Iterable[records.Became]) -> None:
         run.results = {one.call: one.of(run.source.plan) for one in results}
@@ -563,9 +545,3 @@ class JournalHistory:
             if request in self._replay.requests:
                 self._held[request] = HeldResources(str(self._replay.requests[request].action), now[request].names, time)
         self._holding = self._held.keys() & now.keys()
-
-
-def _replan(before: RunHistory, after: records.MachineSource, decision: Decision | None) -> Replan:
-    """Return why a run follows another one, and what becomes of the calls that were left of that."""
-    left = (str(result.call.action) for result in before.last_results.values() if not result.is_done)
-    return replan(decision_words(decision), left, (str(call.action) for call in after.plan.calls))

@@ -273,10 +273,7 @@ def why_not(problem: Problem, action: PlanStep, found: PlanningResult, limit: An
     """Return why a plan does not use an action.
 
     Args:
-        problem: what is planned for.
         action: with its arguments, which are objects of the right types.
-        found: a plan, or why there is none.
-        limit: until when to look.
     """
     same = (action.action, action.arguments)
     if found.plan and (numbers := [number for number, step in enumerate(found.plan.steps) if (step.action, step.arguments) == same]):

@@ -92,13 +92,7 @@ _DEPTH: Final = 12
 
 
 def why_no_plan(problem: Problem, found: PlanningResult, limit: AnswerLimit) -> Answer:
-    """Return why there is no plan.
-
-    Args:
-        problem: what has no plan, as far as is known.
-        found: what a planner has said about it.
-        limit: until when to look further.
-    """
+    """Return why there is no plan."""
     if dead_ends := _unreachable(problem, limit):
         text = listed([str(part) for part, _ in dead_ends])
         reasons = tuple(answer for _, answer in dead_ends)

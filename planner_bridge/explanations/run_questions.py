@@ -93,8 +93,6 @@ def explained(place: Place, task: UUID, call: tuple[UUID, int] | None = None, la
     """Read a journal, and return why a task, or one of its calls, is as it is: for who knows them by their ids, as a page does.
 
     Args:
-        place: of the journal.
-        task: which one.
         call: its run and its number, from 0; None for the task as a whole.
         last: the record up to which the journal is read; None for all that there is.
     """
@@ -196,7 +194,7 @@ def _waited(history: JournalHistory, run: RunHistory, call: int, started: float)
 
 def _obstacles(history: JournalHistory, task: TaskHistory, run: RunHistory, call: int) -> Iterator[Answer]:
     """Yield everything that holds a call back now."""
-    replay, planned = history.execute(), run.source.plan.calls[call]
+    replay, planned = history.replay, run.source.plan.calls[call]
     if task.state in (TaskState.PAUSING, TaskState.PAUSED):
         yield Answer(f"its task is {task.state.word}: {task.reason}", Known.JOURNAL)
     elif run.executed().run.pausing:

@@ -11,8 +11,7 @@ import threading
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
-from planner_bridge.view.commands import Controlled
-from planner_bridge.view.serving import listening, serve_page, url_of
+from planner_bridge.view.serving import Controlled, listening, serve_page, url_of
 from pnm.errors import InputError
 from pnm.files.database.place import place_of
 from pnm.files.process import make_streams_safe

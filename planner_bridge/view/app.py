@@ -24,11 +24,10 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from planner_bridge.view.call_detail import detail
-from planner_bridge.view.commands import MAX_TEXT, Controlled, Reply
 from planner_bridge.view.follow import Feed, Reader
+from planner_bridge.view.serving import MAX_TEXT, Controlled, Reply
 from planner_bridge.view.shown import Shown, View
-from planner_bridge.view.story import Story, view_of
+from planner_bridge.view.story import Story, detail, view_of
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.pictures.plan_picture import plan_svg
 from pnm.errors import InputError, PnmError, printable
@@ -83,12 +82,6 @@ class _Asked(NamedTuple):
 class ViewApp:
     """The application.
 
-    Args:
-        place: the journal.
-        feed: what happens now.
-        past: reads what has happened.
-        control: what may be controlled, and by whom.
-
     The mutable state is how many browsers watch.
     """
 
@@ -122,12 +115,7 @@ class ViewApp:
 
     async def _call(self, request: Request) -> Response:
         """Answer with all that is known of a call after a record."""
-
-        def told(story: Story, run: UUID, index: int) -> dict[str, Any] | None:
-            found = detail(story, run.hex, index)
-            return None if found is None else asdict(found)
-
-        return await self._told_of_call(request, told)
+        return await self._told_of_call(request, detail)
 
     async def _why(self, request: Request) -> Response:
         """Answer with why a call is in its plan, and why it began when it did or what it waits for, as it was after a record.
@@ -320,9 +308,6 @@ class Channel:
     """The end of the page.
 
     The mutable state is what waits for replies, by the numbers of commands.
-
-    Args:
-        write: writes a line to the other end.
     """
 
     def __init__(self, write: Callable[[str], None]) -> None:
@@ -365,13 +350,7 @@ _TYPE: Final = "application/json"
 
 @dataclass(frozen=True)
 class Control:
-    """The controls of the page: what, by whom, and how.
-
-    Args:
-        what: may be controlled.
-        token: its holder may control it.
-        channel: the way to the process that has the tasks.
-    """
+    """The controls of the page: what, by whom, and how."""
 
     what: Controlled
     token: str

@@ -16,8 +16,6 @@ class TaskShown:
     """A task.
 
     Args:
-        goal: what it is about.
-        state: in a word.
         reason: why it is so, or how it has ended.
         priority: higher ones come first.
         accepted: the time of day, in seconds.
@@ -25,8 +23,6 @@ class TaskShown:
         used: seconds of its limit that are used.
         limit: that limit; None if there is none.
         code: how it has ended, empty while it has not.
-        runs: its runs, in their order.
-        order: tasks are numbered as they come in.
         counts: how often what has happened, in words; empty if it has no run here.
     """
 
@@ -49,12 +45,9 @@ class RunShown:
     """A run: one execution of one machine.
 
     Args:
-        task: whose it is.
-        name: of the task.
         record: with which it was made.
         time: when that was.
         origin: the time from which its plan counts; None until it begins.
-        is_over: whether it is carried on no more.
         replan: why it followed the run before, and how it differs from that; None for the first one of its task.
     """
 
@@ -72,15 +65,10 @@ class CallShown:
     """A call of a run.
 
     Args:
-        run: which run.
-        index: its number.
         action: with its arguments, as it was sent last.
         lane: whose it is, on the timeline.
         state: what has become of it so far, in a word.
         outcome: the same in words.
-        attempts: how often it was sent.
-        started: when it was sent first.
-        ended: when it was over.
         planned: seconds after the origin of its run at which the planner had it start.
         duration: the seconds that it was planned to take.
         is_assumed: whether some of its effects are believed: nothing reports them.
@@ -105,16 +93,6 @@ class RequestShown:
     """A request: one attempt at a call.
 
     Args:
-        run: which run.
-        call: the number of the call.
-        action: with its arguments.
-        lane: as that of the call.
-        server: who carries it out.
-        attempt: which one it is.
-        record: with which it was sent.
-        sent: when that was.
-        accepted: when the server took it on.
-        ended: when it was over.
         outcome: how, in a word; empty while it is not over.
         message: what the server said about that.
         feedback: what the server has said last while it was at work.
@@ -175,14 +153,8 @@ class TroubleShown:
     """A hindrance or a failure of a call.
 
     Args:
-        run: which run.
         call: the number of the step.
-        step: the step in words.
         is_failure: whether it was given up; else it is tried again, or recovers.
-        cause: in a word.
-        expected: what should have been so.
-        observed: what was so instead.
-        time: when.
         followed: what came of it.
     """
 
@@ -216,7 +188,6 @@ class View:
     """The whole state after a record.
 
     Args:
-        number: of the record.
         time: of the record, on the clock of its process.
         began: when what is shown began.
         first: the first record of what is shown.

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from math import isfinite
-from typing import Final, TypeVar, cast
+from typing import Any, Final, TypeVar, cast
 from uuid import UUID
 
 from planner_bridge.explanations.history import Attempt, JournalHistory, RunHistory, TaskHistory, Trouble
@@ -19,16 +20,17 @@ from planner_bridge.tasks.replanning import decision_words
 from planner_bridge.view import shown
 from pnm.core.execution.call_results import CallResult, Failure
 from pnm.core.execution.events import Answered, Ask, Restarted, Withdraw
-from pnm.core.logic.computed_values import Layer
+from pnm.core.execution.questions import EvaluationContext
+from pnm.core.logic.computed_values import Layer, Unanswered
+from pnm.core.logic.conditions import Condition, conjuncts, evaluate, fluents, observed
 from pnm.core.logic.expressions import Fluent, Unknown, Value, fluent_text, text_of
-from pnm.core.machine.plan_graph import ActionCall
+from pnm.core.machine.plan_graph import ActionCall, Ordering, PlanEvent, Recovery, Step
 from pnm.core.machine.requests import CallOutcome, Ended, OutcomeKind
-from pnm.core.pictures import timeline
-from pnm.core.pictures.timeline import TimedCall, TimedPlan, Timeline
+from pnm.core.pictures.timeline import TimedAttempt, TimedCall, TimedPlan, Timeline, timeline_svg
+from pnm.errors import PnmError
 from pnm.files.database.place import Place, place_of
 from pnm.journal import records
-from pnm.journal import replay as replaying
-from pnm.journal.replay import words
+from pnm.journal.replay import ReplayStep, words
 from pnm.tasks import TaskState
 
 EVENTS: Final = 200
@@ -40,11 +42,7 @@ T = TypeVar("T", bound=shown.Shown)
 
 
 class Story(JournalHistory):
-    """The story of a journal so far. Everything in it is mutable state; `apply` is the only thing that changes it.
-
-    Args:
-        source: returns the source of the machine of a key.
-    """
+    """The story of a journal so far. Everything in it is mutable state; `apply` is the only thing that changes it."""
 
     def __init__(self, source: Callable[[str], records.MachineSource] | None = None) -> None:
         super().__init__(source, _SEGMENTS)
@@ -68,14 +66,14 @@ class Story(JournalHistory):
         }
         return self._questions | about_tasks
 
-    def apply(self, number: int, time: float, record: records.Record) -> replaying.ReplayStep:
+    def apply(self, number: int, time: float, record: records.Record) -> ReplayStep:
         """Note and execute a record, because the page shows the wishes of the runs; raises as `Replay.apply` does."""
         super().apply(number, time, record)
-        replay, step = self.execute(), self.step
+        step = self.execute()
         assert step is not None, "this record was executed"
         self._tell(step)
         task, mark = self.task_of(record), self._mark(record)
-        self.events[number] = shown.EventShown(self.time, task.hex if task else "", words(step, replay), mark)
+        self.events[number] = shown.EventShown(self.time, task.hex if task else "", words(step, self.replay), mark)
         if (old := self.events.get(number - EVENTS)) and not old.mark:
             del self.events[number - EVENTS]
         return step
@@ -100,7 +98,7 @@ class Story(JournalHistory):
             case _:
                 return ""
 
-    def _tell(self, step: replaying.ReplayStep) -> None:
+    def _tell(self, step: ReplayStep) -> None:
         match step.record:
             case records.SharedBegan():
                 self.events = {number: event for number, event in self.events.items() if number >= self.first}
@@ -118,7 +116,7 @@ class Story(JournalHistory):
             case _:
                 pass
 
-    def _tell_questions(self, run: UUID, event: object, step: replaying.ReplayStep) -> None:
+    def _tell_questions(self, run: UUID, event: object, step: ReplayStep) -> None:
         match event:
             case Restarted():
                 self.clock = None
@@ -181,6 +179,9 @@ def _said(meta: str) -> str:
 
 def view_of(story: Story) -> shown.View:
     """Return the view of a story; the same story gives the same view."""
+    runs = story.runs.values()
+    results = {f"{run.id.hex}/{index}": (run, result) for run in runs for index, result in run.last_results.items()}
+    troubles = {key: (run, trouble) for run in runs for key, trouble in run.troubles.items()}
     return shown.View(
         story.number,
         story.time,
@@ -189,13 +190,16 @@ def view_of(story: Story) -> shown.View:
         "",
         story.clock,
         {id.hex: _task(story, task) for id, task in story.tasks.items()},
-        {id.hex: _run(run) for id, run in story.runs.items()},
-        {f"{call.run}/{call.index}": call for run in story.runs.values() for call in _calls(story, run)},
-        {id.hex: _request(story, id.hex, attempt) for id, attempt in story.attempts.items()},
+        {
+            run.id.hex: shown.RunShown(run.made.task.hex, run.made.name, run.record, run.time, run.origin, run.is_over, run.replan)
+            for run in runs
+        },
+        {key: story.once(key, result, partial(_call, run, result)) for key, (run, result) in results.items()},
+        {id.hex: story.once(id.hex, attempt, partial(_request, story, attempt)) for id, attempt in story.attempts.items()},
         story.facts,
         _servers(story),
         story.questions,
-        {key: _trouble(story, run, key, trouble) for run in story.runs.values() for key, trouble in run.troubles.items()},
+        {key: story.once(key, trouble, partial(_trouble, run, trouble)) for key, (run, trouble) in troubles.items()},
         {str(number): event for number, event in story.events.items()},
     )
 
@@ -231,21 +235,10 @@ def _reason(task: TaskHistory) -> str:
     if task.decision:  # about what follows the last run
         return decision_words(task.decision)
     if run.failures:
-        failed = f"{_step(run.failures[-1])} has failed: {run.failures[-1].cause.cause}"
+        failed = f"{_step_text(run.failures[-1].step)} has failed: {run.failures[-1].cause.cause}"
         return f"{failed}; running calls come to their ends" if task.state is TaskState.RUNNING else failed
     going_on = [str(call.action) for call in run.executed().run.open_calls.values()]
     return f"{', '.join(going_on)} {'run' if len(going_on) > 1 else 'runs'}" if going_on else ""
-
-
-def _run(run: RunHistory) -> shown.RunShown:
-    made, origin = run.made, run.origin
-    return shown.RunShown(made.task.hex, made.name, run.record, run.time, origin, run.is_over, run.replan)
-
-
-def _calls(story: Story, run: RunHistory) -> Iterator[shown.CallShown]:
-    """Yield the calls of a run as they were reached last."""
-    for index, result in run.last_results.items():
-        yield story.once(f"{run.id.hex}/{index}", result, lambda result=result: _call(run, result))  # type: ignore[misc]
 
 
 def _call(run: RunHistory, result: CallResult) -> shown.CallShown:
@@ -266,41 +259,33 @@ def _call(run: RunHistory, result: CallResult) -> shown.CallShown:
     )
 
 
-def _request(story: Story, id: str, attempt: Attempt) -> shown.RequestShown:
-    def show() -> shown.RequestShown:
-        run, outcome = story.runs[attempt.sender], attempt.outcome
-        return shown.RequestShown(
-            attempt.run.hex,
-            attempt.call,
-            str(attempt.action),
-            run.lane(attempt.action),
-            run.server(attempt.action),
-            attempt.number,
-            attempt.record,
-            attempt.sent,
-            attempt.accepted,
-            attempt.ended,
-            outcome.kind.value if outcome else "",
-            outcome.message if outcome else "",
-            attempt.feedback,
-        )
-
-    return story.once(id, attempt, show)
+def _request(story: Story, attempt: Attempt) -> shown.RequestShown:
+    run, outcome = story.runs[attempt.sender], attempt.outcome
+    return shown.RequestShown(
+        attempt.run.hex,
+        attempt.call,
+        str(attempt.action),
+        run.lane(attempt.action),
+        run.server(attempt.action),
+        attempt.number,
+        attempt.record,
+        attempt.sent,
+        attempt.accepted,
+        attempt.ended,
+        outcome.kind.value if outcome else "",
+        outcome.message if outcome else "",
+        attempt.feedback,
+    )
 
 
-def _trouble(story: Story, run: RunHistory, key: str, trouble: Trouble) -> shown.TroubleShown:
-    def show() -> shown.TroubleShown:
-        cause, expected, observed = trouble.cause
-        is_failure, time = trouble.is_failure, trouble.time
-        return shown.TroubleShown(
-            run.id.hex, trouble.step.index, _step(trouble), is_failure, cause.value, expected, observed, time, trouble.followed
-        )
-
-    return story.once(key, trouble, show)
+def _trouble(run: RunHistory, trouble: Trouble) -> shown.TroubleShown:
+    (cause, expected, observed), index, is_failure = trouble.cause, trouble.step.index, trouble.is_failure
+    words, time = _step_text(trouble.step), trouble.time
+    return shown.TroubleShown(run.id.hex, index, words, is_failure, cause.value, expected, observed, time, trouble.followed)
 
 
-def _step(trouble: Trouble) -> str:
-    return str(trouble.step.action if isinstance(trouble.step, ActionCall) else trouble.step)
+def _step_text(step: Step) -> str:
+    return str(step.action if isinstance(step, ActionCall) else step)
 
 
 def _servers(story: Story) -> dict[str, shown.ServerShown]:
@@ -334,38 +319,150 @@ def timelines(journal: Place | str) -> tuple[Timeline, ...]:
         Undecodable: this version does not know what its records are made of.
     """
     history = JournalHistory.read(place_of(journal) if isinstance(journal, str) else journal)
-    return tuple(_timeline(history, task) for task in history.tasks.values())
+    told = []
+    for task in history.tasks.values():
+        began = min((task.time, *(run.time for run in task.runs)))
+        words = f"{task.ending.code.word}: {task.ending.message}" if task.ending else ""
+        end = history.time if task.ended is None else task.ended
+        told.append(Timeline(task.name, tuple(_timed_plan(history, run, began) for run in task.runs), end - began, words))
+    return tuple(told)
 
 
 def timelines_svg(journal: Place, *, only_last: bool = False) -> str:
     """Return the picture of the timelines of the tasks in a journal, or of that of the last one alone."""
     told = timelines(journal)
-    return timeline.timeline_svg(*told[-1:] if only_last else told)
-
-
-def _timeline(history: JournalHistory, task: TaskHistory) -> Timeline:
-    began = min((task.time, *(run.time for run in task.runs)))
-    words = f"{task.ending.code.word}: {task.ending.message}" if task.ending else ""
-    end = history.time if task.ended is None else task.ended
-    return Timeline(task.name, tuple(_timed_plan(history, run, began) for run in task.runs), end - began, words)
+    return timeline_svg(*told[-1:] if only_last else told)
 
 
 def _timed_plan(history: JournalHistory, run: RunHistory, began: float) -> TimedPlan:
     """Return the plan of a run in a task that has begun then."""
     results, origin = run.last_results, (run.time if run.origin is None else run.origin) - began
-    calls = tuple(_timed_call(history, run, call, results[call.index], origin, began) for call in run.source.plan.calls)
+    calls = []
+    for call in run.source.plan.calls:
+        became, lane, lasts = results[call.index], run.lane(call.action), call.action.duration
+        attempts = tuple(
+            TimedAttempt(sent.sent - began)
+            if sent.ended is None or sent.outcome is None
+            else TimedAttempt(sent.sent - began, sent.ended - began, sent.outcome.kind, sent.outcome.message)
+            for sent in history.sent(run, call.index)
+        )
+        name, planned, has_failed = str(became.call.action), origin + call.planned, became.kind is CallOutcome.FAILED
+        calls.append(TimedCall(call.index, name, lane, planned, lasts, attempts, became.outcome, became.is_done, has_failed))
     failures = tuple(str(Failure(trouble.step, *trouble.cause)) for trouble in run.failures)
-    return TimedPlan(run.time - began, calls, run.replan, failures)
+    return TimedPlan(run.time - began, tuple(calls), run.replan, failures)
 
 
-def _timed_call(history: JournalHistory, run: RunHistory, call: ActionCall, became: CallResult, origin: float, began: float) -> TimedCall:
-    attempts = tuple(_timed_attempt(attempt, began) for attempt in history.sent(run, call.index))
-    name, lane, planned = str(became.call.action), run.lane(call.action), origin + call.planned
-    has_failed, lasts = became.kind is CallOutcome.FAILED, call.action.duration
-    return TimedCall(call.index, name, lane, planned, lasts, attempts, became.outcome, became.is_done, has_failed)
+# --- call detail ----------------------------------------------------------------------------------
+# The detail of one call: what it waits for, its conditions with what is known of them, and where its token is.
 
 
-def _timed_attempt(attempt: Attempt, began: float) -> timeline.TimedAttempt:
-    if attempt.ended is None or attempt.outcome is None:
-        return timeline.TimedAttempt(attempt.sent - began)
-    return timeline.TimedAttempt(attempt.sent - began, attempt.ended - began, attempt.outcome.kind, attempt.outcome.message)
+_READ: Final = 6
+"""Facts of a condition that are shown one by one."""
+
+
+def detail(story: Story, run: UUID, index: int) -> dict[str, Any] | None:
+    """Return all that is known of a call of a run, as JSON; None if there is no such call.
+
+    Its limit is in seconds from its acceptance, ``accept`` those in which its server has to answer a request; None for none. Resources
+    come with the action that has them now. Its places are in the order of time; neither they nor transitions have its name before theirs.
+    """
+    if (found := story.runs.get(run)) is None or not 0 <= index < len(found.source.plan.calls):
+        return None
+    replayed, call, bindings = found.executed().run, found.source.plan.calls[index], found.source.bindings
+    action = next((open.action for open in replayed.open_calls.values() if open.index == index), call.action)
+    limit, context = replayed.limit(call), EvaluationContext(replayed.knowledge, call.action, bindings.of(call.action.name))
+    conditions = (
+        ("before it starts", call.action.precondition),
+        ("while it runs", call.action.invariant),
+        ("when it ends", call.action.end_condition),
+        ("once it is done", call.action.expected),
+    )
+    orderings = [each for each in found.source.plan.orderings if each.before.call != each.after.call]
+    return {
+        "run": run.hex,
+        "index": index,
+        "action": str(action),
+        "parameters": list(zip(action.parameters, action.arguments, strict=False)),
+        "server": found.server(action),
+        "limit": limit if limit and isfinite(limit) else None,
+        "accept": None if action.operation is not None else bindings.of(action.name).accept,
+        "resources": [(name, _holder(story, name)) for name in bindings.resources(action)],
+        "waits_for": [_wait(found, each, each.before) for each in orderings if each.after.call == index],
+        "needed_by": [_wait(found, each, each.after) for each in orderings if each.before.call == index],
+        "checks": [_check(story, when, part, context) for when, condition in conditions for part in conjuncts(condition)],
+        "effects": [f"at the start: {effect}" for effect in action.start_effects]
+        + [f"at the end: {effect}" for effect in action.end_effects],
+        "recoveries": list(map(_recovery, call.recoveries)),
+        **_block(found, index),
+    }
+
+
+def _holder(story: Story, resource: str) -> str:
+    """Return the action of the request that has a resource; empty if none has."""
+    replay = story.replay
+    claims = (claim for claim in replay.resources.held if resource in claim.names)
+    requests = (replay.requests[claim.request] for claim in claims if claim.request in replay.requests)
+    return ", ".join(str(request.action) for request in requests)
+
+
+def _wait(run: RunHistory, ordering: Ordering, other: PlanEvent) -> dict[str, Any]:
+    """Return an ordering with the event of another call that is waited for, or waits."""
+    return {
+        "call": other.call,
+        "action": _step_text(run.steps[other.call]),
+        "moment": other.moment.value,
+        "protects": list(map(fluent_text, ordering.protects)),
+        "has_come": run.time_of(ordering.before) is not None,
+    }
+
+
+def _check(story: Story, when: str, condition: Condition, context: EvaluationContext) -> dict[str, Any]:
+    """Return a condition: whether it is true now, what is observed, the facts in it, of many the first ones, and how that is known."""
+    try:
+        truth = evaluate(condition, context)
+        text = "unknown" if isinstance(truth, Unknown) else "true" if truth else "false"
+        seen = observed(condition, context)
+    except (Unanswered, PnmError) as error:
+        text, seen = "unknown", str(error)
+    read, reads = fluents(condition, context), list[dict[str, Any]]()
+    for fluent in sorted(read)[:_READ]:
+        name, source = fluent_text(fluent), _sources(frozenset({fluent}), context)
+        if fact := story.facts.get(name):
+            value, since, is_initial = fact.value, fact.since, fact.is_initial
+        else:
+            value, since, is_initial = value_words(context.value(fluent) or False), None, False
+        reads.append({"name": name, "value": value, "source": source, "since": since, "is_initial": is_initial})
+    source, others = _sources(read, context), len(read) - len(reads)
+    return {"when": when, "text": str(condition), "truth": text, "observed": seen, "source": source, "reads": reads, "others": others}
+
+
+def _sources(read: frozenset[Fluent], context: EvaluationContext) -> str:
+    """Return the sources of the fluents of a condition."""
+    derived = {fluent for fluent in read if fluent[0] in context.world.rules.derived}
+    ways = {
+        "derived": bool(derived),
+        "sensed": any(context.world.is_sensed(fluent) for fluent in read - derived),
+        "assumed": any(not context.world.is_sensed(fluent) for fluent in read - derived),
+    }
+    return ", ".join(way for way, is_so in ways.items() if is_so) or "computed"
+
+
+def _recovery(recovery: Recovery) -> str:
+    chain = ", ".join(map(_step_text, recovery.chain.steps))
+    return f"after {', '.join(sorted(recovery.causes))}: {f'{chain}, then ' if chain else ''}{recovery.then.value}"
+
+
+def _block(run: RunHistory, index: int) -> dict[str, Any]:
+    """Return the places and transitions of a call, by the short names that people know them by."""
+    machine, marking = run.executed().run.machine, run.executed().run.marking
+    prefix = f"{machine.plan.calls[index]} "
+    own, transitions = frozenset(machine.blocks[index]), []
+    for name in machine.net.transitions:
+        inputs, outputs = machine.net.inputs[name], machine.net.outputs[name]
+        if machine.rules[name].call == index and not own.isdisjoint((*inputs, *outputs)):
+            is_enabled = all(marking[place] >= weight for place, weight in inputs.items())
+            taken, marked = ([place.removeprefix(prefix) for place in weights if place in own] for weights in (inputs, outputs))
+            short = name.removeprefix(prefix)
+            transitions.append({"name": short, "inputs": taken, "outputs": marked, "is_enabled": is_enabled})
+    places = [{"name": place.removeprefix(prefix), "tokens": marking[place]} for place in machine.blocks[index]]
+    return {"places": places, "transitions": transitions}

@@ -73,7 +73,7 @@ class Executed(JournalHistory):
 
     def apply(self, number: int, time: float, record: Record) -> Replayed:
         super().apply(number, time, record)
-        replay, step = self.execute(), self.step
+        step, replay = self.execute(), self.replay
         assert step is not None
         assert step.number == number
         if isinstance(record, RunMade):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
+from uuid import UUID
 
 import pytest
 
-from planner_bridge.view.call_detail import CallDetail, detail
 from planner_bridge.view.follow import Reader
 from planner_bridge.view.shown import View
-from planner_bridge.view.story import Story, view_of
+from planner_bridge.view.story import Story, detail, view_of
 from pnm.core.execution.events import Begin
 from pnm.core.machine.requests import Ended
 from pnm.journal.records import Happened, RunMade, TaskAccepted, TaskOver
@@ -63,7 +64,7 @@ def test_the_states_of_calls_are_what_the_replay_says(reader: Reader, records: l
 
 
 def _results(story: Story) -> dict[tuple[str, int], str]:
-    runs = ((id.hex, replayed.result.calls if replayed.result else replayed.run.results) for id, replayed in story.execute().runs.items())
+    runs = ((id.hex, replayed.result.calls if replayed.result else replayed.run.results) for id, replayed in story.replay.runs.items())
     return {(run, result.call.index): result.kind.name.lower() for run, results in runs for result in results}
 
 
@@ -133,12 +134,12 @@ def test_a_task_is_planned_again_after_a_failure_and_not_after_its_goal(reader: 
     assert [task.reason.partition(":")[0] for task in shown[:2]] == ["the rest of the plan still works", "a new plan is needed"]
 
 
-def told(reader: Reader, step: ReplayStep, action: str) -> CallDetail:
+def told(reader: Reader, step: ReplayStep, action: str) -> dict[str, Any]:
     """The detail of the first call of an action in the newest run."""
     view = at(reader, step)
     run = next(iter(view.tasks.values())).runs[-1]
     index = next(call.index for call in view.calls.values() if call.run == run and call.action == action)
-    found = reader.at(step.number, lambda story: detail(story, run, index))
+    found = reader.at(step.number, lambda story: detail(story, UUID(run), index))
     assert found is not None
     return found
 
@@ -146,28 +147,28 @@ def told(reader: Reader, step: ReplayStep, action: str) -> CallDetail:
 def test_a_call_tells_what_it_waits_for_its_conditions_and_where_its_token_is(reader: Reader, records: list[ReplayStep]) -> None:
     first = failing_ends(records)[0]
     unload = told(reader, first, "unload(r1, parcel2, kitchen)")
-    waits = {wait.action: (wait.has_come, wait.protects) for wait in unload.waits_for}
-    assert waits[FAILING] == (False, ("(at r1 kitchen)",))
+    waits = {wait["action"]: (wait["has_come"], wait["protects"]) for wait in unload["waits_for"]}
+    assert waits[FAILING] == (False, ["(at r1 kitchen)"])
     assert waits["load(r1, parcel2, store)"][0]
-    truths = {check.text: (check.truth, check.source) for check in unload.checks}
+    truths = {check["text"]: (check["truth"], check["source"]) for check in unload["checks"]}
     assert truths["(at r1 kitchen)"] == ("false", "sensed")
     assert truths["(carries r1 parcel2)"] == ("true", "sensed")
-    reads = {read.name: read for check in unload.checks for read in check.reads}
-    assert (reads["(at r1 kitchen)"].value, reads["(at r1 kitchen)"].source) == ("false", "sensed")
+    reads = {read["name"]: read for check in unload["checks"] for read in check["reads"]}
+    assert (reads["(at r1 kitchen)"]["value"], reads["(at r1 kitchen)"]["source"]) == ("false", "sensed")
     known = at(reader, first).facts["(carries r1 parcel2)"]
     carries = reads["(carries r1 parcel2)"]
-    assert (carries.value, carries.since, carries.is_initial) == ("true", known.since, False)
-    assert not [place for place in unload.places if place.tokens and place.name != "budget"]
+    assert (carries["value"], carries["since"], carries["is_initial"]) == ("true", known.since, False)
+    assert not [place for place in unload["places"] if place["tokens"] and place["name"] != "budget"]
     moving = told(reader, first, FAILING)
-    assert {place.name: place.tokens for place in moving.places if place.tokens} == {"requested": 1, "spent": 1}
-    assert "accepted" in {transition.name for transition in moving.transitions if transition.is_enabled}
-    assert moving.resources == ()
+    assert {place["name"]: place["tokens"] for place in moving["places"] if place["tokens"]} == {"requested": 1, "spent": 1}
+    assert "accepted" in {transition["name"] for transition in moving["transitions"] if transition["is_enabled"]}
+    assert moving["resources"] == []
 
 
 def test_there_is_no_detail_of_a_call_that_is_not_there(reader: Reader, records: list[ReplayStep]) -> None:
     run = next(iter(at(reader, records[-1]).runs))
-    assert reader.at(records[-1].number, lambda story: detail(story, run, 99)) is None
-    assert reader.at(records[-1].number, lambda story: detail(story, "0", 0)) is None
+    assert reader.at(records[-1].number, lambda story: detail(story, UUID(run), 99)) is None
+    assert reader.at(records[-1].number, lambda story: detail(story, UUID(int=0), 0)) is None
 
 
 @pytest.mark.parametrize("number", [0, 1, 2, 34, 40, 42, 51, 54, 65, 78])  # in most of them runs succeed others

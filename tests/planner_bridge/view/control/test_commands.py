@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from planner_bridge.view.commands import read_command
+from planner_bridge.view.serving import read_command
 from pnm.errors import InputError
 
 

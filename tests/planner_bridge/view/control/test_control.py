@@ -17,8 +17,7 @@ import pytest
 from planner_bridge.explanations.goal_now import packed
 from planner_bridge.pipeline.loading import load
 from planner_bridge.view import serving
-from planner_bridge.view.commands import Controlled, Reply
-from planner_bridge.view.serving import Operator, PageProcess
+from planner_bridge.view.serving import Controlled, Operator, PageProcess, Reply
 from pnm.core.knowledge_base import KnowledgeBase, parse_fluent
 from pnm.core.logic.conditions import Holds
 from pnm.core.machine.requests import Accepted, Feedback
