@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
+from textwrap import indent
 from typing import Any, TypeAlias
 
 from planner_bridge.model.plan import Plan
@@ -108,13 +109,7 @@ class Answer:
         }
 
     def __str__(self) -> str:
-        lines = (f"{'  ' * depth}{answer.statement} [{answer.known.value}]" for depth, answer in self._with_depth())
-        return "\n".join(lines)
-
-    def _with_depth(self, depth: int = 0) -> Iterator[tuple[int, Answer]]:
-        yield depth, self
-        for reason in self.reasons:
-            yield from reason._with_depth(depth + 1)
+        return "\n".join((f"{self.statement} [{self.known.value}]", *(indent(str(reason), "  ") for reason in self.reasons)))
 
 
 def listed(texts: list[str], word: str = "and", most: int = 4) -> str:

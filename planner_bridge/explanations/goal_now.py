@@ -10,6 +10,7 @@ import pickle
 import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import product
 from typing import Final, TypeAlias
 
@@ -17,7 +18,7 @@ from planner_bridge.explanations.answer import Answer, Known, NoSmallerChange, S
 from planner_bridge.explanations.needed_call import why_plan
 from planner_bridge.explanations.no_plan import SECONDS, AnswerLimit, why_no_plan
 from planner_bridge.model.grounding import problem_now
-from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus
+from planner_bridge.model.plan import PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.reachability import GoalLiteral, Reachability, TooLarge, literal_of
 from pnm.core.knowledge_base import KnowledgeBase
@@ -172,13 +173,13 @@ def what_would_help(problem: Problem, limit: AnswerLimit, reason: Answer) -> Ans
         is_reachable = frozenset() in of_goal  # if nothing were undone: then any fact may be the one
         facts = (frozenset({literal}) for literal in _facts(problem, reachability, fixed)) if is_reachable else of_goal
         try:
-            candidates = sorted((label for label in facts if len(label) == size), key=_Rank(reachability))
+            candidates = sorted((label for label in facts if len(label) == size), key=partial(_rank, reachability))
         except TooLarge:
             return Answer("helpful changes were not searched: there are too many facts", Known.NOT_PROVED)
-        tried = _try(problem, candidates, limit)
-        if tried.found:
-            return _helps(problem, size, tried, reason.known if proved == size - 1 else Known.NOT_PROVED)
-        if is_exhaustive and labels.is_complete and tried.all_proved:
+        found, all_proved = _try(problem, candidates, limit)
+        if found:
+            return _helps(problem, size, found, reason.known if proved == size - 1 else Known.NOT_PROVED)
+        if is_exhaustive and labels.is_complete and all_proved:
             proved = size
         is_exhaustive = is_exhaustive and not candidates  # what does not help alone may do so together with something else
         if is_reachable or limit.is_over:
@@ -197,46 +198,30 @@ def _facts(problem: Problem, reachability: Reachability, fixed: frozenset[Fluent
                 yield GoalLiteral(fluent, reachability.state.value(fluent) is not True)
 
 
-@dataclass(frozen=True, slots=True)
-class _Rank:
-    """The order in which changes are tried: first what no action changes, then switches before maps and tables."""
-
-    reachability: Reachability
-
-    def __call__(self, label: Label) -> tuple[int, int, list[tuple[str, bool]]]:
-        ways = [self.reachability.way(literal) for literal in label]
-        return sum(bool(way.achievers) for way in ways), sum(way.weight for way in ways), _by_size(label)[1]
+def _rank(reachability: Reachability, label: Label) -> tuple[int, int, list[tuple[str, bool]]]:
+    """Return the place of a change in the order of trying: first what no action changes, then switches before maps and tables."""
+    ways = [reachability.way(literal) for literal in label]
+    return sum(bool(way.achievers) for way in ways), sum(way.weight for way in ways), _by_size(label)[1]
 
 
-@dataclass(frozen=True, slots=True)
-class _Tried:
-    """Changes that help, with their plans, and whether it is proved of all others that they do not."""
-
-    found: tuple[tuple[Label, Problem, Plan], ...]
-    all_proved: bool
-
-
-def _try(problem: Problem, candidates: Iterable[Label], limit: AnswerLimit) -> _Tried:
-    """Look for plans after each of the changes, until there are enough."""
-    found: list[tuple[Label, Problem, Plan]] = []
+def _try(problem: Problem, candidates: Iterable[Label], limit: AnswerLimit) -> tuple[tuple[Answer, ...], bool]:
+    """Look for plans after each of the changes, until enough help; return those, and whether it is proved that no other one does."""
+    found: list[Answer] = []
     all_proved = True
     for label in candidates:
         if len(found) == _SHOWN or limit.is_over:
             break
         asked = changed(problem, label)
         result = limit.solve(asked, share=0.2)
-        if result.plan:
-            found.append((label, asked, result.plan))
+        if plan := result.plan:
+            text = f"if {_text(problem, label)}: a plan with {counted(len(plan.steps), 'call')}"
+            found.append(Answer(text, Known.PLAN, (), (Solves(asked, plan),)))
         all_proved = all_proved and result.status is PlanningStatus.UNSOLVABLE
-    return _Tried(tuple(found), all_proved and not limit.is_over)
+    return tuple(found), all_proved and not limit.is_over
 
 
-def _helps(problem: Problem, size: int, tried: _Tried, known: Known) -> Answer:
+def _helps(problem: Problem, size: int, reasons: tuple[Answer, ...], known: Known) -> Answer:
     """Return the changes that help, and how it is known that no smaller one does."""
-    reasons = tuple(
-        Answer(f"if {_text(problem, label)}: a plan with {counted(len(plan.steps), 'call')}", Known.PLAN, (), (Solves(asked, plan),))
-        for label, asked, plan in tried.found
-    )
     least = f"no change of {_NUMBERS[size - 1]} is enough" if size > 1 else "without a change there is no plan"
     if known.is_certain:
         reasons += (Answer(least, known, (), (NoSmallerChange(problem, size),)),)

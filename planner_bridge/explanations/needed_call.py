@@ -8,10 +8,10 @@ before. Numbers, derived facts and conditional effects are no special case.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Final
+from typing import Final, TypeAlias
 
 from planner_bridge.explanations.answer import Answer, Best, Claim, Fails, Known, Solves, Unsolvable, listed
 from planner_bridge.explanations.no_plan import AnswerLimit, why_no_plan, why_unreachable
@@ -26,20 +26,13 @@ from pnm.core.logic.conditions import Condition, Holds, conjunction, ground, obs
 from pnm.core.logic.domain import ActionSchema, Declaration
 from pnm.core.logic.effects import Set, ground_effects
 from pnm.core.logic.expressions import Constant, Environment, Fluent, ValueOf, ground_expression
-from pnm.core.machine.plan_graph import ActionCall, GroundAction
+from pnm.core.machine.plan_graph import ActionCall
 from pnm.errors import counted
 
+Needs: TypeAlias = Mapping[int | None, tuple[Condition, ...]]
+"""The conditions that an earlier call is needed for, by the later call whose they are; None for the goal."""
 _SHOWN: Final = 6
 """Calls that are named on the way to the goal."""
-
-
-@dataclass(frozen=True, slots=True)
-class CallNeed:
-    """A need of a later call, or of the goal, for an earlier call."""
-
-    by: int | None
-    """The number of the later call; None for the goal."""
-    conditions: tuple[Condition, ...]
 
 
 @dataclass(frozen=True)
@@ -59,7 +52,7 @@ class Course:
     goal: Condition
     under_way: frozenset[int] = frozenset()
     """The calls that have begun before."""
-    _needs: dict[int, tuple[CallNeed, ...]] = field(default_factory=dict, repr=False)
+    _needs: dict[int, Needs] = field(default_factory=dict, repr=False)
     """Those that were looked for already: mutable state."""
 
     @staticmethod
@@ -72,14 +65,14 @@ class Course:
         """Needs that are not fulfilled although nothing is left out: given up, or changed beside the plan."""
         return frozenset(self._unmet(None))
 
-    def needs(self, call: int) -> tuple[CallNeed, ...]:
+    def needs(self, call: int) -> Needs:
         """Return the needs for the call itself, in the order of time."""
         if call not in self._needs:
             found: dict[int | None, dict[Condition, None]] = {}
             for by, condition in self._unmet(call):
                 if by != call and (by, condition) not in self.as_it_is:
                     found.setdefault(by, {})[condition] = None
-            self._needs[call] = tuple(CallNeed(by, tuple(conditions)) for by, conditions in found.items())
+            self._needs[call] = {by: tuple(conditions) for by, conditions in found.items()}
         return self._needs[call]
 
     def _unmet(self, without: int | None) -> Iterator[tuple[int | None, Condition]]:
@@ -100,26 +93,16 @@ class Course:
 
     def way_to_goal(self, call: int) -> tuple[int, ...] | None:
         """Return the calls from one to the goal, each of which needs the one before; the shortest way, None if there is none."""
-        before: dict[int, int | None] = {call: None}
-        waiting = deque([call])
+        waiting, seen = deque([(call,)]), {call}
         while waiting:
-            last = waiting.popleft()
-            for need in self.needs(last):
-                if need.by is None:
-                    way: list[int] = []
-                    step: int | None = last
-                    while step is not None:
-                        way.append(step)
-                        step = before[step]
-                    return tuple(reversed(way))
-                if need.by not in before:
-                    before[need.by] = last
-                    waiting.append(need.by)
+            way = waiting.popleft()
+            for by in self.needs(way[-1]):
+                if by is None:
+                    return way
+                if by not in seen:
+                    seen.add(by)
+                    waiting.append((*way, by))
         return None
-
-    def goals_behind(self, call: int) -> tuple[Condition, ...]:
-        """Return the parts of the goal that need the call itself."""
-        return tuple(condition for need in self.needs(call) if need.by is None for condition in need.conditions)
 
     def name(self, call: int) -> str:
         """Return a call with its number, as everywhere."""
@@ -140,14 +123,8 @@ def why_call_of_plan(problem: Problem, plan: Plan, call: int) -> Answer:
     if reason := why_invalid(problem, without):
         return Answer(f"{course.name(call)} is needed: without it, {reason}", Known.SIMULATION, (), (Fails(problem, without),))
     statement = f"nothing needs {course.name(call)}: the plan without it reaches the goal as well"
-    return Answer(statement, Known.PLAN, _otherwise(problem, course.calls[call].action), (Solves(problem, without),))
-
-
-def _otherwise(problem: Problem, action: GroundAction) -> tuple[Answer, ...]:
-    """Return other possible purposes of a call for a planner."""
-    if problem.has_preferences:
-        return (Answer(f"whether {action} fulfils a preference was not looked at", Known.NOT_PROVED),)
-    return ()
+    wish = Answer(f"whether {course.calls[call].action} fulfils a preference was not looked at", Known.NOT_PROVED)
+    return Answer(statement, Known.PLAN, (wish,) if problem.has_preferences else (), (Solves(problem, without),))
 
 
 def why_call(course: Course, call: int) -> Answer:
@@ -156,26 +133,26 @@ def why_call(course: Course, call: int) -> Answer:
     if not needs:
         statement = f"nothing needs {course.name(call)}: without it, all that comes later goes on as it would"
         return Answer(statement, Known.NOT_PROVED if course.as_it_is else Known.SIMULATION)
-    reasons = tuple(_need(course, need) for need in needs)
+    reasons = tuple(_need(course, by, conditions) for by, conditions in needs.items())
     return Answer(f"{course.name(call)} is needed: without it, the rest of the plan does not work", Known.SIMULATION, reasons)
 
 
-def _need(course: Course, need: CallNeed) -> Answer:
-    conditions = listed([str(condition) for condition in need.conditions])
-    if need.by is None:
+def _need(course: Course, by: int | None, needed: tuple[Condition, ...]) -> Answer:
+    conditions = listed([str(condition) for condition in needed])
+    if by is None:
         return Answer(f"the goal needs it: {conditions}", Known.SIMULATION)
-    way = course.way_to_goal(need.by)
+    way = course.way_to_goal(by)
     if way is None:
-        further = Answer(f"nothing needs {course.name(need.by)}", Known.SIMULATION)
+        further = Answer(f"nothing needs {course.name(by)}", Known.SIMULATION)
     else:
         *between, last = way[1:] or way
         named = [course.name(number) for number in between]
         named = [*named[: _SHOWN - 2], f"{len(named) - _SHOWN + 2} more calls", *named[-1:]] if len(named) >= _SHOWN else named
         steps = ", then ".join([*named, course.name(last)])
-        goals = listed([str(goal) for goal in course.goals_behind(last)])
+        goals = listed([str(goal) for goal in course.needs(last)[None]])
         text = f"{steps}: for the goal {goals}" if way[1:] else f"it is for the goal {goals}"
         further = Answer(f"which is needed by {text}" if way[1:] else text, Known.SIMULATION)
-    return Answer(f"{course.name(need.by)} needs it: {conditions}", Known.SIMULATION, (further,))
+    return Answer(f"{course.name(by)} needs it: {conditions}", Known.SIMULATION, (further,))
 
 
 # --- the plan as a whole --------------------------------------------------------------------------
@@ -200,12 +177,12 @@ def _line(course: Course, call: int) -> Answer:
         return Answer(f"{course.name(call)}: no later condition needs it", Known.SIMULATION)
     for_calls: dict[str, list[str]] = {}
     parts = []
-    for need in needs:
-        conditions = listed([str(condition) for condition in need.conditions])
-        if need.by is None:
+    for by, needed in needs.items():
+        conditions = listed([str(condition) for condition in needed])
+        if by is None:
             parts.append(f"for the goal {conditions}")
         else:
-            for_calls.setdefault(conditions, []).append(f"#{need.by}")
+            for_calls.setdefault(conditions, []).append(f"#{by}")
     for conditions, calls in for_calls.items():
         parts.append(f"for {listed(calls)}, which need{'s' if len(calls) == 1 else ''} {conditions}")
     return Answer(f"{course.name(call)}: {'; '.join(parts)}", Known.SIMULATION)
@@ -283,7 +260,10 @@ def why_not(problem: Problem, action: PlanStep, found: PlanningResult, limit: An
         closed = never.reasons[0].reasons  # of the fact, whose only way is the copy
         claim = Unsolvable(replace(asked.problem, goal=Holds(asked.fact), constraints=()))
         return Answer(f"{action} can never be carried out", Known.RELAXATION, closed[0].reasons if closed else (), (claim,))
-    now = tuple(_now(problem, action))
+    state = initial_knowledge(problem)
+    missing = unmet(ground_action(problem.domain.actions[action.action], action.arguments).precondition, state)
+    obstacles = (f"at first it cannot begin: it needs {part}; observed {observed(part, state)}" for part in missing)
+    now = tuple(Answer(text, Known.GIVEN) for text in obstacles) or (Answer("at first it could begin", Known.GIVEN),)
     if problem.has_tasks or problem.domain.actions[action.action].preferences:
         what = "a network of tasks" if problem.has_tasks else "a preference of the action"
         return Answer(f"whether a plan can use {action} was not looked at: there is {what}", Known.NOT_PROVED, now)
@@ -299,16 +279,6 @@ def why_not(problem: Problem, action: PlanStep, found: PlanningResult, limit: An
     if found.plan is None:
         now += (why_no_plan(problem, found, limit),)
     return Answer(f"no plan that reaches the goal uses {action}", Known.SEARCH, now, (Unsolvable(asked.problem),))
-
-
-def _now(problem: Problem, action: PlanStep) -> Iterator[Answer]:
-    """Yield whether the action could be the first one, and what keeps it from that."""
-    state = initial_knowledge(problem)
-    missing = unmet(ground_action(problem.domain.actions[action.action], action.arguments).precondition, state)
-    for part in missing:
-        yield Answer(f"at first it cannot begin: it needs {part}; observed {observed(part, state)}", Known.GIVEN)
-    if not missing:
-        yield Answer("at first it could begin", Known.GIVEN)
 
 
 def _compared(problem: Problem, asked: Forced, plan: Plan, its: Plan, now: tuple[Answer, ...]) -> Answer:

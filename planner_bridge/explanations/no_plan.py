@@ -207,12 +207,8 @@ class DeadEnds:
             by_lack.setdefault((achiever.name, self.lacks(achiever.condition, achiever.env)), achiever)
         fresh = [key for key in by_lack if not any(lack in path for lack in key[1])] or [*by_lack]
         least = self.reachability.likelihood(by_lack[fresh[0]])[0]
-        near = [
-            key
-            for key in fresh[1:]
-            if self.reachability.likelihood(by_lack[key])[0] == least and all(map(self.reachability.is_end, key[1]))
-        ]
-        likeliest = [fresh[0], *near][:_WAYS]
+        near = (key for key in fresh[1:] if self.reachability.likelihood(by_lack[key])[0] == least)
+        likeliest = [fresh[0], *(key for key in near if all(map(self.reachability.is_end, key[1])))][:_WAYS]
         reasons: dict[str, Answer] = {}
         for name, lacks in likeliest:
             closed = {why.statement: why for why in (self.why(lack, path) for lack in lacks)}
@@ -273,14 +269,12 @@ def _exclusions(problem: Problem, limit: AnswerLimit) -> Iterator[Answer]:
     if len(needed) == 1:
         yield Answer(f"{needed[0]} alone is impossible: all states were searched", Known.SEARCH, (), (claim,))
         return
-    reasons = tuple(answer for answer in possible if len(needed) == len(parts) or answer.known is Known.NOT_PROVED)
-    reasons += tuple(self for part in needed for self in _alone(problem, part, limit)) if len(needed) < len(parts) else ()
+    reasons = [answer for answer in possible if len(needed) == len(parts) or answer.known is Known.NOT_PROVED]
+    for part in needed if len(needed) < len(parts) else ():
+        asked = replace(problem, goal=part)
+        if plan := limit.solve(asked).plan:
+            text = f"{part} alone has a plan with {counted(len(plan.steps), 'call')}"
+            reasons.append(Answer(text, Known.PLAN, (), (Solves(asked, plan),)))
     is_minimal = all(reason.known is Known.PLAN for reason in reasons)
     text = f"{listed([str(part) for part in needed])} exclude each other" if is_minimal else f"{All(tuple(needed))} is impossible"
-    yield Answer(text, Known.SEARCH, reasons, (claim,))
-
-
-def _alone(problem: Problem, part: Condition, limit: AnswerLimit) -> Iterator[Answer]:
-    asked = replace(problem, goal=part)
-    if plan := limit.solve(asked).plan:
-        yield Answer(f"{part} alone has a plan with {counted(len(plan.steps), 'call')}", Known.PLAN, (), (Solves(asked, plan),))
+    yield Answer(text, Known.SEARCH, tuple(reasons), (claim,))

@@ -14,13 +14,12 @@ from planner_bridge.explanations.answer import Answer, Known, listed
 from planner_bridge.explanations.history import JournalHistory, RunHistory, TaskHistory, Trouble
 from planner_bridge.explanations.needed_call import Course, why_call
 from planner_bridge.model.progression import Happening
-from pnm.core.execution.call_results import CallResult
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.logic.computed_values import Unanswered
 from pnm.core.logic.conditions import All, conjuncts, evaluate, fluents, observed
 from pnm.core.logic.effects import written
 from pnm.core.logic.expressions import Fluent, fluent_text
-from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, Recovery
+from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering
 from pnm.core.machine.requests import CallOutcome
 from pnm.core.pictures.timeline import Replan
 from pnm.errors import InputError, PnmError, counted, suggestion
@@ -69,24 +68,19 @@ def call_meant(task: TaskHistory, text: str) -> tuple[RunHistory, int]:
 
 def why_call_of_run(history: JournalHistory, task: TaskHistory, run: RunHistory, call: int) -> tuple[Answer, ...]:
     """Return why a call is in its plan, why it began when it did or what it waits for, and why it failed if it has."""
-    if task.accepted.wanted.is_plan or not all(isinstance(step, ActionCall) for step in run.source.plan.steps):
+    plan = run.source.plan
+    if task.accepted.wanted.is_plan or not all(isinstance(step, ActionCall) for step in plan.steps):
         needed = Answer("the plan was written by a person: it does not say the purpose of its calls", Known.GIVEN)
     else:
+        begun = frozenset(call.index for call in plan.calls if call.under_way)
+        events = [event for event in plan.order if event.call not in begun or event.moment is Moment.END]
+        course = [Happening(float(number), (), (event,)) for number, event in enumerate(events)]
         try:
-            needed = why_call(_course(run), call)
+            needed = why_call(Course(plan.calls, course, run.state, plan.goal, begun), call)
         except Unanswered:
             needed = Answer("its purpose depends on questions that were asked while it ran", Known.NOT_PROVED)
     failed = (answer for trouble, answer in zip(run.failures, why_failed(history, run), strict=True) if trouble.step.index == call)
     return needed, why_now(history, task, run, call), *failed
-
-
-def _course(run: RunHistory) -> Course:
-    """Return the course of the plan of a run from the state it began in."""
-    plan = run.source.plan
-    begun = frozenset(call.index for call in plan.calls if call.under_way)
-    events = [event for event in plan.order if event.call not in begun or event.moment is Moment.END]
-    course = [Happening(float(number), (), (event,)) for number, event in enumerate(events)]
-    return Course(plan.calls, course, run.state, plan.goal, begun)
 
 
 def explained(place: Place, task: UUID, call: tuple[UUID, int] | None = None, last: int | None = None) -> tuple[Answer, ...]:
@@ -119,18 +113,16 @@ def why_so(history: JournalHistory, task: TaskHistory) -> tuple[Answer, ...]:
         return (Answer(f"{task.name} has no plan yet", Known.JOURNAL),)
     run = task.runs[-1]
     results = run.last_results
-    calls = tuple(_doing(history, task, run, results[call.index]) for call in run.source.plan.calls if not results[call.index].is_done)
+    calls = tuple(
+        why_now(history, task, run, call)
+        if result.kind is CallOutcome.WAITING
+        else Answer(f"{_name(run, call)}: {result.outcome}", Known.JOURNAL)
+        for call, result in results.items()
+        if not result.is_done
+    )
     done = sum(result.is_done for result in results.values())
     text = f"{task.name}: {done} of {counted(len(run.source.plan.calls), 'call')} of its plan {'is' if done == 1 else 'are'} done"
     return Answer(text, Known.JOURNAL, calls), *why_failed(history, run), *replans
-
-
-def _doing(history: JournalHistory, task: TaskHistory, run: RunHistory, result: CallResult) -> Answer:
-    """Return the state of a call that is not done."""
-    call = result.call.index
-    if result.kind is CallOutcome.WAITING:
-        return why_now(history, task, run, call)
-    return Answer(f"#{call} {run.source.plan.calls[call].action}: {result.outcome}", Known.JOURNAL)
 
 
 # --- when a call begins ---------------------------------------------------------------------------
@@ -223,8 +215,7 @@ def _obstacles(history: JournalHistory, task: TaskHistory, run: RunHistory, call
 
 def _because(run: RunHistory, ordering: Ordering) -> str:
     """Return for which facts the order is kept."""
-    steps = {step.index: step for step in run.source.plan.every_step}
-    before, after = steps[ordering.before.call], steps[ordering.after.call]
+    before, after = run.steps[ordering.before.call], run.steps[ordering.after.call]
     if not (isinstance(before, ActionCall) and isinstance(after, ActionCall) and ordering.protects):
         return ""
     action = before.action
@@ -249,23 +240,22 @@ _SHOWN = 6
 
 def why_replanned(history: JournalHistory, task: TaskHistory) -> tuple[Answer, ...]:
     """Return for each run of a task after the first why it followed the one before."""
-    answers = tuple(_follows(history, number, before, after) for number, (before, after) in enumerate(pairwise(task.own_runs), 2))
+    answers = []
+    for number, (before, after) in enumerate(pairwise(task.own_runs), 2):
+        replan, reasons = after.replan or Replan(""), [*why_failed(history, before)]
+        for verb, calls in (("keeps", replan.kept), ("drops", replan.dropped), ("adds", replan.added)):
+            if calls:
+                reasons.append(Answer(f"the plan that followed {verb} {listed([*calls], most=_SHOWN)}", Known.JOURNAL))
+        text = f"run {number} began at {after.time - history.world_began:.2f} s: {replan.why}"
+        answers.append(Answer(text, Known.JOURNAL, tuple(reasons)))
     if answers:
-        return answers
-    if not task.is_told:
-        return (not_told(task),)
-    return (Answer(f"there was no new plan for {task.name}", Known.JOURNAL),)
+        return tuple(answers)
+    return (Answer(f"there was no new plan for {task.name}", Known.JOURNAL) if task.is_told else not_told(task),)
 
 
 def not_told(task: TaskHistory) -> Answer:
     """Return the words for a task whose records are dropped."""
     return Answer(f"how {task.name} went is not known: its records are not kept any more", Known.JOURNAL)
-
-
-def _follows(history: JournalHistory, number: int, before: RunHistory, after: RunHistory) -> Answer:
-    replan = after.replan or Replan("")
-    text = f"run {number} began at {after.time - history.world_began:.2f} s: {replan.why}"
-    return Answer(text, Known.JOURNAL, (*why_failed(history, before), *_changes(replan)))
 
 
 def why_failed(history: JournalHistory, run: RunHistory) -> Iterator[Answer]:
@@ -293,16 +283,6 @@ def _attempts(history: JournalHistory, run: RunHistory, failed: Trouble) -> Iter
         yield Answer(f"at {trouble.time - began:.2f} s, attempt {trouble.attempt}: {_cause(trouble)}", Known.JOURNAL)
     for recovery in step.recoveries if isinstance(step, ActionCall) else ():
         if failed.cause.cause in recovery.causes or any(trouble.cause.cause in recovery.causes for trouble in hindered):
-            yield Answer(f"its plan has a recovery for that: {_recovery(recovery)}", Known.GIVEN)
-
-
-def _recovery(recovery: Recovery) -> str:
-    steps = [str(step.action if isinstance(step, ActionCall) else step) for step in recovery.chain.steps]
-    return ", then ".join([*steps, recovery.then.value])
-
-
-def _changes(replan: Replan) -> Iterator[Answer]:
-    """Yield which calls that were left the new plan keeps and drops, and which it adds."""
-    for verb, calls in (("keeps", replan.kept), ("drops", replan.dropped), ("adds", replan.added)):
-        if calls:
-            yield Answer(f"the plan that followed {verb} {listed([*calls], most=_SHOWN)}", Known.JOURNAL)
+            steps = [str(step.action if isinstance(step, ActionCall) else step) for step in recovery.chain.steps]
+            words = ", then ".join([*steps, recovery.then.value])
+            yield Answer(f"its plan has a recovery for that: {words}", Known.GIVEN)
