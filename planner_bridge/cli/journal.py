@@ -197,12 +197,14 @@ def _file(journal: str) -> Path:
 
 def _show(journal: Place, port: int) -> int:
     """Show a journal on a page until Ctrl-C."""
-    from planner_bridge.view.serving import listening, serve_page, url_of  # here, because they are an extra
+    from planner_bridge.view.serving import listening, url_of
 
     with errors_of_journals():
         KeptJournal(journal).close()  # which says what is wrong with it now
     opened = listening(port)
     print(f"view     {url_of(opened)}", file=sys.stderr, flush=True)
+    from planner_bridge.view.app import serve_page  # here, because what it needs is an extra, which is there by now
+
     serve_page(journal, opened)
     return 0
 

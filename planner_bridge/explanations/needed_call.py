@@ -93,7 +93,7 @@ class Course:
 
     def way_to_goal(self, call: int) -> tuple[int, ...] | None:
         """Return the calls from one to the goal, each of which needs the one before; the shortest way, None if there is none."""
-        waiting, seen = deque([(call,)]), {call}
+        waiting, seen = deque[tuple[int, ...]]([(call,)]), {call}
         while waiting:
             way = waiting.popleft()
             for by in self.needs(way[-1]):

@@ -123,8 +123,23 @@ class ConstraintMonitor:
     def look(self, now: float) -> tuple[Violation, ...]:
         """Look at what is known now; return the constraints that turn out to be violated, preferences left out."""
         self._looked = True
-        seen = [(position, self._see(position, now)) for position in self._to_see(now)]
-        return tuple(violation for position, violation in seen if violation and position < len(self._hard))
+        violations: list[Violation] = []
+        for position in self._to_see(now):
+            watched = self._ground[position]
+            before, lag = watched.progress, self._lag(watched)
+            after = before.seen(self._knowledge, now, lag)
+            if after != before:
+                watched.progress, self.has_news = after, True
+            if self._times.get(position) != (time := after.next_look(now, lag)):
+                self._times[position] = time
+                if time < inf:
+                    heappush(self._queue, (time, position))
+            if after.violated and not before.violated:
+                time = now if before.doubtful_since is None else before.doubtful_since
+                watched.violation = Violation(watched.constraint, time, observed_of(watched.constraint, self._knowledge))
+                if position < len(self._hard):
+                    violations.append(watched.violation)
+        return tuple(violations)
 
     def _to_see(self, now: float) -> Iterable[int]:
         """Return the ground constraints of which something else may be known by now."""
@@ -139,22 +154,6 @@ class ConstraintMonitor:
             self._times.pop(position, None)
             concerned.add(position)
         return sorted(concerned)
-
-    def _see(self, position: int, now: float) -> Violation | None:
-        watched = self._ground[position]
-        before, lag = watched.progress, self._lag(watched)
-        after = before.seen(self._knowledge, now, lag)
-        if after != before:
-            watched.progress, self.has_news = after, True
-        if self._times.get(position) != (time := watched.progress.next_look(now, lag)):
-            self._times[position] = time
-            if time < inf:
-                heappush(self._queue, (time, position))
-        if before.violated or not watched.progress.violated:
-            return None
-        time = now if before.doubtful_since is None else before.doubtful_since
-        watched.violation = Violation(watched.constraint, time, observed_of(watched.constraint, self._knowledge))
-        return watched.violation
 
     def _lag(self, watched: _MonitoredConstraint) -> float:
         return max(SETTLING, self._knowledge.world.lag(watched.names))

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from math import inf
-from typing import Final, Generic, Protocol, TypeVar
+from typing import Final, Generic, TypeVar
 from uuid import UUID
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall, calls_acquiring, calls_served_by
@@ -70,37 +70,6 @@ class RunningCalls:
         return f"it has begun {', '.join(str(call.action) for call in self.calls)}"
 
 
-class Scheduler(Protocol):
-    """The other tasks, as the one that is to be planned sees them."""
-
-    def conflicts(self, task: Task, footprint: Callable[[], ReadWriteSets]) -> tuple[Conflict, ...]:
-        """Return the active tasks that conflict with a plan of the task. `footprint` is called only if there are any."""
-
-    def new_conflicts(self, task: Task, footprint: Callable[[], ReadWriteSets]) -> tuple[Conflict, ...]:
-        """Return the conflicts in which neither task has been preempted for the other yet."""
-
-    def forecasts(self, task: Task) -> Mapping[Task, Forecast]:
-        """Return the forecasts of the plans of other active tasks that do not yield to this one."""
-
-    def runs(self) -> tuple[Run, ...]:
-        """Return the current runs of all tasks."""
-
-    def running_calls(self, task: Task) -> tuple[RunningCalls, ...]:
-        """Return the calls of other tasks that have begun and not ended."""
-
-    async def preempt(self, task: Task, conflicts: tuple[Conflict, ...]) -> None:
-        """Have the tasks of lower priority pause until this task is over; return when nothing of theirs is under way."""
-
-    def release(self, task: Task) -> None:
-        """Note that the task has no plan in mind any more: those that waited for it may try again."""
-
-    async def begin_turn(self, task: Task) -> None:
-        """Wait for the turn of the task to plan, with no plan in mind; one whose attempt failed waits for a change first."""
-
-    def end_turn(self, task: Task, *, failed: bool, again: float = inf) -> None:
-        """End the turn of the task to plan. After so many seconds it may try again though nothing is known to have changed."""
-
-
 @dataclass(frozen=True)
 class TaskContext:
     """A goal, and everything that is there to reach it.
@@ -120,7 +89,7 @@ class TaskContext:
     resources: Resources
     source: Source | None
     helper: Source | None
-    scheduler: Scheduler
+    scheduler: Preemption
     on_conflict: OnConflict
     new_run_id: Callable[[], UUID]
     journal: Journal
@@ -184,7 +153,7 @@ _SHORTEST: Final = 1.0
 
 
 class Preemption(TaskListener):
-    """Finds the tasks that are in conflict with each other, and pauses and resumes those of lower priority, as `Scheduler`.
+    """Finds the tasks that are in conflict with each other, and pauses and resumes those of lower priority.
 
     The mutable state is which tasks are being paused.
 
@@ -425,9 +394,10 @@ class PlanningQueue(Generic[T]):
         ready = (task for task, turn in self._waiting.items() if task not in self._waiting_for_change and not turn.done())
         first = min(ready, key=self._rank, default=None)
         if first is not None:
-            self._planning[first] = asyncio.get_running_loop().call_later(SLOW, self._admit_beside, first)
-            self._waiting[first].set_result(None)
 
-    def _admit_beside(self, slow: T) -> None:
-        self._slow.add(slow)
-        self._admit()
+            def admit_beside(slow: T = first) -> None:
+                self._slow.add(slow)
+                self._admit()
+
+            self._planning[first] = asyncio.get_running_loop().call_later(SLOW, admit_beside)
+            self._waiting[first].set_result(None)

@@ -266,7 +266,8 @@ class GoalLoop:
 
     def _follow(self, machine: PetriNetMachine, result: RunResult, decision: Decision, history: History) -> None:
         """Record a run that another follows, and why."""
-        self._log.follow(machine, result, decision, history)
+        self._log.end(machine, result, decision)
+        self._log.history = history
         self._note_goal(decision)
 
     def _note_goal(self, decision: Decision | None = None) -> None:
@@ -323,7 +324,7 @@ class GoalLoop:
         """Return the history with this run, if another is to follow it."""
         result, history = execution.result, self._log.history
         if not (result.failures or execution.is_over):
-            return history.changed()
+            return replace(history, replans=history.replans + 1)
         after = history.after(result.calls, result.failures, self._context.settings.bindings)
         if execution.is_blocked and not result.failures:  # which says nothing about the plan
             return replace(history, failed=after.failed)

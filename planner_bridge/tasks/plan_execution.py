@@ -69,7 +69,10 @@ class PlanExecution(Observer):
         self.is_blocked = False
         """Whether others have begun, during a pause, with what the rest of the plan is in conflict with; its run ends then, even
         if they are over before it is."""
-        run = self._go_on_with(begin_with) if isinstance(begin_with, ReplayedRun) else self._run_of(begin_with, {})
+        if isinstance(begin_with, ReplayedRun):
+            run = context.journal.go_on(begin_with, broadcast(Observer, (context.observer, self)), context.backend.client.goal_fields)
+        else:
+            run = self._run_of(begin_with, {})
         note = partial(context.journal.noted, context.task.id)
         self.executor = Executor(run, context.backend.client, context.source, context.task.wanted.text, context.journal, note)
         self._future: asyncio.Future[RunResult] = asyncio.get_running_loop().create_future()
@@ -271,11 +274,6 @@ class PlanExecution(Observer):
         self.set_off_by = ""
         numbers = (call.index for call in successor[0].plan.calls if call.under_way)  # in the order that they had in the old plan
         self.executor.succeed(self._run_of(successor, dict(zip(numbers, self.run.under_way(), strict=True))))
-
-    def _go_on_with(self, replayed: ReplayedRun) -> Run:
-        """Return the run with which another process has begun."""
-        context = self._context
-        return context.journal.go_on(replayed, broadcast(Observer, (context.observer, self)), context.backend.client.goal_fields)
 
     def _run_of(self, proved: ProvedMachine, adopted: Mapping[int, UnderWay]) -> Run:
         """Return the run of a machine, which takes over requests."""

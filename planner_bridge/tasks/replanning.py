@@ -123,10 +123,6 @@ class History:
             return GiveUp(f"nobody knows how {names} has ended, and its binding says 'when_lost: abort'", Code.SERVER_UNAVAILABLE)
         return GiveUp(f"the limit of {limits.replans} replans is reached") if self.replans > limits.replans else None
 
-    def changed(self) -> History:
-        """Return the history with one more run that did not fail, but would have."""
-        return replace(self, replans=self.replans + 1)
-
     def forbidden(self, limits: Limits) -> frozenset[ForbiddenCall]:
         """Return the calls that failed too often, or whose servers may still be at work."""
         return self.unconfirmed | {call for call, times in self.failed.items() if times >= limits.forbid_after}

@@ -301,11 +301,6 @@ class TaskLog:
         """Record a run that is over, or is succeeded by another."""
         self.episodes.append(Episode(machine, result, decision))
 
-    def follow(self, machine: PetriNetMachine, result: RunResult, decision: Decision, history: History) -> None:
-        """Record a run that another follows, and the history from then on."""
-        self.end(machine, result, decision)
-        self.history = history
-
     @property
     def last_failure(self) -> str:
         """The failure of the last run; empty when it reached its goal."""

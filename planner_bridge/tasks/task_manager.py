@@ -8,24 +8,26 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Collection, Coroutine
+from collections.abc import Callable, Collection, Coroutine, Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from time import time
-from uuid import UUID
+from uuid import UUID, uuid4
 
+from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.problem import Problem
-from planner_bridge.tasks.context import PlanningQueue, Preemption
-from planner_bridge.tasks.control import Execution, Watchdog
+from planner_bridge.tasks.context import PlanningQueue, Preemption, TaskContext
+from planner_bridge.tasks.control import Watchdog
 from planner_bridge.tasks.result import Stopwatch, TaskResult, join_reasons
-from planner_bridge.tasks.settings import Settings, TaskObserver
+from planner_bridge.tasks.settings import OnChange, Settings, TaskObserver
 from planner_bridge.tasks.task import StartTask, Task
-from planner_bridge.tasks.task_start import TaskStart, TaskText
+from planner_bridge.tasks.task_start import PREFIX, TaskText, read_text, start_of
 from pnm.clock import stop_then_cancel
 from pnm.core.execution.events import broadcast
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.conditions import Condition
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.requests import OutcomeKind
+from pnm.core.machine.requests import NOT_REATTACHED, Ended, OutcomeKind, ReattachingClient, Report, Request
 from pnm.core.net.net import Marking
 from pnm.core.resources import who_keeps
 from pnm.errors import InputError
@@ -77,13 +79,23 @@ class TaskManager:
         helper: Source | None = None,
         limits: TaskLimits | None = None,
     ) -> None:
+        self._runner = runner
+        self._settings = settings
+        self._read_goal = read_goal
+        self._helper = helper
         self._limits = limits or TaskLimits()
         self._resources = runner.resources
         self._journal = runner.journal
         self._people = [source for source in (runner.source, helper) if isinstance(source, Sources)]
         self._loop = asyncio.get_running_loop()
         # state
-        self._tasks = TaskList()
+        self._problem = problem
+        self._began = self._loop.time()
+        """The time at which the initial state of the problem was."""
+        self._tasks: dict[UUID, Task] = {}
+        """Those that are not over."""
+        self._past: list[Task] = []
+        """Those that ended last."""
         self._work: dict[UUID, asyncio.Task[None]] = {}
         self._ending: set[UUID] = set()
         """Tasks that have ended, which is not kept yet."""
@@ -92,14 +104,13 @@ class TaskManager:
         self._order = 0
         self._is_held = False
         self._queue: PlanningQueue[Task] = PlanningQueue(lambda task: task.rank)
-        self._preemption = Preemption(self._tasks.active, self._resources, self._queue)
-        self._start = TaskStart(problem, runner, settings, read_goal, self._preemption, self._limits.on_conflict, helper)
-        self._listeners += [StateLog(self._journal), self._preemption, EventLog()]
+        self._preemption = Preemption(self._tasks, self._resources, self._queue)
+        self._listeners += [EventLog(self._journal), self._preemption]
         self._listener = broadcast(TaskListener, self._listeners)
         self._stop_listening = self._resources.listen(self._preemption.preempt_holders)
 
     def __repr__(self) -> str:
-        return f"<TaskManager {len(self._tasks.active)} tasks>"
+        return f"<TaskManager {len(self._tasks)} tasks>"
 
     def begin(self, wanted: Wanted, /) -> None:
         """Begin a task. Whatever is wrong with it ends it, with a code and a reason."""
@@ -111,15 +122,15 @@ class TaskManager:
 
         The observers listen to all of them, and the stopwatch measures where their time goes.
         """
-        self._start.began, self._is_held = replay.began, replay.is_held
+        self._began, self._is_held = replay.began, replay.is_held
         unreadable: list[tuple[Task, ReplayedTask, TaskEnding]] = []  # the problem, or the plans, are not those with which it was accepted
         for kept in replay.tasks.values():
             wanted, self._order = kept.accepted.wanted, max(self._order, kept.accepted.order)
             task = Task(wanted, kept.accepted.order, self._listener, self._loop.time, observers, stopwatch or Stopwatch())
             task.restore(kept)
             if task.ending:
-                self._tasks.remember(task)
-            elif wrong := self._understand(task, self._start.reader(task), kept):
+                self._remember(task)
+            elif wrong := self._understand(task, self._reader(task), kept):
                 unreadable.append((task, kept, wrong))
             else:
                 self._restore(task, kept)
@@ -129,7 +140,7 @@ class TaskManager:
                 replayed.run.retire()
             self._list(task, time() - kept.accepted.wall)
             self._end(task, wrong)
-        self._start.recall(replay.withheld)
+        self._recall(replay.withheld)
         self._admit()
 
     async def run(self, wanted: Wanted, observer: TaskObserver, stopwatch: Stopwatch) -> TaskResult:
@@ -148,7 +159,8 @@ class TaskManager:
         """Carry the one task of another process on, and return its result; see `run` and `restore`."""
         observer.managed(self)
         self.restore(replay, (observer,), stopwatch)
-        (task,) = (self._tasks.of(kept.accepted.wanted.id) for kept in replay.unfinished)
+        (id,) = (kept.accepted.wanted.id for kept in replay.unfinished)
+        task = self._tasks.get(id) or next(past for past in self._past if past.id == id)  # it may have ended just now
         observer.restored()
         return await self._result_of(task)
 
@@ -164,7 +176,7 @@ class TaskManager:
         """Start nothing more of a task, or of all; return when nothing of it is under way."""
         if task is None:  # tasks that come later begin paused as well
             self._is_held = True
-        chosen = self._tasks.chosen(task)
+        chosen = self._chosen(task)
         # A task that is paused already keeps its reason: it is not this request that stops it.
         reasons = [active_task.control.reason if active_task.is_held else why for active_task in chosen]
         for active_task in chosen:
@@ -177,7 +189,7 @@ class TaskManager:
 
     async def resume(self, task: UUID | None, /, *, but: Collection[UUID] = ()) -> None:
         """Let a task that was paused go on, or all but these."""
-        chosen = [active_task for active_task in self._tasks.chosen(task) if active_task.id not in but]
+        chosen = [active_task for active_task in self._chosen(task) if active_task.id not in but]
         if task is None:
             self._is_held = False
             self._journal.held(None, is_held=False)
@@ -193,7 +205,7 @@ class TaskManager:
 
     async def cancel(self, task: UUID | None, /, *, why: str = "cancelled on request") -> None:
         """End a task, or all; return when what was under way has confirmed it, or the limit for that has passed."""
-        chosen = self._tasks.chosen(task)
+        chosen = self._chosen(task)
         for active_task in chosen:  # all are asked to end before the first is waited for, so that they end side by side
             self._stop(active_task, Code.CANCELLED, why)
         for active_task in chosen:
@@ -201,7 +213,7 @@ class TaskManager:
 
     async def step(self, task: UUID, /) -> None:
         """Let one request of a task leave that an operator has paused; return when nothing is under way any more."""
-        (chosen,) = self._tasks.chosen(task)
+        (chosen,) = self._chosen(task)
         if not chosen.is_held:
             raise TaskRefused(f"the task {task} is not paused on request")
         await chosen.control.step()
@@ -209,7 +221,12 @@ class TaskManager:
 
     def settle(self, request: UUID, /, *, is_done: bool) -> None:
         """Have a request that is under way count as succeeded or failed, because a person says so, once its server is done with it."""
-        self._tasks.execution_of(request).executor.settle(request, OutcomeKind.SUCCEEDED if is_done else OutcomeKind.ABORTED)
+        for task in self._tasks.values():
+            if (execution := task.control.execution) and (call := execution.executor.run.open_calls.get(request)):
+                if call.action.operation is not None:
+                    raise TaskRefused(f"{call.action.operation} is about knowledge: no server does it")
+                return execution.executor.settle(request, OutcomeKind.SUCCEEDED if is_done else OutcomeKind.ABORTED)
+        raise TaskRefused("no call of a task has that request under way")
 
     def answer(self, question: UUID, text: str, /) -> None:
         """Answer a question to a person; raise a `SourceError` for a text that is no answer to it."""
@@ -218,16 +235,16 @@ class TaskManager:
 
     def status(self) -> tuple[TaskStatus, ...]:
         """Return the status of all tasks that are not over, in the order in which they are served, and of those that ended last."""
-        return self._tasks.status()
+        return tuple(task.status for task in (*self._in_order(), *self._past))
 
     def plan(self, task: UUID, /) -> tuple[int, tuple[TaskStep, ...]]:
         """Return the number of plans that the task has had before, and the steps of its plan; none when it has none."""
-        active_task = self._tasks.active.get(task)
+        active_task = self._tasks.get(task)
         return (max(0, active_task.plans - 1), active_task.steps) if active_task else (0, ())
 
     def net(self, task: UUID, /) -> tuple[int, PetriNetMachine, Marking] | None:
         """Return the number of nets that the task has had before, the net that it has now, and its marking."""
-        return self._tasks.active[task].net if task in self._tasks.active else None
+        return self._tasks[task].net if task in self._tasks else None
 
     def listen(self, listener: TaskListener, /) -> Callable[[], None]:
         """Have a listener listen from now on; return what stops that."""
@@ -242,17 +259,21 @@ class TaskManager:
         """
         if self._journal.blocked:
             raise InputError(self._journal.blocked)
-        if busy := f"there are {number} tasks" if (number := len(self._tasks.active)) else who_keeps(self._resources.withheld):
+        if busy := f"there are {number} tasks" if (number := len(self._tasks)) else who_keeps(self._resources.withheld):
             raise InputError(f"{busy}; that must be over before another problem is loaded")
-        self._start.problem, self._start.began = problem, self._loop.time()
+        self._problem, self._began = problem, self._loop.time()
 
     def knowledge_of(self, request: UUID) -> tuple[Layered, Asker] | None:
         """Return the knowledge of the run that has sent a request, and as whom it asks; None unless the request is open."""
-        return self._tasks.knowledge_of(request)
+        for task in self._tasks.values():
+            run = task.control.run
+            if run is not None and request in run.open_requests:
+                return run.knowledge, Asker(run.id, task.wanted.text)
+        return None
 
     async def close(self) -> None:
         """Cancel all tasks, and wait until they are over; leave them alone when this is cancelled."""
-        tasks = tuple(self._tasks.active.values())
+        tasks = tuple(self._tasks.values())
         for reading in self._beside:
             reading.cancel()
         for task in tasks:
@@ -268,18 +289,34 @@ class TaskManager:
         finally:
             self._stop_listening()
 
+    def _chosen(self, task: UUID | None) -> list[Task]:
+        """Return one task, or all that are not over; raise `TaskRefused` if there is no such task."""
+        if task is None:
+            return list(self._tasks.values())
+        if task not in self._tasks:
+            over = any(past.id == task for past in self._past)
+            raise TaskRefused(f"the task {task} is over" if over else f"there is no task {task}")
+        return [self._tasks[task]]
+
+    def _in_order(self) -> list[Task]:
+        """Return the tasks that are not over, in the order in which they are served."""
+        return sorted(self._tasks.values(), key=lambda task: task.rank)
+
+    def _remember(self, task: Task) -> None:
+        self._past = [*self._past[1 - REMEMBERED :], task]
+
     # --- beginning ------------------------------------------------------------------------------
 
     def _begin(self, task: Task) -> None:
         task.note(TraceKind.GOAL, "", task.status.title)
-        waiting = sum(not other.control.has_begun for other in self._tasks.active.values())
-        if task.id in self._tasks.active:
+        waiting = sum(not other.control.has_begun for other in self._tasks.values())
+        if task.id in self._tasks:
             self._end(task, TaskEnding(Code.ERROR, "there is a task of this id already"))
             return
         if waiting >= self._limits.queue and self._is_full:
             self._end(task, TaskEnding(Code.QUEUE_FULL, f"{waiting} tasks are waiting already"))
             return
-        read = self._start.reader(task)
+        read = self._reader(task)
         if not (is_long := len(task.wanted.text) > SHORT) and (wrong := self._understand(task, read)):
             self._end(task, wrong)
             return
@@ -303,7 +340,7 @@ class TaskManager:
 
     def _list(self, task: Task, passed: float) -> None:
         """List a task, some seconds after it was accepted: from here on its deadline can end it, even before it is admitted."""
-        self._tasks.active[task.id] = task
+        self._tasks[task.id] = task
         if task.wanted.deadline is not None:
             reason = f"the goal was not reached within {task.wanted.deadline:g} s"
             left = max(0.0, task.wanted.deadline - passed)
@@ -339,7 +376,7 @@ class TaskManager:
     def _understand(self, task: Task, read: Callable[[], TaskText], kept: ReplayedTask | None = None) -> TaskEnding | None:
         """Note the executor of the task, by its text; return its ending if that is wrong."""
         try:
-            task.start = self._start.start(task, read(), kept)
+            task.start = start_of(task, read(), self._runner, partial(self._context, task), kept)
         except InputError as error:
             task.error = error
             return TaskEnding(Code.INVALID_GOAL, str(error))
@@ -351,10 +388,10 @@ class TaskManager:
 
     @property
     def _is_full(self) -> bool:
-        return sum(task.control.has_begun for task in self._tasks.active.values()) >= self._limits.active
+        return sum(task.control.has_begun for task in self._tasks.values()) >= self._limits.active
 
     def _admit(self) -> None:
-        for task in self._tasks.in_order():
+        for task in self._in_order():
             if task.start and not task.control.has_begun and not task.is_held and not self._is_full:
                 self._set_out(task, task.start)
 
@@ -385,6 +422,51 @@ class TaskManager:
             del self._work[task.id]
             self._end(task, ending)
 
+    # --- their contexts ---------------------------------------------------------------------------
+
+    def _reader(self, task: Task) -> Callable[[], TaskText]:
+        """Return the reader of a task's text, in any thread."""
+        return partial(
+            read_text, task.wanted, self._read_goal, self._runner.programs, self._now() if task.wanted.is_plan else self._problem
+        )
+
+    def _now(self, at: float | None = None) -> Problem:
+        return problem_now(self._problem, self._runner.world, (self._loop.time() if at is None else at) - self._began)
+
+    def _context(self, task: Task, goal: Condition, kept: ReplayedTask | None, on_change: OnChange | None = None) -> TaskContext:
+        runner = self._runner
+        since = kept.replay.now if kept and kept.notes else None  # facts that change by themselves have done so until then
+        return TaskContext(
+            task,
+            replace(self._now(since), goal=goal),
+            kept.runs[-1].run.knowledge if kept and kept.runs else Layered(runner.world),
+            runner.backend,
+            replace(self._settings, on_change=on_change or self._settings.on_change),
+            runner.resources,
+            runner.source,
+            self._helper,
+            self._preemption,
+            task.wanted.on_conflict or self._limits.on_conflict,
+            lambda: UUID(bytes=runner.prefix + uuid4().bytes[PREFIX:]),
+            runner.journal,
+            since,
+        )
+
+    def _recall(self, requests: Iterable[Request]) -> None:
+        """Cancel requests that another process has given up; their resources are free when their servers say that they are over."""
+
+        def hear(report: Report) -> None:
+            if isinstance(report, Ended):
+                self._journal.confirmed(report.request, self._resources)
+
+        client = self._runner.backend.client
+        for request in requests:
+            if isinstance(client, ReattachingClient):
+                client.reattach(request, hear, accepted=True)
+                client.cancel(request.id)
+            else:
+                hear(Ended(request.id, NOT_REATTACHED))
+
     # --- ending ---------------------------------------------------------------------------------
 
     def _stop(self, task: Task, code: Code, reason: str) -> None:
@@ -405,7 +487,7 @@ class TaskManager:
 
     def _end(self, task: Task, ending: TaskEnding) -> None:
         """End a task; nobody hears of that before it is kept."""
-        if self._tasks.active.get(task.id) is not task:  # it was never accepted, for the id is that of another one, say
+        if self._tasks.get(task.id) is not task:  # it was never accepted, for the id is that of another one, say
             self._ended(task, ending)
         elif task.id not in self._ending:
             self._ending.add(task.id)
@@ -413,23 +495,25 @@ class TaskManager:
             self._journal.over(task.id, ending, lambda: self._ended(task, ending))
 
     def _ended(self, task: Task, ending: TaskEnding) -> None:
-        if self._tasks.active.get(task.id) is task:
-            del self._tasks.active[task.id]
+        if self._tasks.get(task.id) is task:
+            del self._tasks[task.id]
             self._ending.discard(task.id)
         self._queue.leave(task)
-        self._tasks.remember(task)
+        self._remember(task)
         task.end(ending)  # listed as past before its listeners know, so that they find it when they ask
         self._queue.changed()
         self._preemption.update_all()
         self._admit()
 
 
-# --- logs -----------------------------------------------------------------------------------------
-# The log of what happens to tasks: a line per event, at the level that it deserves. And their states, for the journal.
+# --- the log --------------------------------------------------------------------------------------
 
 
 class EventLog(TaskListener):
-    """Logs the events of tasks to `pnm.tasks.EVENTS`."""
+    """Logs the events of tasks to `pnm.tasks.EVENTS`, a line each, and keeps their states in a journal: its readers tell the same."""
+
+    def __init__(self, journal: Journal) -> None:
+        self._journal = journal
 
     def happened(self, moment: TraceEvent) -> None:
         """Log an event, but not all feedback and every transition that fires."""
@@ -437,70 +521,9 @@ class EventLog(TaskListener):
             text = ": ".join(filter(None, (moment.kind.word, moment.subject, moment.text)))
             EVENTS.log(moment.level, "%s %s", moment.task.hex[:8], text)
 
-
-class StateLog(TaskListener):
-    """Keeps the states of tasks in a journal: whoever reads it tells the same of a task as its status does."""
-
-    def __init__(self, journal: Journal) -> None:
-        self._journal = journal
-
     def entered(self, task: UUID, state: TaskState, reason: str) -> None:
         """Keep the state of a task."""
         self._journal.entered(task, state, reason)
-
-
-# --- the list of tasks ----------------------------------------------------------------------------
-# The tasks that are not over, and those that ended last.
-
-
-class TaskList:
-    """The tasks of a task manager. The mutable state is the tasks that are not over, by their identities, and those that ended last."""
-
-    def __init__(self) -> None:
-        self.active: dict[UUID, Task] = {}
-        self.past: list[Task] = []
-
-    def chosen(self, task: UUID | None) -> list[Task]:
-        """Return one task, or all that are not over; raise `TaskRefused` if there is no such task."""
-        if task is None:
-            return list(self.active.values())
-        if task not in self.active:
-            over = any(past.id == task for past in self.past)
-            raise TaskRefused(f"the task {task} is over" if over else f"there is no task {task}")
-        return [self.active[task]]
-
-    def in_order(self) -> list[Task]:
-        """Return the tasks that are not over, in the order in which they are served."""
-        return sorted(self.active.values(), key=lambda task: task.rank)
-
-    def status(self) -> tuple[TaskStatus, ...]:
-        """Return the status of all tasks that are not over, in the order in which they are served, and of those that ended last."""
-        return tuple(task.status for task in (*self.in_order(), *self.past))
-
-    def of(self, id: UUID) -> Task:
-        """Return a task of this identity, which is not over, or has ended just now."""
-        return self.active.get(id) or next(past for past in self.past if past.id == id)
-
-    def knowledge_of(self, request: UUID) -> tuple[Layered, Asker] | None:
-        """Return the knowledge of the run that has sent a request, and as whom it asks; None unless the request is open."""
-        for task in self.active.values():
-            run = task.control.run
-            if run is not None and request in run.open_requests:
-                return run.knowledge, Asker(run.id, task.wanted.text)
-        return None
-
-    def execution_of(self, request: UUID) -> Execution:
-        """Return the execution of the plan that has sent a request; raise `TaskRefused` unless it is open."""
-        for task in self.active.values():
-            if (execution := task.control.execution) and (call := execution.executor.run.open_calls.get(request)):
-                if call.action.operation is not None:
-                    raise TaskRefused(f"{call.action.operation} is about knowledge: no server does it")
-                return execution
-        raise TaskRefused("no call of a task has that request under way")
-
-    def remember(self, task: Task) -> None:
-        """List a task that is over."""
-        self.past = [*self.past[1 - REMEMBERED :], task]
 
 
 # --- limits ---------------------------------------------------------------------------------------

@@ -1,117 +1,39 @@
-"""The start of tasks: by their text, as a goal, as a plan that is sent, or as a plan that is loaded; each with its context."""
+"""The text of a task: a goal, a plan that is sent, or the name of a plan that is loaded; and tasks that are such plans."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection
+from dataclasses import replace
 from functools import partial
 from math import inf
 from pathlib import Path
 from typing import Final, TypeAlias
-from uuid import UUID, uuid4
 
 from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.plan import Plan, read_plan
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.interference import Forecast, ReadWriteSets, read_write_sets
-from planner_bridge.tasks.context import Scheduler, TaskContext
+from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.goal_loop import GoalLoop
 from planner_bridge.tasks.replanning import History
 from planner_bridge.tasks.result import Episode, KeptGoal, PlanResult, code_of_run, goal_of
-from planner_bridge.tasks.settings import OnChange, Settings
+from planner_bridge.tasks.settings import OnChange
 from planner_bridge.tasks.task import StartTask, Task
 from planner_bridge.yaml.reader import read
 from pnm.actions.backend import schedule
-from pnm.core.knowledge_base import Layered
 from pnm.core.logic.conditions import TRUE, Condition
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.plan_graph import ActionCall
-from pnm.core.machine.requests import NOT_REATTACHED, CallOutcome, Ended, ReattachingClient, Report, Request
+from pnm.core.machine.requests import CallOutcome
 from pnm.errors import InputError
 from pnm.executor import Executor
 from pnm.journal.replay import ReplayedTask
-from pnm.knowledge.source import Source
 from pnm.language.runner import PlanRun, PlanRunner
-from pnm.tasks import Code, OnConflict, TaskState, Wanted
+from pnm.tasks import Code, TaskState, Wanted
 
 PREFIX: Final = 4
 """Bytes that the identities of all requests of a process have in common."""
-
-
-@dataclass
-class TaskStart:
-    """Starts tasks in one world. The arguments are those of `TaskManager`; the problem, and when it began, change with the world."""
-
-    problem: Problem
-    runner: PlanRunner
-    settings: Settings
-    read_goal: Callable[[str], Condition]
-    scheduler: Scheduler
-    on_conflict: OnConflict
-    helper: Source | None
-    began: float = field(default_factory=lambda: asyncio.get_running_loop().time())
-
-    def reader(self, task: Task) -> Callable[[], TaskText]:
-        """Return the reader of a task's text, in any thread."""
-        return partial(read_text, task.wanted, self.read_goal, self.runner.programs, self._now() if task.wanted.is_plan else self.problem)
-
-    def start(self, task: Task, text: TaskText, kept: ReplayedTask | None) -> StartTask:
-        """Return the executor of a task with this text, where another process has left it.
-
-        Raises:
-            InputError: there is no such plan, or it has no such parameter.
-        """
-        match text:
-            case None:
-                return PlanTask(self.runner, self._context(task, TRUE, None), kept).carry_out
-            case Plan() as plan:
-                context = partial(self._context, task, TRUE, kept, on_change=OnChange.LAZY)
-                return lambda: GoalLoop(context(), given=plan, kept=goal_of(kept)).pursue()
-            case goal:
-                task.goal = str(goal)
-                return lambda: GoalLoop(self._context(task, goal, kept), kept=goal_of(kept)).pursue()
-
-    def recall(self, requests: Iterable[Request]) -> None:
-        """Cancel requests that another process has given up; their resources are free when their servers say that they are over."""
-
-        def hear(report: Report) -> None:
-            if isinstance(report, Ended):
-                self.runner.journal.confirmed(report.request, self.runner.resources)
-
-        client = self.runner.backend.client
-        for request in requests:
-            if isinstance(client, ReattachingClient):
-                client.reattach(request, hear, accepted=True)
-                client.cancel(request.id)
-            else:
-                hear(Ended(request.id, NOT_REATTACHED))
-
-    def _now(self, at: float | None = None) -> Problem:
-        return problem_now(self.problem, self.runner.world, (asyncio.get_running_loop().time() if at is None else at) - self.began)
-
-    def _context(self, task: Task, goal: Condition, kept: ReplayedTask | None, *, on_change: OnChange | None = None) -> TaskContext:
-        runner = self.runner
-        since = kept.replay.now if kept and kept.notes else None  # facts that change by themselves have done so until then
-        return TaskContext(
-            task,
-            replace(self._now(since), goal=goal),
-            kept.runs[-1].run.knowledge if kept and kept.runs else Layered(runner.world),
-            runner.backend,
-            replace(self.settings, on_change=on_change or self.settings.on_change),
-            runner.resources,
-            runner.source,
-            self.helper,
-            self.scheduler,
-            task.wanted.on_conflict or self.on_conflict,
-            lambda: UUID(bytes=runner.prefix + uuid4().bytes[PREFIX:]),
-            runner.journal,
-            since,
-        )
-
-
-# --- the text of a task ---------------------------------------------------------------------------
-# A goal, a plan as a text of calls, or the name of a plan that is loaded. Read in any thread.
 
 
 MAX_CALLS: Final = 1000
@@ -144,6 +66,28 @@ def read_text(wanted: Wanted, read_goal: Callable[[str], Condition], loaded: Col
     if len(plan.steps) > MAX_CALLS:
         raise InputError(f"the plan has {len(plan.steps)} calls; expected {MAX_CALLS} at most")
     return plan
+
+
+def start_of(
+    task: Task,
+    text: TaskText,
+    runner: PlanRunner,
+    context: Callable[[Condition, ReplayedTask | None, OnChange | None], TaskContext],
+    kept: ReplayedTask | None,
+) -> StartTask:
+    """Return the executor of a task with this text; raise an `InputError` if there is no such plan, or it has no such parameter.
+
+    Args:
+        context: of the task, with a goal, as another process has left it, and with a time at which plans are looked at again.
+    """
+    match text:
+        case None:
+            return PlanTask(runner, context(TRUE, None, None), kept).carry_out
+        case Plan() as plan:
+            return lambda: GoalLoop(context(TRUE, kept, OnChange.LAZY), given=plan, kept=goal_of(kept)).pursue()
+        case goal:
+            task.goal = str(goal)
+            return lambda: GoalLoop(context(goal, kept, None), kept=goal_of(kept)).pursue()
 
 
 # --- hand-written plans ---------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import threading
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
-from planner_bridge.view.serving import Controlled, listening, serve_page, url_of
+from planner_bridge.view.serving import Controlled, listening, url_of
 from pnm.errors import InputError
 from pnm.files.database.place import place_of
 from pnm.files.process import make_streams_safe
@@ -36,7 +36,7 @@ def main() -> int:
     token = secrets.token_urlsafe(32)
     _write(url_of(opened) + ("" if controlled is Controlled.NOTHING else f"/#token={token}"))
     if line := sys.stdin.readline():
-        from planner_bridge.view.app import Channel, Control  # here, because what it needs is an extra, which is there by now
+        from planner_bridge.view.app import Channel, Control, serve_page  # here, because what it needs is an extra, which is there by now
 
         channel = Channel(_write)
         serve_page(place_of(json.loads(line)), opened, lambda: _left_alone(channel), Control(controlled, token, channel))

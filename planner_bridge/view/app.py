@@ -10,13 +10,16 @@ import asyncio
 import hmac
 import json
 import re
+import socket
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 from uuid import UUID, uuid4
 
+import uvicorn
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
@@ -419,3 +422,47 @@ NO_CONTROL: Final = Control(Controlled.NOTHING, "", Channel(_nowhere))
 
 def _command_refused(why: str, status: int) -> Response:
     return ShownResponse({"refused": why}, status)
+
+
+# --- serving --------------------------------------------------------------------------------------
+
+
+def serve_page(
+    place: Place, opened: socket.socket, ended: Callable[[], Awaitable[object]] | None = None, control: Control = NO_CONTROL
+) -> None:
+    """Serve the page of a journal at a socket until a signal ends it, or `ended` does; without `control` nothing can be controlled.
+
+    A second signal, and one during a page that is slow, leave at once.
+    """
+
+    class Server(uvicorn.Server):
+        """Tells browsers that nothing more comes, so that they do not hold up the end."""
+
+        async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+            await feed.close()
+            await super().shutdown(sockets)
+
+    reader, past = Reader(place), Reader(place)
+    feed = Feed(reader)
+    app = ViewApp(place, feed, past, control)
+    config = uvicorn.Config(
+        app.asgi, log_config=None, log_level="critical", access_log=False, lifespan="off", ws="none", server_header=False
+    )
+    server = Server(config)
+
+    async def serve() -> None:
+        async def wait() -> None:
+            if ended is not None:
+                await ended()
+                server.should_exit = True
+
+        waiting = asyncio.create_task(wait())
+        try:
+            await server.serve(sockets=[opened])
+        finally:
+            waiting.cancel()
+
+    with suppress(KeyboardInterrupt):
+        asyncio.run(serve())
+    reader.close()
+    past.close()

@@ -1,4 +1,4 @@
-"""Serving the page: in this process, or in one of its own, where people may control what this one does.
+"""The commands of the page, who carries them out, and the page in a process of its own beside the command whose journal it shows.
 
 A command goes through the channel of the page's process to the operator in the process that has the tasks.
 """
@@ -12,22 +12,17 @@ import select
 import socket
 import subprocess
 import threading
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, TypeAlias, assert_never
+from typing import Any, Final, TypeAlias, assert_never
 from uuid import UUID, uuid4
 
 from pnm.errors import InputError, PnmError
-from pnm.files.database.place import Place
 from pnm.files.process import own_environment, own_python
 from pnm.tasks import ServedWorld, TaskCommands, TaskRefused, Tasks, TaskState, Wanted
-
-if TYPE_CHECKING:
-    from planner_bridge.view.app import Control
-
 
 # --- commands -------------------------------------------------------------------------------------
 # Commands: what people may want on the page, as it comes from a browser; and the reply.
@@ -226,7 +221,7 @@ _READERS: Final[Mapping[str, Callable[[Mapping[str, object]], Command]]] = {
 
 
 # --- serving --------------------------------------------------------------------------------------
-# Serving, in this process: on this computer alone, until somebody ends it.
+# Where the page is served: on this computer alone.
 
 
 _HOST: Final = "127.0.0.1"
@@ -257,51 +252,6 @@ def listening(port: int) -> socket.socket:
 def url_of(opened: socket.socket) -> str:
     """Return where the page is."""
     return f"http://{_HOST}:{opened.getsockname()[1]}"
-
-
-def serve_page(
-    place: Place, opened: socket.socket, ended: Callable[[], Awaitable[object]] | None = None, control: Control | None = None
-) -> None:
-    """Serve the page of a journal at a socket until a signal ends it, or `ended` does; without `control` nothing can be controlled.
-
-    A second signal, and one during a page that is slow, leave at once.
-    """
-    import uvicorn
-
-    from planner_bridge.view.app import NO_CONTROL, ViewApp
-    from planner_bridge.view.follow import Feed, Reader
-
-    class Server(uvicorn.Server):
-        """Tells browsers that nothing more comes, so that they do not hold up the end."""
-
-        async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-            await feed.close()
-            await super().shutdown(sockets)
-
-    reader, past = Reader(place), Reader(place)
-    feed = Feed(reader)
-    app = ViewApp(place, feed, past, control or NO_CONTROL)
-    config = uvicorn.Config(
-        app.asgi, log_config=None, log_level="critical", access_log=False, lifespan="off", ws="none", server_header=False
-    )
-    server = Server(config)
-
-    async def serve() -> None:
-        async def wait() -> None:
-            if ended is not None:
-                await ended()
-                server.should_exit = True
-
-        waiting = asyncio.create_task(wait())
-        try:
-            await server.serve(sockets=[opened])
-        finally:
-            waiting.cancel()
-
-    with suppress(KeyboardInterrupt):
-        asyncio.run(serve())
-    reader.close()
-    past.close()
 
 
 # --- operator -------------------------------------------------------------------------------------

@@ -121,7 +121,7 @@ def test_all_readers_tell_one_story_of_tasks_that_people_interfere_with(
 
     def note(simulation: TaskSimulation) -> None:
         """Note what the tasks themselves say in the end: how often what has happened, and their replans."""
-        for task in simulation.master._tasks.past:
+        for task in simulation.master._past:
             if task.result is not None and task.result.episodes:
                 live[task.id.hex] = str(task.result.counts), task.status.replans
 

@@ -90,7 +90,7 @@ class TaskSimulation(TaskListener):
         if not moment.kind.is_frequent:
             self.moments.append(moment)
         if moment.kind is TraceKind.SENT:
-            tasks = self.master._tasks.active
+            tasks = self.master._tasks
             self.wrong += contradictory_requests(tasks[moment.task], moment.subject, tasks.values(), self.knowledge)
         self._stir()
 
@@ -114,7 +114,7 @@ class TaskSimulation(TaskListener):
 
     def orphans(self) -> list[str]:
         """Return what robots do for no task."""
-        runs = [one.control.run for one in self.master._tasks.active.values() if one.control.run]
+        runs = [one.control.run for one in self.master._tasks.values() if one.control.run]
         runs += [one.executor.run for one in self.runner.going_on]
         wanted = {request for run in runs for request in run.open_requests}
         jobs = self.backend.robots._jobs
@@ -128,7 +128,7 @@ class TaskSimulation(TaskListener):
         """See that no task stands still."""
         while True:
             await asyncio.sleep(QUIET / 4.0)
-            now, tasks = asyncio.get_running_loop().time(), self.master._tasks.active.values()
+            now, tasks = asyncio.get_running_loop().time(), self.master._tasks.values()
             self.wrong += standing_still(tasks, {task.id: now - self._heard[task.id] for task in tasks})
 
     # --- what scenarios do and wait for -----------------------------------------------------------

@@ -18,7 +18,7 @@ async def test_a_goal_that_cannot_be_read_ends_at_once_with_the_reason(simulatio
 
 @simulated()
 async def test_the_goal_of_the_problem_is_told_in_pddl(simulation: TaskSimulation):
-    simulation.master._start.read_goal = lambda _: simulation.read("(at r0 a1)")
+    simulation.master._read_goal = lambda _: simulation.read("(at r0 a1)")
     task = simulation.want("")
     assert simulation.master.status()[0].goal == "(at r0 a1)"
     await simulation.ended_with(task)

@@ -56,7 +56,7 @@ async def test_the_event_loop_goes_on_while_a_goal_is_read(simulation: TaskSimul
         assert is_free.wait(LIMIT), "the event loop waits for the reader"
         return simulation.read(text)
 
-    simulation.master._start.read_goal = read
+    simulation.master._read_goal = read
     goal = f"(and {'(not (at r0 a2)) ' * SHORT}(at r0 a1))"
     task = simulation.want(goal)
     assert simulation.state(task) is TaskState.QUEUED

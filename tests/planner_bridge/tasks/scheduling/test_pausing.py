@@ -225,7 +225,7 @@ async def test_a_pause_right_after_the_end_was_asked_for_holds_nothing_up(simula
 async def test_a_pause_right_after_a_resumption_waits_for_what_that_begins(simulation: TaskSimulation):
     task = await simulation.begun("(at r0 a2)")
     await simulation.master.pause(task, at_once=True)
-    going_on = simulation.master._tasks.active[task]
+    going_on = simulation.master._tasks[task]
     going_on.control.resume()
     await going_on.control.pause("", at_once=False)
     assert simulation.state(task) is TaskState.PAUSED

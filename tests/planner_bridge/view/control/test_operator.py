@@ -96,7 +96,7 @@ async def test_a_goal_that_comes_during_a_step_respects_it(simulation: TaskSimul
 
 def open_request(simulation: TaskSimulation, task: UUID) -> UUID:
     """The only request of a task that is under way."""
-    execution = simulation.master._tasks.active[task].control.execution
+    execution = simulation.master._tasks[task].control.execution
     assert execution is not None
     (request,) = execution.executor.run.open_requests
     return request

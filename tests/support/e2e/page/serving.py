@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from planner_bridge.view.serving import listening, serve_page, url_of
+from planner_bridge.view.app import serve_page
+from planner_bridge.view.serving import listening, url_of
 from tests.support.processes import LIMIT
 
 

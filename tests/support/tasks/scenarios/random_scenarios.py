@@ -263,7 +263,7 @@ class People:
 
 def check_pause(simulation: TaskSimulation, id: UUID) -> None:
     """Nothing of a task that is paused goes on."""
-    task = simulation.master._tasks.active.get(id)
+    task = simulation.master._tasks.get(id)
     if task is None or not task.is_held:
         return
     if task.control.state is not TaskState.PAUSED:
