@@ -9,7 +9,7 @@ import logging
 import sys
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import click
 
@@ -19,10 +19,6 @@ from pnm.errors import InputError
 from pnm.files.database.place import without_password
 from pnm.files.process import make_streams_safe
 from pnm.files.text import hide_arguments
-
-if TYPE_CHECKING:
-    pass
-
 
 _ELSEWHERE: Final = {
     "check": "robot",

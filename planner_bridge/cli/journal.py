@@ -71,7 +71,11 @@ def replay(journal: str | None, last: int | None, as_json: bool, timeline: Path 
             if as_json:
                 print(json.dumps(_as_json(step, state), default=str), flush=True)
             else:
-                _print(step, state, console)
+                first, *more = words(step, state)
+                task = state.runs[step.record.run].made.task.hex[:8] if isinstance(step.record, Happened | RunMade) else ""
+                console.print(Text(f"{step.number:6} {step.time - state.began:9.2f} s  {task:8}  {first}"))
+                for line in more:
+                    console.print(Text(f"{'':30}{line}", style="dim"))
             if step.number == last:
                 break
     if last and not as_json:
@@ -94,7 +98,18 @@ def history(journal: str | None, as_json: bool) -> int:
     console = SafeConsole()
     for task in tasks:
         if as_json:
-            print(json.dumps(_task_as_json(task)), flush=True)
+            ending = task.ending
+            fields = {
+                "task": str(task.accepted.wanted.id),
+                "goal": task.accepted.wanted.text,
+                "accepted": task.accepted.wall,
+                "ended": task.ended,
+                "seconds": task.seconds,
+                "runs": task.runs,
+                "code": ending.code.word if ending else None,
+                "reason": ending.message if ending else None,
+            }
+            print(json.dumps(fields), flush=True)
         else:
             _print_task(task, console)
     if not (tasks or as_json):
@@ -286,14 +301,6 @@ def errors_of_journals() -> Iterator[None]:
         raise InputError(str(error)) from error
 
 
-def _print(step: ReplayStep, state: Replay, console: SafeConsole) -> None:
-    first, *more = words(step, state)
-    task = state.runs[step.record.run].made.task.hex[:8] if isinstance(step.record, Happened | RunMade) else ""
-    console.print(Text(f"{step.number:6} {step.time - state.began:9.2f} s  {task:8}  {first}"))
-    for line in more:
-        console.print(Text(f"{'':30}{line}", style="dim"))
-
-
 def _print_state(state: Replay, console: SafeConsole) -> None:
     """Print the state after the last record: tasks, marked places, facts."""
     for id, task in state.tasks.items():
@@ -325,20 +332,6 @@ def _as_json(step: ReplayStep, state: Replay) -> dict[str, Any]:
 
 def _name(task: TaskAccepted) -> str:
     return task.wanted.text or "the goal of the problem"
-
-
-def _task_as_json(task: TaskSummary) -> dict[str, Any]:
-    ending = task.ending
-    return {
-        "task": str(task.accepted.wanted.id),
-        "goal": task.accepted.wanted.text,
-        "accepted": task.accepted.wall,
-        "ended": task.ended,
-        "seconds": task.seconds,
-        "runs": task.runs,
-        "code": ending.code.word if ending else None,
-        "reason": ending.message if ending else None,
-    }
 
 
 def _print_task(task: TaskSummary, console: SafeConsole) -> None:

@@ -178,14 +178,9 @@ def looked_at(
             page.follow(str(kept.place) if isinstance(kept.place, Path) else kept.place.text)
         yield kept, page
         if timeline is not None:
-            _draw(kept, timeline, force=force)
+            from planner_bridge.view.story import timelines_svg  # here, because most runs are not drawn
 
-
-def _draw(journal: JournalChoice, timeline: Path, *, force: bool) -> None:
-    """Draw the timeline of the last task of a journal."""
-    from planner_bridge.view.story import timelines_svg  # here, because most runs are not drawn
-
-    options.write(timeline, timelines_svg(journal.place, only_last=True), force=force)
+            options.write(timeline, timelines_svg(kept.place, only_last=True), force=force)
 
 
 class _RunOnPage(TaskObserver):
@@ -218,17 +213,6 @@ def observed(
         yield broadcast(TaskObserver, [*observers, printer])
 
 
-def _stay(page: PageProcess) -> None:
-    """Keep the page until a signal, such as Ctrl-C."""
-
-    async def stay() -> None:
-        options.announce(page, " stays until Ctrl-C")
-        await page.ended()
-
-    with suppress(KeyboardInterrupt):
-        run_async(stay())
-
-
 def print_ending(result: TaskResult, console: SafeConsole, output: Output, page: PageProcess | None = None) -> int:
     """Print the result of a task, for people or as one JSON object; keep its page, unless it was cancelled; return the exit status."""
     if output is Output.JSON:
@@ -236,7 +220,13 @@ def print_ending(result: TaskResult, console: SafeConsole, output: Output, page:
     else:
         print_result(console, result)
     if page and result.code is not Code.CANCELLED:
-        _stay(page)
+
+        async def stay() -> None:
+            options.announce(page, " stays until Ctrl-C")
+            await page.ended()
+
+        with suppress(KeyboardInterrupt):
+            run_async(stay())
     return 0 if result.goal_reached else 1
 
 

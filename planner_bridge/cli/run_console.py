@@ -15,7 +15,7 @@ from planner_bridge.cli.options import planner_words, print_warnings, waiting
 from planner_bridge.model.plan import Plan, PlanningResult
 from planner_bridge.node.node_log import NodeObserver, journal_words, standing_words
 from planner_bridge.tasks.replanning import PlanAgain, ResumePlan, decision_words
-from planner_bridge.tasks.result import ConstraintResult, TaskResult, Violation
+from planner_bridge.tasks.result import TaskResult, Violation
 from planner_bridge.tasks.settings import TaskObserver
 from planner_bridge.tasks.task import passed_limit
 from planner_bridge.view.serving import Operator, PageProcess
@@ -160,7 +160,12 @@ class ConsoleObserver(TaskObserver):
         if limit is not None and call is not None and call in self._actions:
             cause = f"it has not ended within {limit:g} s, and is being cancelled"
             news = self._news[call] = _News(now, "[yellow]late[/]  ", self._actions[call], cause, "")
-            asyncio.get_running_loop().call_later(_SOON, self._print_late, call, news)
+
+            def print_late() -> None:
+                if self._news.get(call) is news:  # nothing has followed yet
+                    self._print_news()
+
+            asyncio.get_running_loop().call_later(_SOON, print_late)
 
     def spared(self, call: ActionCall, now: float) -> None:
         """Print that a call is not needed."""
@@ -184,7 +189,6 @@ class ConsoleObserver(TaskObserver):
         self._print(now, "[bold red]failed[/]", f"{named}{tried}: {failure.cause}{self._new(named, failure.details)}")
 
     def _print(self, now: float, word: str, text: str) -> None:
-        """Print a line, and before it what was waiting for more."""
         self._print_news()
         self._lines.print(now, word, text)
 
@@ -192,11 +196,6 @@ class ConsoleObserver(TaskObserver):
         """Print the news at the end of what happens at this moment, unless it is printed with what follows from it."""
         self._news[call.index] = news
         asyncio.get_running_loop().call_soon(self._print_news)
-
-    def _print_late(self, call: int, news: _News) -> None:
-        """Print that a call is late, if nothing has followed yet."""
-        if self._news.get(call) is news:
-            self._print_news()
 
     def _print_news(self) -> None:
         """Print the events that still waited for a consequence."""
@@ -238,19 +237,18 @@ def print_result(console: SafeConsole, result: TaskResult) -> None:
         console.print_reason("[bold red]goal[/]     not reached:", result.reason)
     assumed = sum(call.assumed for call in result.calls)
     unreported = f"; {counted(assumed, 'result')} believed, which no sensor confirms (docs/guides/sensing.md)" if assumed else ""
-    lines = [f"{result.counts}{unreported}", *map(_constraint, result.constraints)]
+    lines = [f"{result.counts}{unreported}"]
+    for constraint in result.constraints:
+        if constraint.violations:
+            more = len(constraint.violations) - 1
+            lines.append(f"constraint {constraint.violations[0]}{f', and for {more} more choices of objects' if more else ''}")
+        else:
+            lines.append(f"constraint {constraint.constraint} is {constraint.status}")
     for preference in result.preferences:
         times = f" {counted(preference.violated, 'time')}" if preference.violated else ""
         lines.append(f"preference {preference.name or '(without a name)'} is {preference.status}{times}")
     for line in lines:
         console.print_text(line, " " * INDENT)
-
-
-def _constraint(result: ConstraintResult) -> str:
-    if not result.violations:
-        return f"constraint {result.constraint} is {result.status}"
-    more = len(result.violations) - 1
-    return f"constraint {result.violations[0]}{f', and for {more} more choices of objects' if more else ''}"
 
 
 # --- the console of a node ------------------------------------------------------------------------
@@ -285,8 +283,7 @@ class NodeConsole(NodeObserver):
 
     def activated(self, actions: tuple[str, ...]) -> None:
         """Print the action servers of the node."""
-        text = f"ready: {len(actions)} action servers: {', '.join(actions)}"
-        self._console.print(text)
+        self._console.print(f"ready: {len(actions)} action servers: {', '.join(actions)}")
 
     def deactivated(self) -> None:
         """Print that goals are rejected."""
@@ -356,7 +353,6 @@ class TaskConsole(TaskListener):
         del self._lines[task]
 
     def _lines_of(self, task: UUID) -> EventLines:
-        """Return the printer of a task."""
         if task not in self._lines:
             self._lines[task] = EventLines(self._console, f"{task.hex[:8]}  ", self._began)
         return self._lines[task]

@@ -69,7 +69,14 @@ def why(
     if domain is None or problem is None:
         if other is not None:
             raise InputError("--not needs other plans; expected DOMAIN and PROBLEM, which are used with the facts of a --journal")
-        show(_of_journal(journal, task, last, called, replan=replan), as_json=as_json)
+        with errors_of_journals():
+            history = JournalHistory.read(chosen_journal(journal), last)
+            meant = task_meant(history, task)
+            if replan:
+                answers = why_replanned(history, meant)
+            else:
+                answers = why_so(history, meant) if called is None else why_call_of_run(history, meant, *call_meant(meant, called))
+        show(answers, as_json=as_json)
         return 0
     if replan:
         raise InputError("--replan is about a run: expected no DOMAIN and PROBLEM")
@@ -83,7 +90,6 @@ def why(
 
 
 def _of_problem(problem: Problem, called: str | None, other: str | None, seconds: float) -> Sequence[Answer]:
-    """Return the answers about the plan of a problem."""
     unwanted = None if other is None else _call(problem, other, "--not")
     wanted = None if called is None or called.strip("# ").isdecimal() else _call(problem, called, "--call")
     limit = AnswerLimit.of(seconds)
@@ -94,16 +100,6 @@ def _of_problem(problem: Problem, called: str | None, other: str | None, seconds
         if found.plan is None or called is None:
             return why_goal(problem, found, limit)
         return [why_call_of_plan(problem, found.plan, _number(found.plan, called, wanted))]
-
-
-def _of_journal(journal: str | None, task: str | None, last: int | None, called: str | None, *, replan: bool) -> Sequence[Answer]:
-    """Return the answers about a run."""
-    with errors_of_journals():
-        history = JournalHistory.read(chosen_journal(journal), last)
-        meant = task_meant(history, task)
-        if replan:
-            return why_replanned(history, meant)
-        return why_so(history, meant) if called is None else why_call_of_run(history, meant, *call_meant(meant, called))
 
 
 def _in_the_middle(problem: Problem, journal: str, task: str | None, last: int | None) -> Problem:
@@ -123,7 +119,6 @@ def _in_the_middle(problem: Problem, journal: str, task: str | None, last: int |
 
 
 def _number(plan: Plan, called: str, wanted: PlanStep | None) -> int:
-    """Return the number from 0 of the call that is meant."""
     if wanted is None:
         number = int(called.strip("# "))
         if number >= len(plan.steps):

@@ -241,7 +241,6 @@ def _nothing(problem: Problem, reachability: Reachability, proved: int) -> Answe
 
 
 def _text(problem: Problem, label: Label) -> str:
-    """Return a change in words."""
     texts = []
     for subject, truth in sorted(label, key=str):
         assert isinstance(subject, tuple), "only facts are changed"

@@ -305,7 +305,6 @@ def _compared(problem: Problem, asked: Forced, plan: Plan, its: Plan, now: tuple
 
 
 def _worth(problem: Problem, plan: Plan) -> float | None:
-    """Return the value of a plan that is compared."""
     if problem.has_preferences or (problem.metric and problem.metric.expression != ValueOf(TOTAL_TIME)):
         return plan.cost
     return plan.makespan if plan.temporal else float(len(plan.steps))

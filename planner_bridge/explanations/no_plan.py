@@ -221,7 +221,6 @@ class DeadEnds:
 
 
 def _short(condition: Condition) -> str:
-    """Return the text of a condition; of a long one the beginning."""
     match condition:
         case Compare("=", left, right) if left == right:
             text = f"a value of {left}"

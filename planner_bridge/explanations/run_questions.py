@@ -185,7 +185,6 @@ def _waited(history: JournalHistory, run: RunHistory, call: int, started: float)
 
 
 def _obstacles(history: JournalHistory, task: TaskHistory, run: RunHistory, call: int) -> Iterator[Answer]:
-    """Yield everything that holds a call back now."""
     replay, planned = history.replay, run.source.plan.calls[call]
     if task.state in (TaskState.PAUSING, TaskState.PAUSED):
         yield Answer(f"its task is {task.state.word}: {task.reason}", Known.JOURNAL)
@@ -214,7 +213,6 @@ def _obstacles(history: JournalHistory, task: TaskHistory, run: RunHistory, call
 
 
 def _because(run: RunHistory, ordering: Ordering) -> str:
-    """Return for which facts the order is kept."""
     before, after = run.steps[ordering.before.call], run.steps[ordering.after.call]
     if not (isinstance(before, ActionCall) and isinstance(after, ActionCall) and ordering.protects):
         return ""
@@ -273,7 +271,6 @@ def _cause(trouble: Trouble) -> str:
 
 
 def _attempts(history: JournalHistory, run: RunHistory, failed: Trouble) -> Iterator[Answer]:
-    """Yield the attempts before the failure."""
     began, step = history.world_began, failed.step
     if sent := history.sent(run, step.index):
         times = listed([f"{attempt.sent - began:.2f} s" for attempt in sent], most=_SHOWN)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from math import isfinite
@@ -56,12 +56,13 @@ def modelled_duration(schema: ActionSchema, arguments: tuple[str, ...], state: S
 
 
 def initial_knowledge(*described: Problem | HandWrittenPlan) -> KnowledgeBase:
-    """Return the knowledge in the initial state of a problem or a plan, or of several that share one world.
-
-    Raises:
-        InputError: two of them begin with different values of a fluent.
-    """
-    beginnings = [_beginning(source) for source in described]
+    """Return the initial knowledge of a problem or plan, or of several in one world; raise an `InputError` if two differ about a fluent."""
+    beginnings = [
+        (source.name, source.init, source.objects_by_type, source.domain.rules)
+        if isinstance(source, Problem)
+        else (source.name, source.facts, source.objects, source.rules)
+        for source in described
+    ]
     if len(beginnings) == 1:
         _, facts, objects, rules = beginnings[0]
         return KnowledgeBase(facts, objects=objects, rules=rules)
@@ -78,12 +79,6 @@ def initial_knowledge(*described: Problem | HandWrittenPlan) -> KnowledgeBase:
         shared |= {str(rule): rule for rule in rules}
     facts = {fluent: value for fluent, (value, _) in values.items()}
     return KnowledgeBase(facts, objects=members, rules=Rules(tuple(shared.values())))
-
-
-def _beginning(source: Problem | HandWrittenPlan) -> tuple[str, Mapping[Fluent, Value], Mapping[str, tuple[str, ...]], Rules]:
-    if isinstance(source, Problem):
-        return source.name, source.init, source.objects_by_type, source.domain.rules
-    return source.name, source.facts, source.objects, source.rules
 
 
 def dynamic_names(problem: ProblemModel) -> frozenset[str]:

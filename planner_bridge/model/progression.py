@@ -83,15 +83,14 @@ def happenings(problem: Problem, plan: Plan, first: int = 0) -> list[Happening]:
         if not groups or time - groups[-1][0] > EPSILON:
             groups.append((time, []))
         groups[-1][1].append(what)
-    return [_happening(time, together) for time, together in groups]
-
-
-def _happening(time: float, together: list[PlanEvent | TimedChange]) -> Happening:
-    events = [one for one in together if isinstance(one, PlanEvent)]
-    if len(events) > 1:
-        starting = {event.call for event in events if event.moment is Moment.START}
-        events.sort(key=lambda event: ((event.call in starting) * (1 + (event.moment is Moment.END)), event.call))
-    return Happening(time, tuple([one for one in together if isinstance(one, TimedChange)]), tuple(events))
+    found = []
+    for time, together in groups:
+        events = [one for one in together if isinstance(one, PlanEvent)]
+        if len(events) > 1:
+            starting = {event.call for event in events if event.moment is Moment.START}
+            events.sort(key=lambda event: ((event.call in starting) * (1 + (event.moment is Moment.END)), event.call))
+        found.append(Happening(time, tuple([one for one in together if isinstance(one, TimedChange)]), tuple(events)))
+    return found
 
 
 def snapshot(knowledge: KnowledgeBase) -> KnowledgeBase:

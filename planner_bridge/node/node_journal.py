@@ -81,15 +81,15 @@ def left_behind(place: Path) -> Iterator[str]:
 def latest_journal() -> Path:
     """Return the journal of the nodes of this user that was written last; raise an `InputError` if there is none."""
     folder = journals_folder()
-    files = sorted(folder.glob(f"*{SUFFIX}"), key=_written)
+
+    def written(journal: Path) -> float:
+        log = journal.with_name(f"{journal.name}-wal")
+        return max(file.stat().st_mtime for file in (journal, log) if file.exists())
+
+    files = sorted(folder.glob(f"*{SUFFIX}"), key=written)
     if not files:
         raise InputError(f"there is no journal in {folder}; expected a file")
     return files[-1]
-
-
-def _written(journal: Path) -> float:
-    log = journal.with_name(f"{journal.name}-wal")
-    return max(file.stat().st_mtime for file in (journal, log) if file.exists())
 
 
 async def checked_names(ros: Any, plans: Iterable[str], place: Place | None) -> tuple[tuple[str, ...], Mapping[str, str]]:

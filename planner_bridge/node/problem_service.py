@@ -303,7 +303,6 @@ async def make_plan(world: SharedWorld, settings: Settings, goal: str, planner: 
 
 
 def _steps(problem: Problem, plan: Plan) -> tuple[TaskStep, ...]:
-    """Return the steps of a plan, each with the steps that are ordered before it."""
     before: dict[int, set[int]] = {}
     for ordering in plan_graph(problem, plan).orderings:
         before.setdefault(ordering.after.call, set()).add(ordering.before.call)

@@ -101,7 +101,6 @@ async def make_task_manager(context: NodeContext) -> NodeApi:
         context.backend.declare(context.names_of(problem))
 
     world = ServedProblem(loaded, folder, begin_anew, context.check)
-
     return NodeApi(manager, loaded.make, world, manager.knowledge_of, manager.restore, manager.close)
 
 
@@ -175,7 +174,7 @@ class ServingNode:
         self._node: Any = None
         self._state = "inactive"
         self._actions: tuple[str, ...] = ()
-        self._restore: Callable[[], None] = _nothing
+        self._restore: Callable[[], None] | None = None
         self.fenced: asyncio.Future[Fenced] = asyncio.get_running_loop().create_future()
         """Done when another node has taken the journal over."""
 
@@ -194,13 +193,9 @@ class ServingNode:
         await self._node.activate()
         self._state = "active"
         self._observer.activated(self._actions)
-        self._restore()  # once: a node that was deactivated has its tasks still
-        self._restore = _nothing
-
-    def _restore_tasks(self, api: NodeApi, replay: Replay | None) -> None:
-        if replay is not None:
-            api.restore(replay)
-            self._node.restored(replay.is_held, {task.accepted.wanted.id for task in replay.unfinished if task.is_held})
+        if self._restore is not None:
+            self._restore()  # once: a node that was deactivated has its tasks still
+            self._restore = None
 
     async def deactivate(self) -> None:
         """Reject goals, and pause tasks."""
@@ -227,15 +222,29 @@ class ServingNode:
         def knowledge_of(request: UUID) -> tuple[Layered, Asker] | None:
             return runner.knowledge_of(request) or api.knowledge_of(request)
 
+        def prepared(preparing: asyncio.Future[tuple[str, ...]]) -> None:
+            if preparing.cancelled():
+                return
+            if error := preparing.exception():
+                self._observer.failed(error)
+                return
+            for name in preparing.result():
+                self._observer.missing(name)
+
+        def restore() -> None:
+            if (replay := context.replay) is not None:
+                api.restore(replay)
+                self._node.restored(replay.is_held, {task.accepted.wanted.id for task in replay.unfinished if task.is_held})
+
         await context.backend.share(runner.prefix, knowledge_of, context.sources)
         preparing = asyncio.ensure_future(runner.prepare())
         stack.callback(preparing.cancel)
         await asyncio.wait((preparing,), timeout=_PREPARED)
         if preparing.done():
             preparing.result()  # raises what is wrong
-        preparing.add_done_callback(self._prepared)
+        preparing.add_done_callback(prepared)
         self._node = TaskNode(self._ros, api.tasks, api.make, api.world, context.plan_actions, kept_tasks(context.replay))
-        self._restore = partial(self._restore_tasks, api, context.replay)
+        self._restore = restore
         look = partial(context.backend.look, runner.actions)
         await open_diagnoses(stack, self._ros, look, api.tasks, lambda: self._state, self._clock, context.journal, self._options)
         self._observer.configured(api.tasks, self._node, api.world)
@@ -243,19 +252,6 @@ class ServingNode:
         stack.push_async_callback(_close_in_time, api.close)
         stack.push_async_callback(self._node.close, context.options.cancel)
         await self._node.open()
-
-    def _prepared(self, preparing: asyncio.Future[tuple[str, ...]]) -> None:
-        if preparing.cancelled():
-            return
-        if error := preparing.exception():
-            self._observer.failed(error)
-            return
-        for name in preparing.result():
-            self._observer.missing(name)
-
-
-def _nothing() -> None:
-    """Restore nothing."""
 
 
 async def _close_in_time(close: Callable[[], Awaitable[None]]) -> None:

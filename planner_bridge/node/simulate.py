@@ -88,11 +88,7 @@ class ServerModel:
     """Whether a condition is true in the world now."""
 
     def decode(self, data: Mapping[str, object]) -> GroundAction:
-        """Return the ground action of a goal: by the field `action`, by field names, by the goal mapping backwards.
-
-        Raises:
-            InputError: it fits none of the actions.
-        """
+        """Return the action of a goal, by field `action`, field names, or the goal mapping backwards; raise an `InputError` if none fits."""
         planned = data.get("duration")
         candidates = list(self._candidates(data))
         for schema, arguments in candidates:

@@ -145,11 +145,7 @@ class SharedWorld:
         return wanted
 
     def record(self, wanted: Iterable[WantedChange]) -> int:
-        """Record changes at once; return how many facts have changed.
-
-        Raises:
-            InputError: two of them contradict each other, or one contradicts a sensor; nothing is recorded.
-        """
+        """Record changes; return how many facts changed. If they contradict each other or a sensor, record none, raise an `InputError`."""
         changes: dict[Fluent, Value | Unknown] = {}
         for change in wanted:
             fluent, value = change.fluent, change.value

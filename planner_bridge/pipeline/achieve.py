@@ -101,7 +101,6 @@ def _goal_handle(
     stopwatch: Stopwatch,
     journal: JournalChoice | Path | str | None = None,
 ) -> GoalHandle:
-    """Return the handle of a goal, all of whose inputs are right."""
     settings, observer = settings or Settings(), observer or TaskObserver()
     check_kinds("achieve", {"settings": (settings, Settings), "observer": (observer, TaskObserver), "faults": (faults, Faults)})
     with stopwatch.of("parse"):

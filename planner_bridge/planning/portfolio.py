@@ -203,17 +203,17 @@ def _begin_process(stop_file: str) -> None:
     """Leave Ctrl-C to the parent, and watch for the end of the search in a thread."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     forget_safe_path()
-    threading.Thread(target=_exit_when_stopped, args=(Path(stop_file),), daemon=True).start()
 
+    def exit_when_stopped() -> None:
+        parent = multiprocessing.parent_process()
+        # Joining the parent is the sleep: its end is noticed at once, and the file within one interval.
+        while parent and parent.is_alive() and not Path(stop_file).exists():
+            parent.join(_POLL)
+        if parent:  # a grace period, in which a planner that looks at its token ends properly and cleans up
+            parent.join(_GRACE)
+        os._exit(1)  # not `sys.exit`: this is a thread, and native code of a planner would hold up an orderly end
 
-def _exit_when_stopped(stop_file: Path) -> None:
-    parent = multiprocessing.parent_process()
-    # Joining the parent is the sleep: its end is noticed at once, and the file within one interval.
-    while parent and parent.is_alive() and not stop_file.exists():
-        parent.join(_POLL)
-    if parent:  # a grace period, in which a planner that looks at its token ends properly and cleans up
-        parent.join(_GRACE)
-    os._exit(1)  # not `sys.exit`: this is a thread, and native code of a planner would hold up an orderly end
+    threading.Thread(target=exit_when_stopped, daemon=True).start()
 
 
 def _when_all_have_ended(futures: set[Future[PlanningResult]], then: Callable[[], None]) -> None:

@@ -19,7 +19,7 @@ from typing import Final, NamedTuple, TypeAlias, cast
 
 from planner_bridge.model.grounding import dynamic_names, initial_knowledge
 from planner_bridge.model.problem import Problem
-from planner_bridge.planning.normal_form import Assignment, assignments
+from planner_bridge.planning.normal_form import Assignment, schema_assignments
 from pnm.core.logic.conditions import All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts, evaluate, fluents
 from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.expressions import (
@@ -130,11 +130,7 @@ class Reachability:
         self._steps = 0
 
     def settle(self, goal: Condition, until: float = inf) -> None:
-        """Work the lacks out: each only ever gets cheaper, and then so may what needs it.
-
-        Raises:
-            TooLarge: that takes too long: until a time on the monotonic clock, at most.
-        """
+        """Work the lacks out: each only gets cheaper, and then so may what needs it; raise `TooLarge` at this time (monotonic clock)."""
         self.of(goal)
         while self._waiting:
             self._use = use = self._waiting.popleft()
@@ -308,20 +304,15 @@ class _Change(NamedTuple):
 
 
 def _changes(problem: Problem) -> Iterator[_Change]:
-    """Yield the effects of actions."""
     for schema in problem.domain.actions.values():
-        at_end, defined = All((schema.precondition, schema.invariant, schema.end_condition)), _defined(schema)
-        for effects, needed in ((schema.start_effects, schema.precondition), (schema.end_effects, at_end)):
-            for effect in assignments(effects, schema.parameters):
+        at_start, at_end = schema_assignments(schema)
+        values = [change.value for change in (*at_start, *at_end) if change.is_plain and change.fluent[0].lower() != MAY_BE_UNSET]
+        numbers = [*(constraint.bound for constraint in schema.duration or ()), *values]  # which need a value
+        defined = [Compare("=", number, number) for number in dict.fromkeys(numbers) if any(expression_fluents(number))]
+        whole = All((schema.precondition, schema.invariant, schema.end_condition))
+        for effects, needed in ((at_start, schema.precondition), (at_end, whole)):
+            for effect in effects:
                 yield _Change(schema, effect, All((needed, effect.condition, *defined)))
-
-
-def _defined(schema: ActionSchema) -> tuple[Condition, ...]:
-    """Return the fluents that need a value for the action: in its duration, and the numbers that it always changes."""
-    changes = [*assignments(schema.start_effects, schema.parameters), *assignments(schema.end_effects, schema.parameters)]
-    values = [change.value for change in changes if change.is_plain and change.fluent[0].lower() != MAY_BE_UNSET]
-    expressions = [*(constraint.bound for constraint in schema.duration or ()), *values]
-    return tuple(Compare("=", expression, expression) for expression in dict.fromkeys(expressions) if any(expression_fluents(expression)))
 
 
 def literal_of(condition: Condition, env: Environment = NOTHING, truth: bool = True) -> GoalLiteral | None:
@@ -428,7 +419,6 @@ def _nearest(reachability: Reachability, way: Way) -> Achiever:
 
 
 def _endings(reachability: Reachability, problem: Problem, lack: Condition) -> Iterator[_Said]:
-    """Yield the explanations of a condition that does not hold."""
     literal, mentioned = literal_of(lack), fluents(lack, reachability.state)
     if guarded := [problem.guards[fluent] for fluent in mentioned & problem.guards.keys()]:
         yield from ((_Ending.FORBIDDEN, call) for call in guarded)

@@ -224,7 +224,6 @@ class ConstraintMonitor:
 
 @once_per_domain
 def _unconstrained(domain: Domain) -> Domain:
-    """Return the domain without its constraints and preferences."""
     return replace(domain, constraints=(), preferences=())
 
 

@@ -92,11 +92,7 @@ class GoalLoop:
         self._question: asyncio.Future[Advice] | None = None
 
     async def pursue(self) -> TaskResult:
-        """Plan, execute and replan until the task has come to its end.
-
-        Raises:
-            InputError: the planner refuses the problem; nothing was started.
-        """
+        """Plan, execute and replan until the task ends; raise an `InputError`, with nothing started, if the planner refuses the problem."""
         with ExitStack() as cleanup:
             cleanup.callback(self._withdraw)
             cleanup.callback(self._search.end_ahead)
@@ -172,7 +168,6 @@ class GoalLoop:
         return TaskEnded(ended.code, join_reasons(ended.reason, advice.why))
 
     def _withdraw(self) -> None:
-        """Withdraw the question to a person, if one is open."""
         if self._question is not None:
             self._question.cancel()
             self._question = None
@@ -265,7 +260,6 @@ class GoalLoop:
                 return graph
 
     def _follow(self, machine: PetriNetMachine, result: RunResult, decision: Decision, history: History) -> None:
-        """Record a run that another follows, and why."""
         self._log.end(machine, result, decision)
         self._log.history = history
         self._note_goal(decision)

@@ -276,7 +276,6 @@ class PlanExecution(Observer):
         self.executor.succeed(self._run_of(successor, dict(zip(numbers, self.run.under_way(), strict=True))))
 
     def _run_of(self, proved: ProvedMachine, adopted: Mapping[int, UnderWay]) -> Run:
-        """Return the run of a machine, which takes over requests."""
         context, (machine, proof) = self._context, proved
         context.observer.generated(machine, proof)
         return context.journal.make_run(
@@ -297,11 +296,7 @@ class PlanExecution(Observer):
 
 
 async def proved_machine(context: TaskContext, graph: PlanGraph) -> ProvedMachine:
-    """Generate and verify the machine of a plan, in a thread: for a long plan that takes seconds, in which the event loop goes on.
-
-    Raises:
-        Unsound: the plan cannot be executed.
-    """
+    """Generate and verify the machine of a plan in a thread, which may take seconds; raise `Unsound` if the plan cannot be executed."""
 
     def prove() -> ProvedMachine:
         settings, stopwatch = context.settings, context.task.stopwatch

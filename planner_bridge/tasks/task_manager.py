@@ -252,11 +252,7 @@ class TaskManager:
         return lambda: self._listeners.remove(listener)
 
     def begin_anew(self, problem: Problem) -> None:
-        """Pursue goals in the world of another problem from now on.
-
-        Raises:
-            InputError: there are tasks, or requests that were given up; or it cannot be kept.
-        """
+        """Pursue goals in another problem from now on; raise an `InputError` if there are tasks or withheld requests, or it cannot be kept."""
         if self._journal.blocked:
             raise InputError(self._journal.blocked)
         if busy := f"there are {number} tasks" if (number := len(self._tasks)) else who_keeps(self._resources.withheld):
@@ -299,7 +295,6 @@ class TaskManager:
         return [self._tasks[task]]
 
     def _in_order(self) -> list[Task]:
-        """Return the tasks that are not over, in the order in which they are served."""
         return sorted(self._tasks.values(), key=lambda task: task.rank)
 
     def _remember(self, task: Task) -> None:
@@ -425,7 +420,6 @@ class TaskManager:
     # --- their contexts ---------------------------------------------------------------------------
 
     def _reader(self, task: Task) -> Callable[[], TaskText]:
-        """Return the reader of a task's text, in any thread."""
         return partial(
             read_text, task.wanted, self._read_goal, self._runner.programs, self._now() if task.wanted.is_plan else self._problem
         )

@@ -113,11 +113,9 @@ class ViewApp:
         return FileResponse(PAGE / "index.html")
 
     async def _state(self, request: Request) -> Response:
-        """Answer with the whole state after a record."""
         return await self._told(request, lambda story: self._frame(None, view_of(story)))
 
     async def _call(self, request: Request) -> Response:
-        """Answer with all that is known of a call after a record."""
         return await self._told_of_call(request, detail)
 
     async def _why(self, request: Request) -> Response:
@@ -137,7 +135,6 @@ class ViewApp:
         return await self._told_of_call(request, asked, answered)
 
     async def _do(self, request: Request) -> Response:
-        """Have a command carried out."""
         return await self._control.do(request, self._projected)
 
     async def _projected(self) -> KnowledgeBase:
@@ -413,11 +410,7 @@ def _is_deep(value: object, levels: int = _LEVELS) -> bool:
     return levels == 0 or any(_is_deep(entry, levels - 1) for entry in inner)
 
 
-def _nowhere(_: str) -> None:
-    """Write to nobody."""
-
-
-NO_CONTROL: Final = Control(Controlled.NOTHING, "", Channel(_nowhere))
+NO_CONTROL: Final = Control(Controlled.NOTHING, "", Channel(lambda _: None))
 
 
 def _command_refused(why: str, status: int) -> Response:

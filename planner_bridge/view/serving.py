@@ -228,11 +228,7 @@ _HOST: Final = "127.0.0.1"
 
 
 def listening(port: int) -> socket.socket:
-    """Return a socket for the page, at a port of this computer; any that is free for 0.
-
-    Raises:
-        InputError: what serves the page is not installed, or the port is in use.
-    """
+    """Return a socket for the page at a port, any free one for 0; raise an `InputError` if that is in use, or an extra is not installed."""
     try:
         import starlette  # noqa: F401
         import uvicorn  # noqa: F401, an extra, like starlette

@@ -168,7 +168,6 @@ def _source(*, is_sensed: bool) -> str:
 
 
 def _said(meta: str) -> str:
-    """Return the words of a question."""
     said = json.loads(meta) if meta else None
     return said if isinstance(said, str) else "" if said is None else json.dumps(said, ensure_ascii=False)
 
@@ -289,7 +288,6 @@ def _step_text(step: Step) -> str:
 
 
 def _servers(story: Story) -> dict[str, shown.ServerShown]:
-    """Return the servers that calls are bound to."""
     actions: dict[str, dict[str, None]] = {}
     busy: dict[str, list[str]] = {}
     failed = Counter[str]()
@@ -437,7 +435,6 @@ def _check(story: Story, when: str, condition: Condition, context: EvaluationCon
 
 
 def _sources(read: frozenset[Fluent], context: EvaluationContext) -> str:
-    """Return the sources of the fluents of a condition."""
     derived = {fluent for fluent in read if fluent[0] in context.world.rules.derived}
     ways = {
         "derived": bool(derived),

@@ -55,11 +55,7 @@ _TRAJECTORY: Final[Mapping[str, Callable[..., Any]]] = {
 
 
 def from_unified_planning(problem: up.Problem) -> Problem:
-    """Turn a unified-planning Problem into ours, by way of its PDDL.
-
-    Raises:
-        InputError: the problem cannot be written as PDDL, or uses what we do not read.
-    """
+    """Turn a unified-planning Problem into ours, through PDDL; raise an `InputError` if it cannot be written, or uses what we do not read."""
     writer = PDDLWriter(problem)
     name = problem.name or "problem"
     try:
@@ -269,7 +265,6 @@ class TypeTree:
 
 
 def _path(name: str, parents: dict[str, str]) -> list[str]:
-    """Return the type and all above it, the root last."""
     path = [name]
     while path[-1] != ROOT:
         path.append(parents[path[-1]])

@@ -13,7 +13,7 @@ from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.ordering.causal_links import CausalLinks
 from planner_bridge.ordering.partial_order import NEAR, PartialOrder, Writers, direct_orderings
-from planner_bridge.ordering.threats import _Need, _Trace, wrong_writer
+from planner_bridge.ordering.plan_to_graph import _Need, _Trace, wrong_writer
 from pnm.core.logic.effects import TimedChange
 from pnm.core.logic.expressions import Fluent
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
