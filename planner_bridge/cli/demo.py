@@ -139,14 +139,14 @@ async def _start(stack: AsyncExitStack, *arguments: str) -> Process:
     process = await asyncio.create_subprocess_exec(
         *own_python(*arguments), env=own_environment(**own), stdin=DEVNULL, stdout=PIPE, stderr=DEVNULL
     )
-    stack.push_async_callback(_end, process)
+
+    async def end() -> None:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
+
+    stack.push_async_callback(end)
     return process
-
-
-async def _end(process: Process) -> None:
-    if process.returncode is None:
-        process.kill()
-        await process.wait()
 
 
 async def _lines(process: Process) -> AsyncIterator[str]:

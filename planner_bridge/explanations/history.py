@@ -343,7 +343,13 @@ class JournalHistory:
                     elif isinstance(record, records.RunMade):
                         self._executed[record.run] = self._replay.runs[record.run]
                     elif isinstance(record, _FREES):
-                        self._note_resources(self._replay.now)
+                        now = {claim.request: claim for claim in self._replay.resources.held}
+                        for request in self._holding - now.keys():
+                            self._held[request] = replace(self._held[request], until=self._replay.now)
+                        for request in (now.keys() - self._holding) & self._replay.requests.keys():
+                            action = str(self._replay.requests[request].action)
+                            self._held[request] = HeldResources(action, now[request].names, self._replay.now)
+                        self._holding = self._held.keys() & now.keys()
                 except PnmError:
                     raise
                 except Exception as error:
@@ -499,8 +505,12 @@ class JournalHistory:
                 records.change(self.world, delta)
         for told in record.told:
             match told:
-                case Sent():
-                    self._note_sent(run, told)
+                case Sent(request, index, number, arguments):
+                    action = action_with(run.source.plan.calls[index].action, arguments)
+                    self.attempts[request] = Attempt(run.id, index, run.id, index, action, number, self.number, self.time)
+                    run.sent.setdefault(index, []).append(request)
+                    run.requests += action.operation is None
+                    run.follow(f"tried again, attempt {number}", index)
                 case Hindered():
                     self._note_trouble(run, told)
                 case _:
@@ -517,14 +527,6 @@ class JournalHistory:
             case _:
                 pass
 
-    def _note_sent(self, run: RunHistory, sent: Sent) -> None:
-        index, id, number = sent.call, run.id, sent.attempt
-        action = action_with(run.source.plan.calls[index].action, sent.arguments)
-        self.attempts[sent.request] = Attempt(id, index, id, index, action, number, self.number, self.time)
-        run.sent.setdefault(index, []).append(sent.request)
-        run.requests += action.operation is None
-        run.follow(f"tried again, attempt {number}", index)
-
     def _note_trouble(self, run: RunHistory, told: Hindered) -> None:
         """Note a hindrance or a failure of a step. A failure replaces the hindrance that led to it."""
         step, cause, is_failure = run.steps[told.step], told.cause, told.is_failure
@@ -536,12 +538,3 @@ class JournalHistory:
         self._observed += 1
         run.troubles[key] = Trouble(step, cause, self.number, self.time, len(run.sent.get(step.index, ())), is_failure, hindrance)
         run.open[key] = None
-
-    def _note_resources(self, time: float) -> None:
-        now = {claim.request: claim for claim in self._replay.resources.held}
-        for request in self._holding - now.keys():
-            self._held[request] = replace(self._held[request], until=time)
-        for request in now.keys() - self._holding:
-            if request in self._replay.requests:
-                self._held[request] = HeldResources(str(self._replay.requests[request].action), now[request].names, time)
-        self._holding = self._held.keys() & now.keys()

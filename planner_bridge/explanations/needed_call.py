@@ -167,25 +167,21 @@ def why_plan(problem: Problem, plan: Plan) -> Answer:
         )
     course = Course.of(problem, plan)
     best = ", and it is proved that none is better" if plan.is_best else ""
-    lines = tuple(_line(course, number) for number in range(len(plan.steps)))
-    return Answer(f"there is a plan with {counted(len(plan.steps), 'call')}{best}", Known.PLAN, lines, (Solves(problem, plan),))
-
-
-def _line(course: Course, call: int) -> Answer:
-    needs = course.needs(call)
-    if not needs:
-        return Answer(f"{course.name(call)}: no later condition needs it", Known.SIMULATION)
-    for_calls: dict[str, list[str]] = {}
-    parts = []
-    for by, needed in needs.items():
-        conditions = listed([str(condition) for condition in needed])
-        if by is None:
-            parts.append(f"for the goal {conditions}")
-        else:
-            for_calls.setdefault(conditions, []).append(f"#{by}")
-    for conditions, calls in for_calls.items():
-        parts.append(f"for {listed(calls)}, which need{'s' if len(calls) == 1 else ''} {conditions}")
-    return Answer(f"{course.name(call)}: {'; '.join(parts)}", Known.SIMULATION)
+    lines = []
+    for call in range(len(plan.steps)):
+        for_calls: dict[str, list[str]] = {}
+        parts = []
+        for by, needed in course.needs(call).items():
+            conditions = listed([str(condition) for condition in needed])
+            if by is None:
+                parts.append(f"for the goal {conditions}")
+            else:
+                for_calls.setdefault(conditions, []).append(f"#{by}")
+        for conditions, calls in for_calls.items():
+            parts.append(f"for {listed(calls)}, which need{'s' if len(calls) == 1 else ''} {conditions}")
+        lines.append(Answer(f"{course.name(call)}: {'; '.join(parts) or 'no later condition needs it'}", Known.SIMULATION))
+    text = f"there is a plan with {counted(len(plan.steps), 'call')}{best}"
+    return Answer(text, Known.PLAN, tuple(lines), (Solves(problem, plan),))
 
 
 # --- why not another action -----------------------------------------------------------------------

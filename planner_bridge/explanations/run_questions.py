@@ -258,28 +258,25 @@ def not_told(task: TaskHistory) -> Answer:
 
 def why_failed(history: JournalHistory, run: RunHistory) -> Iterator[Answer]:
     """Yield each failure of a run: what was expected and observed, how often it was tried, and which recovery."""
-    for trouble in run.failures:
-        step = trouble.step
+    began = history.world_began
+    for failed in run.failures:
+        step, before = failed.step, list[Answer]()
+        if sent := history.sent(run, step.index):
+            times = listed([f"{attempt.sent - began:.2f} s" for attempt in sent], most=_SHOWN)
+            before.append(Answer(f"it was sent {counted(len(sent), 'time')}, at {times}", Known.JOURNAL))
+        hindered = [trouble for trouble in run.hindrances if trouble.step.index == step.index and trouble.time < failed.time]
+        for trouble in hindered:
+            text = f"at {trouble.time - began:.2f} s, attempt {trouble.attempt}: {_cause(trouble)}"
+            before.append(Answer(text, Known.JOURNAL))
+        for recovery in step.recoveries if isinstance(step, ActionCall) else ():
+            if not recovery.causes.isdisjoint({failed.cause.cause, *(trouble.cause.cause for trouble in hindered)}):
+                steps = [str(step.action if isinstance(step, ActionCall) else step) for step in recovery.chain.steps]
+                words = ", then ".join([*steps, recovery.then.value])
+                before.append(Answer(f"its plan has a recovery for that: {words}", Known.GIVEN))
         name = f"#{step.index} {step.action}" if isinstance(step, ActionCall) else str(step)
-        text = f"{name} failed at {trouble.time - history.world_began:.2f} s: {_cause(trouble)}"
-        yield Answer(text, Known.JOURNAL, tuple(_attempts(history, run, trouble)))
+        yield Answer(f"{name} failed at {failed.time - began:.2f} s: {_cause(failed)}", Known.JOURNAL, tuple(before))
 
 
 def _cause(trouble: Trouble) -> str:
     cause = trouble.cause
     return f"{cause.cause.value.replace('_', ' ')}: expected {cause.expected or 'success'}; observed {cause.observed or 'nothing'}"
-
-
-def _attempts(history: JournalHistory, run: RunHistory, failed: Trouble) -> Iterator[Answer]:
-    began, step = history.world_began, failed.step
-    if sent := history.sent(run, step.index):
-        times = listed([f"{attempt.sent - began:.2f} s" for attempt in sent], most=_SHOWN)
-        yield Answer(f"it was sent {counted(len(sent), 'time')}, at {times}", Known.JOURNAL)
-    hindered = [trouble for trouble in run.hindrances if trouble.step.index == step.index and trouble.time < failed.time]
-    for trouble in hindered:
-        yield Answer(f"at {trouble.time - began:.2f} s, attempt {trouble.attempt}: {_cause(trouble)}", Known.JOURNAL)
-    for recovery in step.recoveries if isinstance(step, ActionCall) else ():
-        if failed.cause.cause in recovery.causes or any(trouble.cause.cause in recovery.causes for trouble in hindered):
-            steps = [str(step.action if isinstance(step, ActionCall) else step) for step in recovery.chain.steps]
-            words = ", then ".join([*steps, recovery.then.value])
-            yield Answer(f"its plan has a recovery for that: {words}", Known.GIVEN)

@@ -88,7 +88,7 @@ class ServerModel:
     """Whether a condition is true in the world now."""
 
     def decode(self, data: Mapping[str, object]) -> GroundAction:
-        """Return the action of a goal, by field `action`, field names, or the goal mapping backwards; raise an `InputError` if none fits."""
+        """Return the action of a goal, by `action`, field names, or its goal mapping backwards; raise an `InputError` if none fits."""
         planned = data.get("duration")
         candidates = list(self._candidates(data))
         for schema, arguments in candidates:
@@ -110,7 +110,10 @@ class ServerModel:
             told = arguments_of(self.bindings.of(schema.name).goal or {}, data)
             if told is None or (isinstance(named, str) and named != schema.name):
                 continue
-            known = {**_arguments(schema, data), **told, **fixed}
+            names = [variable.name[1:] for variable in schema.parameters]
+            listed = data.get("arguments")
+            known = dict(zip(names, listed, strict=False)) if isinstance(listed, list) else {}
+            known |= {**{name: data[name] for name in names if name in data}, **told, **fixed}
             choices = [
                 [known[name]] if (name := variable.name[1:]) in known else state.objects(variable.types) for variable in schema.parameters
             ]
@@ -118,14 +121,6 @@ class ServerModel:
                 kinds = zip(arguments, schema.parameters, strict=True)
                 if all(problem.domain.matches(problem.objects.get(str(name), ()), variable.types) for name, variable in kinds):
                     yield schema, tuple(map(str, arguments))
-
-
-def _arguments(schema: ActionSchema, data: Mapping[str, object]) -> dict[str, object]:
-    """Return the arguments in a goal, by the parameter: of the field `arguments`, or of fields by name."""
-    names = [variable.name[1:] for variable in schema.parameters]
-    listed = data.get("arguments")
-    arguments = dict(zip(names, listed, strict=False)) if isinstance(listed, list) else {}
-    return arguments | {name: data[name] for name in names if name in data}
 
 
 def server_models(problem: Problem, bindings: Bindings, holds: Callable[[Condition], bool]) -> list[ServerModel]:
@@ -198,11 +193,16 @@ class LoggedRobots:
     def send(self, request: Request, report: Reporter, /) -> None:
         """Pass the request on, and log its reports."""
 
+        def log_clashes() -> None:
+            for text in self.robots.clashes[self._clashes :]:
+                self.write("clash", text=text)
+            self._clashes = len(self.robots.clashes)
+
         def log(what: Report) -> None:
             match what:
                 case Accepted():
                     self.write("start", action=str(request.action))
-                    asyncio.get_running_loop().call_soon(self._log_clashes)  # the robots begin right after they have accepted
+                    asyncio.get_running_loop().call_soon(log_clashes)  # the robots begin right after they have accepted
                 case Ended(_, outcome):
                     self.write("end", action=str(request.action), outcome=outcome.kind.value, message=outcome.message)
             report(what)
@@ -222,8 +222,3 @@ class LoggedRobots:
             time = round(asyncio.get_running_loop().time() - self._began, 4)
             self.log.write(json.dumps({"time": time, "event": event, **data}) + "\n")
             self.log.flush()
-
-    def _log_clashes(self) -> None:
-        for text in self.robots.clashes[self._clashes :]:
-            self.write("clash", text=text)
-        self._clashes = len(self.robots.clashes)

@@ -106,24 +106,21 @@ class _Trace:
                 self.end_effects[call.index] = decided(call.action.end_effects, self.state)
         for number, happening in enumerate(self.order.happenings):
             if isinstance(happening, PlanEvent):
-                self._carry_out(number, happening)
+                call = self.graph.calls[happening.call]
+                self._read(number, self.links.reads[happening])
+                if happening.moment is Moment.START:
+                    self.end_effects[call.index] = decided(call.action.end_effects, self.state)
+                    self._write(number, changes(call.action.start_effects, self.state))
+                elif self.projected and call.under_way:  # the state has these effects already
+                    self._write(number, {fluent: self.state.value(fluent) for fluent in self.links.writes[happening]}, before=UNKNOWN)
+                else:
+                    self._write(number, changes(self.end_effects[call.index], self.state))
             elif happening is not None:
                 self._write(number, happening.changes)
             elif number:
                 self._read(number, self.links.relevant_of(fluents(self.graph.goal, self.links.knowledge)))
             else:
                 self._write(number, {})
-
-    def _carry_out(self, number: int, event: PlanEvent) -> None:
-        call = self.graph.calls[event.call]
-        self._read(number, self.links.reads[event])
-        if event.moment is Moment.START:
-            self.end_effects[event.call] = decided(call.action.end_effects, self.state)
-            self._write(number, changes(call.action.start_effects, self.state))
-        elif self.projected and call.under_way:  # the state has these effects already
-            self._write(number, {fluent: self.state.value(fluent) for fluent in self.links.writes[event]}, before=UNKNOWN)
-        else:
-            self._write(number, changes(self.end_effects[event.call], self.state))
 
     def _read(self, reader: int, mentioned: frozenset[Fluent]) -> None:
         if mentioned:
@@ -331,7 +328,10 @@ def _with_lasting_effects(calls: Sequence[ActionCall], order: PartialOrder, link
 def causal_links(problem: Problem, actions: Sequence[GroundAction]) -> CausalLinks:
     """Return the causal links of a plan of these calls, without any happening."""
     knowledge = initial_knowledge(problem)
-    links = CausalLinks(knowledge, _relevant(problem), actions, problem.timed)
+    asked = _asked_by_domain(problem.domain).union(names(problem.goal), *map(names_in, problem.constraints))
+    asked |= {fluent[0] for change in problem.timed for fluent in change.changes}
+    read = frozenset(problem.domain.predicates) | problem.domain.rules.base(asked)  # by something besides the metric
+    links = CausalLinks(knowledge, dynamic_names(problem) & read, actions, problem.timed)
     # A network of tasks fixes the order of its steps in ways that reads and writes do not show.
     if problem.network:
         links.kept.append(OrderKept(_NETWORK))
@@ -341,14 +341,6 @@ def causal_links(problem: Problem, actions: Sequence[GroundAction]) -> CausalLin
             is_timed = problem.is_timed and bool(ground.times) and ground.operator != "within"
             links.kept.append(OrderKept((str(ground)[1:-1],), links.relevant_of(mentioned), is_timed))
     return links
-
-
-def _relevant(problem: Problem) -> frozenset[str]:
-    """Return the names of fluents that can change and that something besides the metric reads."""
-    asked = _asked_by_domain(problem.domain).union(names(problem.goal), *map(names_in, problem.constraints))
-    asked |= {fluent[0] for change in problem.timed for fluent in change.changes}
-    predicates = frozenset(problem.domain.predicates)
-    return dynamic_names(problem) & (predicates | problem.domain.rules.base(asked))
 
 
 @once_per_domain

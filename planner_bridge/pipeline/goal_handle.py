@@ -168,30 +168,25 @@ class GoalHandle:
 
         Cancelling this stops the task: what is under way is cancelled and waited for; cancelling it again leaves it alone.
         """
-        with self._journal.opened(self._backend) as journal:
-            return await self._pursue(journal)
-
-    async def _pursue(self, journal: Journal) -> TaskResult:
-        backend, goal = self._backend, self._problem.goal
-        knowledge = self._journal.world(initial_knowledge(self._problem))
-        helper = None
-        try:
+        backend, goal, helper = self._backend, self._problem.goal, None
+        with self._journal.opened(backend) as journal:
+            knowledge = self._journal.world(initial_knowledge(self._problem))
             try:
-                await backend.open(knowledge)
-                await check_ready(backend)
-            except asyncio.CancelledError:
-                cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
-                return TaskResult(Code.CANCELLED, "cancelled", 0, (), self._stopwatch.seconds)
-            if self._settings.ask_for_help:
-                helper = Sources((), make_source(SourceChoice("person"), Surroundings(getattr(backend, "ros", None))))
-            runner = self._journal.runner(backend, knowledge, journal)
-            manager = TaskManager(self._problem, runner, self._settings, lambda _: goal, helper=helper)
-            self._manager = manager
-            return await self._journal.carry_out(manager, Wanted(uuid4(), ""), self._observer, self._stopwatch)
-        finally:
-            if helper is not None:
-                await helper.close()
-            await backend.close()
+                try:
+                    await backend.open(knowledge)
+                    await check_ready(backend)
+                except asyncio.CancelledError:
+                    cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
+                    return TaskResult(Code.CANCELLED, "cancelled", 0, (), self._stopwatch.seconds)
+                if self._settings.ask_for_help:
+                    helper = Sources((), make_source(SourceChoice("person"), Surroundings(getattr(backend, "ros", None))))
+                runner = self._journal.runner(backend, knowledge, journal)
+                self._manager = TaskManager(self._problem, runner, self._settings, lambda _: goal, helper=helper)
+                return await self._journal.carry_out(self._manager, Wanted(uuid4(), ""), self._observer, self._stopwatch)
+            finally:
+                if helper is not None:
+                    await helper.close()
+                await backend.close()
 
     @property
     def state(self) -> TaskState:

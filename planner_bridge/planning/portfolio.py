@@ -91,7 +91,15 @@ def solve_with_portfolio(
         if executor is None:  # the processes are ours; an executor of the caller stays open for other searches
             pool.shutdown()
         # Not before: a worker that begins without the folder would take our file system for one that it does not share.
-        _when_all_have_ended({*searches}, lambda: shutil.rmtree(folder, ignore_errors=True))
+        going_on = {*searches}
+
+        def ended(future: Future[PlanningResult]) -> None:
+            going_on.discard(future)
+            if not going_on:
+                shutil.rmtree(folder, ignore_errors=True)
+
+        for future in searches:
+            future.add_done_callback(ended)
 
 
 def suitable_planners(problem: Problem) -> tuple[str, ...]:
@@ -214,13 +222,3 @@ def _begin_process(stop_file: str) -> None:
         os._exit(1)  # not `sys.exit`: this is a thread, and native code of a planner would hold up an orderly end
 
     threading.Thread(target=exit_when_stopped, daemon=True).start()
-
-
-def _when_all_have_ended(futures: set[Future[PlanningResult]], then: Callable[[], None]) -> None:
-    def ended(future: Future[PlanningResult]) -> None:
-        futures.discard(future)
-        if not futures:
-            then()
-
-    for future in tuple(futures):
-        future.add_done_callback(ended)

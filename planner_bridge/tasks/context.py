@@ -237,16 +237,17 @@ class Preemption(TaskListener):
 
     async def preempt(self, task: Task, conflicts: tuple[Conflict, ...]) -> None:
         """Have the tasks of lower priority pause until this task is over; return when nothing of theirs is under way."""
-        yielding = {conflict.task for conflict in conflicts if conflict.yields}
-        await asyncio.gather(*(self._pause_for(other, task) for other in self._others(task) if other.id in yielding))
 
-    async def _pause_for(self, task: Task, other: Task) -> None:
-        if task.control.state is TaskState.CANCELLING:  # it cannot be paused any more, but ends soon; waiting for that has the same effect
-            await task.control.over.wait()
-        self._set_preempted(task, other)
-        if pausing := self._pausing.get(task.id):
-            # Shielded: the other task may be cancelled while this one is being paused, which must be completed.
-            await asyncio.shield(pausing)
+        async def pause(other: Task) -> None:
+            if other.control.state is TaskState.CANCELLING:  # it cannot be paused any more, but ends soon, which has the same effect
+                await other.control.over.wait()
+            self._set_preempted(other, task)
+            if pausing := self._pausing.get(other.id):
+                # Shielded: this task may be cancelled while the other one is being paused, which must be completed.
+                await asyncio.shield(pausing)
+
+        yielding = {conflict.task for conflict in conflicts if conflict.yields}
+        await asyncio.gather(*(pause(other) for other in self._others(task) if other.id in yielding))
 
     def preempt_holders(self) -> None:
         """Preempt the tasks that have what a claim of higher priority waits for."""

@@ -79,9 +79,16 @@ class PlanExecution(Observer):
 
     async def __aenter__(self) -> PlanExecution:
         self._context.control.begin_execution(self)
-        self._stop_listening = self._context.world.listen(self._changed)
+        stop_listening = self._context.world.listen(self._changed)
+
+        def end(_: object) -> None:
+            self._context.control.end_execution()
+            stop_listening()
+            if self._timer:
+                self._timer.cancel()
+
         self._future = asyncio.ensure_future(self.executor.execute())
-        self._future.add_done_callback(self._end)
+        self._future.add_done_callback(end)
         self._context.control.enter(TaskState.RUNNING)
         return self
 
@@ -92,12 +99,6 @@ class PlanExecution(Observer):
         elif not self._future.done():
             self.executor.stop(reason="an error has occurred")
             await asyncio.wait((self._future,))
-
-    def _end(self, _: object) -> None:
-        self._context.control.end_execution()
-        self._stop_listening()
-        if self._timer:
-            self._timer.cancel()
 
     # --- what is known --------------------------------------------------------------------------
 
@@ -175,7 +176,12 @@ class PlanExecution(Observer):
         """Wait until the run is over, or may have to be replaced: something failed, facts have changed, or that is due anyway."""
         called: list[asyncio.Future[Any]] = [asyncio.ensure_future(self._attention.wait())]
         if self._is_due:
-            called.append(asyncio.ensure_future(self._other_rest()))
+
+            async def other_rest() -> None:  # something else is under way that can be handed over than when that was tried last
+                while self._to_hand_over in (None, self._tried):
+                    await self.executor.happens()
+
+            called.append(asyncio.ensure_future(other_rest()))
         try:
             await asyncio.wait((self._future, *called), return_when=asyncio.FIRST_COMPLETED)
         finally:
@@ -191,11 +197,6 @@ class PlanExecution(Observer):
     @property
     def _to_hand_over(self) -> tuple[UnderWay, ...] | None:
         return self.under_way if self.executor.is_settled else None
-
-    async def _other_rest(self) -> None:
-        """Wait until the run can be handed over with something else under way than when that was tried last."""
-        while self._to_hand_over in (None, self._tried):
-            await self.executor.happens()
 
     def call_attention_at(self, time: float) -> None:
         """Call for attention at a time, on the clock of the event loop."""

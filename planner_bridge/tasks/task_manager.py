@@ -133,7 +133,12 @@ class TaskManager:
             elif wrong := self._understand(task, self._reader(task), kept):
                 unreadable.append((task, kept, wrong))
             else:
-                self._restore(task, kept)
+                task.is_held = kept.is_held
+                self._list(task, time() - kept.accepted.wall)
+                if task.start and any(replayed.run.begun for replayed in kept.runs):  # what it has begun may still go on
+                    if task.is_held:
+                        self._hold(task)
+                    self._set_out(task, task.start)
         for task, kept, wrong in unreadable:  # when the others are there, for ends let those that wait begin
             for replayed in (one for one in kept.runs if not one.is_over):  # requests that are out are given up, and recalled
                 self._journal.retired(replayed.run)
@@ -252,7 +257,7 @@ class TaskManager:
         return lambda: self._listeners.remove(listener)
 
     def begin_anew(self, problem: Problem) -> None:
-        """Pursue goals in another problem from now on; raise an `InputError` if there are tasks or withheld requests, or it cannot be kept."""
+        """Pursue goals in another problem from now on; raise an `InputError` if there are tasks or withheld requests, or it is not kept."""
         if self._journal.blocked:
             raise InputError(self._journal.blocked)
         if busy := f"there are {number} tasks" if (number := len(self._tasks)) else who_keeps(self._resources.withheld):
@@ -342,15 +347,6 @@ class TaskManager:
             task.deadline = self._loop.call_later(left, self._stop, task, Code.DEADLINE_MISSED, reason)
         task.entered(TaskState.QUEUED, "")
 
-    def _restore(self, task: Task, kept: ReplayedTask) -> None:
-        """Go on with a task where another process has left it."""
-        task.is_held = kept.is_held
-        self._list(task, time() - kept.accepted.wall)
-        if task.start and any(replayed.run.begun for replayed in kept.runs):  # what it has begun may still go on
-            if task.is_held:
-                self._hold(task)
-            self._set_out(task, task.start)
-
     def _hold(self, task: Task) -> None:
         """Have a task be paused from the beginning."""
         task.control.hold()
@@ -392,7 +388,16 @@ class TaskManager:
 
     def _set_out(self, task: Task, start: StartTask) -> None:
         task.control.begin(TaskState.RUNNING if task.wanted.is_plan else TaskState.PLANNING)
-        task.watchdog = Watchdog(task.control, lambda: self._end_still(task))
+
+        def end() -> None:  # in order; if that does not end it either, it is left alone
+            _log.error("%s: %s", task.name, task.why_still)
+            if task.control.stopped:
+                task.is_abandoned = True
+                self._work[task.id].cancel()
+            else:
+                self._stop(task, Code.ERROR, task.why_still)
+
+        task.watchdog = Watchdog(task.control, end)
         self._work[task.id] = self._loop.create_task(self._carry_out(task, start))
 
     async def _carry_out(self, task: Task, start: StartTask) -> None:
@@ -469,15 +474,6 @@ class TaskManager:
             task.control.stop(code, reason)
         else:
             self._end(task, TaskEnding(code, reason))
-
-    def _end_still(self, task: Task) -> None:
-        """End a task that stands still, in order; leave it alone if that does not end it either."""
-        _log.error("%s: %s", task.name, task.why_still)
-        if task.control.stopped:
-            task.is_abandoned = True
-            self._work[task.id].cancel()
-        else:
-            self._stop(task, Code.ERROR, task.why_still)
 
     def _end(self, task: Task, ending: TaskEnding) -> None:
         """End a task; nobody hears of that before it is kept."""

@@ -17,7 +17,7 @@ from planner_bridge.ordering.interference import Forecast, ReadWriteSets, read_w
 from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.goal_loop import GoalLoop
 from planner_bridge.tasks.replanning import History
-from planner_bridge.tasks.result import Episode, KeptGoal, PlanResult, code_of_run, goal_of
+from planner_bridge.tasks.result import Episode, PlanResult, code_of_run, goal_of
 from planner_bridge.tasks.settings import OnChange
 from planner_bridge.tasks.task import StartTask, Task
 from planner_bridge.yaml.reader import read
@@ -212,7 +212,11 @@ class PlanTask:
         history = History.of_plan(given_up, unconfirmed, context.settings.limits)
         try:
             problem = await self._problem(result.began)
-            loop = GoalLoop(replace(context, problem=problem, since=None), history=history, kept=self._kept_goal())
+            later = [replayed for replayed in self._kept.runs[1:] if replayed.made.caller is None] if self._kept else []
+            kept = (
+                goal_of(replace(self._kept, runs=later)) if self._kept and (later or self._kept.notes) else None
+            )  # decided after it failed
+            loop = GoalLoop(replace(context, problem=problem, since=None), history=history, kept=kept)
             rest = await loop.pursue()
         except InputError as error:
             return replace(result, reason=f"{result.reason}; no planner can be asked: {error}")
@@ -225,11 +229,6 @@ class PlanTask:
             constraints=rest.constraints,
             preferences=rest.preferences,
         )
-
-    def _kept_goal(self) -> KeptGoal | None:
-        """Return the decision of another process after the failure of the plan; None for none."""
-        later = [replayed for replayed in self._kept.runs[1:] if replayed.made.caller is None] if self._kept else []
-        return goal_of(replace(self._kept, runs=later)) if self._kept and (later or self._kept.notes) else None
 
     async def _problem(self, began: float) -> Problem:
         """Return the problem of reaching the plan's goal from the world as it is, with the timed changes that are still to come."""

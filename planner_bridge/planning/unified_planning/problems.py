@@ -55,7 +55,7 @@ _TRAJECTORY: Final[Mapping[str, Callable[..., Any]]] = {
 
 
 def from_unified_planning(problem: up.Problem) -> Problem:
-    """Turn a unified-planning Problem into ours, through PDDL; raise an `InputError` if it cannot be written, or uses what we do not read."""
+    """Turn a unified-planning Problem into ours, by PDDL; raise an `InputError` if it cannot be written, or has what we do not read."""
     writer = PDDLWriter(problem)
     name = problem.name or "problem"
     try:
