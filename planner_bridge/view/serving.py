@@ -12,12 +12,12 @@ import select
 import socket
 import subprocess
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from types import TracebackType
-from typing import Any, Final, TypeAlias, assert_never
+from typing import Any, Final
 from uuid import UUID, uuid4
 
 from pnm.errors import InputError, PnmError
@@ -25,7 +25,7 @@ from pnm.files.process import own_environment, own_python
 from pnm.tasks import ServedWorld, TaskCommands, TaskRefused, Tasks, TaskState, Wanted
 
 # --- commands -------------------------------------------------------------------------------------
-# Commands: what people may want on the page, as it comes from a browser; and the reply.
+# What people may want on the page, as it comes from a browser; and the reply.
 
 
 MAX_TEXT: Final = 100_000
@@ -44,87 +44,6 @@ class Controlled(Enum):
     """The one task of `pnm run`."""
     NODE = "node"
     """All tasks of a node, and what it knows; it takes goals."""
-
-
-@dataclass(frozen=True, slots=True)
-class CheckGoal:
-    """A goal to be checked only: mistakes are reported."""
-
-    goal: str
-
-
-@dataclass(frozen=True, slots=True)
-class ExplainGoal:
-    """Say why a goal cannot be reached from the world as it is, or what a plan for it would do."""
-
-    goal: str
-
-
-@dataclass(frozen=True, slots=True)
-class SendGoal:
-    """Begin a task for a goal."""
-
-    goal: str
-    priority: int
-
-
-@dataclass(frozen=True, slots=True)
-class PauseTask:
-    """Pause a task, or all."""
-
-    task: UUID | None
-    at_once: bool
-
-
-@dataclass(frozen=True, slots=True)
-class ResumeTask:
-    """Let a task go on, or all."""
-
-    task: UUID | None
-
-
-@dataclass(frozen=True, slots=True)
-class CancelTask:
-    """End a task, or all."""
-
-    task: UUID | None
-
-
-@dataclass(frozen=True, slots=True)
-class StepTask:
-    """Let one request of a paused task leave."""
-
-    task: UUID
-
-
-@dataclass(frozen=True, slots=True)
-class SettleRequest:
-    """Have a request that is under way count as done, or as failed."""
-
-    request: UUID
-    is_done: bool
-
-
-@dataclass(frozen=True, slots=True)
-class TellFacts:
-    """Record facts as so, as not so, and as unknown."""
-
-    add: tuple[str, ...]
-    remove: tuple[str, ...]
-    forget: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class AnswerQuestion:
-    """Answer a question to a person."""
-
-    question: UUID
-    text: str
-
-
-Command: TypeAlias = (
-    CheckGoal | ExplainGoal | SendGoal | PauseTask | ResumeTask | CancelTask | StepTask | SettleRequest | TellFacts | AnswerQuestion
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,16 +66,6 @@ class Reply:
         """Return it as it is sent: what is long quotes what was wanted."""
         cut = self.refused if len(self.refused) <= _LONG else f"{self.refused[: _LONG - 1]}…"
         return asdict(replace(self, refused=cut.encode("utf-8", "replace").decode()))
-
-
-def read_command(data: object) -> Command:
-    """Read a command; raise an `InputError` if it is none."""
-    if not isinstance(data, Mapping):
-        raise InputError("expected an object with the command under 'do'")
-    read = _READERS.get(str(data.get("do")))
-    if read is None:
-        raise InputError(f"expected one of {', '.join(_READERS)} under 'do', found {str(data.get('do'))[:40]!r}")
-    return read(data)
 
 
 def _text(data: Mapping[str, object], name: str) -> str:
@@ -184,13 +93,6 @@ def _flag(data: Mapping[str, object], name: str) -> bool:
     return value
 
 
-def _priority(data: Mapping[str, object]) -> int:
-    value = data.get("priority", 0)
-    if not isinstance(value, int) or isinstance(value, bool) or not -(2**31) <= value < 2**31:
-        raise InputError("expected a whole number under 'priority'")
-    return value
-
-
 def _id(data: Mapping[str, object], name: str) -> UUID:
     try:
         return UUID(_text(data, name))
@@ -202,19 +104,10 @@ def _task(data: Mapping[str, object]) -> UUID | None:
     return _id(data, "task") if data.get("task") else None
 
 
-_READERS: Final[Mapping[str, Callable[[Mapping[str, object]], Command]]] = {
-    "check": lambda data: CheckGoal(_text(data, "goal")),
-    "why": lambda data: ExplainGoal(_text(data, "goal")),
-    "goal": lambda data: SendGoal(_text(data, "goal"), _priority(data)),
-    "pause": lambda data: PauseTask(_task(data), "at_once" in data and _flag(data, "at_once")),
-    "resume": lambda data: ResumeTask(_task(data)),
-    "cancel": lambda data: CancelTask(_task(data)),
-    "step": lambda data: StepTask(_id(data, "task")),
-    "settle": lambda data: SettleRequest(_id(data, "request"), _flag(data, "is_done")),
-    "tell": lambda data: TellFacts(_texts(data, "add"), _texts(data, "remove"), _texts(data, "forget")),
-    "answer": lambda data: AnswerQuestion(_id(data, "question"), _text(data, "text")),
-}
+_COMMANDS: Final = ("check", "why", "goal", "pause", "resume", "cancel", "step", "settle", "tell", "answer")
 """The values of ``do``."""
+_CONFIRMED: Final = ("pause", "resume", "cancel", "step")
+"""Those that robots have to confirm."""
 
 
 # --- serving --------------------------------------------------------------------------------------
@@ -278,15 +171,20 @@ class Operator:
     async def reply(self, data: object) -> Reply:
         """Carry out a command, and return the reply to it, at the latest when it has begun."""
         try:
-            command = read_command(data)
-            work = asyncio.ensure_future(self._carry_out(command))
+            if not isinstance(data, Mapping):
+                raise InputError("expected an object with the command under 'do'")
+            work = asyncio.ensure_future(self._carry_out(data))
             self._going_on.add(work)
             work.add_done_callback(self._going_on.discard)
-            has_to_be_confirmed = isinstance(command, PauseTask | ResumeTask | CancelTask | StepTask)
-            done, _ = await asyncio.wait((work,), timeout=_SOON if has_to_be_confirmed else None)
+            done, _ = await asyncio.wait((work,), timeout=_SOON if data.get("do") in _CONFIRMED else None)
             if done:
                 return work.result()
-            work.add_done_callback(_log_refusal)
+
+            def log_refusal(work: asyncio.Task[Reply]) -> None:
+                if not work.cancelled() and (error := work.exception()):
+                    _log.warning("an order from the page is refused: %s", error)
+
+            work.add_done_callback(log_refusal)
         except InputError as error:
             position = error.position
             return Reply(error.message, position.line, position.column) if position else Reply(error.message)
@@ -297,34 +195,38 @@ class Operator:
             return Reply(f"{type(error).__name__}: {error}")
         return Reply()
 
-    async def _carry_out(self, command: Command) -> Reply:
-        match command:
-            case ExplainGoal(goal):
-                problem = await self._served.pack(goal)
+    async def _carry_out(self, data: Mapping[str, object]) -> Reply:
+        """Read a command and carry it out; raise an `InputError` if it is none."""
+        match data.get("do"):
+            case "why":  # why a goal cannot be reached from the world as it is, or what a plan for it would do
+                problem = await self._served.pack(_text(data, "goal"))
                 if len(problem) > MAX_PROBLEM:
                     raise InputError("the problem is too large to be explained here; `pnm why` takes it")
                 return Reply(problem=problem)
-            case CheckGoal(goal):
-                await self._served.check_goal(goal)
-            case SendGoal(goal, priority):
+            case "check":
+                await self._served.check_goal(_text(data, "goal"))
+            case "goal":
+                goal, priority = _text(data, "goal"), data.get("priority", 0)
+                if not isinstance(priority, int) or isinstance(priority, bool) or not -(2**31) <= priority < 2**31:
+                    raise InputError("expected a whole number under 'priority'")
                 await self._served.check_goal(goal)
                 self._begin(Wanted(uuid4(), goal, priority))
-            case PauseTask(task, at_once):
-                await self._commands.pause(task, at_once=at_once)
-            case ResumeTask(task):
-                await self._commands.resume(task)
-            case CancelTask(task):
-                await self._commands.cancel(task)
-            case StepTask(task):
-                await self._tasks.step(task)
-            case SettleRequest(request, is_done):
-                self._tasks.settle(request, is_done=is_done)
-            case TellFacts(add, remove, forget):
-                await self._served.update(add, remove, forget)
-            case AnswerQuestion(question, text):
-                self._tasks.answer(question, text)
-            case _:
-                assert_never(command)
+            case "pause":
+                await self._commands.pause(_task(data), at_once="at_once" in data and _flag(data, "at_once"))
+            case "resume":
+                await self._commands.resume(_task(data))
+            case "cancel":
+                await self._commands.cancel(_task(data))
+            case "step":
+                await self._tasks.step(_id(data, "task"))
+            case "settle":
+                self._tasks.settle(_id(data, "request"), is_done=_flag(data, "is_done"))
+            case "tell":
+                await self._served.update(_texts(data, "add"), _texts(data, "remove"), _texts(data, "forget"))
+            case "answer":
+                self._tasks.answer(_id(data, "question"), _text(data, "text"))
+            case other:
+                raise InputError(f"expected one of {', '.join(_COMMANDS)} under 'do', found {str(other)[:40]!r}")
         return Reply()
 
     @property
@@ -338,11 +240,6 @@ class Operator:
         ended = next((status for status in self._tasks.status() if status.id == wanted.id), None)
         if ended is not None and ended.state is TaskState.OVER:  # which is kept nowhere if it was never accepted
             raise TaskRefused(ended.reason)
-
-
-def _log_refusal(work: asyncio.Task[Reply]) -> None:
-    if not work.cancelled() and (error := work.exception()):
-        _log.warning("an order from the page is refused: %s", error)
 
 
 # --- process --------------------------------------------------------------------------------------
