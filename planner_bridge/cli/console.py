@@ -84,10 +84,6 @@ def marked(head: str | Text) -> Text:
     return Text.from_markup(head, emoji=False) if isinstance(head, str) else head
 
 
-# --- event lines ----------------------------------------------------------------------------------
-# Lines of events, and failures that are told once.
-
-
 @dataclass
 class EventLines:
     """Prints one line per event: the seconds since the beginning, a label, a word and a text.

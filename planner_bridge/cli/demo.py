@@ -64,8 +64,6 @@ def show_delivery(console: SafeConsole) -> int:
     return 0 if result.goal_reached and world.holds(problem.goal) else 1
 
 
-# --- the mall ---
-
 NEEDED: Final = {"rclpy": "pip install 'petri-net-machines[ros2]'", "pnm_interfaces": "pip install ./ros/pnm_interfaces"}
 """The packages of the processes, and their installation."""
 SPEED: Final = "1.2"

@@ -18,21 +18,9 @@ from rich.live import Live
 from rich.table import Column, Table
 from rich.text import Text
 
+from planner_bridge.cli import options
 from planner_bridge.cli.console import EventLines, SafeConsole, ToldFailures
-from planner_bridge.cli.options import (
-    FILE,
-    Seconds,
-    ViewingCommand,
-    adopt_option,
-    announce,
-    as_json_option,
-    command,
-    controlled_by,
-    controls_option,
-    options,
-    print_json,
-    view_option,
-)
+from planner_bridge.cli.options import command
 from planner_bridge.node.options import PARAMETERS
 from pnm.clock import run_async
 from pnm.core.machine.requests import OutcomeKind
@@ -53,7 +41,7 @@ SECOND: Final = 1.0
 _TRACE: Final = ("pnm_interfaces/msg/TraceEvent", "executor/trace")
 
 namespace_option = click.option("-n", "--namespace", default="", help="the namespace of the node")
-one_or_all = options(
+one_or_all = options.options(
     click.argument("task", default=""), click.option("--all", "every", is_flag=True, help="all tasks, also later ones"), namespace_option
 )
 
@@ -163,7 +151,7 @@ class EventPrinter:
 
 @click.command(epilog="Example: pnm status --json")
 @namespace_option
-@as_json_option
+@options.as_json_option
 @command
 def status(namespace: str, as_json: bool) -> int:
     """Show the tasks of the node.
@@ -172,7 +160,7 @@ def status(namespace: str, as_json: bool) -> int:
     """
     message = _with_node(namespace, lambda node: node.status())
     if as_json:
-        print_json({"paused": message.paused, "tasks": [_task_data(task) for task in message.tasks]})
+        options.print_json({"paused": message.paused, "tasks": [_task_data(task) for task in message.tasks]})
     else:
         _print_status(SafeConsole(), message)
     return 0
@@ -204,7 +192,7 @@ def watch(namespace: str) -> int:
 @click.command(epilog="Example: pnm goal '(at r1 hall)' --deadline 60")
 @click.argument("goal", default="")
 @click.option("--priority", type=click.IntRange(-(2**31), 2**31 - 1), default=0, show_default=True, help="higher ones come first")
-@click.option("--deadline", type=Seconds(0.001), help="seconds from now by which it must be reached")
+@click.option("--deadline", type=options.Seconds(0.001), help="seconds from now by which it must be reached")
 @click.option(
     "--policy",
     type=click.Choice([policy.word for policy in OnConflict]),
@@ -213,7 +201,7 @@ def watch(namespace: str) -> int:
     help="what to do in conflict with other tasks",
 )
 @namespace_option
-@as_json_option
+@options.as_json_option
 @command
 def goal(*, goal: str, priority: int, deadline: float | None, policy: str, namespace: str, as_json: bool) -> int:
     """Send a goal, and follow it to its end.
@@ -243,7 +231,7 @@ def goal(*, goal: str, priority: int, deadline: float | None, policy: str, names
     is_reached = outcome.kind is OutcomeKind.SUCCEEDED
     if as_json:
         trace = {"trace": [f"{event['word']} {event['subject']} {event['text']}".strip() for event in outcome.result.get("trace", ())]}
-        print_json({"task": str(task), "goal_reached": is_reached, **outcome.result, "message": outcome.message, **trace})
+        options.print_json({"task": str(task), "goal_reached": is_reached, **outcome.result, "message": outcome.message, **trace})
     else:
         if is_reached:
             console.print_text("holds", "[bold green]goal[/]     ")
@@ -266,7 +254,7 @@ def pause(task: str, every: bool, namespace: str, at_once: bool) -> int:
 
 @click.command(epilog="Examples: pnm resume --all; pnm resume tea.journal")
 @one_or_all
-@adopt_option
+@options.adopt_option
 @click.option("--yes", "is_trusted", is_flag=True, help="continue a FILE that somebody else, or another computer, has begun")
 @command
 def resume(task: str, every: bool, namespace: str, adopt: bool, is_trusted: bool) -> int:
@@ -302,7 +290,7 @@ def cancel(task: str, every: bool, namespace: str) -> int:
 @click.option("--remove", multiple=True, metavar="FACT", help="record as false")
 @click.option("--forget", multiple=True, metavar="FACT", help="record as unknown")
 @namespace_option
-@as_json_option
+@options.as_json_option
 @command
 def facts(
     *, questions: tuple[str, ...], add: tuple[str, ...], remove: tuple[str, ...], forget: tuple[str, ...], namespace: str, as_json: bool
@@ -323,7 +311,7 @@ def facts(
 
     known = _with_node(namespace, exchange)
     if as_json:
-        print_json(known)
+        options.print_json(known)
     else:
         for fact, value in sorted(known.items()):
             SafeConsole().print(f"{fact}  {value}")
@@ -393,7 +381,7 @@ FENCED: Final = 3
 """The exit status of a node that may not write its journal any more; started again, it stands by, or goes on with what is kept."""
 
 
-class RosCommand(ViewingCommand):
+class RosCommand(options.ViewingCommand):
     """A command whose arguments from ``--ros-args`` on are for ROS 2, as `ros2 run` and `ros2 launch` pass them."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
@@ -424,10 +412,10 @@ def _option(parameter: NodeParameter) -> Callable[[Any], Any]:
 @click.command(cls=RosCommand, epilog="Example: pnm serve domain.pddl problem.pddl --planner-timeout 5 --ros-args -r __ns:=/robot1")
 @click.argument("domain", required=False)
 @click.argument("problem", required=False)
-@click.option("--params-file", "files", multiple=True, type=FILE, help="a ROS file of parameters; may be repeated")
-@options(*(_option(parameter) for parameter in PARAMETERS if parameter.name not in ("domain", "problem")))
-@view_option
-@controls_option
+@click.option("--params-file", "files", multiple=True, type=options.FILE, help="a ROS file of parameters; may be repeated")
+@options.options(*(_option(parameter) for parameter in PARAMETERS if parameter.name not in ("domain", "problem")))
+@options.view_option
+@options.controls_option
 @command
 def serve(files: tuple[Path, ...], view: int | None, controls: bool, **given: ParameterValue | None) -> int:
     """Take goals over ROS 2 until interrupted.
@@ -453,14 +441,14 @@ def serve(files: tuple[Path, ...], view: int | None, controls: bool, **given: Pa
     journal = str(chosen.get("journal", ""))
     if view is not None and journal == NONE:
         raise InputError(f"--view shows the journal; expected one, and not --journal {NONE}")
-    controlled = controlled_by(view, Controlled.NODE, controls=controls)
+    controlled = options.controlled_by(view, Controlled.NODE, controls=controls)
     console: NodeObserver = NodeConsole(SafeConsole())
     try:
         if view is None:
             serve(chosen, arguments, console)
         else:
             with PageProcess(view, controlled) as page:
-                announce(page)
+                options.announce(page)
                 serve(chosen, arguments, broadcast(NodeObserver, (console, NodePage(page, journal))))
     except Fenced as error:
         print(error, file=sys.stderr)

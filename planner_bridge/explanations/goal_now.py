@@ -176,9 +176,14 @@ def what_would_help(problem: Problem, limit: AnswerLimit, reason: Answer) -> Ans
             candidates = sorted((label for label in facts if len(label) == size), key=partial(_rank, reachability))
         except TooLarge:
             return Answer("helpful changes were not searched: there are too many facts", Known.NOT_PROVED)
-        found, all_proved = _try(problem, candidates, limit)
-        if found:
-            return _helps(problem, size, found, reason.known if proved == size - 1 else Known.NOT_PROVED)
+        reasons, all_proved = _try(problem, candidates, limit)
+        if reasons:
+            least = f"no change of {_NUMBERS[size - 1]} is enough" if size > 1 else "without a change there is no plan"
+            if proved == size - 1 and reason.known.is_certain:
+                reasons += (Answer(least, reason.known, (), (NoSmallerChange(problem, size),)),)
+            else:
+                reasons += (Answer(f"it is not proved that {least}", Known.NOT_PROVED),)
+            return Answer(f"there would be a plan with {_NUMBERS[size]} changed", Known.PLAN, reasons)
         if is_exhaustive and labels.is_complete and all_proved:
             proved = size
         is_exhaustive = is_exhaustive and not candidates  # what does not help alone may do so together with something else
@@ -218,16 +223,6 @@ def _try(problem: Problem, candidates: Iterable[Label], limit: AnswerLimit) -> t
             found.append(Answer(text, Known.PLAN, (), (Solves(asked, plan),)))
         all_proved = all_proved and result.status is PlanningStatus.UNSOLVABLE
     return tuple(found), all_proved and not limit.is_over
-
-
-def _helps(problem: Problem, size: int, reasons: tuple[Answer, ...], known: Known) -> Answer:
-    """Return the changes that help, and how it is known that no smaller one does."""
-    least = f"no change of {_NUMBERS[size - 1]} is enough" if size > 1 else "without a change there is no plan"
-    if known.is_certain:
-        reasons += (Answer(least, known, (), (NoSmallerChange(problem, size),)),)
-    else:
-        reasons += (Answer(f"it is not proved that {least}", known),)
-    return Answer(f"there would be a plan with {_NUMBERS[size]} changed", Known.PLAN, reasons)
 
 
 def _nothing(problem: Problem, reachability: Reachability, proved: int) -> Answer:

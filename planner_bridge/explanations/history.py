@@ -452,8 +452,6 @@ class JournalHistory:
             self._executed = {id: run for id, run in self._executed.items() if id in self.runs}
             self.tasks = {id: task for id, task in self.tasks.items() if task.runs}
 
-    # --- tasks ------------------------------------------------------------------------------------
-
     def _note_task(self, task: TaskHistory, note: object) -> None:
         match note:
             case GoalNote(plans=plans, decision=decision):
@@ -470,8 +468,6 @@ class JournalHistory:
                 task.helps.pop(request, None)
             case _:
                 pass
-
-    # --- runs -------------------------------------------------------------------------------------
 
     def _note_run(self, made: records.RunMade) -> None:
         if (source := self._sources.get(made.machine)) is None:

@@ -78,9 +78,6 @@ class AnswerLimit:
         return self.solve(problem, share=0.5, improve=improve)
 
 
-# --- no plan --------------------------------------------------------------------------------------
-
-
 _WAYS: Final = 3
 """Actions that are looked at for each fact; others are counted."""
 _KNOTS: Final = 2

@@ -248,14 +248,13 @@ class ServingNode:
         look = partial(context.backend.look, runner.actions)
         await open_diagnoses(stack, self._ros, look, api.tasks, lambda: self._state, self._clock, context.journal, self._options)
         self._observer.configured(api.tasks, self._node, api.world)
+
         # The stack closes in reverse: first the node, which gives tasks their time to end and answers all goals; then the task manager.
-        stack.push_async_callback(_close_in_time, api.close)
+        async def close() -> None:  # tasks that have not ended by now are left alone
+            with suppress(TimeoutError):
+                async with asyncio.timeout(_CLOSING):
+                    await api.close()
+
+        stack.push_async_callback(close)
         stack.push_async_callback(self._node.close, context.options.cancel)
         await self._node.open()
-
-
-async def _close_in_time(close: Callable[[], Awaitable[None]]) -> None:
-    """Close the task manager; tasks that have not ended by now are left alone."""
-    with suppress(TimeoutError):
-        async with asyncio.timeout(_CLOSING):
-            await close()

@@ -122,9 +122,6 @@ class TaskJournal:
 KEPT_NOWHERE: Final = TaskJournal()
 
 
-# --- the handle -----------------------------------------------------------------------------------
-
-
 class GoalHandle:
     """A goal that is pursued on a backend, by a task manager with one task.
 

@@ -118,8 +118,6 @@ class ConstraintMonitor:
         """Whether there is nothing to watch."""
         return not (self._constraints or self._preferences)
 
-    # --- while the task goes on ----------------------------------------------------------------
-
     def look(self, now: float) -> tuple[Violation, ...]:
         """Look at what is known now; return the constraints that turn out to be violated, preferences left out."""
         self._looked = True
@@ -191,8 +189,6 @@ class ConstraintMonitor:
             else:  # fulfilled ones too: metrics name them
                 preferences += (Preference(preference.name, _left(instance, now)) for instance in ground)
         return replace(problem, domain=_unconstrained(problem.domain), constraints=tuple(constraints), preferences=tuple(preferences))
-
-    # --- at its end ----------------------------------------------------------------------------
 
     def constraint_results(self, now: float) -> tuple[ConstraintResult, ...]:
         """Return the result of every constraint if the task ends now."""

@@ -23,7 +23,7 @@ from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.bindings import goal_data
-from pnm.core.machine.plan_graph import ActionCall, GroundAction
+from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.resources import Resources
 from pnm.journal.journal import Journal
 from pnm.knowledge.source import Source
@@ -50,24 +50,6 @@ class Conflict:
 
     def __str__(self) -> str:
         return f"{self.name}: {self.why}"
-
-
-@dataclass(frozen=True, slots=True)
-class RunningCalls:
-    """Calls of another task that have begun and not ended: until then the world is not what it will be.
-
-    Args:
-        calls: which are under way, being cancelled, or waiting for their effects.
-        yields: whether it has a lower priority, so that it can be preempted.
-    """
-
-    task: UUID
-    name: str
-    calls: tuple[ActionCall, ...]
-    yields: bool
-
-    def __str__(self) -> str:
-        return f"it has begun {', '.join(str(call.action) for call in self.calls)}"
 
 
 @dataclass(frozen=True)
@@ -126,15 +108,12 @@ class TaskContext:
         names = self.resources.withheld_from(history.lacking)
         served = calls_served_by(self.problem, bindings, history.absent_servers(self.settings.limits))
         # With a source outside, something new may be known without a trace here.
-        uninformed = history.uninformed if self.source is None else ()
-        lacking = {ForbiddenCall.of(action) for action in uninformed if self.lacks_value(action)}
+        lacking: set[ForbiddenCall] = set()
+        for action in history.uninformed if self.source is None else ():
+            binding, fields = bindings.of(action.name), self.backend.client.goal_fields(action)
+            if goal_data(action, binding, fields, EvaluationContext(self.knowledge, action, binding))[1]:  # fields without a value
+                lacking.add(ForbiddenCall.of(action))
         return served | calls_acquiring(self.problem, bindings, names.keys()) | lacking
-
-    def lacks_value(self, action: GroundAction) -> bool:
-        """Return whether the goal of the action has a field for which nothing here has a value."""
-        binding = self.settings.bindings.of(action.name)
-        fields = self.backend.client.goal_fields(action)
-        return bool(goal_data(action, binding, fields, EvaluationContext(self.knowledge, action, binding))[1])
 
     def forbidden(self, history: History) -> frozenset[ForbiddenCall]:
         """Return the calls that no plan may use now."""
@@ -200,13 +179,14 @@ class Preemption(TaskListener):
         """Return the current runs of all tasks."""
         return tuple(run for task in self._tasks.values() if (run := task.control.run) is not None)
 
-    def running_calls(self, task: Task) -> tuple[RunningCalls, ...]:
-        """Return the calls of other tasks that have begun and not ended; tasks that are being paused or cancelled are among them."""
-        running: list[RunningCalls] = []
+    def running_calls(self, task: Task) -> tuple[tuple[Conflict, tuple[ActionCall, ...]], ...]:
+        """Return the calls of other tasks that have begun and not ended, each task with no footprint yet, also while it is stopped."""
+        running: list[tuple[Conflict, tuple[ActionCall, ...]]] = []
         for other in self._tasks.values():
             run = other.control.run if other is not task else None
             if run is not None and (calls := run.unsettled):
-                running.append(RunningCalls(other.id, other.name, calls, other.yields_to(task)))
+                why = f"it has begun {', '.join(str(call.action) for call in calls)}"
+                running.append((Conflict(other.id, other.name, ReadWriteSets(), why, other.yields_to(task)), calls))
         return tuple(running)
 
     def _others(self, task: Task) -> list[Task]:

@@ -122,7 +122,10 @@ class GoalLoop:
             else:
                 graph = await self._accepted(await self._search.in_turn(partial(self._search.given, self._given)))
             while True:
-                graph = await self._execute(graph)
+                with suppress(TaskEnded):  # the run reports then that nothing of the plan was begun
+                    await self._control.until(self._context.backend.prepare({call.action: None for call in graph.calls}))
+                making = proved_machine(self._context, graph)  # also if it is not begun: the result says what would have been called
+                graph = await self._carry_on(await (making if self._control.stopped else self._control.until(making)))
         except NoPlan as no_plan:
             withheld = who_keeps(self._context.resources.withheld)  # nobody knows what their servers have made of the world
             unfulfilled, why = self._log.unfulfilled(self._monitor.missing), str(no_plan)
@@ -172,15 +175,6 @@ class GoalLoop:
             self._question.cancel()
             self._question = None
             self._context.journal.noted(self._context.task.id, HelpEnded("a person need not help any more"))
-
-    async def _execute(self, graph: PlanGraph) -> PlanGraph:
-        """Execute a plan, and those that succeed it while calls are under way; return the one that follows when the run is over."""
-        context = self._context
-        with suppress(TaskEnded):  # the run reports then that nothing of the plan was begun
-            await self._control.until(context.backend.prepare({call.action: None for call in graph.calls}))
-        making = proved_machine(context, graph)  # also of a plan that is not begun any more: the result says what would have been called
-        machine = await (making if self._control.stopped else self._control.until(making))
-        return await self._carry_on(machine)
 
     async def _carry_on(self, begin_with: ProvedMachine | ReplayedRun) -> PlanGraph:
         """Carry a run on to its end, and those that succeed it; return the plan that follows then."""
@@ -420,8 +414,6 @@ class GoalLoop:
         self._context.observer.planned(plan)
         with self._context.task.stopwatch.of("translate"):
             return await self._control.until(asyncio.to_thread(plan_graph, self._monitor.now(), plan, [one.call for one in under_way]))
-
-    # --- the end --------------------------------------------------------------------------------
 
     def _result(self, ended: TaskEnded) -> TaskResult:
         self._context.scheduler.release(self._context.task)

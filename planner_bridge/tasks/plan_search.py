@@ -28,7 +28,7 @@ from planner_bridge.ordering.interference import (
 )
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
-from planner_bridge.tasks.context import Conflict, RunningCalls, TaskContext
+from planner_bridge.tasks.context import Conflict, TaskContext
 from planner_bridge.tasks.control import TaskEnded
 from planner_bridge.tasks.plan_execution import PlanExecution
 from planner_bridge.tasks.replanning import History
@@ -301,18 +301,18 @@ class PlanSearch:
         self._control.reserved = needed
         return plan, ()
 
-    async def _too_early(self, now: Problem, running: tuple[RunningCalls, ...], result: PlanningResult) -> tuple[Conflict, ...]:
+    async def _too_early(
+        self, now: Problem, running: tuple[tuple[Conflict, tuple[ActionCall, ...]], ...], result: PlanningResult
+    ) -> tuple[Conflict, ...]:
         """Return the tasks after whose running calls there may be a plan: while a robot moves, it is nowhere."""
         if not running or result.status not in _NO_PLAN:
             return ()
-        optimistic = optimistic_state(now, [call for theirs in running for call in theirs.calls])
+        optimistic = optimistic_state(now, [call for _, calls in running for call in calls])
         other = await self._solve(optimistic)
         if other.plan is None:
             return ()
         needed, world = read_write_sets(calls_of(optimistic, other.plan), now.goal, initial_knowledge(optimistic)), initial_knowledge(now)
-        conflicts = [
-            Conflict(theirs.task, theirs.name, read_write_sets(theirs.calls, TRUE, world), str(theirs), theirs.yields) for theirs in running
-        ]
+        conflicts = [replace(conflict, footprint=read_write_sets(calls, TRUE, world)) for conflict, calls in running]
         return tuple(conflict for conflict in conflicts if needed.disturbed_by(conflict.footprint)) or tuple(conflicts)
 
     async def _sooner(self, now: Problem, forecasts: Mapping[Task, Forecast], latest: float) -> tuple[Conflict, ...]:

@@ -49,13 +49,6 @@ def code_of_planning(status: PlanningStatus, failures: Sequence[Failure]) -> Cod
     return code_of_failures(failures) if failures and code is Code.NO_PLAN else code
 
 
-def code_of_run(result: RunResult, stopped: Code) -> Code:
-    """Return the code of a task that ends with this run of its plan; `stopped` is the code if it was stopped."""
-    if result.goal:
-        return Code.GOAL_REACHED
-    return stopped if result.stopped else code_of_failures(result.failures)
-
-
 def code_of_failures(failures: Sequence[Failure]) -> Code:
     """Return the code of a task that ends with these failures, the last of which counts."""
     return _CODES[failures[-1].cause.kind] if failures else Code.CONDITION_LOST

@@ -496,9 +496,6 @@ class TaskManager:
         self._admit()
 
 
-# --- the log --------------------------------------------------------------------------------------
-
-
 class EventLog(TaskListener):
     """Logs the events of tasks to `pnm.tasks.EVENTS`, a line each, and keeps their states in a journal: its readers tell the same."""
 
@@ -514,10 +511,6 @@ class EventLog(TaskListener):
     def entered(self, task: UUID, state: TaskState, reason: str) -> None:
         """Keep the state of a task."""
         self._journal.entered(task, state, reason)
-
-
-# --- limits ---------------------------------------------------------------------------------------
-# How many tasks a task manager takes, and what it does about conflicts.
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from planner_bridge.ordering.interference import Forecast, ReadWriteSets, read_w
 from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.goal_loop import GoalLoop
 from planner_bridge.tasks.replanning import History
-from planner_bridge.tasks.result import Episode, PlanResult, code_of_run, goal_of
+from planner_bridge.tasks.result import Episode, PlanResult, code_of_failures, goal_of
 from planner_bridge.tasks.settings import OnChange
 from planner_bridge.tasks.task import StartTask, Task
 from planner_bridge.yaml.reader import read
@@ -146,7 +146,9 @@ class PlanTask:
             finally:
                 stop_time()
         stopped = self._context.control.stopped
-        code = code_of_run(run, stopped.code if stopped else Code.TIMED_OUT)  # what else stops it is its own limit
+        code = Code.GOAL_REACHED if run.goal else code_of_failures(run.failures)
+        if run.stopped and not run.goal:
+            code = stopped.code if stopped else Code.TIMED_OUT  # what else stops it is its own limit
         reason = stopped.reason if stopped and run.stopped and not run.goal else run.reason
         cause = "" if run.goal or run.stopped else run.failures[0].cause if run.failures else Cause.GOAL_FALSE
         episode = Episode(self._plan_run.program.machine, run)
@@ -199,8 +201,6 @@ class PlanTask:
         """Return why nothing of the plan may begin now: others are at work with what it needs."""
         others = self._context.scheduler.conflicts(self._context.task, lambda: self._needed)
         return f"the plan is in conflict with {', '.join(other.name for other in others)}" if others else ""
-
-    # --- its end ----------------------------------------------------------------------------------
 
     async def _replanned(self, result: PlanResult) -> PlanResult:
         """Have a planner find another way to the goal of the plan, from the world as it is now."""

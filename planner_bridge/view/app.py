@@ -37,7 +37,7 @@ from pnm.errors import InputError, PnmError, printable
 from pnm.files.database.place import Place
 
 if TYPE_CHECKING:
-    from planner_bridge.explanations.answer import Answer
+    pass
 
 
 def shown_json(value: object) -> str:
@@ -381,19 +381,16 @@ class Control:
             return _command_refused("expected a command with texts and lists of texts, found lists in lists", 400)
         reply = await self.channel.ask(command)
         if reply.problem:
+            from planner_bridge.explanations.goal_now import answered  # here, because it takes its time to import
+
             try:
-                return ShownResponse({"answers": [answer.as_json() for answer in await self._explained(reply.problem, world)]})
+                async with self.turn:  # in this process, because it takes a processor, which the tasks need
+                    answers = await asyncio.to_thread(answered, reply.problem, await world())
+                return ShownResponse({"answers": [answer.as_json() for answer in answers]})
             except PnmError as error:
                 return _command_refused(str(error), 409)
         told = {name: value for name, value in reply.as_json().items() if name != "problem"}
         return ShownResponse(told, 409 if reply.refused else 200)
-
-    async def _explained(self, problem: str, world: Callable[[], Awaitable[KnowledgeBase]]) -> tuple[Answer, ...]:
-        """Explain a problem: in this process, because that takes a processor, which the tasks need."""
-        from planner_bridge.explanations.goal_now import answered  # here, because it takes its time to import
-
-        async with self.turn:
-            return await asyncio.to_thread(answered, problem, await world())
 
     def _refusal(self, request: Request) -> Response | None:
         if self.what is Controlled.NOTHING:
@@ -415,9 +412,6 @@ NO_CONTROL: Final = Control(Controlled.NOTHING, "", Channel(lambda _: None))
 
 def _command_refused(why: str, status: int) -> Response:
     return ShownResponse({"refused": why}, status)
-
-
-# --- serving --------------------------------------------------------------------------------------
 
 
 def serve_page(

@@ -110,13 +110,6 @@ _CONFIRMED: Final = ("pause", "resume", "cancel", "step")
 """Those that robots have to confirm."""
 
 
-# --- serving --------------------------------------------------------------------------------------
-
-
-# --- serving --------------------------------------------------------------------------------------
-# Where the page is served: on this computer alone.
-
-
 _HOST: Final = "127.0.0.1"
 
 

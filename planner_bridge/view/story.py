@@ -304,10 +304,6 @@ def _servers(story: Story) -> dict[str, shown.ServerShown]:
     return {name: shown.ServerShown(tuple(actions[name]), tuple(busy.get(name, ())), failed[name]) for name in found}
 
 
-# --- timelines ------------------------------------------------------------------------------------
-# Timelines of tasks, as the history of a journal tells them.
-
-
 def timelines(journal: Place | str) -> tuple[Timeline, ...]:
     """Return the timelines of the tasks in a journal, in the order in which they were accepted.
 
