@@ -13,7 +13,7 @@ from uuid import UUID
 from planner_bridge.cli.console import INDENT, EventLines, SafeConsole, ToldFailures
 from planner_bridge.cli.options import planner_words, print_warnings, waiting
 from planner_bridge.model.plan import Plan, PlanningResult
-from planner_bridge.node.node_log import NodeObserver, journal_words, standing_words
+from planner_bridge.node.node_log import NodeObserver, standing_words
 from planner_bridge.tasks.replanning import PlanAgain, ResumePlan, decision_words
 from planner_bridge.tasks.result import TaskResult, Violation
 from planner_bridge.tasks.settings import TaskObserver
@@ -275,7 +275,13 @@ class NodeConsole(NodeObserver):
 
     def journalled(self, place: str, going_on: int | None) -> None:
         """Print where tasks are kept."""
-        self._console.print(journal_words(place, going_on))
+        if not place:
+            self._console.print("journal: none, tasks end with this process")
+        elif going_on is None:
+            self._console.print(f"journal: {place}")
+        else:
+            tasks = f"{counted(going_on, 'task')} of another process go{'es' if going_on == 1 else ''} on" if going_on else ""
+            self._console.print(f"journal: {place}; {tasks or 'goes on with what was known'}")
 
     def standing_by(self, place: str, holder: str) -> None:
         """Print who holds the journal."""

@@ -82,11 +82,7 @@ Claim: TypeAlias = Solves | Fails | Unsolvable | Best | NoSmallerChange
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """A statement, how it is known, and the reasons for it.
-
-    Args:
-        claims: what others can check of it.
-    """
+    """A statement, how it is known, the reasons for it, and claims that others can check."""
 
     statement: str
     known: Known

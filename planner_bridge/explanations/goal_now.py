@@ -132,7 +132,9 @@ class Labels:
         """Return the labels of a condition, or of its opposite, so far."""
         if literal := literal_of(condition, env, truth):
             if literal not in self.of_literal:
-                own = frozenset({frozenset({literal})}) if self.is_changeable(literal) else frozenset[Label]()
+                subject, derived = literal.subject, self.reachability.state.rules.derived
+                is_changeable = isinstance(subject, tuple) and subject not in self.fixed and subject[0] not in derived
+                own = frozenset({frozenset({literal})}) if is_changeable else frozenset[Label]()
                 self.of_literal[literal] = own if self.reachability.way(literal).lack else _NONE
             return self.of_literal[literal]
         parts, is_every = self.reachability.parts(condition, env, truth)
@@ -142,11 +144,6 @@ class Labels:
         for part in parts:
             joined = self._least(frozenset(one | other for one, other in product(joined, self.of(*part))))
         return joined
-
-    def is_changeable(self, literal: GoalLiteral) -> bool:
-        """Return whether the literal is a fact that can be changed as such."""
-        subject = literal.subject
-        return isinstance(subject, tuple) and subject not in self.fixed and subject[0] not in self.reachability.state.rules.derived
 
     def _least(self, labels: frozenset[Label]) -> frozenset[Label]:
         """Return the labels that hold no other one and are not too large; of too many the smallest."""

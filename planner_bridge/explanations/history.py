@@ -224,11 +224,7 @@ class RunHistory:
 
 @dataclass
 class TaskHistory:
-    """The history of a task. The history of its journal alone changes it.
-
-    Args:
-        runs: its runs, in the order in which they were made.
-    """
+    """The history of a task, its runs in the order in which they were made. The history of its journal alone changes it."""
 
     accepted: records.TaskAccepted
     time: float

@@ -243,11 +243,7 @@ class Forced:
 
 
 def why_not(problem: Problem, action: PlanStep, found: PlanningResult, limit: AnswerLimit) -> Answer:
-    """Return why a plan does not use an action.
-
-    Args:
-        action: with its arguments, which are objects of the right types.
-    """
+    """Return why a plan does not use an action, whose arguments are objects of the right types."""
     same = (action.action, action.arguments)
     if found.plan and (numbers := [number for number, step in enumerate(found.plan.steps) if (step.action, step.arguments) == same]):
         return Answer(f"the plan does use {action}: it is call #{numbers[0]}", Known.PLAN, (), (Solves(problem, found.plan),))

@@ -17,8 +17,8 @@ from planner_bridge.model.plan import PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.reachability import Achiever, GoalLiteral, Reachability, TooLarge, literal_of
 from planner_bridge.planning.solve import solve
-from pnm.core.logic.conditions import All, Compare, Condition, Not, conjunction, conjuncts, fluents, ground
-from pnm.core.logic.expressions import NOTHING, Environment, fluent_text
+from pnm.core.logic.conditions import All, Compare, Condition, conjunction, conjuncts, fluents
+from pnm.core.logic.expressions import NOTHING, fluent_text
 from pnm.errors import counted
 
 # --- time for an answer ---------------------------------------------------------------------------
@@ -149,18 +149,6 @@ class DeadEnds:
         reasons, others = self._ways(literal, (*path, condition))
         return self._proved(condition, f"{condition} can never be true{_closed(others)}", reasons)
 
-    def lacks(self, condition: Condition, env: Environment = NOTHING, truth: bool = True) -> tuple[Condition, ...]:
-        """Return the parts of a condition, or of its opposite, that can never be true; alternatives are left together."""
-        if not self.reachability.of(condition, env, truth):
-            return ()
-        if literal := literal_of(condition, env, truth):
-            return (literal.condition,)
-        parts, is_every = self.reachability.parts(condition, env, truth)
-        if is_every:
-            return tuple(dict.fromkeys(lack for part in parts for lack in self.lacks(*part)))
-        whole = ground(condition, env)
-        return (whole if truth else Not(whole),)
-
     def _is_knot(self, condition: Condition) -> bool:
         """Return whether every way to a fact leads through itself, or through others of which that is so: no end is nearer than others."""
         literal = literal_of(condition)
@@ -191,7 +179,12 @@ class DeadEnds:
             costs = [self.reachability.cost(self.reachability.of(*part)) for part in parts]
             parts = [part for part, cost in zip(parts, costs, strict=True) if cost == min(costs)][:_WAYS]
             others = len(costs) - len(parts)
-        whys = {why.statement: why for part in parts for lack in self.lacks(*part) for why in [self.why(lack, path)]}
+        whys = {
+            why.statement: why
+            for part in parts
+            for lack in self.reachability.lacking(*part, together=True)
+            for why in [self.why(lack, path)]
+        }
         return tuple(whys.values()), 0 if is_every else others
 
     def _ways(self, literal: GoalLiteral, path: tuple[Condition, ...]) -> tuple[tuple[Answer, ...], int]:
@@ -201,7 +194,7 @@ class DeadEnds:
         """
         by_lack: dict[tuple[str, tuple[Condition, ...]], Achiever] = {}
         for achiever in sorted(self.reachability.way(literal).achievers, key=self.reachability.likelihood):
-            by_lack.setdefault((achiever.name, self.lacks(achiever.condition, achiever.env)), achiever)
+            by_lack.setdefault((achiever.name, self.reachability.lacking(achiever.condition, achiever.env, together=True)), achiever)
         fresh = [key for key in by_lack if not any(lack in path for lack in key[1])] or [*by_lack]
         least = self.reachability.likelihood(by_lack[fresh[0]])[0]
         near = (key for key in fresh[1:] if self.reachability.likelihood(by_lack[key])[0] == least)

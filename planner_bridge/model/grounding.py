@@ -22,14 +22,9 @@ if TYPE_CHECKING:
 
 
 def ground_action(schema: ActionSchema, arguments: tuple[str, ...], duration: float | None = None) -> GroundAction:
-    """Return the action with the arguments in place of its parameters; an instantaneous one has no duration, whatever was planned.
+    """Return the action with these arguments, and a planned duration in seconds unless it is instantaneous.
 
-    Args:
-        arguments: as many objects as it has parameters.
-        duration: the planned one, in seconds.
-
-    Raises:
-        InputError: there are more or fewer arguments.
+    Raises an `InputError` if there are more or fewer arguments than parameters.
     """
     if len(arguments) != len(schema.parameters):
         expected = " ".join(variable.name for variable in schema.parameters) or "none"

@@ -74,11 +74,7 @@ def names_of_world(problem: Problem | None, plans: Iterable[HandWrittenPlan]) ->
 
 
 def with_names_of(problem: Problem, plans: Iterable[HandWrittenPlan], texts: Iterable[str]) -> Problem:
-    """Return the problem with all words of the texts as objects, unless the plans declare objects.
-
-    Raises:
-        InputError: a text has a quantifier, but the plans declare no objects.
-    """
+    """Return the problem with the words of texts as objects, unless plans declare some; raise an `InputError` for quantifiers without."""
     if any(plan.declared.objects for plan in plans):
         return problem
     words = dict.fromkeys(word for text in texts for word in _WORD.findall(text))

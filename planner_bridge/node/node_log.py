@@ -10,23 +10,13 @@ from typing import TYPE_CHECKING, Any
 from planner_bridge.node.options import Options
 from pnm.core.machine.verification.verify import Proof
 from pnm.core.readiness import Readiness
-from pnm.errors import InputError, Tolerated, counted
+from pnm.errors import InputError, Tolerated
 from pnm.journal.journal import NO_JOURNAL, Journal
 from pnm.tasks import EVENTS, ServedWorld, TaskCommands, Tasks
 
 if TYPE_CHECKING:
     from pnm.ros.sim_time import SimClock
     from pnm.ros.tasks.executor_topics import Diagnosis
-
-
-def journal_words(place: str, going_on: int | None) -> str:
-    """Return where tasks are kept in words, and what goes on from there."""
-    if not place:
-        return "journal: none, tasks end with this process"
-    if going_on is None:
-        return f"journal: {place}"
-    tasks = f"{counted(going_on, 'task')} of another process go{'es' if going_on == 1 else ''} on" if going_on else ""
-    return f"journal: {place}; {tasks or 'goes on with what was known'}"
 
 
 def standing_words(place: str, holder: str) -> str:

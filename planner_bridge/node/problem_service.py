@@ -249,11 +249,7 @@ class ProblemFolder:
         return path
 
     def write(self, name: str, problem: str) -> Path:
-        """Write the text of a problem to a file atomically, and return its path.
-
-        Raises:
-            InputError: the file is outside of the folder, would overwrite something that is not a problem, or cannot be written.
-        """
+        """Write a problem to a file atomically, and return its path; raise an `InputError` if it must not, or cannot, be written there."""
         path = self.path_of(name)
         try:
             if self.initial is not None and path.exists() and self.initial.exists() and path.samefile(self.initial):

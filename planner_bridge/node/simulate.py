@@ -139,15 +139,8 @@ def server_models(problem: Problem, bindings: Bindings, holds: Callable[[Conditi
 
 
 def fitted(model: ServerModel) -> ServerModel:
-    """Return the model with its bindings fitted to the type of the server: results have the values of its constants, not their names.
-
-    Raises:
-        InputError: the type is not installed, or a binding does not fit it.
-    """
-    from pnm.ros.node.messages import (
-        fitted_binding,  # needs rclpy, which is an extra
-        import_type,
-    )
+    """Return the model with its bindings fitted to its server's type, constants by value; raise an `InputError` if one does not fit."""
+    from pnm.ros.node.messages import fitted_binding, import_type  # needs rclpy, which is an extra
 
     action_type, bound = import_type(model.type), dict(model.bindings.actions)
     for name in {schema.name for schema, _ in model.choices}:

@@ -212,11 +212,7 @@ class SharedWorld:
         return problem_now(self.problem, self._knowledge, self._elapsed())
 
     def read_goal(self, text: str) -> Condition:
-        """Return the goal of a text: a condition, the name of a goal, or nothing for the goal of the problem.
-
-        Raises:
-            InputError: there is no goal of this name, or it is no condition over the objects of the problem.
-        """
+        """Return the goal of a text: a condition, the name of a goal, or nothing for the problem's; raise an `InputError` for another."""
         text = text.strip()
         if not text:
             return self.problem.goal

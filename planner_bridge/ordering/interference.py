@@ -214,13 +214,7 @@ class Forecast:
 
 
 def forecast(plan: PlanGraph, events: Sequence[PlanEvent], left: Mapping[int, float], state: KnowledgeBase) -> Forecast:
-    """Return the forecast of a plan, each call of which takes its planned duration.
-
-    Args:
-        events: those of its events that are still to come, in an order that the plan allows.
-        left: for the calls that are under way, the seconds that they are expected to take from now.
-        state: of the world, as it is known to be.
-    """
+    """Return the forecast of a plan from its events to come, in an order it allows, and the seconds left of calls under way."""
     # A call that was under way when its machine was made may have to begin anew since.
     calls = [replace(plan.calls[number], under_way=number in left) for number in dict.fromkeys(event.call for event in events)]
     needed = read_write_sets(calls, plan.goal, state)

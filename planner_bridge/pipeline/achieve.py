@@ -147,11 +147,7 @@ async def readiness_of(backend: Backend, world: KnowledgeBase, actions: Iterable
 def backend_of(
     actions: Actions, described: Problem | HandWrittenPlan, settings: Settings, faults: Faults, plans: tuple[HandWrittenPlan, ...] = ()
 ) -> Backend:
-    """Return the execution backend that performs the actions of the problem, or of the plan, which may call the others.
-
-    Raises:
-        InputError: `actions` is nothing that performs actions, or there are faults or sensors that it would ignore.
-    """
+    """Return the backend of a problem or a plan, which may call the others; raise an `InputError` if it would ignore faults or sensors."""
     if faults != NO_FAULTS and actions != "simulated":
         raise InputError("faults belong to simulated robots; expected none with other actions")
     if settings.sim_time and actions != "ros2":

@@ -20,7 +20,21 @@ from typing import Final, NamedTuple, TypeAlias, cast
 from planner_bridge.model.grounding import dynamic_names, initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.normal_form import Assignment, schema_assignments
-from pnm.core.logic.conditions import All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts, evaluate, fluents
+from pnm.core.logic.conditions import (
+    All,
+    Any,
+    Compare,
+    Condition,
+    Exists,
+    ForAll,
+    Holds,
+    Implies,
+    Not,
+    conjuncts,
+    evaluate,
+    fluents,
+    ground,
+)
 from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.expressions import (
     DURATION,
@@ -104,11 +118,7 @@ _Part: TypeAlias = tuple[Condition, Environment, bool]
 
 
 class Reachability:
-    """The literals that the goal may need, each with its lack. The mutable state is these, and how much was looked at.
-
-    Args:
-        possible: facts and numbers that may have any value.
-    """
+    """The literals that the goal may need, each with its lack; what is `possible` may have any value. All of it is mutable state."""
 
     def __init__(self, problem: Problem, possible: frozenset[Fluent]) -> None:
         self._problem = problem
@@ -168,15 +178,20 @@ class Reachability:
         lack = self.of(achiever.condition, achiever.env)
         return self.cost(lack), len(lack), achiever.name
 
-    def lacking(self, condition: Condition, env: Environment = NOTHING, truth: bool = True) -> tuple[Condition, ...]:
-        """Return the unreachable part of the condition; of alternatives the cheapest."""
+    def lacking(
+        self, condition: Condition, env: Environment = NOTHING, truth: bool = True, *, together: bool = False
+    ) -> tuple[Condition, ...]:
+        """Return the unreachable parts of the condition, or of its opposite; of alternatives the cheapest, or all of them `together`."""
         if not self.of(condition, env, truth):
             return ()
         if literal := literal_of(condition, env, truth):
             return (literal.condition,)
         parts, is_every = self.parts(condition, env, truth)
+        if together and not is_every:
+            whole = ground(condition, env)
+            return (whole if truth else Not(whole),)
         chosen = parts if is_every else [min(parts, key=lambda part: self.cost(self.of(*part)))] if parts else []
-        lacks = dict.fromkeys(lack for part in chosen for lack in self.lacking(*part))
+        lacks = dict.fromkeys(lack for part in chosen for lack in self.lacking(*part, together=together))
         return tuple(lacks) or (condition if truth else Not(condition),)
 
     def parts(self, condition: Condition, env: Environment, truth: bool) -> tuple[list[_Part], bool]:
@@ -351,10 +366,7 @@ _Said: TypeAlias = tuple[_Ending, str]
 
 
 def why_unreachable(problem: Problem) -> str:
-    """Return which parts of the goal cannot be reached, and why, whatever unknown facts are.
-
-    Empty when all can as far as this shows, or the problem is too large.
-    """
+    """Return which parts of the goal cannot be reached, and why, whatever unknown facts are; empty if all can, or it is too large."""
     return _why(problem, problem.unknown, "cannot be reached")
 
 

@@ -226,10 +226,7 @@ def _kind_of_change(operation: str, value: Expression) -> str:
 
 
 def validated(problem: Problem, result: PlanningResult, parsed: kairos.Problem | None = None) -> PlanningResult:
-    """Return the result if both validators, Kairos' and ours, accept its plan; else one without a plan, with the reason that there is none.
-
-    `parsed` is the problem as Kairos reads it, if that is there already.
-    """
+    """Return the result if both validators accept its plan; else one without a plan, but a reason. `parsed` is the problem for Kairos."""
     if result.plan is None:
         return explained(problem, result)
     verdicts = {"Kairos' validator": validate(problem, result.plan, parsed), "our own": why_invalid(problem, result.plan)}
@@ -242,10 +239,7 @@ def validated(problem: Problem, result: PlanningResult, parsed: kairos.Problem |
 
 
 def explained(problem: Problem, result: PlanningResult) -> PlanningResult:
-    """Return a result without a plan with our own reason, if there is one.
-
-    Without one, nothing is proved but with whole numbers and while everything is known.
-    """
+    """Return a result without a plan with our own reason, if any; without one only whole numbers and known facts prove anything."""
     if result.status not in (PlanningStatus.UNSOLVABLE, PlanningStatus.NO_PLAN):
         return result
     if reason := why_unreachable(problem):

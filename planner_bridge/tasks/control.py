@@ -312,11 +312,7 @@ class Watchdog:
     """Ends a task that stands still: nothing has happened to it for some time, it waits for nothing, and nobody has paused it.
 
     What is proved is the machine of a plan; this is for what stands around it. A task never stands still unless there is a mistake here.
-
-    Args:
-        end: called each time that the task is found to stand still.
-
-    The mutable state is when something has happened last, and the timer.
+    `end` is called each time that it is found so. The mutable state is when something has happened last, and the timer.
     """
 
     def __init__(self, control: TaskControl, end: Callable[[], None]) -> None:

@@ -200,11 +200,7 @@ def decision_words(decision: Decision | None) -> str:
 
 @dataclass(frozen=True)
 class Progress:
-    """A plan, and how far it has come.
-
-    Args:
-        under_way: the numbers of the calls whose requests are out; they go on, whatever follows.
-    """
+    """A plan, and how far it has come. The calls `under_way`, by number, have requests that are out: they go on, whatever follows."""
 
     plan: PlanGraph
     calls: tuple[CallResult, ...]

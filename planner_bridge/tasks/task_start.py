@@ -97,15 +97,10 @@ def start_of(
 
 
 class PlanTask:
-    """The execution of a hand-written plan, and of the plans of a planner that follow it.
+    """The execution of a hand-written plan, as another process left it if there is `kept`, and of the plans of a planner that follow it.
 
-    When it is paused at once, a plan that it calls is cancelled and begins anew later.
-
-    Args:
-        kept: the task as another process left it, if it goes on here.
-
-    Raises:
-        InputError: there is no such plan, or it has no such parameter.
+    When it is paused at once, a plan that it calls is cancelled and begins anew later. An `InputError` says that there is no such plan,
+    or that it has no such parameter.
     """
 
     def __init__(self, runner: PlanRunner, context: TaskContext, kept: ReplayedTask | None = None) -> None:
@@ -122,11 +117,7 @@ class PlanTask:
             self._plan_run = runner.prepare_run(wanted.text, wanted.parameters, observer, task=wanted.id, priority=wanted.priority)
 
     async def carry_out(self) -> PlanResult:
-        """Carry the plan out and return how it ended.
-
-        Raises:
-            InputError: a parameter has no value; nothing was started.
-        """
+        """Carry the plan out and return how it ended; raise an `InputError`, with nothing started, if a parameter has no value."""
         context, plan_run = self._context, self._plan_run
         program = plan_run.program
         with context.control.executing(self):

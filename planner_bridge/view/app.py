@@ -83,10 +83,7 @@ class _Asked(NamedTuple):
 
 
 class ViewApp:
-    """The application.
-
-    The mutable state is how many browsers watch.
-    """
+    """The application. The mutable state is how many browsers watch."""
 
     def __init__(self, place: Place, feed: Feed, past: Reader, control: Control) -> None:
         self._place = place
@@ -305,10 +302,7 @@ _OPEN: Final = 32
 
 
 class Channel:
-    """The end of the page.
-
-    The mutable state is what waits for replies, by the numbers of commands.
-    """
+    """The end of the page. The mutable state is what waits for replies, by the numbers of commands."""
 
     def __init__(self, write: Callable[[str], None]) -> None:
         self._write = write

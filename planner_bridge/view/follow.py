@@ -64,12 +64,7 @@ class Reader:
             return self._view
 
     def at(self, number: int, tell: Callable[[Story], T]) -> T | None:
-        """Return a function of the story after a record; None if that was dropped, or is not there yet.
-
-        Raises:
-            JournalError: it cannot be read.
-            PnmError: it cannot be replayed.
-        """
+        """Return a function of the story after a record, None if it is not there; raise a `PnmError` if it is not read or replayed."""
         with self._lock:
             kept = self._opened()
             if not kept.segments() or not kept.segments()[0] <= number <= kept.last():
@@ -172,11 +167,7 @@ class Feed:
                 self._reading = None
 
     async def asked(self, number: int, tell: Callable[[Story], T], past: Reader) -> T | None:
-        """Return a function of the story after a record: by the reader of new records if it stands there, else by another one.
-
-        Raises:
-            PnmError: the journal cannot be read, or not replayed.
-        """
+        """Return a function of the story after a record, by the reader that stands there or another; raise a `PnmError` as `at` does."""
         return await asyncio.to_thread((self._reader if number == self.view.number else past).at, number, tell)
 
     async def _read(self) -> None:

@@ -147,12 +147,9 @@ _log = logging.getLogger(__name__)
 
 
 class Operator:
-    """Carries out commands on the event loop of the tasks.
+    """Carries out commands on the event loop of the tasks; without a world there is only the one task that was begun.
 
     The mutable state is the commands that take their time.
-
-    Args:
-        world: what goals are read in, and facts told to; None where there is only the one task that was begun.
     """
 
     def __init__(self, tasks: Tasks, commands: TaskCommands, world: ServedWorld | None = None) -> None:
