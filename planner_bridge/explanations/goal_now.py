@@ -186,7 +186,12 @@ def what_would_help(problem: Problem, limit: AnswerLimit, reason: Answer) -> Ans
         is_exhaustive = is_exhaustive and not candidates  # what does not help alone may do so together with something else
         if is_reachable or limit.is_over:
             break
-    return _nothing(problem, reachability, proved)
+    numbers = [lack for lack in reachability.of(problem.goal) if (literal := literal_of(lack)) and isinstance(literal.subject, Compare)]
+    reasons = (Answer(f"numbers were not changed, and it takes {listed(sorted(map(str, numbers)))}", Known.GIVEN),) if numbers else ()
+    if proved:
+        text = f"changing {_NUMBERS[proved]} is not enough, unless it is one of the goal itself"
+        return Answer(text, Known.SEARCH, reasons, (NoSmallerChange(problem, proved + 1),))
+    return Answer("no change of facts was found that would help", Known.NOT_PROVED, reasons)
 
 
 def _facts(problem: Problem, reachability: Reachability, fixed: frozenset[Fluent]) -> Iterator[GoalLiteral]:
@@ -220,16 +225,6 @@ def _try(problem: Problem, candidates: Iterable[Label], limit: AnswerLimit) -> t
             found.append(Answer(text, Known.PLAN, (), (Solves(asked, plan),)))
         all_proved = all_proved and result.status is PlanningStatus.UNSOLVABLE
     return tuple(found), all_proved and not limit.is_over
-
-
-def _nothing(problem: Problem, reachability: Reachability, proved: int) -> Answer:
-    """Return that no change was found, and for how many facts it is proved that there is none."""
-    numbers = [lack for lack in reachability.of(problem.goal) if (literal := literal_of(lack)) and isinstance(literal.subject, Compare)]
-    reasons = (Answer(f"numbers were not changed, and it takes {listed(sorted(map(str, numbers)))}", Known.GIVEN),) if numbers else ()
-    if proved:
-        text = f"changing {_NUMBERS[proved]} is not enough, unless it is one of the goal itself"
-        return Answer(text, Known.SEARCH, reasons, (NoSmallerChange(problem, proved + 1),))
-    return Answer("no change of facts was found that would help", Known.NOT_PROVED, reasons)
 
 
 def _text(problem: Problem, label: Label) -> str:

@@ -15,7 +15,6 @@ from typing import Final
 
 from planner_bridge.explanations.goal_now import packed
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.model.progression import snapshot
 from planner_bridge.model.world import with_names_of, world_of_plans
@@ -290,19 +289,16 @@ async def make_plan(world: SharedWorld, settings: Settings, goal: str, planner: 
         result = solve(problem, planner=planner, timeout=timeout, improve=settings.improve, cancel=cancel, executor=settings.executor)
         if result.plan is None:
             return MadePlan(code_of_planning(result.status, ()), result.reason, str(problem.goal))
-        return MadePlan(Code.GOAL_REACHED, f"found by {result.planner}", str(problem.goal), _steps(problem, result.plan))
+        before: dict[int, set[int]] = {}
+        for ordering in plan_graph(problem, result.plan).orderings:
+            before.setdefault(ordering.after.call, set()).add(ordering.before.call)
+        steps = tuple(
+            TaskStep(step.action, step.arguments, step.start, step.duration, StepState.WAITING, tuple(sorted(before.get(number, ()))))
+            for number, step in enumerate(result.plan.steps)
+        )
+        return MadePlan(Code.GOAL_REACHED, f"found by {result.planner}", str(problem.goal), steps)
 
     try:
         return await in_own_thread(search)
     finally:
         cancel.set()
-
-
-def _steps(problem: Problem, plan: Plan) -> tuple[TaskStep, ...]:
-    before: dict[int, set[int]] = {}
-    for ordering in plan_graph(problem, plan).orderings:
-        before.setdefault(ordering.after.call, set()).add(ordering.before.call)
-    return tuple(
-        TaskStep(step.action, step.arguments, step.start, step.duration, StepState.WAITING, tuple(sorted(before.get(number, ()))))
-        for number, step in enumerate(plan.steps)
-    )

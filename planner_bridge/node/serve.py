@@ -115,23 +115,23 @@ def serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], observe
         InputError: a parameter or a file is wrong; nothing was served.
         RosError: ROS 2 is missing, or another process serves under the same names.
     """
-    run_async(_serve(given, arguments, observer))
 
+    async def serving() -> None:
+        from pnm.ros.node.ros_thread import RosThread  # here, because rclpy is an extra
 
-async def _serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], observer: NodeObserver) -> None:
-    from pnm.ros.node.ros_thread import RosThread  # here, because rclpy is an extra
+        task = asyncio.current_task()
+        assert task is not None
+        async with RosThread(NODE, args=arguments, managed=True) as ros:
+            log = NodeLog()
+            try:
+                await _run_lifecycle(ros, given, broadcast(NodeObserver, (observer, log)))
+            except PnmError as error:  # which the command prints, and nothing else
+                log.failed(error)
+                raise
+            except asyncio.CancelledError:
+                task.uncancel()
 
-    task = asyncio.current_task()
-    assert task is not None
-    async with RosThread(NODE, args=arguments, managed=True) as ros:
-        log = NodeLog()
-        try:
-            await _run_lifecycle(ros, given, broadcast(NodeObserver, (observer, log)))
-        except PnmError as error:  # which the command prints, and nothing else
-            log.failed(error)
-            raise
-        except asyncio.CancelledError:
-            task.uncancel()
+    run_async(serving())
 
 
 async def _run_lifecycle(ros: Any, given: Mapping[str, ParameterValue], observer: NodeObserver) -> None:

@@ -408,26 +408,19 @@ def _reason(reachability: Reachability, problem: Problem, part: Condition) -> tu
         open = next((found for found in ways if found.by), None)
         if way and not open:
             break  # what actions are there for, but none can bring about
-        if open:
-            achiever = _nearest(reachability, open)
+        if open:  # the action that people think of first, of those that only need what nothing brings about; else one on the cheapest way
+            cheapest, near = reachability.cost(open.lack), list[Achiever]()
+            for one in open.achievers:
+                its = reachability.lacking(one.condition, one.env)
+                if reachability.cost(reachability.of(one.condition, one.env)) == cheapest and all(map(reachability.is_end, its)):
+                    near.append(one)
+            achiever = min(near, key=reachability.likelihood) if near else cast("Achiever", open.by)
         else:
             achiever = min((achiever for found in ways for achiever in found.achievers), key=reachability.likelihood)
         way.append(achiever.name)
         lacks = reachability.lacking(achiever.condition, achiever.env)
     endings = (ending for lack in ends or lacks for ending in _endings(reachability, problem, lack))
     return tuple(endings), list(filter(None, way if way and way[-1] else way[:1]))
-
-
-def _nearest(reachability: Reachability, way: Way) -> Achiever:
-    """Return the action that people think of first, of those that only need what nothing brings about; else one on the cheapest way."""
-    cheapest = reachability.cost(way.lack)
-    near = [
-        achiever
-        for achiever in way.achievers
-        if reachability.cost(reachability.of(achiever.condition, achiever.env)) == cheapest
-        and all(map(reachability.is_end, reachability.lacking(achiever.condition, achiever.env)))
-    ]
-    return min(near, key=reachability.likelihood) if near else cast("Achiever", way.by)
 
 
 def _endings(reachability: Reachability, problem: Problem, lack: Condition) -> Iterator[_Said]:

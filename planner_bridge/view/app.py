@@ -278,16 +278,15 @@ def frame(before: View | None, after: View) -> dict[str, Any]:
 
     In its parts, None stands for what is not there any more.
     """
-    parts = {name: _changes({} if before is None else getattr(before, name), getattr(after, name)) for name in PARTS}
-    head: dict[str, Any] = {name: getattr(after, name) for name in _HEAD}
-    return {**head, "is_whole": before is None, "parts": {name: changes for name, changes in parts.items() if changes}}
-
-
-def _changes(before: Mapping[str, Shown], after: Mapping[str, Shown]) -> dict[str, Any]:
-    if before is after:
-        return {}
-    changed: dict[str, Any] = {key: asdict(shown) for key, shown in after.items() if (old := before.get(key)) is not shown and old != shown}
-    return changed | dict.fromkeys(before.keys() - after.keys())
+    parts: dict[str, dict[str, Any]] = {}
+    for name in PARTS:
+        old: Mapping[str, Shown] = {} if before is None else getattr(before, name)
+        new: Mapping[str, Shown] = getattr(after, name)
+        if old is not new:
+            changed = {key: asdict(shown) for key, shown in new.items() if (was := old.get(key)) is not shown and was != shown}
+            if changes := changed | dict.fromkeys(old.keys() - new.keys()):
+                parts[name] = changes
+    return {**{name: getattr(after, name) for name in _HEAD}, "is_whole": before is None, "parts": parts}
 
 
 # --- commands -------------------------------------------------------------------------------------

@@ -371,6 +371,10 @@ def detail(story: Story, run: UUID, index: int) -> dict[str, Any] | None:
         ("when it ends", call.action.end_condition),
         ("once it is done", call.action.expected),
     )
+    replay, holders = story.replay, dict[str, list[str]]()
+    for claim in replay.resources.held:
+        for name in claim.names if claim.request in replay.requests else ():
+            holders.setdefault(name, []).append(str(replay.requests[claim.request].action))
     orderings = [each for each in found.source.plan.orderings if each.before.call != each.after.call]
     return {
         "run": run.hex,
@@ -380,7 +384,7 @@ def detail(story: Story, run: UUID, index: int) -> dict[str, Any] | None:
         "server": found.server(action),
         "limit": limit if limit and isfinite(limit) else None,
         "accept": None if action.operation is not None else bindings.of(action.name).accept,
-        "resources": [(name, _holder(story, name)) for name in bindings.resources(action)],
+        "resources": [(name, ", ".join(holders.get(name, ()))) for name in bindings.resources(action)],
         "waits_for": [_wait(found, each, each.before) for each in orderings if each.after.call == index],
         "needed_by": [_wait(found, each, each.after) for each in orderings if each.before.call == index],
         "checks": [_check(story, when, part, context) for when, condition in conditions for part in conjuncts(condition)],
@@ -389,14 +393,6 @@ def detail(story: Story, run: UUID, index: int) -> dict[str, Any] | None:
         "recoveries": list(map(_recovery, call.recoveries)),
         **_block(found, index),
     }
-
-
-def _holder(story: Story, resource: str) -> str:
-    """Return the action of the request that has a resource; empty if none has."""
-    replay = story.replay
-    claims = (claim for claim in replay.resources.held if resource in claim.names)
-    requests = (replay.requests[claim.request] for claim in claims if claim.request in replay.requests)
-    return ", ".join(str(request.action) for request in requests)
 
 
 def _wait(run: RunHistory, ordering: Ordering, other: PlanEvent) -> dict[str, Any]:
