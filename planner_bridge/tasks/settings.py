@@ -1,4 +1,4 @@
-"""The settings, the listeners and the end of a task."""
+"""The settings of a task, and its listeners."""
 
 from __future__ import annotations
 
