@@ -254,17 +254,17 @@ async def stand_by(choice: JournalChoice, codec: Codec, origin: str, waits: Call
         candidate.close()
 
 
+@dataclass(slots=True)
 class _Candidate:
     """A process that is to hold a journal. The mutable state is the replay of what is in it so far, and whether there can be none."""
 
-    def __init__(self, choice: JournalChoice, codec: Codec, origin: str, take: Take = take) -> None:
-        self._choice = choice
-        self._take = take
-        self._codec = codec
-        self._origin = origin
-        self._follower: Follower | None = None
-        self._why_not = ""
-        """Why this version cannot replay it."""
+    choice: JournalChoice
+    codec: Codec
+    origin: str
+    take: Take = take
+    follower: Follower | None = None
+    why_not: str = ""
+    """Why this version cannot replay it."""
 
     def asked(self) -> Taken | HeldByAnother:
         """Return the journal as `taken` does, or who holds it."""
@@ -281,25 +281,25 @@ class _Candidate:
             InputError: that one serves another world, or tasks in the journal cannot go on here.
             JournalError: it cannot be used now.
         """
-        choice, place = self._choice, self._choice.place
-        if self._follower is None:
+        choice, place = self.choice, self.choice.place
+        if self.follower is None:
             with suppress(JournalError):  # there is none yet; or else the next lines say what is wrong
-                self._follower = Follower(place, self._codec)
+                self.follower = Follower(place, self.codec)
         replay = self._replay()
         try:
-            file, hold = self._take(choice)
+            file, hold = self.take(choice)
         except HeldByAnother as held:
-            if replay is not None and replay.shared is not None and replay.shared.origin != self._origin:
+            if replay is not None and replay.shared is not None and replay.shared.origin != self.origin:
                 raise InputError(f"{held.holder} holds {place}, for another domain, problem or world") from held
             raise
         try:
-            self._follower = self._follower or Follower(place, self._codec)
+            self.follower = self.follower or Follower(place, self.codec)
             replay = self._replay()
             if replay is None:
-                because = f"for this version cannot replay it: {self._why_not}"
+                because = f"for this version cannot replay it: {self.why_not}"
                 _log.warning("%s: begins anew with the world as its files have it, %s", place, because)
-            elif replay.shared is None or replay.shared.origin != self._origin:
-                if unfinished := self._follower.unfinished():
+            elif replay.shared is None or replay.shared.origin != self.origin:
+                if unfinished := self.follower.unfinished():
                     other = "tasks of another domain, problem or world are not finished"
                     raise InputError(f"{place}: {other}: {_names(unfinished)}; expected the same files, or a new journal")
                 replay = None
@@ -307,39 +307,39 @@ class _Candidate:
             hold.release()
             file.close()
             raise
-        return Taken(choice, self._codec, file, hold, replay)
+        return Taken(choice, self.codec, file, hold, replay)
 
     def _replay(self) -> Replay | None:
         """Return the replay of the journal so far; None if this version cannot replay it, and need not: nothing in it is unfinished."""
-        if self._follower is None:
+        if self.follower is None:
             return None
-        place = self._choice.place
+        place = self.choice.place
         try:
-            self._follower.catch_up()
+            self.follower.catch_up()
         except (ReplayDiffers, Undecodable) as error:
-            if unfinished := self._follower.unfinished():
+            if unfinished := self.follower.unfinished():
                 away = f"`pnm journal move {place} FILE` moves this one" if isinstance(place, Path) else f"rename the schema {place.name}"
                 raise InputError(
                     f"{place}: tasks that are not finished cannot go on in this version: {_names(unfinished)}; {error}. Go on with the"
                     f" version that has begun them; or, when their robots have been looked after, begin a new journal: {away}"
                     f" (`pnm history {place}` lists its tasks) or name another one"
                 ) from error
-            self._why_not = str(error)
+            self.why_not = str(error)
             return None
-        return self._follower.replay
+        return self.follower.replay
 
     def wait(self, left: float) -> None:
         """Wait until the journal may be free, where its holder has a lease for so long."""
         seconds = min(max(left, _SOON), _LOOK) if left else _LOOK / 4
-        if self._follower is None:
+        if self.follower is None:
             sleep(seconds)
         else:
-            self._follower.wait(seconds)
+            self.follower.wait(seconds)
 
     def close(self) -> None:
         """Read no more."""
-        if self._follower is not None:
-            self._follower.close()
+        if self.follower is not None:
+            self.follower.close()
 
 
 def _names(tasks: Sequence[TaskSummary]) -> str:

@@ -292,6 +292,7 @@ class PlanRunner:
         return None
 
 
+@dataclass(eq=False)
 class PlansClient:
     """Carries out calls of plans as runs of their own, and passes all others on to the backend.
 
@@ -304,38 +305,37 @@ class PlansClient:
     The mutable state is the runs of plans by request, the requests that were cancelled, and the tasks that carry them out.
     """
 
-    def __init__(self, runner: PlanRunner, observer: Observer | None, task: UUID, priority: int) -> None:
-        self._runner = runner
-        self._observer = observer
-        self._task = task
-        self._priority = priority
-        self._plan_runs: dict[UUID, PlanRun] = {}
-        self._cancelled: set[UUID] = set()
-        self._tasks: set[asyncio.Task[None]] = set()
+    runner: PlanRunner
+    observer: Observer | None
+    task: UUID
+    priority: int
+    _plan_runs: dict[UUID, PlanRun] = field(init=False, default_factory=dict)
+    _cancelled: set[UUID] = field(init=False, default_factory=set)
+    _tasks: set[asyncio.Task[None]] = field(init=False, default_factory=set)
 
     @property
     def _client(self) -> requests.ActionClient:
-        return self._runner.backend.client
+        return self.runner.backend.client
 
     def goal_fields(self, action: GroundAction, /) -> tuple[str, ...] | None:
         """Return the parameters of the plan, or the fields that the server's goal has."""
-        program = self._runner.programs.get(action.name)
+        program = self.runner.programs.get(action.name)
         return self._client.goal_fields(action) if program is None else program.plan.parameters
 
     def send(self, request: requests.Request, report: requests.Reporter, /) -> None:
         """Begin to carry the plan out, or send the goal."""
-        if request.action.name not in self._runner.programs:
+        if request.action.name not in self.runner.programs:
             self._client.send(request, report)
             return
         self._begin(self._run_plan(request, report))
 
     def reattach(self, request: requests.Request, report: requests.Reporter, /, *, accepted: bool) -> None:
         """Go on with the plan that the request has begun in another process; or have it found out what became of the goal."""
-        replayed = self._runner.kept.pop(request.id, None)
+        replayed = self.runner.kept.pop(request.id, None)
         if replayed is not None:
-            plan_run = self._runner.go_on_with(replayed, request.action.name, self._observer)
+            plan_run = self.runner.go_on_with(replayed, request.action.name, self.observer)
             self._begin(self._execute(request, plan_run, report))
-        elif request.action.name in self._runner.programs:  # nothing of it was begun
+        elif request.action.name in self.runner.programs:  # nothing of it was begun
             self.send(request, report)
         elif isinstance(self._client, requests.ReattachingClient):
             self._client.reattach(request, report, accepted=accepted)
@@ -362,8 +362,8 @@ class PlansClient:
     async def _run_plan(self, request: requests.Request, report: requests.Reporter) -> None:
         given = {name: value for name, value in request.goal.items() if name not in ABOUT_THE_CALL}
         try:
-            plan_run = self._runner.prepare_run(
-                request.action.name, given, self._observer, task=self._task, priority=self._priority, caller=request.id
+            plan_run = self.runner.prepare_run(
+                request.action.name, given, self.observer, task=self.task, priority=self.priority, caller=request.id
             )
         except InputError as error:
             report(requests.Ended(request.id, requests.Outcome(requests.OutcomeKind.REJECTED, message=str(error))))
@@ -374,7 +374,7 @@ class PlansClient:
         self._plan_runs[request.id] = plan_run
         report(requests.Accepted(request.id))
         try:
-            result = await self._runner.execute(plan_run)
+            result = await self.runner.execute(plan_run)
         except Exception as error:  # the calling plan waits for its end
             _log.exception("%s has come to no end", request.action)
             report(

@@ -170,6 +170,7 @@ class _Region:
         return ground(condition, env) if env else condition
 
 
+@dataclass
 class PlanGraphBuilder:
     """Makes the graph of one plan. The mutable state is the number of steps so far, where calls stand, and which have recoveries.
 
@@ -177,15 +178,12 @@ class PlanGraphBuilder:
     said, once, or as often as a recovery that asks for it says.
     """
 
-    def __init__(
-        self, recoveries: Callable[[LanguageAction], tuple[WrittenRecovery, ...]], facts: KnowledgeBase, restarts: int | None = None
-    ) -> None:
-        self._recoveries = recoveries
-        self._facts = facts
-        self._restarts = restarts
-        self._made = 0
-        self._positions: dict[int, Position] = {}
-        self._recovering: set[int] = set()
+    recoveries: Callable[[LanguageAction], tuple[WrittenRecovery, ...]]
+    facts: KnowledgeBase
+    restarts: int | None = None
+    _made: int = field(init=False, default=0)
+    _positions: dict[int, Position] = field(init=False, default_factory=dict)
+    _recovering: set[int] = field(init=False, default_factory=set)
 
     def graph(self, plan: StepList, goal: Condition = TRUE, rules: Rules = NO_RULES) -> PlanGraph:
         """Return the graph of a plan; raise `InputError` if it would be too large, or contradicts itself."""
@@ -194,7 +192,7 @@ class PlanGraphBuilder:
         calls = [step.index for step in steps if isinstance(step, ActionCall)]
         others = [step.index for step in steps if not isinstance(step, ActionCall)]
         flow = _renumbered(flow, {old: new for new, old in enumerate((*calls, *others))})  # calls in the order in which they stand
-        return PlanGraph(flow.steps, flow.orderings, goal, rules, restarts=self._restarts)
+        return PlanGraph(flow.steps, flow.orderings, goal, rules, restarts=self.restarts)
 
     def _flow(self, steps: StepList, region: _Region) -> Flow:
         """Return the flow of steps; a call whose start others wait for, or whose end waits itself, can only be tried again or fail."""
@@ -289,10 +287,10 @@ class PlanGraphBuilder:
 
     def _call(self, step: CallStep, region: _Region) -> ActionCall:
         number = self._number(step.place.position)
-        action, own = ground_action(step, region.outer, self._facts)
+        action, own = ground_action(step, region.outer, self.facts)
         written, recovering = step.recoveries, region.recovering
         if written is None:
-            written = self._recoveries(step.action)
+            written = self.recoveries(step.action)
             if written and step.action.name in recovering:
                 chain = ", which uses ".join((*recovering[recovering.index(step.action.name) :], step.action.name))
                 message = f"to recover would never end: {chain}; give this step recoveries of its own, or none: 'recoveries: {{}}'"
@@ -308,7 +306,7 @@ class PlanGraphBuilder:
         recoveries: list[Recovery] = []
         for recovery in written:
             flow = self._flow(recovery.chain, _Region(outer, region.depth + 1, recovering))
-            times = (self._restarts or 1 if recovery.then is Then.RESTART_PLAN else 1) if recovery.times is None else recovery.times
+            times = (self.restarts or 1 if recovery.then is Then.RESTART_PLAN else 1) if recovery.times is None else recovery.times
             when = TRUE if recovery.when is None else ground(recovery.when, own.env)
             recoveries.append(Recovery(recovery.causes, recovery.then, flow, times, when))
         return ActionCall(
