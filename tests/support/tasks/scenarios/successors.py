@@ -13,7 +13,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.tasks.result import TASKS
 from planner_bridge.tasks.settings import Settings
 from planner_bridge.tasks.task_manager import TaskLimits, TaskManager
-from pnm.actions.backend import SimulatedBackend
+from pnm.actions.backend import ClientBackend, SimulatedBackend
 from pnm.actions.simulated_robots import SimulatedRobots
 from pnm.core.logic.conditions import Condition, Holds
 from pnm.core.machine.plan_graph import GroundAction
@@ -104,7 +104,7 @@ class Successors:
     async def _process(self, replay: Replay | None) -> Process:
         link, others = Link(self.robots.robots), frozenset(asyncio.all_tasks())
         backend = SimulatedBackend(self.robots.robots)
-        backend.client = link
+        ClientBackend.__init__(backend, link)  # the requests of this process go through its link
         written = WrittenJournal(JournalFile(self.journal, Durability.PROCESS_CRASH, 0.0), TASKS, replay)
         knowledge = replay.world if replay else initial_knowledge(self.problem)
         await backend.open(knowledge)
