@@ -20,7 +20,6 @@ import click
 
 from planner_bridge.model.problem import Problem
 from planner_bridge.pipeline.loading import load, warning_lines
-from planner_bridge.view.serving import Controlled
 from pnm.errors import InputError, PnmError, Tolerated
 from pnm.files.database.place import Place, place_of
 from pnm.files.text import secret_in, write_private
@@ -30,7 +29,7 @@ from pnm.signals import CANCELLED, LAST_WORDS, LEAVING, interruptible, leave_wit
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from planner_bridge.view.serving import PageProcess
+    from planner_bridge.view.serving import Controlled, PageProcess
     from pnm.actions.faults import Faults
     from pnm.journal.kept import JournalChoice
 
@@ -226,6 +225,8 @@ faults_option = click.option("--faults", type=FILE, help="file with the failures
 
 def controlled_by(view: int | None, what: Controlled, *, controls: bool) -> Controlled:
     """Return the part that a page may control, by the options; raise an `InputError` if there is no page."""
+    from planner_bridge.view.serving import Controlled  # here, because most commands show no page
+
     if controls and view is None:
         raise InputError("--view-controls needs the page; expected --view as well")
     return what if controls else Controlled.NOTHING
