@@ -196,10 +196,8 @@ class UnheardTopic:
 
     def __init__(self, node: Any, kind: Any, topic: str, qos: Any, *, raw: bool = False) -> None:
         self._node = node
-        quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
-        self._subscription = node.create_subscription(
-            kind, topic, lambda message: None, qos, raw=raw, callback_group=Unheard(), event_callbacks=quiet
-        )
+        unheard = {"callback_group": Unheard(), "event_callbacks": SubscriptionEventCallbacks(use_default_callbacks=False)}
+        self._subscription = node.create_subscription(kind, topic, lambda message: None, qos, raw=raw, **unheard)
 
     def __repr__(self) -> str:
         return f"<UnheardTopic {self._subscription.topic_name}>"

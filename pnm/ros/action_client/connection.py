@@ -105,7 +105,13 @@ class Connection:
     def _connect(self) -> None:
         from pnm.ros.action_client.action_services import ActionServices, UnheardTopic  # here, because rclpy is an extra
 
-        twice, kind = self._note_second_answer, self.type.Impl.FeedbackMessage
+        def twice(goal: UUID | None) -> None:
+            """Note that two servers have answered one request, and the goal that it has sent, if it was one."""
+            self._doubled_at = monotonic()
+            if goal is not None and not self.several:
+                self.doubled(goal)
+
+        kind = self.type.Impl.FeedbackMessage
         self.services = ActionServices(self.node, self.type, self.name, answered_twice=twice, may_act=self.may_act)
         self._feedback = UnheardTopic(self.node, kind, f"{self.name}/_action/feedback", _UNREAD)
         self.handshake = Handshake(self.services, self.changed)
@@ -160,12 +166,6 @@ class Connection:
             number = max(2, len(present))
             return f"there are {number} action servers {self.name}, all of which would carry out every goal (see `several_servers`)"
         return ""
-
-    def _note_second_answer(self, goal: UUID | None) -> None:
-        """Note that two servers have answered one request, and the goal that it has sent, if it was one."""
-        self._doubled_at = monotonic()
-        if goal is not None and not self.several:
-            self.doubled(goal)
 
 
 # --- when is it safe to send a goal? -------------------------------------------------------

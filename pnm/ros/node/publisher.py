@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final, Generic, TypeVar
 
 from rclpy.event_handler import PublisherEventCallbacks
@@ -39,16 +40,14 @@ class Publisher:
     async def open(self) -> None:
         """Advertise the topic."""
 
-        def count(count: int, change: int) -> None:
-            self.subscriptions = count
-            if change > 0:
+        def count(info: Any) -> None:
+            self.subscriptions = info.current_count
+            if info.current_count_change > 0:
                 self.matched()
 
         def advertise() -> None:
             qos = profile(1 if self.is_latched else DEPTH, latched=self.is_latched)
-            matched = PublisherEventCallbacks(
-                matched=lambda info: call_on_loop(self._loop, count, info.current_count, info.current_count_change)
-            )
+            matched = PublisherEventCallbacks(matched=partial(call_on_loop, self._loop, count))
             self._publisher = self.ros.node.create_publisher(self._type, self.name, qos, event_callbacks=matched)
 
         await self.ros.ask(advertise)
