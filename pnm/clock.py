@@ -42,14 +42,10 @@ class TimeUsed:
 
 
 class TimeLimit:
-    """Time limit that stands still during pauses: calls a function once it is used up, on the clock of the event loop.
+    """Time limit that stands still during pauses: calls `over` with its seconds once they are used up, on the clock of the event loop.
 
-    Args:
-        seconds: how many; infinitely many are never used up.
-        over: what is called then, with that number.
-        note: called with what is used whenever it begins to count, or stops: another process can go on with it.
-
-    The mutable state is what the constructor sets under "state".
+    Infinitely many are never used up. `note` is called with what is used whenever it begins to count, or stops: another process can go
+    on with it. The mutable state is what the constructor sets under "state".
     """
 
     def __init__(self, seconds: float, over: Callable[[float], None], note: Callable[[TimeUsed], None] = lambda _: None) -> None:

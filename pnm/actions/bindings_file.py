@@ -99,13 +99,7 @@ def read_bindings(path: Path | str, known: Vocabulary | None = None) -> Bindings
 
 
 def bindings_in(top: Mapped, known: Vocabulary | None = None, *, strangers: bool = False) -> Bindings:
-    """Return the bindings of a file that is loaded, as `read_bindings` does.
-
-    Args:
-        top: what is in the file.
-        known: the declared names.
-        strangers: whether there may be bindings of actions that are not declared.
-    """
+    """Return the bindings of a loaded file, as `read_bindings` does; with `strangers`, actions need not be declared."""
     file = BindingsFile(top)
     for key, where, value in top.section("actions").entries():
         if key in BindingKeys.known and not (value.is_mapping or value.is_null):

@@ -9,7 +9,7 @@ import os
 import select
 import sys
 import termios
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Final, TextIO
 from uuid import UUID, uuid5
@@ -37,7 +37,7 @@ def is_for_people(question: Question) -> bool:
 
 def question_text(question: Question) -> str:
     """Return the wording of a question: its meta data, alone or under ``text``; otherwise one made from the name."""
-    if wording := _wording(question.meta):
+    if wording := _wording(question):
         return wording
     return "What do you say?" if question.name in PSEUDO else f"What is {question.name}?"
 
@@ -45,7 +45,7 @@ def question_text(question: Question) -> str:
 def message_text(question: Question, value: object) -> str:
     """Return the text of a message to a person."""
     shown = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)
-    about = _wording(question.meta) or ("" if question.name in PSEUDO else question.name)
+    about = _wording(question) or ("" if question.name in PSEUDO else question.name)
     return f"{about}: {shown}" if about else shown
 
 
@@ -64,8 +64,7 @@ def read_answer(text: str, question: Question) -> object:
     text = text.strip()
     if not text:
         return MISSING
-    data = _meta(question.meta)
-    expected = data.get("answers") if isinstance(data, dict) else None
+    expected = _meta(question).get("answers")
     if isinstance(expected, list):
         for answer in expected:
             if spoken(text) == spoken(answer if isinstance(answer, str) else json.dumps(answer)):
@@ -79,18 +78,18 @@ def read_answer(text: str, question: Question) -> object:
         return text
 
 
-def _wording(meta: str) -> str:
-    data = _meta(meta)
-    text = data.get("text") if isinstance(data, dict) else data
+def _wording(question: Question) -> str:
+    text = _meta(question).get("text")
     return text.strip() if isinstance(text, str) else ""
 
 
-def _meta(meta: str) -> object:
-    """Return the meta data of a question, which is JSON or a text."""
+def _meta(question: Question) -> Mapping[str, object]:
+    """Return the meta data of a question, which are JSON, or else its text; so are those that are no mapping."""
     try:
-        return json.loads(meta) if meta else None
+        data = json.loads(question.meta or "null")
     except ValueError:
-        return meta
+        data = question.meta
+    return data if isinstance(data, dict) else {"text": data}
 
 
 # --- a person at the terminal --------------------------------------------------------------
@@ -104,12 +103,8 @@ class TerminalSource:
     An answer is read by `read_answer`; an empty line means that the person does not know. Input from before
     a question appeared does not count as its answer.
 
-    The mutable state is the queue of the questions, which the lock holds.
-
-    Args:
-        answers: the input stream; by default the standard input.
-        shown: the stream for questions; by default the standard error, since the standard output is for results.
-        limit: seconds for an answer, on a real clock.
+    The streams are by default the standard input, and for questions the standard error, since the standard output is for results.
+    The limit is the seconds for an answer, on a real clock. The mutable state is the queue of the questions, which the lock holds.
     """
 
     def __init__(self, answers: TextIO | None = None, shown: TextIO | None = None, *, limit: float = ANSWER_LIMIT) -> None:
@@ -206,12 +201,8 @@ _log = logging.getLogger(__name__)
 class ScriptedAnswers:
     """Answers to questions by their names; what has none here goes to another source.
 
-    Several answers of a name are given in turn, and the last of them from then on. The mutable state is those that are left,
-    and the names that nobody has asked for yet, which are logged at the end.
-
-    Args:
-        answers: names and values, in the order in which they are given; texts are read as those that people write.
-        otherwise: the source of people.
+    Several answers of a name are given in turn, and the last of them from then on; texts are read as those that people write.
+    The mutable state is those that are left, and the names that nobody has asked for yet, which are logged at the end.
     """
 
     def __init__(self, answers: Iterable[tuple[str, object]], otherwise: Source) -> None:

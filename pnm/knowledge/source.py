@@ -38,10 +38,8 @@ class Source(Protocol):
     async def update(self, question: Question, value: object, asker: Asker, /) -> None:
         """Store the value, or forget it if it is None; when this returns, every later query finds it so.
 
-        A person is shown the value, and stores nothing.
-
-        Raises:
-            SourceError: the value could not be stored; one that is not JSON never is.
+        A person is shown the value, and stores nothing. Raises `SourceError` if the value could not be stored; one that is not JSON
+        never is.
         """
 
     async def close(self) -> None:

@@ -35,13 +35,10 @@ _Key: TypeAlias = tuple[UUID, Handler, str]
 
 
 class KnowledgeServices:
-    """The pair of services for all goals of this process.
+    """The services ``<name>/query`` and ``<name>/update`` for all goals of this process; see `service_prefix` for the name.
 
-    The mutable state is the requests at work, on the event loop's thread.
-
-    Args:
-        name: the services are ``<name>/query`` and ``<name>/update``; see `pnm.ros.knowledge.service_prefix`.
-        sources: queried and updated for all layers but the local one.
+    The sources are queried and updated for all layers but the local one. The mutable state is the requests at work, on the event loop's
+    thread.
     """
 
     def __init__(self, ros: RosThread, loop: asyncio.AbstractEventLoop, name: str, find: FindKnowledge, sources: Source) -> None:

@@ -66,9 +66,8 @@ class _Service:
 class ActionServices(Waitable):  # type: ignore[misc]
     """The client of an action server's services.
 
-    Args:
-        answered_twice: called when a request was answered twice, with the goal if the request has sent one.
-        may_act: whether something may be cancelled; asked right before that. What may not be is as a request that got lost.
+    `answered_twice` is called when a request was answered twice, with the goal if the request has sent one. `may_act` is asked right before
+    something is cancelled; what may not be is as a request that got lost.
     """
 
     def __init__(

@@ -74,9 +74,8 @@ class Ros2ActionClient:
     async def prepare(self, actions: Iterable[GroundAction], limit: float = 5.0) -> tuple[str, ...]:
         """Connect to the servers of the actions; return the names of those not there within `limit` seconds.
 
-        Waits until a new node has discovered all others: there may be another server of the same name.
-
-        It is no error when a server is missing: it is looked for again when a goal is sent to it.
+        Waits until a new node has discovered all others: there may be another server of the same name. It is no error when a server is
+        missing: it is looked for again when a goal is sent to it.
         """
         keys = dict.fromkeys(map(self._key, actions))
         links = await self.ros.ask(lambda: [self._link(key) for key in keys])

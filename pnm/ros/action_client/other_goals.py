@@ -58,14 +58,10 @@ class _StatusTopic:
 class OtherGoals:
     """The goals that action servers work on, and those of them that this process has not sent.
 
+    The ids of all goals of this node begin with the prefix; it is empty if other processes of it cannot be recognized by that. `kept` are
+    goals that another process of this node has sent, and that this one goes on with. `may_act` is asked right before something is
+    cancelled: a node that was cut off and whose journal another process has taken over hears goals of that one, and does not know them.
     The mutable state is the ids of its own goals, the topics, and the timer that cancels goals until they are over.
-
-    Args:
-        ros: the thread of the node.
-        prefix: the first bytes of the ids of all goals of this node; empty if other processes of it cannot be recognized by them.
-        kept: goals that another process of this node has sent, and that this one goes on with.
-        may_act: whether something may be cancelled; asked right before that. A node that was cut off and whose journal another process
-            has taken over hears goals of that one, and does not know them.
     """
 
     def __init__(self, ros: RosThread, prefix: bytes = b"", kept: Iterable[UUID] = (), may_act: Callable[[], bool] = lambda: True) -> None:

@@ -59,10 +59,8 @@ class _SimulatedGoal:
 class SimulatedServers:
     """Action servers whose goals an `ActionClient` carries out. To be used on the event loop's thread.
 
+    `progress` returns how much of a request is done, from 0 to 1; None if the client cannot say.
     The mutable state is the servers by name, the goals that have begun, by id, until they end, and whether feedback is due.
-
-    Args:
-        progress: returns how much of a request is done, from 0 to 1; None if the client cannot say.
     """
 
     def __init__(self, ros: RosThread, client: ActionClient, progress: Callable[[UUID], float] | None = None) -> None:
