@@ -10,17 +10,7 @@ from dataclasses import replace
 from typing import Final, TypeAlias
 from uuid import UUID
 
-from pnm.core.execution.call_data import (
-    GoalFields,
-    carry_out,
-    finished,
-    goal,
-    intention,
-    is_assumed,
-    lag_of_effects,
-    ready,
-    variables_of,
-)
+from pnm.core.execution.call_data import GoalFields, carry_out, finished, goal, intention, is_assumed, lag_of_effects, ready, variables_of
 from pnm.core.execution.call_results import CallResult
 from pnm.core.execution.events import Cancel, Command, Performed, Reattach, Send, Store
 from pnm.core.execution.handover import CallAttempt, UnderWay

@@ -17,16 +17,7 @@ from pnm.core.logic.conditions import CompiledCondition, compiled
 from pnm.core.logic.expressions import Fluent
 from pnm.core.logic.rules import Reads, Rules
 from pnm.core.machine.blocks import PlacedStep
-from pnm.core.machine.guards import (
-    Accepts,
-    After,
-    Always,
-    Due,
-    Ends,
-    Guard,
-    Opener,
-    Rule,
-)
+from pnm.core.machine.guards import Accepts, After, Always, Due, Ends, Guard, Opener, Rule
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.requests import CallOutcome, OutcomeKind, TransitionAction
 from pnm.core.machine.step_block import OWN, BlockTemplate

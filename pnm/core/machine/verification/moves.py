@@ -5,14 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from typing import Final, NamedTuple, TypeAlias
 
-from pnm.core.machine.guards import (
-    Accepts,
-    Adopted,
-    Ends,
-    Guard,
-    Moods,
-    Opener,
-)
+from pnm.core.machine.guards import Accepts, Adopted, Ends, Guard, Moods, Opener
 from pnm.core.machine.requests import OutcomeKind
 from pnm.core.machine.verification.part import Inside, Part, PartStep, Unsound, in_each_case
 from pnm.core.machine.verification.request_life import Account, Life, accounted, following, lacking_account, may_come, misuse
