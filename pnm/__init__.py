@@ -47,13 +47,13 @@ if TYPE_CHECKING:
     from pnm.core.machine.verification.verify import Proof as Proof
     from pnm.core.machine.verification.verify import explore as explore
     from pnm.core.machine.verification.verify import verify as verify
-    from pnm.core.net.firing import enabled as enabled
-    from pnm.core.net.firing import fire as fire
-    from pnm.core.net.firing import is_enabled as is_enabled
     from pnm.core.net.net import Arc as Arc
     from pnm.core.net.net import Marking as Marking
     from pnm.core.net.net import NetBuilder as NetBuilder
     from pnm.core.net.net import PetriNet as PetriNet
+    from pnm.core.net.net import enabled as enabled
+    from pnm.core.net.net import fire as fire
+    from pnm.core.net.net import is_enabled as is_enabled
     from pnm.core.pictures.net_picture import net_svg as net_svg
     from pnm.core.pictures.plan_picture import plan_dot as plan_dot
     from pnm.core.pictures.plan_picture import plan_svg as plan_svg

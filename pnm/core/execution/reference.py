@@ -66,8 +66,7 @@ from pnm.core.machine.guards import Opener, Rule
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import CallOutcome, OutcomeKind, TransitionAction
-from pnm.core.net.firing import fire, is_enabled
-from pnm.core.net.net import Marking
+from pnm.core.net.net import Marking, fire, is_enabled
 from pnm.core.resources import Claim, Resources, RunClaims
 
 _Report: TypeAlias = requests.Accepted | requests.Ended

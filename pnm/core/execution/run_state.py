@@ -16,7 +16,7 @@ from pnm.core.execution.machine_index import MachineIndex
 from pnm.core.knowledge_base import Layered, Readers
 from pnm.core.logic.rules import Rules
 from pnm.core.machine.machine import OnFailure
-from pnm.core.net.firing import Engine
+from pnm.core.net.block_net import Engine
 from pnm.errors import RunError
 
 

@@ -23,7 +23,7 @@ from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import Accepted, Ended, Report
-from pnm.core.net.firing import Engine
+from pnm.core.net.block_net import Engine
 from pnm.core.net.net import Marking
 from pnm.core.resources import Resources, RunClaims
 from pnm.errors import RunError

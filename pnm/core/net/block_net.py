@@ -1,4 +1,4 @@
-"""Nets of blocks: each block is a template, placed somewhere in the net; what leads into it and out of it are its *ports*.
+"""Nets of blocks and the engine that fires them: each block is a template, placed in a net; what leads into and out of it are its *ports*.
 
 A template is made once and shared by all blocks that are alike. A block has the numbers of its first place and of its first transition, and
 for every port the places that it stands for; arcs, consumers and names follow from that. A net by itself is one block without ports.
@@ -12,54 +12,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, Generic, Protocol, Self, TypeAlias, TypeVar
 
-from pnm.core.net.net import PetriNet
-
-# --- when asked -----------------------------------------------------------------------------------
-# Values that are made when they are asked for, and kept: from then on, or for a while.
-
-
-K = TypeVar("K")
-V = TypeVar("V")
-
-
-class WhenAsked(dict[K, V]):
-    """Values that are made when they are first asked for, and kept."""
-
-    def __init__(self, make: Callable[[K], V]) -> None:
-        super().__init__()
-        self._make = make
-
-    def __missing__(self, key: K) -> V:
-        value = self[key] = self._make(key)
-        return value
-
-
-class Remembered(Generic[K, V]):
-    """Values that were made once and may be needed again: when there are too many, all are forgotten.
-
-    The mutable state is all of it.
-    """
-
-    def __init__(self, limit: int = 1000) -> None:
-        self._limit, self._values = limit, dict[K, V]()
-
-    def get(self, key: K) -> V | None:
-        """Return the value under a key."""
-        return self._values.get(key)
-
-    def keep(self, key: K, value: V) -> V:
-        """Keep a value, and return it; if another is kept under its key already, that one."""
-        if len(self._values) >= self._limit:
-            self.forget()
-        return self._values.setdefault(key, value)
-
-    def forget(self) -> None:
-        """Forget all of them."""
-        self._values = {}
-
-
-# --- block net ------------------------------------------------------------------------------------
-
+from pnm.core.net.net import Marking, PetriNet
+from pnm.errors import NotEnabled
 
 NumberedArcs: TypeAlias = list[tuple[int, int]]
 """Places, by number, and the weights of the arcs that connect them to one transition."""
@@ -203,15 +157,15 @@ class BlockNet(Generic[AnyPlaced]):
         self._first_places: list[int] = []
         self.count_places = self.count_transitions = 0
         # worked out so far
-        self.inputs: Final = WhenAsked(self._inputs)
+        self.inputs: Final = WhenAsked(lambda one: (block := self.block_of(one)).arcs(block.template.inputs[one - block.transition]))
         """For every transition, the places that it takes from, and how much of each."""
-        self.outputs: Final = WhenAsked(self._outputs)
+        self.outputs: Final = WhenAsked(lambda one: (block := self.block_of(one)).arcs(block.template.outputs[one - block.transition]))
         """The places that it gives to, and how much to each."""
-        self.only_input: Final = WhenAsked(self._only_input)
+        self.only_input: Final = WhenAsked(lambda one: self.inputs[one][0][0] if self.inputs[one] and not self.unmarked[one] else None)
         """For every transition that takes one token from one place, that place."""
         self.consumers: Final = WhenAsked(self._consumers)
         """For every place, the transitions that take from it, in their order, and how much each does."""
-        self.joins: Final = WhenAsked(self._joins)
+        self.joins: Final = WhenAsked(lambda place: [(one, weight) for one, weight in self.consumers[place] if self.unmarked[one]])
         """Those of them that take more than one token."""
 
     # --- building -----------------------------------------------------------------------------
@@ -250,18 +204,6 @@ class BlockNet(Generic[AnyPlaced]):
         block = self.block_of(transition)
         return block.transition_name(transition - block.transition)
 
-    def _inputs(self, transition: int) -> NumberedArcs:
-        block = self.block_of(transition)
-        return block.arcs(block.template.inputs[transition - block.transition])
-
-    def _outputs(self, transition: int) -> NumberedArcs:
-        block = self.block_of(transition)
-        return block.arcs(block.template.outputs[transition - block.transition])
-
-    def _only_input(self, transition: int) -> int | None:
-        inputs = self.inputs[transition]
-        return inputs[0][0] if len(inputs) == 1 and inputs[0][1] == 1 else None
-
     def _consumers(self, place: int) -> NumberedArcs:
         block, found = self.segment_of(place), list[tuple[int, int]]()
         if isinstance(block, Placed):
@@ -269,9 +211,6 @@ class BlockNet(Generic[AnyPlaced]):
         for reader, port in self.readers.get(place, ()):
             found += [(reader.transition + number, weight) for number, weight in reader.template.consumers[port]]
         return sorted(found) if len(found) > 1 else found
-
-    def _joins(self, place: int) -> NumberedArcs:
-        return [(one, weight) for one, weight in self.consumers[place] if self.unmarked[one]]
 
     @cached_property
     def unmarked(self) -> list[int]:
@@ -324,3 +263,118 @@ def block_net(net: PetriNet) -> BlockNet[Placed]:
     blocks = BlockNet[Placed]()
     blocks.place(Placed(Template.of(net), None, 0, 0, ()))
     return blocks
+
+
+# --- firing ---------------------------------------------------------------------------------------
+
+
+class Engine:
+    """A net and its current marking.
+
+    The mutable state is `tokens`, per place, and `missing`, per transition the number of places that hold too little; it stays at 0 for
+    those that take one token.
+    """
+
+    def __init__(self, net: BlockNet[Any], marking: Mapping[int, int]) -> None:
+        self.net, self._counted, self._joins = net, net.counted, net.joins
+        self.tokens = [0] * net.count_places
+        self.missing = net.unmarked.copy()
+        # An initial marking is added like any other tokens.
+        for place, count in marking.items():
+            self._add(place, count)
+
+    def is_enabled(self, transition: int) -> bool:
+        """Return whether the marking covers the transition's preset."""
+        only = self.net.only_input[transition]
+        return self.missing[transition] == 0 if only is None else self.tokens[only] > 0
+
+    def lacking(self, transition: int) -> set[int]:
+        """Return the places of the transition's preset that do not hold enough tokens."""
+        return {place for place, weight in self.net.inputs[transition] if self.tokens[place] < weight}
+
+    def fire(self, transition: int, times: int = 1) -> None:
+        """Fire the transition `times` at once; raise `NotEnabled`, and change nothing, if the marking does not cover the preset."""
+        net, tokens = self.net, self.tokens
+        only, taken, given = net.only_input[transition], net.inputs[transition], net.outputs[transition]
+        # Checked before any token moves, so that a refused firing leaves the marking as it was.
+        # `missing` counts places for a single firing only; several at once need the weights to be looked at.
+        if times > 1 or (self.missing[transition] if only is None else not tokens[only]):
+            name = net.place_name
+            short = {name(place): weight * times - tokens[place] for place, weight in taken if tokens[place] < weight * times}
+            if short:
+                raise NotEnabled(net.transition_name(transition), short)
+        if times > 1:
+            taken, given = ([(place, weight * times) for place, weight in arcs] for arcs in (taken, given))
+        self.move(taken, given)
+
+    def move(self, taken: Sequence[tuple[int, int]], given: Sequence[tuple[int, int]]) -> None:
+        """Fire a transition that is known to be enabled, and of which all arcs are given."""
+        tokens, counted = self.tokens, self._counted
+        # A place that is both input and output is first emptied and then filled: each change is small and keeps `missing` exact.
+        for place, weight in taken:
+            if counted[place]:
+                self._add(place, -weight)
+            else:
+                tokens[place] -= weight
+        for place, weight in given:
+            if counted[place]:
+                self._add(place, weight)
+            else:
+                tokens[place] += weight
+
+    def _add(self, place: int, count: int) -> None:
+        missing, before = self.missing, self.tokens[place]
+        after = self.tokens[place] = before + count
+        for transition, weight in self._joins[place]:
+            # Only a change across the weight matters: the place begins, or ceases, to be covered for this consumer.
+            if before < weight <= after:
+                missing[transition] -= 1
+            elif after < weight <= before:
+                missing[transition] += 1
+
+    def marking(self) -> Marking:
+        """Return the current marking."""
+        return Marking({self.net.place_name(place): count for place, count in enumerate(self.tokens) if count})
+
+
+# --- values that are made when they are asked for, and kept: from then on, or for a while -------------
+
+
+K = TypeVar("K")
+V = TypeVar("V")
+
+
+class WhenAsked(dict[K, V]):
+    """Values that are made when they are first asked for, and kept."""
+
+    def __init__(self, make: Callable[[K], V]) -> None:
+        super().__init__()
+        self._make = make
+
+    def __missing__(self, key: K) -> V:
+        value = self[key] = self._make(key)
+        return value
+
+
+class Remembered(Generic[K, V]):
+    """Values that were made once and may be needed again: when there are too many, all are forgotten.
+
+    The mutable state is all of it.
+    """
+
+    def __init__(self, limit: int = 1000) -> None:
+        self._limit, self._values = limit, dict[K, V]()
+
+    def get(self, key: K) -> V | None:
+        """Return the value under a key."""
+        return self._values.get(key)
+
+    def keep(self, key: K, value: V) -> V:
+        """Keep a value, and return it; if another is kept under its key already, that one."""
+        if len(self._values) >= self._limit:
+            self.forget()
+        return self._values.setdefault(key, value)
+
+    def forget(self) -> None:
+        """Forget all of them."""
+        self._values = {}

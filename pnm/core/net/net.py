@@ -1,7 +1,4 @@
-"""Place/transition nets: N = (P, T, A) with arc weights W. Frozen; a marking lives elsewhere.
-
-Markings: sparse multisets of places.
-"""
+"""Place/transition nets N = (P, T, A) with arc weights W, their markings, which are sparse multisets of places, and the firing rule."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TypeAlias
 
-from pnm.errors import PnmError
+from pnm.errors import NotEnabled, PnmError
 
 Weights: TypeAlias = Mapping[str, int]
 """Places and the weights of the arcs that connect them to one transition."""
@@ -64,19 +61,21 @@ class PetriNet:
 
     def preset(self, node: str) -> tuple[str, ...]:
         """Return the nodes with an arc to this one."""
-        return tuple(self.inputs[node]) if node in self.inputs else self._producers[node]
+        return tuple(self.inputs[node]) if node in self.inputs else self._around[node][0]
 
     def postset(self, node: str) -> tuple[str, ...]:
         """Return the nodes with an arc from this one."""
-        return tuple(self.outputs[node]) if node in self.outputs else self._consumers[node]
+        return tuple(self.outputs[node]) if node in self.outputs else self._around[node][1]
 
     @cached_property
-    def _producers(self) -> dict[str, tuple[str, ...]]:
-        return _neighbours(self.places, self.outputs)
-
-    @cached_property
-    def _consumers(self) -> dict[str, tuple[str, ...]]:
-        return _neighbours(self.places, self.inputs)
+    def _around(self) -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
+        """For every place, the transitions that give to it, and those that take from it."""
+        found: dict[str, tuple[list[str], list[str]]] = {place: ([], []) for place in self.places}
+        for number, arcs in enumerate((self.outputs, self.inputs)):
+            for transition, connected in arcs.items():
+                for place in connected:
+                    found[place][number].append(transition)
+        return {place: (tuple(giving), tuple(taking)) for place, (giving, taking) in found.items()}
 
     def incidence(self) -> tuple[tuple[int, ...], ...]:
         """Return D = D⁺ - D⁻, a row per transition and a column per place: what one firing of each transition changes.
@@ -90,14 +89,6 @@ class PetriNet:
 
     def __repr__(self) -> str:
         return f"<PetriNet {len(self.places)} places, {len(self.inputs)} transitions>"
-
-
-def _neighbours(places: Iterable[str], weights: Mapping[str, Weights]) -> dict[str, tuple[str, ...]]:
-    by_place: dict[str, list[str]] = {place: [] for place in places}
-    for transition, connected in weights.items():
-        for place in connected:
-            by_place[place].append(transition)
-    return {place: tuple(transitions) for place, transitions in by_place.items()}
 
 
 @dataclass
@@ -192,3 +183,31 @@ class Marking(Mapping[str, int]):
     def covers(self, weights: Mapping[str, int], times: int = 1) -> bool:
         """Return whether there are at least `times` as many tokens as the weights ask for."""
         return all(self[place] >= weight * times for place, weight in weights.items())
+
+
+def is_enabled(net: PetriNet, marking: Marking, transition: str, times: int = 1) -> bool:
+    """Return whether the marking covers the transition's preset, `times` over."""
+    return marking.covers(net.inputs[transition], times)
+
+
+def enabled(net: PetriNet, marking: Marking) -> tuple[str, ...]:
+    """Return the enabled transitions, in the net's order."""
+    return tuple(transition for transition in net.inputs if is_enabled(net, marking, transition))
+
+
+def fire(net: PetriNet, marking: Marking, transition: str, times: int = 1) -> Marking:
+    """Return the marking after the transition has fired `times` at once: m' = T̄·D + m.
+
+    Raises:
+        NotEnabled: the marking does not cover the preset; nothing has changed.
+    """
+    inputs, outputs = net.inputs[transition], net.outputs[transition]
+    missing = {place: weight * times - marking[place] for place, weight in inputs.items() if marking[place] < weight * times}
+    if missing:  # the whole preset is checked before anything is taken: a firing is atomic
+        raise NotEnabled(transition, missing)
+    tokens = dict(marking)
+    for place, weight in inputs.items():
+        tokens[place] -= weight * times
+    for place, weight in outputs.items():
+        tokens[place] = tokens.get(place, 0) + weight * times
+    return Marking(tokens)

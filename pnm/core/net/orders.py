@@ -28,7 +28,8 @@ def topological_order(preceding: Sequence[Sequence[int]], rank: Callable[[int], 
                 first[one] = None
         if not earlier:
             first[number] = None
-    rank = rank or _turns()
+    turns = count()
+    rank = rank or (lambda _: next(turns))
     ready = [(rank(number), number) for number in first]
     heapify(ready)
     in_order: list[int] = []
@@ -40,11 +41,6 @@ def topological_order(preceding: Sequence[Sequence[int]], rank: Callable[[int], 
             if not missing[number]:
                 heappush(ready, (rank(number), number))
     return in_order
-
-
-def _turns() -> Callable[[int], float]:
-    turns = count()
-    return lambda _: next(turns)
 
 
 @dataclass(frozen=True, slots=True)

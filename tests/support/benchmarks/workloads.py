@@ -11,8 +11,7 @@ from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import Constant, Fluent
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
-from pnm.core.net.block_net import BlockNet, Placed
-from pnm.core.net.firing import Engine
+from pnm.core.net.block_net import BlockNet, Engine, Placed
 from pnm.core.net.net import NetBuilder, PetriNet
 
 

@@ -22,7 +22,7 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.guards import After
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Postponed
-from pnm.core.net.firing import fire
+from pnm.core.net.net import fire
 from pnm.errors import RunError
 from tests.support.runs.commands import RUN, begun, cancelled, sent
 from tests.support.runs.mutation.changes import with_rule

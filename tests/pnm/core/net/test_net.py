@@ -10,9 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pnm.core.net.block_net import block_net
-from pnm.core.net.firing import Engine, enabled, fire, is_enabled
-from pnm.core.net.net import Arc, Marking, NetBuilder, NetError, PetriNet
+from pnm.core.net.block_net import Engine, block_net
+from pnm.core.net.net import Arc, Marking, NetBuilder, NetError, PetriNet, enabled, fire, is_enabled
 from pnm.errors import NotEnabled
 
 Firing = tuple[str, int]
