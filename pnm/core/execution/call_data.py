@@ -1,7 +1,5 @@
 """Data of a call: what it sends and stores, which effects it has, and when they are seen. Functions of an action and of knowledge.
 
-Only `carry_out` changes anything: it carries out an operation on knowledge.
-
 Effects. Before: do they hold already? While the call runs: may what is false of its over-all condition be a late report? After: are
 its effects seen? An effect is *seen* when its fluent is sensed and has the value; effects on assumed fluents cannot be checked.
 
@@ -15,44 +13,14 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, TypeAlias, assert_never
-from uuid import UUID
 
-from pnm.core.execution.events import Performed, Store
 from pnm.core.execution.questions import EvaluationContext, unknown_values
 from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic import conditions
 from pnm.core.logic.computed_values import (
-    CHANGING,
-    MISSING,
-    KnowledgeOperation,
-    Layer,
-    Operation,
-    Query,
-    Question,
-    Uncomputable,
-    Update,
-    compute,
     may_ask,
-    question_of,
 )
-from pnm.core.logic.conditions import (
-    TRUE,
-    All,
-    Compare,
-    CompiledCondition,
-    Condition,
-    Holds,
-    Not,
-    compiled,
-    conjunction,
-    conjuncts,
-    data_in,
-    evaluate,
-    fluents,
-    ground,
-    names,
-    observed,
-    unmet,
-)
+from pnm.core.logic.conditions import fluents, names
 from pnm.core.logic.effects import (
     Changes,
     Effects,
@@ -72,7 +40,7 @@ from pnm.core.logic.rules import NO_RULES, Reads, Rules, read_by, reads_of
 from pnm.core.machine.bindings import Binding, goal_data, open_parameters, own_values, placeholders
 from pnm.core.machine.guards import Guard, KnowledgeRead
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
-from pnm.core.machine.requests import Ended, Outcome, OutcomeKind
+from pnm.core.machine.requests import Outcome
 from pnm.core.message_fields import Unreadable, parse_field, value_in
 
 GoalFields: TypeAlias = Callable[[GroundAction], tuple[str, ...] | None]
@@ -90,10 +58,10 @@ def ready(action: GroundAction, context: EvaluationContext) -> GroundAction:
     made = replace(
         action,
         arguments=bind(action.arguments, env),
-        precondition=ground(action.precondition, env),
-        invariant=ground(action.invariant, env),
-        end_condition=ground(action.end_condition, env),
-        expected=ground(action.expected, env),
+        precondition=conditions.ground(action.precondition, env),
+        invariant=conditions.ground(action.invariant, env),
+        end_condition=conditions.ground(action.end_condition, env),
+        expected=conditions.ground(action.expected, env),
         start_effects=ground_effects(action.start_effects, env),
         end_effects=ground_effects(action.end_effects, env),
     )
@@ -126,47 +94,6 @@ def variables_of(outcome: Outcome, call: ActionCall, binding: Binding) -> dict[s
     return values
 
 
-def carry_out(identity: UUID, operation: KnowledgeOperation, context: EvaluationContext) -> Performed:
-    """Carry out an operation on knowledge; what is stored outside is a command, everything else is over at once."""
-    try:
-        match operation:
-            case Query():
-                compute(operation, context)
-                return _ended(identity)
-            case Operation(name, operands):
-                value = compute(operation, context)
-                if name in CHANGING and isinstance(operands[0], Query):
-                    return _store(identity, question_of(operands[0], context), value, context)
-                return _ended(identity)
-            case Update(name, data, layer, meta):
-                value = compute(data, context)
-                question = question_of(Query(name, layer, meta), context)
-                return _store(identity, question, None if value is MISSING else value, context)
-            case _:
-                assert_never(operation)
-    except Uncomputable as error:
-        return Performed(reports=(Ended(identity, Outcome(OutcomeKind.ABORTED, message=str(error))),))
-
-
-def _store(identity: UUID, question: Question, value: object, context: EvaluationContext) -> Performed:
-    knowledge = context.knowledge
-    if question.layer in (Layer.LOCAL, Layer.ALL):  # before anything outside is stored, so that the run itself can rely on it at once
-        knowledge.local.store({question.name: value})
-    if question.layer is Layer.LOCAL:
-        return _ended(identity, changes_knowledge=True)
-    if context.asks:
-        outside = replace(question, layer=Layer.GLOBAL if question.layer is Layer.ALL else question.layer)
-        return Performed((Store(identity, outside, value),), changes_knowledge=True)
-    if question.layer is Layer.PERSON:
-        raise Uncomputable(f"there is nobody to be told {value!r}")
-    knowledge.world.store({question.name: value})
-    return _ended(identity, changes_knowledge=True)
-
-
-def _ended(identity: UUID, *, changes_knowledge: bool = False) -> Performed:
-    return Performed((), (Ended(identity, Outcome(OutcomeKind.SUCCEEDED)),), changes_knowledge)
-
-
 # --- effects ---
 
 
@@ -177,9 +104,9 @@ def already_true(action: GroundAction, knowledge: EvaluationContext) -> bool:
     """
     at_start, at_end = facts(action.start_effects, knowledge), facts(decided(action.end_effects, knowledge), knowledge)
     # Numbers and conditional effects cannot be seen to be done already, so such a call is always made.
-    if at_start is None or at_end is None or not (at_start or at_end or action.expected != TRUE):
+    if at_start is None or at_end is None or not (at_start or at_end or action.expected != conditions.TRUE):
         return False
-    if evaluate(action.expected, knowledge) is not True:
+    if conditions.evaluate(action.expected, knowledge) is not True:
         return False
     return all(same_value(knowledge.value(fluent), value) for fluent, value in (at_start | at_end).items())
 
@@ -225,48 +152,48 @@ def finished(action: GroundAction, intended: Intention, knowledge: EvaluationCon
     return {fluent: value if isinstance(value, bool | str) else now.get(fluent, value) for fluent, value in intended.end.items()}
 
 
-def unseen(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: EvaluationContext) -> tuple[Condition, ...]:
+def unseen(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: EvaluationContext) -> tuple[conditions.Condition, ...]:
     """Return which expected facts are not reported and which end conditions and expectations do not hold.
 
     Raises:
         Unanswered: a question has to be asked first.
     """
     absent = ((fluent, value) for fluent, value in wanted.items() if not same_value(knowledge.world.value(fluent), value))
-    missing: list[Condition] = []
+    missing: list[conditions.Condition] = []
     for fluent, value in absent:
-        fact = Holds(fluent) if isinstance(value, bool) else Compare("=", ValueOf(fluent), Constant(value))
-        missing.append(Not(fact) if value is False else fact)
+        fact = conditions.Holds(fluent) if isinstance(value, bool) else conditions.Compare("=", ValueOf(fluent), Constant(value))
+        missing.append(conditions.Not(fact) if value is False else fact)
     base, changed = knowledge.world.rules.base, names_written(action.end_effects)  # what the end itself changes cannot be checked any more
-    checked = (part for part in conjuncts(action.end_condition) if not base(names(part)) & changed)
-    denied = (part for part in checked if evaluate(part, knowledge) is not True)
-    return (*missing, *denied, *unmet(action.expected, knowledge))
+    checked = (part for part in conditions.conjuncts(action.end_condition) if not base(names(part)) & changed)
+    denied = (part for part in checked if conditions.evaluate(part, knowledge) is not True)
+    return (*missing, *denied, *conditions.unmet(action.expected, knowledge))
 
 
 def denied_at_end(
-    action: GroundAction, knowledge: EvaluationContext, breaks_now: Callable[[Condition], bool] = lambda part: False
-) -> dict[Condition, str]:
+    action: GroundAction, knowledge: EvaluationContext, breaks_now: Callable[[conditions.Condition], bool] = lambda part: False
+) -> dict[conditions.Condition, str]:
     """Return which parts of the conditions over all and at the end do not hold at the end, and what is so instead.
 
     No report about them can come late. Over all means until just before the end: a part of it that breaks at this moment does no harm.
     """
-    denied: dict[Condition, str] = {}
+    denied: dict[conditions.Condition, str] = {}
     for condition, is_for_the_end in ((action.invariant, False), (action.end_condition, True)):
-        for part in unmet(condition, knowledge):
+        for part in conditions.unmet(condition, knowledge):
             is_reported = any(knowledge.world.is_sensed((name,)) for name in knowledge.world.rules.base(names(part)))
             is_excused = is_reported and (is_for_the_end or may_be_late(part, action, knowledge, has_held=False))
             is_excused = is_excused or (not is_for_the_end and breaks_now(part))
-            if not is_excused and not any(map(may_ask, data_in(part))):
-                denied[part] = observed(part, knowledge)
+            if not is_excused and not any(map(may_ask, conditions.data_in(part))):
+                denied[part] = conditions.observed(part, knowledge)
     return denied
 
 
-def may_be_late(part: Condition, action: GroundAction, knowledge: EvaluationContext, *, has_held: bool) -> bool:
+def may_be_late(part: conditions.Condition, action: GroundAction, knowledge: EvaluationContext, *, has_held: bool) -> bool:
     """Return whether a part of the over-all condition may look false, while the action is under way, for want of a report alone.
 
     Either nothing is reported now; or its own start makes the part true, and that has not been seen yet; or its own end changes
     it, which sensors may see before the robot reports the end. Any other report that it is false is news.
     """
-    if evaluate(part, knowledge) is UNKNOWN:
+    if conditions.evaluate(part, knowledge) is UNKNOWN:
         return True
     changed = written((*action.end_effects, *(() if has_held else action.start_effects)), knowledge)
     asked, rules = fluents(part, knowledge), knowledge.world.rules
@@ -319,7 +246,7 @@ class ClosedCall(NamedTuple):
     """The names of all that its effects may change."""
     expects: bool
     """Whether it has a condition for its end, or something is expected of it."""
-    needed: CompiledCondition | None
+    needed: conditions.CompiledCondition | None
     """The condition until its end, and there; None for nothing."""
     effects: ConstantEffects | None
     """None if what it changes depends on the state."""
@@ -344,7 +271,7 @@ def reads_of_guard(guard: Guard, action: GroundAction | None, rules: Rules) -> R
         case KnowledgeRead.EFFECTS if action is None:
             return None
         case KnowledgeRead.EFFECTS:
-            checked = read_by(All((action.end_condition, action.expected)), rules)
+            checked = read_by(conditions.All((action.end_condition, action.expected)), rules)
             fluents = [one.fluent for one in every_effect((*action.start_effects, *action.end_effects)) if isinstance(one, Set)]
             return None if checked is None else checked.union(*(reads_of(fluent, NO_RULES) for fluent in fluents))
         case _ as unread:
@@ -356,17 +283,12 @@ def closed_call(call: ActionCall) -> ClosedCall | None:
     action = call.action
     if not is_closed(action):
         return None
-    names = names_written((*action.start_effects, *action.end_effects))
-    expects, needed = not (action.end_condition == action.expected == TRUE), conjunction((action.invariant, action.end_condition))
-    return ClosedCall(own_values(action), names, expects, None if needed == TRUE else compiled(needed), _constant_effects(call))
-
-
-def _constant_effects(call: ActionCall) -> ConstantEffects | None:
-    action = call.action
-    start, end = constants(action.start_effects), constants(action.end_effects)
-    if start is None or end is None or action.expected != TRUE:
-        return None
-    changed, lasting = start | end, {fluent: value for fluent, value in start.items() if fluent in call.lasting}
-    visible = {fluent: value for fluent, value in (lasting | end).items() if isinstance(value, bool | str)}
-    done = () if any(map(is_number, changed.values())) else tuple(changed.items())
-    return ConstantEffects(Intention(start, end, action.end_effects), visible, done)
+    start, end, effects = constants(action.start_effects), constants(action.end_effects), None
+    if start is not None and end is not None and action.expected == conditions.TRUE:
+        changed, lasting = start | end, {fluent: value for fluent, value in start.items() if fluent in call.lasting}
+        visible = {fluent: value for fluent, value in (lasting | end).items() if isinstance(value, bool | str)}
+        done = () if any(map(is_number, changed.values())) else tuple(changed.items())
+        effects = ConstantEffects(Intention(start, end, action.end_effects), visible, done)
+    expects, needed = not (action.end_condition == action.expected == conditions.TRUE), (action.invariant, action.end_condition)
+    checked = None if (condition := conditions.conjunction(needed)) == conditions.TRUE else conditions.compiled(condition)
+    return ClosedCall(own_values(action), names_written((*action.start_effects, *action.end_effects)), expects, checked, effects)

@@ -10,12 +10,12 @@ from dataclasses import replace
 from typing import Final, TypeAlias
 from uuid import UUID
 
-from pnm.core.execution.call_data import GoalFields, carry_out, finished, goal, intention, is_assumed, lag_of_effects, ready, variables_of
+from pnm.core.execution.call_data import GoalFields, finished, goal, intention, is_assumed, lag_of_effects, ready, variables_of
 from pnm.core.execution.call_results import CallResult
 from pnm.core.execution.events import Cancel, Command, Performed, Reattach, Send, Store
 from pnm.core.execution.handover import CallAttempt, UnderWay
 from pnm.core.execution.machine_index import index_of
-from pnm.core.execution.questions import EvaluationContext
+from pnm.core.execution.questions import EvaluationContext, carry_out
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import Question
 from pnm.core.logic.conditions import Condition, observed

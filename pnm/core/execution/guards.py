@@ -18,30 +18,8 @@ from pnm.core.execution.questions import EvaluationContext, Questions
 from pnm.core.execution.run_state import RunState
 from pnm.core.logic.conditions import Condition, evaluate, explanation, ground, names, observed
 from pnm.core.logic.expressions import UNKNOWN, Truth
+from pnm.core.machine import guards
 from pnm.core.machine.failure_causes import Cause
-from pnm.core.machine.guards import (
-    Accepts,
-    Adopted,
-    After,
-    AlreadyTrue,
-    Always,
-    CancelAsked,
-    ConditionFalse,
-    ConditionTrue,
-    ConditionUnknown,
-    DataMissing,
-    Due,
-    EffectsMissing,
-    EffectsSeen,
-    Ending,
-    Ends,
-    Failing,
-    InvariantFalse,
-    Late,
-    PauseAsked,
-    Rule,
-    Withheld,
-)
 from pnm.core.resources import Claim, RunClaims, who_keeps
 
 NEVER: Final = float("inf")
@@ -122,13 +100,13 @@ class Guards:
     def _withheld(self, site: Site, firing: Firing, place: int) -> float:
         # While it is not withheld, the claim is waited for without limit: some call gives back what it needs.
         guard = self._state.index.guard(site, firing)
-        assert isinstance(guard, Withheld)
+        assert isinstance(guard, guards.Withheld)
         is_withheld = bool(self.withheld(_call(site, firing), guard, place)) and not self._state.pause  # a pause stops this clock
         return self._after(self._waiting_since, site, firing, place, is_withheld, guard.seconds)
 
     def _late(self, site: Site, firing: Firing, place: int) -> float:
         guard = self._state.index.guard(site, firing)
-        assert isinstance(guard, Late)
+        assert isinstance(guard, guards.Late)
         return self._after(self._waiting_since, site, firing, place, not self._state.pause, guard.seconds)  # a pause stops this clock
 
     def _effects_seen(self, site: Site, firing: Firing, place: int) -> float:
@@ -149,7 +127,7 @@ class Guards:
 
     def _due(self, site: Site, firing: Firing, place: int) -> float:
         state, guard = self._state, self._state.index.guard(site, firing)
-        assert isinstance(guard, Due)
+        assert isinstance(guard, guards.Due)
         since = state.index.since[site.transition + firing.number]
         return max([(state.origin or 0.0) + guard.seconds, *(state.marked_at[earlier] + delay for earlier, delay in since)])
 
@@ -217,7 +195,7 @@ class Guards:
         """Return whether the resources that the transition takes are free; if not, its call stands in line for them."""
         return self._claims.are_free(place, self.claim(site, firing, place))
 
-    def withheld(self, call: int, guard: Withheld, place: int | None) -> Mapping[str, str]:
+    def withheld(self, call: int, guard: guards.Withheld, place: int | None) -> Mapping[str, str]:
         """Return which resources of the call belong to requests that were given up, and the names of these requests."""
         _, action = self._calls.claiming(call, guard.action, self.context(call, place))
         return self._claims.withheld_from(self._calls.resources(action))
@@ -237,38 +215,40 @@ class Guards:
         expected, seen = explanation(_grounded(condition, context), context)
         return expected, "; ".join(filter(None, (seen, *self._questions.silence_at(place))))
 
-    def explain_check(self, rule: Rule, place: int | None) -> Explanation | None:
+    def explain_check(self, rule: guards.Rule, place: int | None) -> Explanation | None:
         """Return the cause that a check has found, with what was expected and what was seen; None if the rule has no cause or no check."""
         if rule.cause is None:
             return None
         match rule.guard:
-            case ConditionFalse(condition) | InvariantFalse(condition):
+            case guards.ConditionFalse(condition) | guards.InvariantFalse(condition):
                 return Explanation(rule.cause, *self.explain(condition, rule.call, place))
-            case ConditionUnknown(condition):
+            case guards.ConditionUnknown(condition):
                 return Explanation(rule.cause, f"{condition} to be true or false", self.explain(condition, rule.call, place)[1])
-            case ConditionTrue(condition):
+            case guards.ConditionTrue(condition):
                 return Explanation(rule.cause, rule.expected or f"(not {condition})", observed(condition, self.context(rule.call, place)))
-            case DataMissing(call):
+            case guards.DataMissing(call):
                 context = self.context(call, place)
                 missing = self._calls.goal(call, context)[1]
                 why = "".join(f"; {message}" for message in (*self._questions.silence_at(place), *context.uncomputable(missing)))
                 return Explanation(rule.cause, f"values for {', '.join(missing)}", f"no argument, variable or constant of that name{why}")
-            case Withheld(_, seconds):
+            case guards.Withheld(_, seconds):
                 keepers = self.withheld(rule.guard.call, rule.guard, place)
                 return Explanation(rule.cause, f"{', '.join(keepers)} within {seconds:g} s", who_keeps(keepers))
-            case Late(seconds, condition):
+            case guards.Late(seconds, condition):
                 expected, seen = self.explain(condition, rule.call, place)
                 return Explanation(rule.cause, f"{expected} within {seconds:g} s", seen)
-            case Due(seconds):
+            case guards.Due(seconds):
                 passed = f"{self._state.passed:g} s have passed"
                 what = "a start" if rule.cause is Cause.TOO_LATE else "an end"
                 return Explanation(rule.cause, f"{what} within {seconds:g} s of the plan's start", passed)
-            case Always() if rule.expected:
+            case guards.Always() if rule.expected:
                 return Explanation(rule.cause, rule.expected, rule.observed)
-            case Always() | After() | Ending() | Failing() | CancelAsked() | PauseAsked():
+            case guards.Always() | guards.After() | guards.Ending() | guards.Failing() | guards.CancelAsked() | guards.PauseAsked():
                 return None
-            case AlreadyTrue() | EffectsSeen() | EffectsMissing() | Adopted() | Accepts() | Ends():
-                return None  # explained by the end of the request, or by what the call lacks
+            case guards.AlreadyTrue() | guards.EffectsSeen() | guards.EffectsMissing():
+                return None  # explained by what the call lacks
+            case guards.Adopted() | guards.Accepts() | guards.Ends():
+                return None  # explained by the end of the request
             case _ as unexplained:
                 assert_never(unexplained)
 
@@ -290,25 +270,25 @@ def _now_if(is_open: bool) -> float:
 
 
 OPENS: Final[Mapping[type, Callable[[Guards, Site, Firing, int], float]]] = {
-    Always: Guards._always,
-    After: Guards.waits_until,
-    Late: Guards._late,
-    Ending: Guards._ending,
-    Failing: Guards._failing,
-    CancelAsked: Guards._cancel_asked,
-    PauseAsked: Guards._pause_asked,
-    ConditionTrue: Guards._true,
-    ConditionFalse: Guards._false,
-    ConditionUnknown: Guards._unknown,
-    InvariantFalse: Guards._invariant_false,
-    AlreadyTrue: Guards._already_true,
-    DataMissing: Guards._data_missing,
-    Withheld: Guards._withheld,
-    EffectsSeen: Guards._effects_seen,
-    EffectsMissing: Guards._effects_missing,
-    Adopted: Guards._adopted,
-    Accepts: Guards._reported,
-    Ends: Guards._reported,
-    Due: Guards._due,
+    guards.Always: Guards._always,
+    guards.After: Guards.waits_until,
+    guards.Late: Guards._late,
+    guards.Ending: Guards._ending,
+    guards.Failing: Guards._failing,
+    guards.CancelAsked: Guards._cancel_asked,
+    guards.PauseAsked: Guards._pause_asked,
+    guards.ConditionTrue: Guards._true,
+    guards.ConditionFalse: Guards._false,
+    guards.ConditionUnknown: Guards._unknown,
+    guards.InvariantFalse: Guards._invariant_false,
+    guards.AlreadyTrue: Guards._already_true,
+    guards.DataMissing: Guards._data_missing,
+    guards.Withheld: Guards._withheld,
+    guards.EffectsSeen: Guards._effects_seen,
+    guards.EffectsMissing: Guards._effects_missing,
+    guards.Adopted: Guards._adopted,
+    guards.Accepts: Guards._reported,
+    guards.Ends: Guards._reported,
+    guards.Due: Guards._due,
 }
 """For every kind of guard, when it opens."""

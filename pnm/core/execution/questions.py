@@ -1,4 +1,4 @@
-"""Evaluation context of guards and requests: knowledge, the arguments of the call, and answers to questions from outside.
+"""Evaluation context of guards and requests: knowledge, arguments of the call, answers from outside; and operations on knowledge.
 
 A question is asked once per decision, however often its answer is looked at: `Questions` keeps the answers until the
 token leaves the place at which it is being decided.
@@ -8,18 +8,20 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final, Generic, NamedTuple, TypeVar
 from uuid import UUID
 
-from pnm.core.execution.events import Ask, Command, Withdraw
+from pnm.core.execution.events import Ask, Command, Performed, Store, Withdraw
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import (
+    CHANGING,
     MISSING,
     Data,
     KnowledgeOperation,
     Layer,
+    Operation,
     Query,
     Question,
     Unanswered,
@@ -32,6 +34,7 @@ from pnm.core.logic.computed_values import (
 from pnm.core.logic.expressions import NOTHING, Environment, Fluent, Unknown, Value
 from pnm.core.machine.bindings import DEFAULT, Binding, open_parameters
 from pnm.core.machine.plan_graph import GroundAction, PlanGraph
+from pnm.core.machine.requests import Ended, Outcome, OutcomeKind
 
 Place = TypeVar("Place", bound=Hashable)
 _NO_ACTION = GroundAction("")
@@ -312,6 +315,9 @@ class Questions(Generic[Place]):
             self._inherited.append((subject, question, value))
 
 
+# --- operations on knowledge ---
+
+
 def unknown_values(operation: KnowledgeOperation, context: EvaluationContext) -> tuple[str, ...]:
     """Return the variables without a value that an update copies; raises `Unanswered` if the operation depends on a question."""
     try:
@@ -327,3 +333,38 @@ def unknown_values(operation: KnowledgeOperation, context: EvaluationContext) ->
                 return ()
     except Uncomputable:
         return ()  # the operation itself will report that
+
+
+def carry_out(identity: UUID, operation: KnowledgeOperation, context: EvaluationContext) -> Performed:
+    """Carry out an operation on knowledge; what is stored outside is a command, everything else is over at once."""
+    try:
+        match operation:
+            case Update(name, data, layer, meta):
+                value = compute(data, context)
+                return _store(identity, question_of(Query(name, layer, meta), context), None if value is MISSING else value, context)
+            case Operation(name, (Query() as changed, *_)) if name in CHANGING:
+                return _store(identity, question_of(changed, context), compute(operation, context), context)
+            case _:
+                compute(operation, context)
+                return _ended(identity)
+    except Uncomputable as error:
+        return Performed(reports=(Ended(identity, Outcome(OutcomeKind.ABORTED, message=str(error))),))
+
+
+def _store(identity: UUID, question: Question, value: object, context: EvaluationContext) -> Performed:
+    knowledge = context.knowledge
+    if question.layer in (Layer.LOCAL, Layer.ALL):  # before anything outside is stored, so that the run itself can rely on it at once
+        knowledge.local.store({question.name: value})
+    if question.layer is Layer.LOCAL:
+        return _ended(identity, changes_knowledge=True)
+    if context.asks:
+        outside = replace(question, layer=Layer.GLOBAL if question.layer is Layer.ALL else question.layer)
+        return Performed((Store(identity, outside, value),), changes_knowledge=True)
+    if question.layer is Layer.PERSON:
+        raise Uncomputable(f"there is nobody to be told {value!r}")
+    knowledge.world.store({question.name: value})
+    return _ended(identity, changes_knowledge=True)
+
+
+def _ended(identity: UUID, *, changes_knowledge: bool = False) -> Performed:
+    return Performed((), (Ended(identity, Outcome(OutcomeKind.SUCCEEDED)),), changes_knowledge)

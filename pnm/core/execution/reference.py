@@ -54,7 +54,7 @@ from uuid import UUID
 
 from pnm.core.execution import call_data, events
 from pnm.core.execution.handover import CallAttempt, UnderWay
-from pnm.core.execution.questions import EvaluationContext, Questions, subject_of
+from pnm.core.execution.questions import EvaluationContext, Questions, carry_out, subject_of
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import Question, Unanswered
 from pnm.core.logic.conditions import Condition, evaluate, ground, names
@@ -438,7 +438,7 @@ class ReferenceRun:
         self.attempts[call] = CallAttempt(before.number + 1 if before else 1, request, action, intended)
         self.alive[request], self.is_stepping = call, False
         if action.operation is not None:
-            performed = call_data.carry_out(request, action.operation, context)
+            performed = carry_out(request, action.operation, context)
             self.commands += performed.commands
             self.operated += performed.reports
             return performed.changes_knowledge

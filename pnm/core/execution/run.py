@@ -12,27 +12,8 @@ from collections.abc import Collection
 from typing import assert_never
 from uuid import UUID
 
+from pnm.core.execution import events
 from pnm.core.execution.call_results import Explanation, Hindered, Sent, own_arguments
-from pnm.core.execution.events import (
-    SILENT,
-    Answered,
-    Begin,
-    Cancel,
-    Command,
-    Event,
-    KnowledgeChanged,
-    Pause,
-    ResourcesChanged,
-    Restarted,
-    Resume,
-    Send,
-    Settled,
-    SingleStep,
-    Stop,
-    Tick,
-    Wake,
-    Withdraw,
-)
 from pnm.core.execution.guards import NEVER, OPENS
 from pnm.core.execution.machine_index import Decision, Firing, Site
 from pnm.core.execution.questions import subject_of
@@ -69,7 +50,7 @@ class Run(RunView):
             self.handle(old.pausing, now)
         return questions
 
-    def handle(self, event: Event, now: float) -> list[Command]:
+    def handle(self, event: events.Event, now: float) -> list[events.Command]:
         """Take one event in and return what is to be done about it."""
         state, self._fired, self._told = self._state, [], []
         if now > state.now:  # guards compare times with each other, so the run's clock never goes back
@@ -78,38 +59,38 @@ class Run(RunView):
             case Accepted() | Ended():
                 # a request taken over may end before the run has begun: its place is not marked yet
                 (self._report if state.has_begun else self._early.append)(event)
-            case Begin():
+            case events.Begin():
                 self._agenda.places.extend(state.begin())
-            case Restarted():
+            case events.Restarted():
                 self._agenda.ask_for_timer_anew()
                 for sent in self._calls.open.values():  # the answer to a dead process is not heard: the limit for the next one begins anew
                     self._guards.postpone(sent)
-                self._commands += (*self._questions.again(), *self._calls.again(), *map(Cancel, state.settled))
+                self._commands += (*self._questions.again(), *self._calls.again(), *map(events.Cancel, state.settled))
                 self._agenda.ask_undecided()
-            case KnowledgeChanged():
+            case events.KnowledgeChanged():
                 self._agenda.ask_about_knowledge(state.now)
-            case ResourcesChanged():
+            case events.ResourcesChanged():
                 self._agenda.places.extend(self._claims.served())
-            case Tick():
+            case events.Tick():
                 self._agenda.ask_due(state.now)
-            case SingleStep():
+            case events.SingleStep():
                 state.follow(event)
                 self._agenda.ask_undecided()
                 self._settle()
                 state.is_stepping = False
                 self._agenda.ask_undecided()  # those that could not begin leave the lines for resources
-            case Stop() | Pause() | Resume():
+            case events.Stop() | events.Pause() | events.Resume():
                 state.follow(event)
-                if isinstance(event, Stop) and event.cancel:  # nothing is asked any more, so that no answer holds up the end
+                if isinstance(event, events.Stop) and event.cancel:  # nothing is asked any more, so that no answer holds up the end
                     self._commands += self._questions.close("the run was stopped")
                 self._agenda.ask_undecided()  # guards that were put off report no change by themselves
-            case Answered(identity, value, message):
+            case events.Answered(identity, value, message):
                 place = self._questions.answered(identity, value, message)
                 self._agenda.places.extend([] if place is None else [place])
-            case Settled(request) if request in self._calls.open:
+            case events.Settled(request) if request in self._calls.open:
                 state.settled[request] = event
-                self._commands.append(Cancel(request))
-            case Settled():  # it has ended meanwhile
+                self._commands.append(events.Cancel(request))
+            case events.Settled():  # it has ended meanwhile
                 pass
             case Postponed(request):
                 self._guards.postpone(self._calls.open.get(request))
@@ -148,7 +129,7 @@ class Run(RunView):
             if kind is _SUCCESS and self._calls.succeeded(call, outcome, now):
                 self._has_changed_knowledge = True  # stored before the firing: effects and checks after it may read results
             self._results.answered(call, outcome)  # before the firing as well: the explanation of a failure quotes the message
-            if self.observer is not SILENT:
+            if self.observer is not events.SILENT:
                 self.observer.ended(self._calls.as_sent(call), outcome, now)
         if not self._take(call, kind):
             self.observer.orphaned(report, self._state.now)
@@ -178,7 +159,7 @@ class Run(RunView):
                 elif not missing[site.transition + passage.number]:
                     self._fire(site, passage, place)
         if (time := self._agenda.next_timer()) is not None and not self._state.over:
-            self._commands.append(Wake(time))
+            self._commands.append(events.Wake(time))
 
     def _decide(self, place: int, site: Site, decision: Decision) -> None:
         """Fire the first open transition that takes from the place; if there is none, note when to ask again."""
@@ -280,7 +261,7 @@ class Run(RunView):
                 if firing.decided:
                     self._places.append(marked)
         self._fired.append(number)
-        if self.observer is not SILENT:
+        if self.observer is not events.SILENT:
             self.observer.fired(self._index.names[number], self._index.rules[number], now)
 
     def _fire_apart(self, site: Site, firing: Firing, place: int | None) -> None:
@@ -340,7 +321,7 @@ class Run(RunView):
         if self._claims.waiting:
             self._leave_line(place)
         if place in self._noted:
-            self._commands.extend(map(Withdraw, self._guards.forget(place)))
+            self._commands.extend(map(events.Withdraw, self._guards.forget(place)))
 
     def _tell(self, rule: Rule, call: int, place: int | None, check: Explanation | None) -> None:
         """Note a hindrance of the call, or that it is not needed or given up, and tell the observer."""
@@ -363,7 +344,7 @@ class Run(RunView):
             sent = course.call = calls.as_sent(call)
             self._state.is_stepping = False
             for command in commands:
-                if isinstance(command, Send):
+                if isinstance(command, events.Send):
                     self._told.append(Sent(command.request.id, call, command.request.attempt, own_arguments(sent, self.machine.plan)))
                     self.observer.sent(sent, command.request, now)
             self._reports += reports

@@ -33,29 +33,10 @@ from pnm.core.logic.computed_values import may_ask
 from pnm.core.logic.conditions import TRUE, Condition, conjunction, conjuncts, data_in, names
 from pnm.core.logic.effects import When, every_effect, names_written
 from pnm.core.logic.rules import Rules
+from pnm.core.machine import guards
 from pnm.core.machine.bindings import Binding, WhenLost
 from pnm.core.machine.failure_causes import Cause
-from pnm.core.machine.guards import (
-    Accepts,
-    Adopted,
-    After,
-    AlreadyTrue,
-    CancelAsked,
-    ConditionFalse,
-    ConditionTrue,
-    DataMissing,
-    Due,
-    EffectsMissing,
-    EffectsSeen,
-    Ending,
-    Ends,
-    Guard,
-    InvariantFalse,
-    PauseAsked,
-    Rule,
-    Withheld,
-    check_rule,
-)
+from pnm.core.machine.guards import Rule, check_rule
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.machine.recovery_block import Recoveries, abandon, build_recoveries, succeeded_place
 from pnm.core.machine.requests import CallOutcome, OutcomeKind, TransitionAction
@@ -213,13 +194,13 @@ class CallBlock(Block[ActionCall]):
             # Resources are taken and given where the boundary of the alive places is crossed, so that no transition can forget it.
             was_alive, is_alive = (not self._alive.isdisjoint(places) for places in (taken, marked))
             # What is adopted brings its resources along: it does not wait for them.
-            if is_alive and not was_alive and not isinstance(like.guard, Adopted):
+            if is_alive and not was_alive and not isinstance(like.guard, guards.Adopted):
                 name = title or like.name
                 out = ["done", *(self.at(Port.ANNOUNCES) if name == "start" else []), "failed"]
                 # Before the start as if the server were not there. But a recovery that goes on as if it had succeeded needs a request.
                 is_unserved = name.endswith("start") and Cause.UNAVAILABLE not in self.recoveries.kept
                 marked_then = self._after(Cause.UNAVAILABLE, out) if is_unserved else out
-                withheld = check_rule(Cause.WITHHELD, Withheld(OWN, self.terms.binding.accept, like.action))
+                withheld = check_rule(Cause.WITHHELD, guards.Withheld(OWN, self.terms.binding.accept, like.action))
                 # Added before the transition itself: a wait for resources must have a way out that does not need them.
                 super().add(withheld, taken, marked_then, title=f"{withheld.name} before {name}")
             inputs = {**taken, **dict.fromkeys(resources, 1)} if is_alive and not was_alive else taken
@@ -262,38 +243,38 @@ class CallBlock(Block[ActionCall]):
 
         # First of all rules, and in the first attempt only: after a retry there is no request to adopt any more.
         if self.step.under_way and announced == self.at(Port.ANNOUNCES):
-            add(Rule("adopt", Adopted(OWN), action=TransitionAction.ADOPT), ready, ["running", *announced])
+            add(Rule("adopt", guards.Adopted(OWN), action=TransitionAction.ADOPT), ready, ["running", *announced])
         # Before every check: a run that is ending asks no questions and sends nothing.
-        add(Rule("skip", Ending(), outcome=CallOutcome.SKIPPED), ready, out)
+        add(Rule("skip", guards.Ending(), outcome=CallOutcome.SKIPPED), ready, out)
         if not self._must_happen:  # before the checks of conditions and data, none of which matter for a call that is not needed
-            add(Rule("already_true", AlreadyTrue(OWN), outcome=CallOutcome.ALREADY_TRUE), ready, out)
+            add(Rule("already_true", guards.AlreadyTrue(OWN), outcome=CallOutcome.ALREADY_TRUE), ready, out)
         self._own_checks(Cause.BEFORE, "ready")
         # Before the precondition, which cannot be evaluated for parameters without a value.
-        add(check_rule(Cause.DATA_MISSING, DataMissing(OWN)), ready, self._after(Cause.DATA_MISSING, failed))
+        add(check_rule(Cause.DATA_MISSING, guards.DataMissing(OWN)), ready, self._after(Cause.DATA_MISSING, failed))
         if isfinite(self.terms.latest):  # before `start`, which would begin something that cannot end in time
-            add(OwnRule(check_rule(Cause.TOO_LATE), lambda own: Due(own.latest)), ready, failed)
+            add(OwnRule(check_rule(Cause.TOO_LATE), lambda own: guards.Due(own.latest)), ready, failed)
         # The complement follows right after it: one of the two opens for every state of the world.
         start = Rule("start", action=_SEND, outcome=CallOutcome.RUNNING)
-        add(OwnRule(start, lambda own: ConditionTrue(own.may_start)), ready, [requested])
+        add(OwnRule(start, lambda own: guards.ConditionTrue(own.may_start)), ready, [requested])
         refused = self._after(Cause.PRECONDITION_FALSE, failed)
-        add(OwnRule(check_rule(Cause.PRECONDITION_FALSE), lambda own: ConditionFalse(own.may_start)), ready, refused)
+        add(OwnRule(check_rule(Cause.PRECONDITION_FALSE), lambda own: guards.ConditionFalse(own.may_start)), ready, refused)
 
-        add(Rule("accepted", Accepts(OWN), action=TransitionAction.BEGIN), requested, ["running", *announced])
+        add(Rule("accepted", guards.Accepts(OWN), action=TransitionAction.BEGIN), requested, ["running", *announced])
         # Nothing is undone after these: assumed start effects are only written once the goal is accepted.
         for kind, cause in _EARLY.items():
             name = f"{kind.value}{'_early' if kind is OutcomeKind.LOST else ''}"
-            add(Rule(name, Ends(OWN, frozenset({kind})), cause=cause), requested, self._after(cause, [recover]))
+            add(Rule(name, guards.Ends(OWN, frozenset({kind})), cause=cause), requested, self._after(cause, [recover]))
         unavailable = self._after(Cause.UNAVAILABLE, [recover])
         # A report that skips the acceptance is put right by the run; this exit makes the block complete without relying on that.
-        add(Rule("ended_early", Ends(OWN, _NOT_EARLY), cause=Cause.UNAVAILABLE), requested, unavailable)
-        too_long, in_vain = After(self.terms.binding.accept), After(self.terms.binding.cancel)
+        add(Rule("ended_early", guards.Ends(OWN, _NOT_EARLY), cause=Cause.UNAVAILABLE), requested, unavailable)
+        too_long, in_vain = guards.After(self.terms.binding.accept), guards.After(self.terms.binding.cancel)
         unanswered = Rule("unanswered", too_long, action=_CANCEL, cause=Cause.UNAVAILABLE, expected=_ANSWER, observed="none")
         # The goal may have arrived all the same, so it is cancelled and its end awaited before another attempt.
         add(unanswered, requested, [withdrawing])
         # A success is one although it was not wanted any more; after any other end the robot is free for another attempt.
-        came_late = Rule("came_late", Ends(OWN, _SUCCEEDED), action=TransitionAction.BEGIN)
+        came_late = Rule("came_late", guards.Ends(OWN, _SUCCEEDED), action=TransitionAction.BEGIN)
         add(came_late, withdrawing, [succeeded_place(self), *announced])
-        add(Rule("withdrawn", Ends(OWN, _UNSUCCESSFUL)), withdrawing, unavailable)
+        add(Rule("withdrawn", guards.Ends(OWN, _UNSUCCESSFUL)), withdrawing, unavailable)
         unheard = Rule("unheard", in_vain, cause=Cause.UNAVAILABLE, expected=_ANSWER, observed="none", gives_up=True)
         add(unheard, withdrawing, failed)  # no retry here: the robot may still carry out the first request
 
@@ -307,33 +288,33 @@ class CallBlock(Block[ActionCall]):
     def _run(self, phase: str) -> None:
         """From acceptance to one exit per outcome."""
         returned, recover = succeeded_place(self), [phase + "recover"]
-        self.fire(Rule("succeeded", Ends(OWN, _SUCCEEDED)), "running", returned)
+        self.fire(Rule("succeeded", guards.Ends(OWN, _SUCCEEDED)), "running", returned)
         for_good = ["done", "failed"]
         for kind, cause in _LATE.items():
             is_final = cause is Cause.LOST and self.terms.binding.when_lost is WhenLost.ABORT
-            self._outcome(kind.value, Ends(OWN, frozenset({kind})), "running", cause, for_good if is_final else recover)
+            self._outcome(kind.value, guards.Ends(OWN, frozenset({kind})), "running", cause, for_good if is_final else recover)
         # No server sends these after an acceptance, but the place needs an exit for every kind of end.
-        self._outcome("ended_oddly", Ends(OWN, _ODD), "running", Cause.ABORTED, recover)
+        self._outcome("ended_oddly", guards.Ends(OWN, _ODD), "running", Cause.ABORTED, recover)
         # Past `recover`: whatever is left of the budget, another attempt would end in the same way.
-        self._outcome("aborted_for_good", Ends(OWN, _FOR_GOOD), "running", Cause.ABORTED, for_good)
+        self._outcome("aborted_for_good", guards.Ends(OWN, _FOR_GOOD), "running", Cause.ABORTED, for_good)
         # Before `suspend`: a call that is stopped does not begin anew after the pause.
-        self.fire(Rule("stop", CancelAsked(), action=_CANCEL), "running", "stopping")
-        self.fire(Rule("suspend", PauseAsked(), action=_CANCEL), "running", "suspending")
+        self.fire(Rule("stop", guards.CancelAsked(), action=_CANCEL), "running", "stopping")
+        self.fire(Rule("suspend", guards.PauseAsked(), action=_CANCEL), "running", "suspending")
         if self.step.action.invariant != TRUE:
             # The failure is marked at once, with the cancellation still to be confirmed: it is the cause, whatever the server answers.
             self.fire(
-                OwnRule(check_rule(Cause.INVARIANT_FALSE, action=_CANCEL), lambda own: InvariantFalse(own.step.action.invariant)),
+                OwnRule(check_rule(Cause.INVARIANT_FALSE, action=_CANCEL), lambda own: guards.InvariantFalse(own.step.action.invariant)),
                 *("running", "stopping", "failed"),
             )
         if isfinite(self.step.deadline):
-            missed = OwnRule(check_rule(Cause.DEADLINE_MISSED, action=_CANCEL), lambda own: Due(own.step.deadline))
+            missed = OwnRule(check_rule(Cause.DEADLINE_MISSED, action=_CANCEL), lambda own: guards.Due(own.step.deadline))
             self.fire(missed, "running", "stopping", "failed")
-        self.fire(OwnRule(Rule("timed_out", action=_CANCEL), lambda own: After(own.timeout)), "running", "overdue")
+        self.fire(OwnRule(Rule("timed_out", action=_CANCEL), lambda own: guards.After(own.timeout)), "running", "overdue")
 
-        in_vain, confirmation = After(self.terms.binding.cancel), f"a confirmed cancellation within {self.terms.binding.cancel:g} s"
+        in_vain, confirmation = guards.After(self.terms.binding.cancel), f"a confirmed cancellation within {self.terms.binding.cancel:g} s"
         # A success after the limit is a success: cancelling is a race with the server that it may win.
-        self.fire(Rule("late_success", Ends(OWN, _SUCCEEDED)), "overdue", returned)
-        late, taken_back = Ends(OWN, _UNSUCCESSFUL), self._undone(Cause.TIMED_OUT)
+        self.fire(Rule("late_success", guards.Ends(OWN, _SUCCEEDED)), "overdue", returned)
+        late, taken_back = guards.Ends(OWN, _UNSUCCESSFUL), self._undone(Cause.TIMED_OUT)
         expired = Rule("expired", late, action=taken_back, cause=Cause.TIMED_OUT, observed="none; then {message}")
         in_time = OwnRule(expired, expected=lambda own: f"an end within {own.timeout:g} s")
         self.add(in_time, ["overdue"], self._after(Cause.TIMED_OUT, recover))
@@ -343,21 +324,21 @@ class CallBlock(Block[ActionCall]):
         self.fire(at_all, "overdue", "done", "failed")
 
         # The request is being cancelled already: only what follows changes, so nothing is sent.
-        self.fire(Rule("stop_suspending", CancelAsked()), "suspending", "stopping")
-        self.fire(Rule("ended_before", Ends(OWN, _SUCCEEDED)), "suspending", returned)
+        self.fire(Rule("stop_suspending", guards.CancelAsked()), "suspending", "stopping")
+        self.fire(Rule("ended_before", guards.Ends(OWN, _SUCCEEDED)), "suspending", returned)
         # Back to `ready` directly, past `recover`: a pause is no failure and takes nothing from the budget.
-        suspended = Rule("suspended", Ends(OWN, _UNSUCCESSFUL), None, _UNDO, CallOutcome.SUSPENDED)
+        suspended = Rule("suspended", guards.Ends(OWN, _UNSUCCESSFUL), None, _UNDO, CallOutcome.SUSPENDED)
         self.fire(suspended, "suspending", phase + "ready")
         for_a_pause = f"{confirmation}, for a pause"
         unconfirmed = Rule("unconfirmed_pause", in_vain, None, _UNDO, None, Cause.TIMED_OUT, for_a_pause, "none", gives_up=True)
         self.fire(unconfirmed, "suspending", "done", "failed")
 
         # The effects may have come about although the call was to stop: they are looked for, as after any other success.
-        self.fire(Rule("completed", Ends(OWN, _SUCCEEDED)), "stopping", "settling")
-        self.fire(Rule("completely", EffectsSeen(OWN), None, TransitionAction.FINISH, CallOutcome.SUCCEEDED), "settling", "done")
-        incomplete = Rule("incompletely", EffectsMissing(OWN), None, _UNDO, CallOutcome.CANCELED, Cause.EFFECTS_MISSING)
+        self.fire(Rule("completed", guards.Ends(OWN, _SUCCEEDED)), "stopping", "settling")
+        self.fire(Rule("completely", guards.EffectsSeen(OWN), None, TransitionAction.FINISH, CallOutcome.SUCCEEDED), "settling", "done")
+        incomplete = Rule("incompletely", guards.EffectsMissing(OWN), None, _UNDO, CallOutcome.CANCELED, Cause.EFFECTS_MISSING)
         self.fire(incomplete, "settling", "done")
-        stopped = Rule("stopped", Ends(OWN, _UNSUCCESSFUL), None, _UNDO, CallOutcome.CANCELED)
+        stopped = Rule("stopped", guards.Ends(OWN, _UNSUCCESSFUL), None, _UNDO, CallOutcome.CANCELED)
         self.fire(stopped, "stopping", "done")
         unconfirmed_stop = Rule("unconfirmed_stop", in_vain, None, _UNDO, CallOutcome.UNCONFIRMED, gives_up=True)
         self.fire(unconfirmed_stop, "stopping", "done")
@@ -371,10 +352,10 @@ class CallBlock(Block[ActionCall]):
         # Before the check of the effects: the plan may want to react to a success that only looks like one.
         self._own_checks(Cause.AFTER, "finished")
         finish = None if self.awaited else TransitionAction.FINISH
-        effects_hold = Rule("effects_hold", EffectsSeen(OWN), action=finish, outcome=CallOutcome.SUCCEEDED)
+        effects_hold = Rule("effects_hold", guards.EffectsSeen(OWN), action=finish, outcome=CallOutcome.SUCCEEDED)
         self.fire(effects_hold, "finished", "done")
         recover = [phase + "recover"]
-        self._outcome(Cause.EFFECTS_MISSING.value, EffectsMissing(OWN), "finished", Cause.EFFECTS_MISSING, recover)
+        self._outcome(Cause.EFFECTS_MISSING.value, guards.EffectsMissing(OWN), "finished", Cause.EFFECTS_MISSING, recover)
 
     # --- recovery -----------------------------------------------------------------------------
 
@@ -382,7 +363,7 @@ class CallBlock(Block[ActionCall]):
         """Return the places that are marked for this cause: the plan's own recovery, or else these."""
         return self.recoveries.places.get(cause, otherwise)
 
-    def _outcome(self, name: str, guard: Guard, source: str, cause: Cause, otherwise: list[str]) -> None:
+    def _outcome(self, name: str, guard: guards.Guard, source: str, cause: Cause, otherwise: list[str]) -> None:
         """Add an end without success; assumed start effects are taken back unless the plan goes on as if it were one."""
         self.add(Rule(name, guard, action=self._undone(cause), cause=cause), [source], self._after(cause, otherwise))
 
@@ -393,7 +374,7 @@ class CallBlock(Block[ActionCall]):
         """Add the checks that the plan has besides, in its order."""
         for cause, title, condition, places in self.recoveries.checks:
             if cause is wanted:
-                self.add(check_rule(cause, ConditionTrue(condition)), [source], places, title=title)
+                self.add(check_rule(cause, guards.ConditionTrue(condition)), [source], places, title=title)
 
 
 def _before_start(action: GroundAction, rules: Rules) -> Condition:

@@ -16,22 +16,10 @@ from enum import StrEnum
 from functools import cached_property
 from typing import Any, Final, Generic, NamedTuple, TypeVar, assert_never
 
+from pnm.core.machine import guards
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.failure_causes import Cause
-from pnm.core.machine.guards import (
-    After,
-    ConditionFalse,
-    ConditionTrue,
-    ConditionUnknown,
-    Due,
-    Ending,
-    Guard,
-    InvariantFalse,
-    Late,
-    Opener,
-    Rule,
-    check_rule,
-)
+from pnm.core.machine.guards import Guard, Rule, check_rule
 from pnm.core.machine.plan_graph import Choice, Conditional, Flow, Junction, Loop, PlanGraph, Step, WaitUntil
 from pnm.core.machine.requests import CallOutcome, TransitionAction
 from pnm.core.net.block_net import Template
@@ -104,7 +92,7 @@ class BlockTemplate(Template):
     @cached_property
     def reported(self) -> Sequence[int]:
         """The transitions that reports open."""
-        return [number for number, kind in enumerate(self.kinds) if kind.guard.opened_by is Opener.REPORT]
+        return [number for number, kind in enumerate(self.kinds) if kind.guard.opened_by is guards.Opener.REPORT]
 
     @cached_property
     def made(self) -> Sequence[int]:
@@ -122,13 +110,13 @@ class BlockTemplate(Template):
         return [
             number
             for number, kind in enumerate(self.kinds)
-            if kind.action is TransitionAction.SEND or isinstance(kind.guard, InvariantFalse)
+            if kind.action is TransitionAction.SEND or isinstance(kind.guard, guards.InvariantFalse)
         ]
 
     @cached_property
     def limiting(self) -> Sequence[int]:
         """The transitions that open after the time that a call may take, where each has its own."""
-        return [number for number in self.made if isinstance(self.kinds[number].guard, After)]
+        return [number for number in self.made if isinstance(self.kinds[number].guard, guards.After)]
 
 
 class Inner(NamedTuple):
@@ -277,8 +265,8 @@ class Block(Generic[AnyStep]):
         if (
             self.terms.release or self.delays
         ):  # asked before `join`: when the run ends, tokens pass at once instead of waiting for a release time
-            self.add(Rule("overtaken", Ending(), outcome=CallOutcome.WAITING), waiting, [ready])
-            join = OwnRule(Rule("join", outcome=CallOutcome.WAITING), lambda own: Due(own.release, own.delays))
+            self.add(Rule("overtaken", guards.Ending(), outcome=CallOutcome.WAITING), waiting, [ready])
+            join = OwnRule(Rule("join", outcome=CallOutcome.WAITING), lambda own: guards.Due(own.release, own.delays))
             self.add(join, waiting, [ready], title="join")
         else:
             self.add(Rule("join", outcome=CallOutcome.WAITING), waiting, [ready])
@@ -325,15 +313,15 @@ class LoopBlock(Block[Loop]):
         self.enter("head")
         self.budget("left", "spent", self.step.limit)
         # First of the rules at the head: a run that is ending enters no further round, whatever the condition.
-        self.fire(Rule("skip", Ending()), "head", "done")
+        self.fire(Rule("skip", guards.Ending()), "head", "done")
         condition = self.step.condition
         all_spent = f"(not {condition}) after {self.step.limit} rounds"
-        exceeded = check_rule(Cause.LOOP_LIMIT, ConditionTrue(condition))._replace(expected=all_spent)
+        exceeded = check_rule(Cause.LOOP_LIMIT, guards.ConditionTrue(condition))._replace(expected=all_spent)
         # Asked before `repeat`; it needs every token of `spent`, so it is enabled only when no round is left.
         self.add(exceeded, {head: 1, "spent": self.step.limit}, [done, failed])
-        self.add(Rule("repeat", ConditionTrue(condition)), [head, "left"], [*body.first, "spent"])
-        self.fire(check_rule(Cause.CONDITION_UNKNOWN, ConditionUnknown(condition)), "head", "done", "failed")
-        self.fire(Rule("no_more", ConditionFalse(condition)), "head", "done")
+        self.add(Rule("repeat", guards.ConditionTrue(condition)), [head, "left"], [*body.first, "spent"])
+        self.fire(check_rule(Cause.CONDITION_UNKNOWN, guards.ConditionUnknown(condition)), "head", "done", "failed")
+        self.fire(Rule("no_more", guards.ConditionFalse(condition)), "head", "done")
         self.add(Rule("round_done"), body.last, [head])
         self.leave()
 
@@ -346,11 +334,11 @@ class ChoiceBlock(Block[Choice]):
         head, done, failed = (self.place(name) for name in ("head", "done", "failed"))
         self.draft.failures.append(failed)
         self.enter("head")
-        self.fire(Rule("skip", Ending()), "head", "done")  # asked first: a run that is ending chooses no branch
-        self.fire(check_rule(Cause.CONDITION_UNKNOWN, ConditionUnknown(self.step.condition)), "head", "done", "failed")
+        self.fire(Rule("skip", guards.Ending()), "head", "done")  # asked first: a run that is ending chooses no branch
+        self.fire(check_rule(Cause.CONDITION_UNKNOWN, guards.ConditionUnknown(self.step.condition)), "head", "done", "failed")
         branches = (
-            ("then", ConditionTrue(self.step.condition), self.step.then),
-            ("else", ConditionFalse(self.step.condition), self.step.otherwise),
+            ("then", guards.ConditionTrue(self.step.condition), self.step.then),
+            ("else", guards.ConditionFalse(self.step.condition), self.step.otherwise),
         )
         for name, guard, flow in branches:
             branch = self.region(flow, name, repeated=False)
@@ -378,9 +366,9 @@ class WaitBlock(Block[WaitUntil]):
             self.place(name)
         self.draft.failures.append("failed")
         self.enter("head")
-        self.fire(Rule("skip", Ending()), "head", "done")  # asked first: a run that is ending waits for nothing more
-        self.fire(Rule("holds", ConditionTrue(self.step.condition)), "head", "done")  # before the limit, at which it may just hold
-        self.fire(check_rule(Cause.WAIT_LIMIT, Late(self.step.limit, self.step.condition)), "head", "done", "failed")
+        self.fire(Rule("skip", guards.Ending()), "head", "done")  # asked first: a run that is ending waits for nothing more
+        self.fire(Rule("holds", guards.ConditionTrue(self.step.condition)), "head", "done")  # before the limit, at which it may just hold
+        self.fire(check_rule(Cause.WAIT_LIMIT, guards.Late(self.step.limit, self.step.condition)), "head", "done", "failed")
         self.leave()
 
 

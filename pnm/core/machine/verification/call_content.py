@@ -5,7 +5,7 @@ the net of every call is compared with its `CallTerms`. Nothing is taken from th
 are kept by: the places of a call are told apart by what happens at them (`CallNet`). A request is sent at a *ready* place; it is then
 *unanswered*, *under way* from its acceptance on, and *being cancelled* wherever it may be alive else.
 
-Who designs the block of a call keeps the rules `CallRule`. Each is a row of `WATCHES` or of `TRAITS`, and is named when it is broken.
+Who designs the block of a call keeps the rules `CallRule`. Each is a row of `WATCHES` or one of `traits`, and is named when it is broken.
 """
 
 from __future__ import annotations
@@ -13,31 +13,16 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import takewhile
 from math import inf, isfinite
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from pnm.core.logic.conditions import TRUE
+from pnm.core.machine import guards
 from pnm.core.machine.bindings import WhenLost
 from pnm.core.machine.call_block import CallTerms
 from pnm.core.machine.failure_causes import ASKED, Cause
-from pnm.core.machine.guards import (
-    Accepts,
-    Adopted,
-    After,
-    AlreadyTrue,
-    Always,
-    ConditionTrue,
-    DataMissing,
-    Due,
-    EffectsSeen,
-    Ending,
-    Ends,
-    Failing,
-    Guard,
-    InvariantFalse,
-    Rule,
-    Withheld,
-)
+from pnm.core.machine.guards import Guard, Rule
 from pnm.core.machine.machine import PetriNetMachine, Region
 from pnm.core.machine.plan_graph import ActionCall, Moment, PlanGraph, Recovery, Step, Then, flows
 from pnm.core.machine.recovery_block import is_direct
@@ -48,7 +33,7 @@ from pnm.core.net.net import Weights
 
 RESOURCES: Final = PORTS.index(Port.RESOURCES)
 _NOWHERE: Final = frozenset[str]()
-_ASIDE: Final = (Ending, Failing, Withheld)
+_ASIDE: Final = (guards.Ending, guards.Failing, guards.Withheld)
 """Guards of ways out that are there whatever a recovery says."""
 
 
@@ -107,7 +92,7 @@ class Asked:
             for cause in recovery.causes:
                 lists.setdefault(cause, []).append(recovery)
         return {
-            cause: [(ConditionTrue(one.when), _asked_course(found[number:])) for number, one in enumerate(found)]
+            cause: [(guards.ConditionTrue(one.when), _asked_course(found[number:])) for number, one in enumerate(found)]
             if cause in ASKED
             else _asked_course(found)
             for cause, found in lists.items()
@@ -158,8 +143,8 @@ def _reached_again(plan: PlanGraph) -> Iterator[int]:
 # --- what is there ----------------------------------------------------------------------------
 
 
-_Compared: TypeAlias = tuple[object, object]
-"""The requirement, and the finding."""
+_Compared: TypeAlias = tuple[CallRule, object, object]
+"""A rule, the requirement, and the finding."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -246,7 +231,7 @@ class CallNet:
     @cached_property
     def under_way(self) -> frozenset[str]:
         """The places where it was accepted."""
-        return self.after(self.where(_is(Accepts, Adopted)))
+        return self.after(self.where(_is(guards.Accepts, guards.Adopted)))
 
     @cached_property
     def alive(self) -> frozenset[str]:
@@ -267,7 +252,7 @@ class CallNet:
     @cached_property
     def looking(self) -> frozenset[str]:
         """The places where the effects of a success are awaited."""
-        return _NOWHERE.union(*(self.sources[number] for number in self.where(_is(EffectsSeen))))
+        return _NOWHERE.union(*(self.sources[number] for number in self.where(_is(guards.EffectsSeen))))
 
     @cached_property
     def late(self) -> frozenset[str]:
@@ -276,10 +261,9 @@ class CallNet:
             number for number, arcs in enumerate(self.inputs) if any(one in self.between and one in self.outputs[number] for one in arcs)
         )
 
-    def before_sending(self, place: str) -> list[int]:
-        """Return the exits of a ready place that are asked before what sends."""
-        exits = self.exits[place]
-        return exits[: next(position for position, number in enumerate(exits) if _sends(self.rules[number]))]
+    def before_sending(self) -> list[list[int]]:
+        """Return for each ready place its exits that are asked before what sends."""
+        return [[*takewhile(lambda number: not _sends(self.rules[number]), self.exits[place])] for place in self.ready]
 
     # --- recoveries -----------------------------------------------------------------------------
 
@@ -308,7 +292,7 @@ class CallNet:
 
     def _option(self, number: int) -> object:
         guard = self.rules[number].guard
-        condition = guard.condition if isinstance(guard, ConditionTrue) else TRUE
+        condition = guard.condition if isinstance(guard, guards.ConditionTrue) else TRUE
         for chain in self.entered(number):
             return condition, self.counted(number), chain.steps, self.ends_of(chain)
         return condition, 0, None, self.course(self.outputs[number])
@@ -330,11 +314,11 @@ def _sends(rule: Rule) -> bool:
     return rule.action is TransitionAction.SEND
 
 
-_ends: Final = _is(Ends)
+_ends: Final = _is(guards.Ends)
 
 
 def _ends_lost(rule: Rule) -> bool:
-    return isinstance(rule.guard, Ends) and OutcomeKind.LOST in rule.guard.kinds
+    return isinstance(rule.guard, guards.Ends) and OutcomeKind.LOST in rule.guard.kinds
 
 
 # --- the rules --------------------------------------------------------------------------------
@@ -358,12 +342,17 @@ class WatchedPlaces(NamedTuple):
         return waits_for == 1 and self.does(net.rules[number], net.fails(number))
 
 
-def _before_sending(net: CallNet) -> Iterable[list[int]]:
-    return map(net.before_sending, net.ready)
-
-
 def _at(places: Callable[[CallNet], Iterable[str]]) -> Callable[[CallNet], Iterable[list[int]]]:
     return lambda net: [net.exits.get(place, []) for place in places(net)]
+
+
+def _due(seconds: float) -> Guard | None:
+    return guards.Due(seconds) if isfinite(seconds) else None
+
+
+def _over_all(call: Asked) -> Guard | None:
+    invariant = call.step.action.invariant
+    return None if invariant == TRUE else guards.InvariantFalse(invariant)
 
 
 def _cancels(rule: Rule, fails: bool) -> bool:
@@ -374,165 +363,113 @@ def _cancels_and_fails(rule: Rule, fails: bool) -> bool:
     return rule.action is TransitionAction.CANCEL and fails
 
 
-def _due(seconds: float) -> Guard | None:
-    return Due(seconds) if isfinite(seconds) else None
-
-
-def _over_all(call: Asked) -> Guard | None:
-    invariant = call.step.action.invariant
-    return None if invariant == TRUE else InvariantFalse(invariant)
-
-
 _UNDER_WAY: Final = _at(lambda net: net.under_way)
+_IS_AFTER: Final = _is(guards.After)
 WATCHES: Final = (
-    WatchedPlaces(CallRule.DATA, _before_sending, _is(DataMissing), lambda call: DataMissing(call.step.index)),
-    WatchedPlaces(CallRule.LATEST_START, _before_sending, _is(Due), lambda call: _due(call.terms.latest)),
-    WatchedPlaces(CallRule.PRECONDITION, _at(lambda net: net.ready), _sends, lambda call: ConditionTrue(call.terms.may_start)),
-    WatchedPlaces(CallRule.ANSWER, _at(lambda net: net.unanswered), _is(After), lambda call: After(call.terms.binding.accept), _cancels),
-    WatchedPlaces(CallRule.OVER_ALL, _UNDER_WAY, _is(InvariantFalse), _over_all, _cancels_and_fails),
-    WatchedPlaces(CallRule.DEADLINE, _UNDER_WAY, _is(Due), lambda call: _due(call.step.deadline), _cancels_and_fails),
-    WatchedPlaces(CallRule.TIME_LIMIT, _UNDER_WAY, _is(After), lambda call: After(call.terms.timeout), _cancels),
+    WatchedPlaces(CallRule.DATA, CallNet.before_sending, _is(guards.DataMissing), lambda call: guards.DataMissing(call.step.index)),
+    WatchedPlaces(CallRule.LATEST_START, CallNet.before_sending, _is(guards.Due), lambda call: _due(call.terms.latest)),
+    WatchedPlaces(CallRule.PRECONDITION, _at(lambda net: net.ready), _sends, lambda call: guards.ConditionTrue(call.terms.may_start)),
+    WatchedPlaces(
+        CallRule.ANSWER, _at(lambda net: net.unanswered), _IS_AFTER, lambda call: guards.After(call.terms.binding.accept), _cancels
+    ),
+    WatchedPlaces(CallRule.OVER_ALL, _UNDER_WAY, _is(guards.InvariantFalse), _over_all, _cancels_and_fails),
+    WatchedPlaces(CallRule.DEADLINE, _UNDER_WAY, _is(guards.Due), lambda call: _due(call.step.deadline), _cancels_and_fails),
+    WatchedPlaces(CallRule.TIME_LIMIT, _UNDER_WAY, _IS_AFTER, lambda call: guards.After(call.terms.timeout), _cancels),
     WatchedPlaces(
         CallRule.CANCELLING,
         _at(lambda net: net.cancelled),
-        _is(After),
-        lambda call: After(call.terms.binding.cancel),
+        _IS_AFTER,
+        lambda call: guards.After(call.terms.binding.cancel),
         lambda rule, fails: rule.gives_up,
     ),
 )
 
 
-# each with what is asked, and what is found
+def traits(net: CallNet, call: Asked) -> Iterator[_Compared]:
+    """Yield what is asked and what is found of a call besides `WATCHES`."""
+    yield from _before_its_request(net, call)
+    yield from _while_it_may_be_alive(net, call)
+    yield from _after_its_request(net, call)
 
 
-def _attempts(net: CallNet, call: Asked) -> _Compared:
-    return 2 if call.announces else 1, len(net.ready)
-
-
-def _times(net: CallNet, call: Asked) -> _Compared:
+def _before_its_request(net: CallNet, call: Asked) -> Iterator[_Compared]:
     inner = _NOWHERE.union(*(chain.last for chain in net.held))
     entering = [number for number, arcs in enumerate(net.inputs) if not net.sources[number] and inner.isdisjoint(arcs)]
-    guards = (net.rules[number].guard for number in entering)
-    return {call.is_timed}, {isinstance(guard, Due) for guard in guards if not isinstance(guard, Ending)}
+    waits = (net.rules[number].guard for number in entering)
+    yield CallRule.TIMES, {call.is_timed}, {isinstance(guard, guards.Due) for guard in waits if not isinstance(guard, guards.Ending)}
+    yield CallRule.ATTEMPTS, 2 if call.announces else 1, len(net.ready)
+    yield CallRule.ADOPTED, call.step.under_way, bool(net.where(_is(guards.Adopted)))
+    is_looked_at = {any(isinstance(net.rules[one].guard, guards.AlreadyTrue) for one in exits) for exits in net.before_sending()}
+    yield CallRule.ALREADY_TRUE, {not call.must_happen}, is_looked_at
 
 
-def _adopted(net: CallNet, call: Asked) -> _Compared:
-    return call.step.under_way, bool(net.where(_is(Adopted)))
-
-
-def _already_true(net: CallNet, call: Asked) -> _Compared:
-    return {not call.must_happen}, {any(isinstance(net.rules[one].guard, AlreadyTrue) for one in exits) for exits in _before_sending(net)}
-
-
-def _cancelling(net: CallNet, call: Asked) -> _Compared:
+def _while_it_may_be_alive(net: CallNet, call: Asked) -> Iterator[_Compared]:
     watched = net.unanswered | net.under_way
     leaving = {number for place in watched for number in net.exits.get(place, ()) if not net.targets[number].isdisjoint(net.cancelled)}
-    return set(), {net.names[number] for number in leaving if net.rules[number].action is not TransitionAction.CANCEL}
-
-
-def _held(net: CallNet, call: Asked) -> frozenset[str]:
-    """Return where the call has its resources."""
-    return net.alive if call.terms.asks_at_its_end else net.alive | (net.looking - net.late)
-
-
-def _alive_places(net: CallNet, call: Asked) -> _Compared:
-    return _held(net, call), net.alive_places
-
-
-def _resources(net: CallNet, call: Asked) -> _Compared:
-    held, every = _held(net, call), dict.fromkeys(call.resources, 1)
+    yield CallRule.CANCELLING, set(), {net.names[number] for number in leaving if net.rules[number].action is not TransitionAction.CANCEL}
+    held = net.alive if call.terms.asks_at_its_end else net.alive | (net.looking - net.late)
+    yield CallRule.RESOURCES, held, net.alive_places
+    every = dict.fromkeys(call.resources, 1)
     asked: dict[str, object] = {}
     found: dict[str, object] = {}
     for number, name in enumerate(net.names):
         was_held, is_held = (not held.isdisjoint(places[number]) for places in (net.sources, net.targets))
-        asked[name] = every if is_held > was_held else {}, every if was_held > is_held else {}
-        found[name] = tuple(
+        moved = every if is_held > was_held else {}, every if was_held > is_held else {}
+        moves = tuple(
             {net.resources[one]: weight for one, weight in arcs[number].items() if one in net.resources}
             for arcs in (net.inputs, net.outputs)
         )
-    wrong = [name for name in net.names if asked[name] != found[name]]
-    return {name: asked[name] for name in wrong}, {name: found[name] for name in wrong}
+        if moved != moves:
+            asked[name], found[name] = moved, moves
+    yield CallRule.RESOURCES, asked, found
+    limits = {rule.guard.seconds for rule in net.rules if isinstance(rule.guard, guards.Withheld)}
+    yield CallRule.RESOURCES, {call.terms.binding.accept} if call.resources else set(), limits
 
 
-def _withheld(net: CallNet, call: Asked) -> _Compared:
-    asked = {call.terms.binding.accept} if call.resources else set[float]()
-    return asked, {rule.guard.seconds for rule in net.rules if isinstance(rule.guard, Withheld)}
-
-
-def _effects(net: CallNet, call: Asked) -> _Compared:
-    seen, returned = EffectsSeen.__name__, Always.__name__
+def _after_its_request(net: CallNet, call: Asked) -> Iterator[_Compared]:
+    finish, terms = TransitionAction.FINISH, call.terms
     # the effects of a call that was stopped are written where they are seen, all the same
-    asked = {("start", TransitionAction.BEGIN), (seen, True), *([(seen, False), (returned, True)] if call.awaited else [])}
-    finish = TransitionAction.FINISH
-    at_end = (rule for rule in net.rules if isinstance(rule.guard, EffectsSeen) or rule.action is finish)
-    at_start = (rule.action for rule in net.rules if isinstance(rule.guard, Accepts))
-    return asked, {*(("start", action) for action in at_start), *((type(rule.guard).__name__, rule.action is finish) for rule in at_end)}
-
-
-def _lost(net: CallNet, call: Asked) -> _Compared:
-    if Cause.LOST in call.recoveries:
-        return set(), set()
-    exits = [number for exits in _UNDER_WAY(net) for number in exits if _ends_lost(net.rules[number])]
-    return {Then.FAIL if call.terms.binding.when_lost is WhenLost.ABORT else None}, {net.course(net.outputs[number]) for number in exits}
-
-
-def _retries(net: CallNet, call: Asked) -> _Compared:
+    written: set[tuple[type, TransitionAction | None]] = {(guards.Accepts, TransitionAction.BEGIN), (guards.EffectsSeen, finish)}
+    if call.awaited:
+        written |= {(guards.EffectsSeen, None), (guards.Always, finish)}
+    writing = [rule for rule in net.rules if isinstance(rule.guard, guards.Accepts | guards.EffectsSeen) or rule.action is finish]
+    yield CallRule.EFFECTS, written, {(type(rule.guard), rule.action) for rule in writing}
+    if Cause.LOST not in call.recoveries:
+        lost = {net.course(net.outputs[number]) for exits in _UNDER_WAY(net) for number in exits if _ends_lost(net.rules[number])}
+        yield CallRule.LOST, {Then.FAIL if terms.binding.when_lost is WhenLost.ABORT else None}, lost
     again = (number for number, places in enumerate(net.targets) if not places.isdisjoint(net.ready))
-    return {call.terms.retries} - {0}, {*map(net.counted, again)} - {0}
-
-
-def _counters(net: CallNet, call: Asked) -> _Compared:
+    yield CallRule.RETRIES, {terms.retries} - {0}, {*map(net.counted, again)} - {0}
     entering = [(number, chain) for number in range(len(net.names)) for chain in net.entered(number)]
     kept = {place for number, chain in entering if net.ends_of(chain) is Then.RESTART_PLAN for place in net.counts(number)}
     back = (number for number, places in enumerate(net.sources) if places and places == net.targets[number])
-    is_refilled = call.terms.context.repeated and not call.awaited
-    return net.counters.keys() - kept if is_refilled else set(), {place for number in back for place in net.counts(number)}
+    is_refilled = terms.context.repeated and not call.awaited
+    restored = {place for number in back for place in net.counts(number)}
+    yield CallRule.COUNTERS, net.counters.keys() - kept if is_refilled else set(), restored
+    ways_out = {(guards.Failing, True), (guards.Ending, False)} if terms.context.starts_anew else {(guards.Ending, True)}
+    aside = ((number, rule.guard) for number, rule in enumerate(net.rules) if rule.outcome is None)
+    leaving = {(type(guard), net.fails(number)) for number, guard in aside if isinstance(guard, guards.Ending | guards.Failing)}
+    yield CallRule.RESTART, ways_out, leaving
+    yield CallRule.RECOVERIES, call.recoveries, _recoveries(net, call)
 
 
-def _restart(net: CallNet, call: Asked) -> _Compared:
-    asked = {(Failing, True), (Ending, False)} if call.terms.context.starts_anew else {(Ending, True)}
-    leaving = [number for number, rule in enumerate(net.rules) if rule.outcome is None and isinstance(rule.guard, Ending | Failing)]
-    return asked, {(type(net.rules[number].guard), net.fails(number)) for number in leaving}
-
-
-def _usual(net: CallNet, number: int, call: Asked) -> Then | None:
-    """Return the continuation after a transition that finds a cause without recoveries: another attempt, or failure."""
-    rule = net.rules[number]
-    is_final = isinstance(rule.guard, Ends) and rule.guard.kinds == {OutcomeKind.ABORTED_FOR_GOOD}
-    is_lost = _ends_lost(rule) and net.sources[number] <= net.under_way and call.terms.binding.when_lost is WhenLost.ABORT
-    return Then.FAIL if is_final or is_lost or rule.guard.is_check else None
-
-
-def _recoveries(net: CallNet, call: Asked) -> _Compared:
+def _recoveries(net: CallNet, call: Asked) -> Mapping[Cause, object]:
+    """Return the continuations after causes: those of the plan, and others that are not as without recoveries."""
     found: dict[Cause, object] = {}
     for number, rule in enumerate(net.rules):
-        cause, is_plain = rule.cause, not (rule.gives_up or rule.outcome or isinstance(rule.guard, InvariantFalse | Due | Withheld))
+        guard, cause = rule.guard, rule.cause
+        is_plain = not (rule.gives_up or rule.outcome or isinstance(guard, guards.InvariantFalse | guards.Due | guards.Withheld))
         if cause is None or not is_plain or not net.targets[number].isdisjoint(net.alive):
             continue
         course = net.course(net.outputs[number])
+        # without recoveries a false check and an end for good lead to failure, and every other end to another attempt
+        is_final = isinstance(guard, guards.Ends) and guard.kinds == {OutcomeKind.ABORTED_FOR_GOOD}
+        is_lost = _ends_lost(rule) and net.sources[number] <= net.under_way and call.terms.binding.when_lost is WhenLost.ABORT
+        usual = Then.FAIL if is_final or is_lost or guard.is_check else None
         if cause in ASKED:
-            found[cause] = [*found.get(cause, []), (rule.guard, course)]  # type: ignore[misc]
-        elif cause in call.recoveries or course is not _usual(net, number, call):
+            found[cause] = [*found.get(cause, []), (guard, course)]  # type: ignore[misc]
+        elif cause in call.recoveries or course is not usual:
             found[cause] = course if found.setdefault(cause, course) == course else "several"
-    return call.recoveries, found
-
-
-TRAITS: Final[tuple[tuple[CallRule, Callable[[CallNet, Asked], _Compared]], ...]] = (
-    (CallRule.TIMES, _times),
-    (CallRule.ATTEMPTS, _attempts),
-    (CallRule.ADOPTED, _adopted),
-    (CallRule.ALREADY_TRUE, _already_true),
-    (CallRule.CANCELLING, _cancelling),
-    (CallRule.RESOURCES, _alive_places),
-    (CallRule.RESOURCES, _resources),
-    (CallRule.RESOURCES, _withheld),
-    (CallRule.EFFECTS, _effects),
-    (CallRule.LOST, _lost),
-    (CallRule.RETRIES, _retries),
-    (CallRule.COUNTERS, _counters),
-    (CallRule.RESTART, _restart),
-    (CallRule.RECOVERIES, _recoveries),
-)
+    return found
 
 
 def check_content(net: CallNet, call: Asked) -> Mapping[int, WatchedPlaces]:
@@ -552,8 +489,7 @@ def check_content(net: CallNet, call: Asked) -> Mapping[int, WatchedPlaces]:
             if good != numbers or bool(good) is (guard is None):
                 raise _broken(call, watch.rule, guard, [net.rules[number] for number in numbers])
             watched.update(dict.fromkeys(numbers, watch))
-    for rule, compared in TRAITS:
-        asked, found = compared(net, call)
+    for rule, asked, found in traits(net, call):
         if asked != found:
             raise _broken(call, rule, asked, found)
     return watched

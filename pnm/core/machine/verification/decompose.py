@@ -16,7 +16,6 @@ from pnm.core.machine.machine import OnFailure, PetriNetMachine, Region
 from pnm.core.machine.plan_graph import Conditional, Moment
 from pnm.core.machine.requests import CallOutcome
 from pnm.core.machine.verification.part import Inside, Part, PartStep, Unsound, step_of, without_counts
-from pnm.core.machine.verification.place_roles import check_roles
 from pnm.core.net.net import Weights
 
 Owner: TypeAlias = int | None
@@ -330,3 +329,32 @@ def _resources(steps: Iterable[PartStep], resources: Mapping[str, int]) -> dict[
                 raise Unsound(f"{step.name} takes {weight} of {place}, and there is {resources[place]}")
         taken |= wanted
     return taken
+
+
+def check_roles(machine: PetriNetMachine) -> str:
+    """Check that every place has one role, and that at first the beginning is marked, budgets and resources, and nothing else.
+
+    Returns:
+        The place where the machine begins.
+
+    Raises:
+        Unsound: something of that is not so.
+    """
+    roles: tuple[Iterable[str], ...] = (
+        *((machine.goal_place,), (machine.failed_place,), machine.failure_places, machine.restart_places),
+        *(machine.budget_places, machine.resource_places, machine.orderings, machine.border_places),
+    )
+    places = set[str]()
+    for role in roles:
+        if not places.isdisjoint(role):
+            raise Unsound(f"{next(place for place in role if place in places)} has two roles")
+        places.update(role)
+    moving = frozenset(machine.alive_places).union(machine.settling_places)
+    if not places.isdisjoint(moving):
+        raise Unsound(f"{min(places & moving)} is no place of a call that is under way")
+    if missing := (places | moving).difference(machine.net.places):
+        raise Unsound(f"{min(missing)} is no place of the net")
+    marked = [place for place in machine.initial if place not in machine.budget_places and place not in machine.resource_places]
+    if len(marked) != 1 or machine.initial[marked[0]] != 1 or marked[0] in places or marked[0] in moving:
+        raise Unsound(f"{', '.join(marked) or 'nothing'} is marked at first; expected one place without a role, and one token")
+    return marked[0]

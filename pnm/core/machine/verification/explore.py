@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence, Set
+from collections.abc import Collection, Iterable, Iterator, Sequence, Set
 from dataclasses import dataclass
 from operator import gt
 from typing import Final, NamedTuple, TypeAlias
 
-from pnm.core.machine.guards import Accepts, Always, Ends, PauseAsked
-from pnm.core.machine.requests import BEFORE_ACCEPTANCE
-from pnm.core.machine.verification.moves import AGAIN, FROM_OUTSIDE, Moves, PartState, asks_the_world, lacking_exit, missing_exit
+from pnm.core.machine import guards
+from pnm.core.machine.requests import BEFORE_ACCEPTANCE, CallOutcome, OutcomeKind, TransitionAction
+from pnm.core.machine.verification.moves import AGAIN, FROM_OUTSIDE, SETTLED, Life, Moves, PartState
 from pnm.core.machine.verification.part import Inside, Part, PartStep, Unsound, in_each_case, without_twins
-from pnm.core.machine.verification.place_roles import check_outcomes, check_steps
-from pnm.core.machine.verification.request_life import SETTLED, Life, untaken
 
-# --- state faults ---------------------------------------------------------------------------------
-# Faults of a state: what must not be so in any state that a part of a machine can reach.
+# --- faults of a state: what must not be so in any that a part of a machine can reach -----------------
 
 
 class StateFaults:
@@ -72,9 +69,9 @@ class StateFaults:
         name, steps = self._part.places[place], [self._part.steps[number] for number in self._moves.consumers[place]]
         alone = [step.guard for step in steps if step.inputs == {name: 1} and not isinstance(step.guard, Inside)]
         others = [step.guard for step in steps if step.inputs != {name: 1}]
-        if not any(asks_the_world(step.guard) for step in steps) or Always() in alone:
+        if not any(asks_the_world(step.guard) for step in steps) or guards.Always() in alone:
             return False
-        return any(isinstance(guard, Ends) for guard in others) or bool(missing_exit(list(filter(asks_the_world, alone))))
+        return any(isinstance(guard, guards.Ends) for guard in others) or bool(missing_exit(list(filter(asks_the_world, alone))))
 
     def _unanswered(self, place: int, state: PartState) -> str:
         """Return for which answer of the world no exit opens in finite time, if one is waited for and for no resources."""
@@ -121,7 +118,97 @@ class StateFaults:
         return ""
 
 
-# --- explore --------------------------------------------------------------------------------------
+# --- exits of a place: which are open, and does one open in finite time, whatever the world answers? ----------
+
+_ANY: Final = frozenset(OutcomeKind)
+
+
+def asks_the_world(guard: guards.Guard | Inside) -> bool:
+    """Return whether the guard opens because of the world, of a request from outside, or of time."""
+    return guard.opened_by is not guards.Opener.TOKENS and guard.open_in(guards.Moods()) is None
+
+
+def lacking_exit(exits: Collection[guards.Guard | Inside], moods: guards.Moods) -> str:
+    """Return for which answer of the world none of the guards at a place opens; empty if one does, or the world is not asked."""
+    asking = list(filter(asks_the_world, exits))
+    return missing_exit(asking) if asking and not any(guard.open_in(moods) for guard in exits) else ""
+
+
+def missing_exit(exits: Collection[guards.Guard | Inside]) -> str:
+    """Return for which answer of the world none of these guards opens in finite time; empty when one always does."""
+    # Ends first: a request that is out may end in any way, whatever other exits there are.
+    outcomes = [guard.kinds for guard in exits if isinstance(guard, guards.Ends)]
+    if outcomes and (others := _ANY.difference(*outcomes)):
+        return f"has no exit for a request that has {'/'.join(sorted(kind.value for kind in others))}"
+    # A condition and its complement: one of them opens, if perhaps only after the report delay.
+    if any(guard.is_sure or guard.complement in exits for guard in exits):
+        return ""
+    for guard in exits:
+        if guard.closed_for:
+            return f"has no exit for when {guard.closed_for}"
+    return "has no exit that is sure to open in finite time"
+
+
+def untaken(steps: Iterable[PartStep]) -> frozenset[OutcomeKind]:
+    """Return the ends of a request that is alive which none of the enabled steps takes; such a report would be lost."""
+    taken, expected = frozenset[OutcomeKind](), _ANY
+    for step in steps:
+        if isinstance(step.guard, guards.Ends):
+            taken |= step.guard.kinds
+        elif isinstance(step.guard, guards.Accepts):
+            expected = BEFORE_ACCEPTANCE  # any other is taken once the acceptance is
+    return expected - taken
+
+
+# --- what the exploration takes for granted -------------------------------------------------------
+
+
+def check_steps(part: Part) -> None:
+    """Check what the exploration of a part takes for granted about its steps.
+
+    A report moves the one token of its call; what is marked as failed or as the end stays so; there is as much of every resource as
+    any step takes; delays count from what is taken; the outcome that a call has after a step is what has happened.
+
+    Raises:
+        Unsound: something of that is not so.
+    """
+    for step in part.steps:
+        inputs, guard = step.inputs, step.guard
+        is_report = guard.opened_by is guards.Opener.REPORT
+        if is_report and (len(inputs) != 1 or set(inputs.values()) != {1} or not part.records.isdisjoint(inputs)):
+            raise Unsound(f"{step.name} is opened by a report, and does not take just the one token of its call")
+        if isinstance(guard, guards.EffectsSeen) and not part.settling.issuperset(inputs):
+            raise Unsound(f"{step.name} looks for effects at a place that is not said to be one for that")
+        if isinstance(guard, guards.Due) and not inputs.keys() >= dict(guard.since).keys():
+            raise Unsound(f"{step.name} counts from the marking of {', '.join(dict(guard.since))}, which it does not take from")
+        for place, weight in inputs.items():
+            if place in part.failures or place in part.finals:
+                raise Unsound(f"{step.name} takes from {place}, which stays as it is")
+            if place in part.resources and weight > part.initial.get(place, 0):
+                raise Unsound(f"{step.name} takes {weight} of {place}, and there is {part.initial.get(place, 0)}")
+    for step in part.steps:
+        match step.outcome:
+            case CallOutcome.WAITING if step.call is not None:  # it is reached from outside, by nothing of its own
+                is_so = not any(step.call == other.call and not step.inputs.keys().isdisjoint(other.outputs) for other in part.steps)
+            case CallOutcome.RUNNING:
+                is_so = step.action is TransitionAction.SEND
+            case CallOutcome.SKIPPED:
+                is_so = isinstance(step.guard, guards.Ending)
+            case CallOutcome.ALREADY_TRUE:
+                is_so = isinstance(step.guard, guards.AlreadyTrue)
+            case CallOutcome.SUCCEEDED:
+                is_so = isinstance(step.guard, guards.EffectsSeen)
+            case CallOutcome.CANCELED:
+                is_so = isinstance(step.guard, guards.Ends | guards.EffectsMissing)
+            case CallOutcome.UNCONFIRMED:
+                is_so = step.gives_up
+            case outcome:
+                is_so = outcome not in (CallOutcome.FAILED, CallOutcome.HANDED_OVER)
+        if not is_so:
+            raise Unsound(f"{step.name} makes its call {step.outcome}, whatever has become of it")
+
+
+# --- the walk ---------------------------------------------------------------------------------
 
 
 MAX_STATES: Final = 2_000_000
@@ -150,13 +237,12 @@ def explore_part(part: Part) -> Exploration:
     if confusing := [step.name for step in part.steps if step.name in FROM_OUTSIDE]:
         raise Unsound(f"a step is called {confusing[0]!r}, as is what happens from outside")
     check_steps(part)
-    check_outcomes(part)
     moves = Moves(without_twins(part))
     faults = StateFaults(moves)
     # Pauses and entries come from outside, as often as they like: what follows from there is walked through apart. A cycle through
     # them is no error: pauses are assumed to be finitely many, and entries are counted by whatever holds the block. So is what is
     # counted: `successors` makes sure that it comes to an end.
-    apart = {step.name for step in part.steps if isinstance(step.guard, PauseAsked) or step.counted} | {AGAIN}
+    apart = {step.name for step in part.steps if isinstance(step.guard, guards.PauseAsked) or step.counted} | {AGAIN}
     roots: list[_Reached] = [(moves.start(), None)]
     seen: set[PartState] = set()
     while roots:
@@ -241,9 +327,9 @@ def never_fire(part: Part, explored: Exploration) -> list[NeverFires]:
 def _reason(part: Part, step: PartStep, marked: Collection[str]) -> str:
     if unmarked := [place for place in step.inputs if place not in marked]:
         return f"nothing marks {unmarked[0]}"
-    if isinstance(step.guard, Ends) and step.guard.kinds.isdisjoint(BEFORE_ACCEPTANCE):
+    if isinstance(step.guard, guards.Ends) and step.guard.kinds.isdisjoint(BEFORE_ACCEPTANCE):
         for other in part.steps:
-            if isinstance(other.guard, Accepts) and other.inputs.keys() == step.inputs.keys():
+            if isinstance(other.guard, guards.Accepts) and other.inputs.keys() == step.inputs.keys():
                 return f"such an end implies that the request was accepted, and {other.name} goes first"
     before = part.steps[: part.steps.index(step)]
     earlier = [other.name for other in before if not other.inputs.keys().isdisjoint(step.inputs)]

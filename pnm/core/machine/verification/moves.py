@@ -1,55 +1,18 @@
-"""Moves of a part of a machine: in which states it can be, and what can happen next in each, whatever the world answers."""
+"""Moves of a part of a machine: in which states it can be, and what can happen next in each, whatever the world answers.
+
+A call has a life, as far as the proof needs it. Of its request: sent, alive until its end is reported or it is given up, and over. And what
+the run can account for of it: a cause why it has to recover, fails or is passed over, or an outcome.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from enum import Enum
 from typing import Final, NamedTuple, TypeAlias
 
-from pnm.core.machine.guards import Accepts, Adopted, Ends, Guard, Moods, Opener
-from pnm.core.machine.requests import OutcomeKind
-from pnm.core.machine.verification.part import Inside, Part, PartStep, Unsound, in_each_case
-from pnm.core.machine.verification.request_life import Account, Life, accounted, following, lacking_account, may_come, misuse
-
-# --- exits ----------------------------------------------------------------------------------------
-# Exits of a place: which are open, and does one open in finite time, whatever the world answers?
-
-
-_ANY = frozenset(OutcomeKind)
-
-
-def is_open(guard: Guard | Inside, moods: Moods) -> bool | None:
-    """Return whether the guard is open, closed, or either, depending on the world."""
-    return guard.open_in(moods)
-
-
-def asks_the_world(guard: Guard | Inside) -> bool:
-    """Return whether the guard opens because of the world, of a request from outside, or of time."""
-    return guard.opened_by is not Opener.TOKENS and guard.open_in(Moods()) is None
-
-
-def lacking_exit(guards: Collection[Guard | Inside], moods: Moods) -> str:
-    """Return for which answer of the world none of the guards at a place opens; empty if one does, or the world is not asked."""
-    asking = list(filter(asks_the_world, guards))
-    return missing_exit(asking) if asking and not any(is_open(guard, moods) for guard in guards) else ""
-
-
-def missing_exit(guards: Collection[Guard | Inside]) -> str:
-    """Return for which answer of the world none of these guards opens in finite time; empty when one always does."""
-    # Ends first: a request that is out may end in any way, whatever other exits there are.
-    outcomes = [guard.kinds for guard in guards if isinstance(guard, Ends)]
-    if outcomes and (others := _ANY.difference(*outcomes)):
-        return f"has no exit for a request that has {'/'.join(sorted(kind.value for kind in others))}"
-    # A condition and its complement: one of them opens, if perhaps only after the report delay.
-    if any(guard.is_sure or guard.complement in guards for guard in guards):
-        return ""
-    for guard in guards:
-        if guard.closed_for:
-            return f"has no exit for when {guard.closed_for}"
-    return "has no exit that is sure to open in finite time"
-
-
-# --- moves ----------------------------------------------------------------------------------------
-
+from pnm.core.machine.guards import Accepts, Adopted, Ends, KnowledgeRead, Moods, Opener
+from pnm.core.machine.requests import BEFORE_ACCEPTANCE, CallOutcome, TransitionAction
+from pnm.core.machine.verification.part import Part, PartStep, Unsound, in_each_case
 
 Tokens: TypeAlias = tuple[int, ...]
 
@@ -159,7 +122,7 @@ class Moves:
                 if self.resources and self.lacks_resources(number, state) and not isinstance(step.guard, Adopted):
                     return exits, True
                 continue
-            opens = is_open(step.guard, moods)
+            opens = step.guard.open_in(moods)
             if opens is None and step.guard.opened_by in _OF_REQUESTS:
                 if not self._may_come(step, state):
                     continue
@@ -203,7 +166,7 @@ class Moves:
         moods = self.moods(state)
         for place in {self.index[name] for step in steps for name in step.inputs} - self.records:
             enabled = [self.part.steps[number] for number in self.consumers[place] if self.is_enabled(number, state)]
-            if any(all(any(is_open(step.guard, moods) for step in case) for case in cases) for cases in in_each_case(enabled)):
+            if any(all(any(step.guard.open_in(moods) for step in case) for case in cases) for cases in in_each_case(enabled)):
                 return False
         return True
 
@@ -213,7 +176,7 @@ class Moves:
         for place in self.marked(state):
             exits, waiting = self.exits(place, state, moods)
             sure = [step for step in map(self.part.steps.__getitem__, exits) if not step.counted]
-            if (not waiting and exits) or any(step.guard.opened_by is Opener.TIME or is_open(step.guard, moods) for step in sure):
+            if (not waiting and exits) or any(step.guard.opened_by is Opener.TIME or step.guard.open_in(moods) for step in sure):
                 return False
             waits = waits or waiting
         return waits
@@ -263,3 +226,108 @@ class Moves:
         if state.restored and restores is False:
             raise Unsound(f"{step.name} counts on after something was counted back, which may go on for ever")
         return PartState(tuple(tokens), state.stop, state.supplied, requests, accounts, state.restored or bool(restores))
+
+
+# --- the life of a call -----------------------------------------------------------------------
+
+
+class Life(Enum):
+    """Life of the last request of a call."""
+
+    NONE = "none was sent since the call was reached"
+    ADOPTABLE = "another run has sent it"
+    ALIVE = "it is alive"
+    OVER = "it is over, or given up"
+
+    __hash__ = object.__hash__  # each is there once; states are hashed all the time
+
+
+def following(step: PartStep, life: Life) -> Life:
+    """Return the life of the request once the step has happened."""
+    if step.action in (TransitionAction.SEND, TransitionAction.ADOPT):
+        return Life.ALIVE
+    return Life.OVER if step.gives_up or isinstance(step.guard, Ends) else life
+
+
+def misuse(step: PartStep, life: Life, *, ending: bool) -> str:
+    """Return the forbidden act of the step with the request of its call; empty for none."""
+    match step.action:
+        case TransitionAction.SEND if ending:
+            return f"{step.name} sends a request although the run is ending"
+        case TransitionAction.SEND if life in (Life.ADOPTABLE, Life.ALIVE):
+            return f"{step.name} sends a request while one of the call is alive"
+        case TransitionAction.SEND if step.outcome is not CallOutcome.RUNNING:  # the next request would have the identity of this one
+            return f"{step.name} sends a request that does not count as an attempt"
+        case TransitionAction.ADOPT if life is not Life.ADOPTABLE:
+            return f"{step.name} takes over a request that no other run has sent"
+        case TransitionAction.CANCEL | TransitionAction.BEGIN if life is not Life.ALIVE:
+            return f"{step.name} is about a request, and none is alive"
+        case TransitionAction.FINISH | TransitionAction.UNDO if life in (Life.NONE, Life.ADOPTABLE):
+            return f"{step.name} is about the effects of a request that was not sent"
+        case _:
+            pass
+    if step.outcome is CallOutcome.SUSPENDED and following(step, life) is not Life.OVER:
+        return f"{step.name} makes its call {step.outcome}, and its last request is not over"
+    if step.gives_up and life is not Life.ALIVE:
+        return f"{step.name} gives a request up, and none is alive"
+    if step.guard.reads is KnowledgeRead.EFFECTS and life in (Life.NONE, Life.ADOPTABLE):
+        return f"{step.name} looks for the effects of a request that was not sent"
+    return ""
+
+
+def may_come(step: PartStep, life: Life, *, accepts: bool) -> bool:
+    """Return whether a report about the request, or its adoption, may come.
+
+    Where an acceptance is waited for (`accepts`), an end that implies one is taken as that first.
+    """
+    match step.guard:
+        case Adopted():
+            return life is Life.ADOPTABLE
+        case Ends(_, kinds):
+            return life is Life.ALIVE and not (accepts and kinds.isdisjoint(BEFORE_ACCEPTANCE))
+        case _:
+            return life is Life.ALIVE
+
+
+class Account(Enum):
+    """Account that a run can give of a call since it was last reached, or of a loop, a choice or all steps of the plan."""
+
+    OPEN = "nothing has become of it yet"
+    HINDERED = "there is a cause why it fails or has to recover"
+    PASSED_OVER = "there is a cause after which the plan goes on without it"
+    ENDED = "it has ended otherwise than the plan wants"
+    DONE = "it is done"
+
+    __hash__ = object.__hash__  # each is there once; states are hashed all the time
+
+
+SETTLED: Final = (Account.PASSED_OVER, Account.DONE)
+"""Accounts with which the plan goes on."""
+_KNOWN: Final = (Account.HINDERED, Account.PASSED_OVER)
+
+
+def accounted(step: PartStep, before: Account) -> Account:
+    """Return the account of the call once the step has happened, as `pnm.core.execution.call_results` keeps it."""
+    match step.outcome:
+        case CallOutcome.WAITING:
+            return Account.OPEN
+        case CallOutcome.SUCCEEDED | CallOutcome.ALREADY_TRUE:
+            return Account.DONE
+        case CallOutcome.RUNNING | CallOutcome.SUSPENDED:  # a new attempt, which the cause of the last one says nothing about
+            return Account.HINDERED if before in _KNOWN or step.finds_cause else Account.OPEN
+        case None | CallOutcome.PASSED_OVER if step.settles:
+            return Account.DONE if step.call is None else Account.PASSED_OVER
+        case None | CallOutcome.PASSED_OVER:
+            return Account.HINDERED if step.finds_cause and step.call is not None else before
+        case _:
+            return Account.ENDED
+
+
+def lacking_account(step: PartStep, before: Account, *, fails: bool) -> str:
+    """Return the assertion of the step about its call without an account of it; empty for none."""
+    if step.outcome is CallOutcome.PASSED_OVER and before is Account.OPEN:
+        return f"{step.name} leaves a call that has not come to an end"
+    # Of loops and choices the run keeps no cause: what marks their failure finds it.
+    if fails and not step.finds_cause and (step.call is None or accounted(step, before) not in _KNOWN):
+        return f"{step.name} marks a failure, and no rule has found its cause"
+    return ""

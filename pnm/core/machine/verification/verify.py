@@ -44,10 +44,9 @@ from pnm.core.machine.guards import Adopted, ConditionTrue, Guard, Withheld
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.verification.call_content import RESOURCES, Asked, AskedOf, CallNet, WatchedPlaces, check_content, check_guard
-from pnm.core.machine.verification.decompose import Anatomy, Connected, Event, Owner, PlacedBlock
+from pnm.core.machine.verification.decompose import Anatomy, Connected, Event, Owner, PlacedBlock, check_roles
 from pnm.core.machine.verification.explore import Exploration, NeverFires, explore_part, never_fire
 from pnm.core.machine.verification.part import Inside, Part, Unsound, kinds_of, shape_of, step_of
-from pnm.core.machine.verification.place_roles import check_roles
 from pnm.core.machine.verification.plan_in_net import check_events, check_flows, check_places
 from pnm.core.net.block_net import Remembered
 from pnm.core.net.net import Weights

@@ -16,10 +16,9 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.guards import After, ConditionFalse, ConditionTrue, Guard, InvariantFalse
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import EMPTY, ActionCall, GroundAction, PlanGraph, Recovery, Then
-from pnm.core.machine.verification.call_content import TRAITS as COMPARED
-from pnm.core.machine.verification.call_content import WATCHES
+from pnm.core.machine.verification.call_content import WATCHES, AskedOf, traits
 from pnm.core.machine.verification.part import CallRule, Unsound
-from pnm.core.machine.verification.verify import verify
+from pnm.core.machine.verification.verify import net_of, verify
 from pnm.core.net.net import Marking, PetriNet, Weights
 from tests.support.runs.mutation.changes import with_rule, without_transition
 from tests.support.runs.mutation.forgotten import TRAITS, run_forgotten
@@ -96,7 +95,9 @@ def test_a_call_that_is_not_what_is_asked_is_refused_by_name(broken: Callable[[]
 
 
 def test_every_rule_is_looked_at() -> None:
-    assert {*CallRule} == {*(watch.rule for watch in WATCHES), *(rule for rule, _ in COMPARED)}
+    net = net_of(MACHINE, 0, [name for name, rule in MACHINE.rules.items() if rule.call == 0])
+    compared = traits(net, AskedOf(MACHINE)(MACHINE.plan.calls[0]))
+    assert {*CallRule} == {*(watch.rule for watch in WATCHES), *(rule for rule, *_ in compared)}
 
 
 @pytest.mark.parametrize("trait", TRAITS)
