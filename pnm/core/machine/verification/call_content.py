@@ -20,12 +20,11 @@ from typing import Any, Final, NamedTuple, TypeAlias
 from pnm.core.logic.conditions import TRUE
 from pnm.core.machine import guards
 from pnm.core.machine.bindings import WhenLost
-from pnm.core.machine.call_block import CallTerms
+from pnm.core.machine.call_block import CallTerms, is_direct
 from pnm.core.machine.failure_causes import ASKED, Cause
 from pnm.core.machine.guards import Guard, Rule
 from pnm.core.machine.machine import PetriNetMachine, Region
 from pnm.core.machine.plan_graph import ActionCall, Moment, PlanGraph, Recovery, Step, Then, flows
-from pnm.core.machine.recovery_block import is_direct
 from pnm.core.machine.requests import OutcomeKind, TransitionAction
 from pnm.core.machine.step_block import PORTS, Context, Port
 from pnm.core.machine.verification.part import CallRule, Unsound
