@@ -359,10 +359,6 @@ class RunClaims(Generic[Place]):
         """Give back what the call has."""
         self.resources.give(self._had.pop(call))
 
-    def withheld_from(self, names: tuple[str, ...]) -> Mapping[str, str]:
-        """Return which of the names are withheld, and by whom."""
-        return self.resources.withheld_from(names)
-
     def withhold(self, call: int, name: str) -> tuple[str, ...]:
         """Let the request of the call, which was given up, keep its resources; return their names."""
         request = self._had.pop(call)

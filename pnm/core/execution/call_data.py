@@ -206,11 +206,6 @@ def lag_of_effects(wanted: Mapping[Fluent, Value], action: GroundAction, knowled
     return knowledge.world.lag({*(fluent[0] for fluent in wanted), *names(action.end_condition), *names(action.expected)})
 
 
-def is_assumed(changed: frozenset[str], world: KnowledgeBase) -> bool:
-    """Return whether nothing reports some of what an action changes, by the names of that."""
-    return not world.senses(changed)
-
-
 # --- closed calls ---
 
 

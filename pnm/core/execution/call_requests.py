@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Final, TypeAlias
 from uuid import UUID
 
-from pnm.core.execution.call_data import GoalFields, finished, goal, intention, is_assumed, lag_of_effects, ready, variables_of
+from pnm.core.execution.call_data import GoalFields, finished, goal, intention, ready, variables_of
 from pnm.core.execution.call_results import CallResult
 from pnm.core.execution.events import Cancel, Command, Performed, Reattach, Send, Store
 from pnm.core.execution.handover import CallAttempt, UnderWay
@@ -18,7 +18,7 @@ from pnm.core.execution.machine_index import index_of
 from pnm.core.execution.questions import EvaluationContext, carry_out
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import Question
-from pnm.core.logic.conditions import Condition, observed
+from pnm.core.logic.conditions import observed
 from pnm.core.logic.effects import Changes, is_fixed, names_written
 from pnm.core.logic.expressions import bind, same_value
 from pnm.core.machine.bindings import Binding, Bindings
@@ -43,19 +43,15 @@ class Calls:
     def __init__(
         self, run: UUID, machine: PetriNetMachine, knowledge: Layered, bindings: Bindings, goal_fields: GoalFields, *, asks: bool
     ) -> None:
-        self.identity = identities(run)
-        self._plan = machine.plan
-        self._closed = index_of(machine).closed
-        self._knowledge = knowledge
-        self.world = knowledge.world
-        self._bindings = bindings
-        self._goal_fields = goal_fields
+        self.identity, self.bindings, self._goal_fields = identities(run), bindings, goal_fields
+        self._plan, self._closed = machine.plan, index_of(machine).closed
+        self._knowledge, self.world = knowledge, knowledge.world
         self.asks = asks
         """Whether questions can be asked outside."""
         # state
         self.open: dict[UUID, int] = {}
         """The requests that are not over, as far as is known, and their calls."""
-        self._attempts: dict[int, CallAttempt] = {}
+        self.attempts: dict[int, CallAttempt] = {}
         """The last one of each call that was sent."""
         self._stores: dict[UUID, Store] = {}
         """Updates outside that are not confirmed."""
@@ -66,41 +62,29 @@ class Calls:
 
     def action(self, call: int) -> GroundAction:
         """Return the action as it was sent last."""
-        return self._attempts[call].action if call in self._attempts else self._plan.calls[call].action
+        return self.attempts[call].action if call in self.attempts else self._plan.calls[call].action
 
     def as_sent(self, call: int) -> ActionCall:
         """Return the call with what its parameters had for values when it was sent last."""
-        planned, attempt = self._plan.calls[call], self._attempts.get(call)
+        planned, attempt = self._plan.calls[call], self.attempts.get(call)
         return planned if attempt is None or attempt.action is planned.action else replace(planned, action=attempt.action)
 
     def _with(self, call: int, action: GroundAction) -> ActionCall:
         planned = self._plan.calls[call]
         return planned if action is planned.action else replace(planned, action=action)
 
-    def attempt(self, call: int) -> CallAttempt:
-        """Return the last request of the call, which was sent."""
-        return self._attempts[call]
-
-    def is_accepted(self, call: int) -> bool:
-        """Return whether the request of the call was accepted, and is not being cancelled."""
-        return self._attempts[call].accepted is not None
-
-    def feedback(self, call: int) -> str:
-        """Return the last feedback of the server of the call, which was sent; empty for none."""
-        return self._attempts[call].feedback
-
     def note_feedback(self, feedback: Feedback) -> ActionCall | None:
         """Note the feedback of a server about a request; return its call if it is under way, and the feedback is new."""
         call = self.open.get(feedback.request)
-        if call is None or self._attempts[call].feedback == feedback.text:
+        if call is None or self.attempts[call].feedback == feedback.text:
             return None
-        self._attempts[call].feedback = feedback.text
+        self.attempts[call].feedback = feedback.text
         return self.as_sent(call)
 
     def limit(self, call: int) -> float:
         """Return the seconds of the call from its acceptance; 0 for an operation on knowledge."""
         action = self._plan.calls[call].action
-        return 0.0 if action.operation is not None else self._bindings.timeout(action)
+        return 0.0 if action.operation is not None else self.bindings.timeout(action)
 
     def arguments(self, call: int) -> tuple[str, ...]:
         """Return the arguments that the call would be sent with now; parameters without a value by their names."""
@@ -108,7 +92,7 @@ class Calls:
 
     def binding(self, call: int) -> Binding:
         """Return the binding of the call's action."""
-        return self._bindings.of(self._plan.calls[call].action.name)
+        return self.bindings.of(self._plan.calls[call].action.name)
 
     def context_of(self, call: int | None, answers: Answers) -> EvaluationContext:
         """Return the evaluation context of the call; no questions are asked when there are no answers."""
@@ -123,14 +107,10 @@ class Calls:
             self._contexts[call, asks] = found
         return found
 
-    def ready(self, call: int, context: EvaluationContext) -> GroundAction:
-        """Return the action with what knowledge now has for the parameters that the plan leaves open."""
-        return ready(self._plan.calls[call].action, context)
-
     def own_goal(self, call: int) -> Mapping[str, object] | None:
         """Return the fields of the goal where the call by itself has values for all of them."""
         closed, action = self._closed[call], self._plan.calls[call].action
-        if closed is None or self._bindings.of(action.name).goal is not None:
+        if closed is None or self.bindings.of(action.name).goal is not None:
             return None
         if (names := self._goal_fields(action)) is None:
             return closed.own
@@ -140,44 +120,32 @@ class Calls:
         """Return the fields of the goal, and the names of those for which there is no value."""
         if (own := self.own_goal(call)) is not None:
             return own, ()
-        return goal(self._plan.calls[call].action, self._goal_fields, context)
+        return goal(context.action, self._goal_fields, context)
 
     def claiming(self, call: int, action: TransitionAction | None, context: EvaluationContext) -> tuple[UUID, GroundAction]:
         """Return for which request, and with which parameters, the call claims resources: for the next one if it is being sent."""
         # A retry is another request, with the values that knowledge has now; all other actions are about the one that is out.
         if action is TransitionAction.SEND:
-            return self._next(call)[1], self.ready(call, context)
-        return self._attempts[call].request, self.action(call)
-
-    def resources(self, action: GroundAction) -> tuple[str, ...]:
-        """Return the resources of the action while it is under way."""
-        return self._bindings.resources(action)
+            return self._next(call)[1], ready(context.action, context)
+        return self.attempts[call].request, self.action(call)
 
     def shows_nothing(self, call: int) -> bool:
         """Return whether nothing of the call's effects can be seen, whatever is so."""
-        attempt, closed = self._attempts[call], self._closed[call]
+        attempt, closed = self.attempts[call], self._closed[call]
         return closed is not None and not (closed.expects or attempt.denied or attempt.intended.expected)
-
-    def unseen(self, call: int, context: EvaluationContext) -> tuple[Condition, ...]:
-        """Return the effects of the call that are not observed."""
-        return self._attempts[call].unseen(context)
 
     def is_assumed(self, call: int) -> bool:
         """Return whether nothing reports some of what the call changes."""
         if (closed := self._closed[call]) is not None:
-            return is_assumed(closed.names, self.world)
+            return not self.world.senses(closed.names)
         action = self.action(call)
-        return is_assumed(names_written((*action.start_effects, *action.end_effects)), self.world)
+        return not self.world.senses(names_written((*action.start_effects, *action.end_effects)))
 
     def explain_unseen(self, call: int, context: EvaluationContext) -> tuple[str, str]:
         """Return the effects of the call that are not observed, and the observations instead, as texts."""
-        denied, missing = self._attempts[call].denied or {}, self.unseen(call, context)
+        denied, missing = self.attempts[call].denied or {}, self.attempts[call].unseen(context)
         seen = dict.fromkeys(denied.get(part) or observed(part, context) for part in missing)
         return " ".join(map(str, missing)), "; ".join(seen)
-
-    def lag_of_effects(self, call: int, context: EvaluationContext) -> float:
-        """Return the seconds by which reports about its effects may be late."""
-        return lag_of_effects(self._attempts[call].intended.expected, self.action(call), context)
 
     # --- actions of transitions -----------------------------------------------------------------
 
@@ -189,10 +157,10 @@ class Calls:
         """
         match action:
             case TransitionAction.SEND:
-                ready = self.ready(call, context)
-                if not all(map(is_fixed, (*ready.start_effects, *ready.end_effects))):
-                    intention(self._with(call, ready), context)
-            case TransitionAction.FINISH if not all(map(is_fixed, (intended := self._attempts[call].intended).end_effects)):
+                made = ready(context.action, context)
+                if not all(map(is_fixed, (*made.start_effects, *made.end_effects))):
+                    intention(self._with(call, made), context)
+            case TransitionAction.FINISH if not all(map(is_fixed, (intended := self.attempts[call].intended).end_effects)):
                 finished(self.action(call), intended, context)
             case _:
                 pass
@@ -205,22 +173,22 @@ class Calls:
             action, intended = self._plan.calls[call].action, closed.effects.intended(self.world)
         else:
             context = self.context_of(call, answers)
-            action = self.ready(call, context)
+            action = ready(context.action, context)
             intended = intention(self._with(call, action), context)
         self.open[identity] = call
         if action.operation is not None:
-            self._attempts[call] = CallAttempt(number, identity, action, intended)
+            self.attempts[call] = CallAttempt(number, identity, action, intended)
             performed = carry_out(identity, action.operation, self.context_of(call, answers))
             self._stores.update({command.id: command for command in performed.commands if isinstance(command, Store)})
             return performed
         own = self.own_goal(call)
         request = Request(identity, action, self.goal(call, self.context_of(call, answers))[0] if own is None else own, count)
-        self._attempts[call] = CallAttempt(number, identity, action, intended, unanswered=request)
+        self.attempts[call] = CallAttempt(number, identity, action, intended, unanswered=request)
         return Performed((Send(request),))
 
     def perform(self, action: TransitionAction, call: int, answers: Answers, now: float) -> Performed:
         """Carry out the action of a transition that fires, about the request that was sent last; nothing if there is none."""
-        attempt = self._attempts.get(call)
+        attempt = self.attempts.get(call)
         if attempt is None:
             return _NOTHING
         if action is _BEGIN:
@@ -246,7 +214,7 @@ class Calls:
             if identity in self._stores:
                 commands.append(self._stores[identity])
                 continue
-            attempt = self._attempts[call]
+            attempt = self.attempts[call]
             request = attempt.unanswered or Request(identity, self.action(call), {})
             commands.append(Reattach(request, accepted=attempt.unanswered is None))
             if attempt.unanswered is None and attempt.accepted is None:  # its process may have died before it could say so
@@ -255,7 +223,7 @@ class Calls:
 
     def unreported(self, call: int) -> Changes:
         """Return the changes at the start of the call that sensors report, but have not reported since."""
-        attempt, world = self._attempts[call], self.world
+        attempt, world = self.attempts[call], self.world
         awaited = world.reported({fluent: value for fluent, value in attempt.intended.start.items() if isinstance(value, bool | str)})
         changed = world.changed_since(attempt.begun_after) if awaited and attempt.begun is not None else None
         if changed is None:  # it has not begun, or anything may have been reported
@@ -265,28 +233,25 @@ class Calls:
 
     def go_on_with(self, others: Calls) -> None:
         """Note since when the requests taken over from other calls have been under way."""
-        before = {attempt.request: attempt.begun_after for attempt in others._attempts.values()}
-        for attempt in self._attempts.values():
+        before = {attempt.request: attempt.begun_after for attempt in others.attempts.values()}
+        for attempt in self.attempts.values():
             attempt.begun_after = before.get(attempt.request, attempt.begun_after)
 
     def adopt(self, call: int, taken: UnderWay) -> None:
         """Take over a request with all that its run knew of it."""
         self.open[taken.request] = call
-        self._attempts[call] = CallAttempt(
+        self.attempts[call] = CallAttempt(
             0, taken.request, taken.call.action, taken.intended, taken.accepted, begun=taken.begun, begun_after=self.world.changes
         )
 
     def under_way(self, result: Callable[[int], CallResult]) -> tuple[UnderWay, ...]:
         """Return the requests that another run may take over, in the order of their calls; `result` returns the result so far of a call."""
+        resources = self.bindings.resources
         return tuple(
-            UnderWay(self.as_sent(call), request, last.accepted, result(call), last.intended, last.begun, self.resources(last.action))
+            UnderWay(self.as_sent(call), request, last.accepted, result(call), last.intended, last.begun, resources(last.action))
             for request, call in sorted(self.open.items(), key=lambda entry: entry[1])
-            if (last := self._attempts[call]).accepted is not None
+            if (last := self.attempts[call]).accepted is not None
         )
-
-    def forget(self, call: int) -> None:
-        """No longer wait for the request of the call."""
-        self.open.pop(self._attempts[call].request, None)
 
     def succeeded(self, call: int, outcome: Outcome, now: float) -> bool:
         """Store the fields of the result, under their own names or those of the binding, and note what the end relies on and was not so.
@@ -296,7 +261,7 @@ class Calls:
         values = variables_of(outcome, self._plan.calls[call], self.binding(call))
         if values:
             self._knowledge.local.store(values)
-        closed, attempt = self._closed[call], self._attempts[call]
+        closed, attempt = self._closed[call], self.attempts[call]
         has_all = closed is not None and (closed.needed is None or closed.needed.holds_by_facts(self.world))
         # now, before anything is written of its effects: they may change what it relies on
         if not has_all:
@@ -305,7 +270,7 @@ class Calls:
 
     def _next(self, call: int) -> tuple[int, UUID]:
         """Return the number and the identity of the next request."""
-        attempt = self._attempts.get(call)
+        attempt = self.attempts.get(call)
         number = 1 if attempt is None else attempt.number + 1
         return number, self.identity(f"{call}/{number}")
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Final, assert_never
 from uuid import UUID
 
-from pnm.core.execution.call_data import already_true
+from pnm.core.execution.call_data import already_true, lag_of_effects, ready
 from pnm.core.execution.call_requests import Calls
 from pnm.core.execution.call_results import Explanation
 from pnm.core.execution.machine_index import Firing, Site
@@ -28,55 +28,28 @@ NEVER: Final = float("inf")
 class Guards:
     """Evaluates the guards of a run. Questions may be asked for a guard at a place; without a place only what is known counts.
 
-    The mutable state is, by transition, since when conditions have not been true, and since when something has been waited for.
+    The mutable state is, by transition, since when its guard would be open but for a delay.
     """
 
     def __init__(self, state: RunState, calls: Calls, claims: RunClaims[int], questions: Questions[int]) -> None:
-        self._state = state
-        self._calls = calls
-        self._claims = claims
-        self._questions = questions
-        self._false_since: dict[int, float] = {}
-        self._waiting_since: dict[int, float] = {}
-
-    # each with the block of the transition, the transition and the place at which it is decided on
-
-    def _always(self, site: Site, firing: Firing, place: int) -> float:
-        return -NEVER
+        self.state, self._calls, self._claims, self._questions = state, calls, claims, questions
+        self._since: dict[int, float] = {}
 
     def waits_until(self, site: Site, firing: Firing, place: int) -> float:
         """Return when a transition opens that only waits."""
         known = firing.limit
-        return self._state.marked_at[place] + (self._state.index.limits[site.transition + firing.number] if known is None else known)
+        return self.state.marked_at[place] + (self.state.index.limits[site.transition + firing.number] if known is None else known)
 
-    def _ending(self, site: Site, firing: Firing, place: int) -> float:
-        return _now_if(self._state.ending)
-
-    def _failing(self, site: Site, firing: Firing, place: int) -> float:
-        return _now_if(self._state.failing)
-
-    def _cancel_asked(self, site: Site, firing: Firing, place: int) -> float:
-        return _now_if(self._state.cancels)
-
-    def _pause_asked(self, site: Site, firing: Firing, place: int) -> float:
-        return _now_if(self._state.suspends)
-
-    def _true(self, site: Site, firing: Firing, place: int) -> float:
-        return -NEVER if self._truth(site, firing, place) is True else NEVER
-
-    def _false(self, site: Site, firing: Firing, place: int) -> float:
-        # Not false until the report delay has passed: sensors may be about to report what has just happened.
-        is_false = self._truth(site, firing, place) is not True
-        return self._after(self._false_since, site, firing, place, is_false, self._lag(site, firing) if is_false else 0.0)
-
-    def _unknown(self, site: Site, firing: Firing, place: int) -> float:
-        truth = self._truth(site, firing, place)
-        opens = self._after(self._false_since, site, firing, place, truth is not True, self._lag(site, firing))
-        return opens if truth is UNKNOWN else NEVER
+    def _not_true(self, site: Site, firing: Firing, place: int) -> float:
+        # Not before the report delay has passed: sensors may be about to report what has just happened.
+        truth = self.truth(site, firing, place)
+        lag = 0.0 if truth is True else self._calls.world.lag(names(self._asked(site, firing)))
+        opens = self._after(site, firing, place, truth is not True, lag)
+        return opens if truth is UNKNOWN or firing.guarded is guards.ConditionFalse else NEVER
 
     def _invariant_false(self, site: Site, firing: Firing, place: int) -> float:
-        call, now = _call(site, firing), self._state.now
-        known, attempt = self._state.index.conditions[site.transition + firing.number], self._calls.attempt(call)
+        call, now = _call(site, firing), self.state.now
+        known, attempt = self.state.index.conditions[site.transition + firing.number], self._calls.attempts[call]
         if known is not None and known.holds_by_facts(self._calls.world):
             attempt.held = None
             attempt.broken.clear()
@@ -85,11 +58,11 @@ class Guards:
 
     def _already_true(self, site: Site, firing: Firing, place: int) -> float:
         call = _call(site, firing)
-        closed = self._state.index.closed[call]
+        closed = self.state.index.closed[call]
         if closed is not None and closed.effects is not None:
             return -NEVER if closed.effects.are_done(self._calls.world) else NEVER
         context = self.context(call, place)
-        return _now_if(already_true(self._calls.ready(call, context), context))
+        return _now_if(already_true(ready(context.action, context), context))
 
     def _data_missing(self, site: Site, firing: Firing, place: int) -> float:
         call = _call(site, firing)
@@ -99,40 +72,35 @@ class Guards:
 
     def _withheld(self, site: Site, firing: Firing, place: int) -> float:
         # While it is not withheld, the claim is waited for without limit: some call gives back what it needs.
-        guard = self._state.index.guard(site, firing)
+        guard = self.state.index.guard(site, firing)
         assert isinstance(guard, guards.Withheld)
-        is_withheld = bool(self.withheld(_call(site, firing), guard, place)) and not self._state.pause  # a pause stops this clock
-        return self._after(self._waiting_since, site, firing, place, is_withheld, guard.seconds)
+        is_withheld = bool(self.withheld(_call(site, firing), guard, place)) and not self.state.pause  # a pause stops this clock
+        return self._after(site, firing, place, is_withheld, guard.seconds)
 
     def _late(self, site: Site, firing: Firing, place: int) -> float:
-        guard = self._state.index.guard(site, firing)
+        guard = self.state.index.guard(site, firing)
         assert isinstance(guard, guards.Late)
-        return self._after(self._waiting_since, site, firing, place, not self._state.pause, guard.seconds)  # a pause stops this clock
+        return self._after(site, firing, place, not self.state.pause, guard.seconds)  # a pause stops this clock
 
     def _effects_seen(self, site: Site, firing: Firing, place: int) -> float:
         call = _call(site, firing)
-        return _now_if(self._calls.shows_nothing(call) or not self.unseen(call, place))
+        return _now_if(self._calls.shows_nothing(call) or not self._calls.attempts[call].unseen(self.context(call, place)))
 
     def _effects_missing(self, site: Site, firing: Firing, place: int) -> float:
         # As above: an effect counts as missing only when reports about it can no longer be on their way.
-        call = _call(site, firing)
-        lag = self._calls.lag_of_effects(call, self.context(call, place))
-        return self._after(self._false_since, site, firing, place, bool(self.unseen(call, place)), lag)
-
-    def _adopted(self, site: Site, firing: Firing, place: int) -> float:
-        return _now_if(_call(site, firing) in self._state.adopted)
-
-    def _reported(self, site: Site, firing: Firing, place: int) -> float:
-        return NEVER  # opened by a report alone, see `Run._take`
+        attempt, context = self._calls.attempts[_call(site, firing)], self.context(_call(site, firing), place)
+        lag = lag_of_effects(attempt.intended.expected, attempt.action, context)
+        return self._after(site, firing, place, bool(attempt.unseen(context)), lag)
 
     def _due(self, site: Site, firing: Firing, place: int) -> float:
-        state, guard = self._state, self._state.index.guard(site, firing)
+        state, guard = self.state, self.state.index.guard(site, firing)
         assert isinstance(guard, guards.Due)
         since = state.index.since[site.transition + firing.number]
         return max([(state.origin or 0.0) + guard.seconds, *(state.marked_at[earlier] + delay for earlier, delay in since)])
 
-    def _truth(self, site: Site, firing: Firing, place: int) -> Truth:
-        known = self._state.index.conditions[site.transition + firing.number]
+    def truth(self, site: Site, firing: Firing, place: int) -> Truth:
+        """Return the truth of the condition that the guard asks for."""
+        known = self.state.index.conditions[site.transition + firing.number]
         if known is not None and not known.reads_variables:
             return known.truth(self._calls.world)
         context = self.context(site.step_of(firing), place)
@@ -140,27 +108,24 @@ class Guards:
 
     def _asked(self, site: Site, firing: Firing) -> Condition:
         """Return the condition that the guard asks for."""
-        condition = self._state.index.guard(site, firing).asks
+        condition = self.state.index.guard(site, firing).asks
         assert condition is not None, "only such guards come here"
         return condition
 
-    def _lag(self, site: Site, firing: Firing) -> float:
-        return self._calls.world.lag(names(self._asked(site, firing)))
-
-    def _after(self, since: dict[int, float], site: Site, firing: Firing, place: int, is_pending: bool, seconds: float) -> float:
+    def _after(self, site: Site, firing: Firing, place: int, is_pending: bool, seconds: float) -> float:
         """Return when the transition has been pending for so long; `NEVER`, and from the beginning next time, if it is not."""
         transition = site.transition + firing.number
         if is_pending:
             self._questions.noted.add(place)
-            return since.setdefault(transition, self._state.now) + seconds
-        since.pop(transition, None)  # a condition that was true in between begins to be false anew
+            return self._since.setdefault(transition, self.state.now) + seconds
+        self._since.pop(transition, None)  # a condition that was true in between begins to be false anew
         return NEVER
 
     def postpone(self, call: int | None) -> None:
         """Have the limit for the acceptance of a call's request begin anew."""
         if call is None:
             return
-        state, site = self._state, self._state.index.of_calls[call]
+        state, site = self.state, self.state.index.of_calls[call]
         for firing in site.shape.opened[None]:
             if state.engine.is_enabled(site.transition + firing.number):
                 state.marked_at[site.place + firing.inputs[0]] = state.now
@@ -169,27 +134,21 @@ class Guards:
         """Forget since when guards at the place have been waiting; yield its questions, whose answers are no longer needed."""
         self._questions.noted.discard(place)
         # The next token at this place is a new decision, with delays that begin anew.
-        index = self._state.index
+        index = self.state.index
         for within in index.decision(place).numbers:
-            number = index.sites[place].transition + within
-            self._false_since.pop(number, None)
-            self._waiting_since.pop(number, None)
+            self._since.pop(index.sites[place].transition + within, None)
         return self._questions.left(place)
 
     def context(self, call: int | None, place: int | None) -> EvaluationContext:
         """Return the knowledge for the guards of the call at the place."""
         return self._calls.context_of(call, self._questions.answers_at(place))
 
-    def unseen(self, call: int, place: int | None) -> tuple[Condition, ...]:
-        """Return the effects of the call that are not seen."""
-        return self._calls.unseen(call, self.context(call, place))
-
     # --- resources ------------------------------------------------------------------------------
 
     def lacks_resources(self, transition: int) -> bool:
         """Return whether the transition would be enabled if no call of the run had resources."""
         # Enabled transitions lack nothing and are included, which does no harm: they are asked in any case.
-        return self._state.engine.lacking(transition) <= self._state.index.resources.keys()
+        return self.state.engine.lacking(transition) <= self.state.index.resources.keys()
 
     def has_resources(self, site: Site, firing: Firing, place: int) -> bool:
         """Return whether the resources that the transition takes are free; if not, its call stands in line for them."""
@@ -198,14 +157,14 @@ class Guards:
     def withheld(self, call: int, guard: guards.Withheld, place: int | None) -> Mapping[str, str]:
         """Return which resources of the call belong to requests that were given up, and the names of these requests."""
         _, action = self._calls.claiming(call, guard.action, self.context(call, place))
-        return self._claims.withheld_from(self._calls.resources(action))
+        return self._claims.resources.withheld_from(self._calls.bindings.resources(action))
 
     def claim(self, site: Site, firing: Firing, place: int | None) -> Claim:
         """Return the claim that the transition makes for its call."""
         # The claim is made for the request that is going to be sent, so that it holds the resources from its first moment.
         call = _call(site, firing)
         request, action = self._calls.claiming(call, firing.action, self.context(call, place))
-        return self._claims.claim(request, self._calls.resources(action))
+        return self._claims.claim(request, self._calls.bindings.resources(action))
 
     # --- explanations ---------------------------------------------------------------------------
 
@@ -238,7 +197,7 @@ class Guards:
                 expected, seen = self.explain(condition, rule.call, place)
                 return Explanation(rule.cause, f"{expected} within {seconds:g} s", seen)
             case guards.Due(seconds):
-                passed = f"{self._state.passed:g} s have passed"
+                passed = f"{self.state.passed:g} s have passed"
                 what = "a start" if rule.cause is Cause.TOO_LATE else "an end"
                 return Explanation(rule.cause, f"{what} within {seconds:g} s of the plan's start", passed)
             case guards.Always() if rule.expected:
@@ -270,25 +229,25 @@ def _now_if(is_open: bool) -> float:
 
 
 OPENS: Final[Mapping[type, Callable[[Guards, Site, Firing, int], float]]] = {
-    guards.Always: Guards._always,
+    guards.Always: lambda run, site, firing, place: -NEVER,
     guards.After: Guards.waits_until,
     guards.Late: Guards._late,
-    guards.Ending: Guards._ending,
-    guards.Failing: Guards._failing,
-    guards.CancelAsked: Guards._cancel_asked,
-    guards.PauseAsked: Guards._pause_asked,
-    guards.ConditionTrue: Guards._true,
-    guards.ConditionFalse: Guards._false,
-    guards.ConditionUnknown: Guards._unknown,
+    guards.Ending: lambda run, site, firing, place: _now_if(run.state.ending),
+    guards.Failing: lambda run, site, firing, place: _now_if(run.state.failing),
+    guards.CancelAsked: lambda run, site, firing, place: _now_if(run.state.cancels),
+    guards.PauseAsked: lambda run, site, firing, place: _now_if(run.state.suspends),
+    guards.ConditionTrue: lambda run, site, firing, place: -NEVER if run.truth(site, firing, place) is True else NEVER,
+    guards.ConditionFalse: Guards._not_true,
+    guards.ConditionUnknown: Guards._not_true,
     guards.InvariantFalse: Guards._invariant_false,
     guards.AlreadyTrue: Guards._already_true,
     guards.DataMissing: Guards._data_missing,
     guards.Withheld: Guards._withheld,
     guards.EffectsSeen: Guards._effects_seen,
     guards.EffectsMissing: Guards._effects_missing,
-    guards.Adopted: Guards._adopted,
-    guards.Accepts: Guards._reported,
-    guards.Ends: Guards._reported,
+    guards.Adopted: lambda run, site, firing, place: _now_if(_call(site, firing) in run.state.adopted),
+    guards.Accepts: lambda run, site, firing, place: NEVER,  # opened by a report alone, see `Run._take`
+    guards.Ends: lambda run, site, firing, place: NEVER,
     guards.Due: Guards._due,
 }
-"""For every kind of guard, when it opens."""
+"""For every kind of guard, when it opens: with the block of the transition, the transition and the place at which it is decided on."""

@@ -361,7 +361,7 @@ class ReferenceRun:
                 context = self._context(call, place)
                 return _now_if(bool(call_data.goal(context.action, self.goal_fields, context)[1]))
             case guards.Withheld(call, seconds, action):
-                is_withheld = bool(self.claims.withheld_from(self._claim(call, action, place).names))
+                is_withheld = bool(self.claims.resources.withheld_from(self._claim(call, action, place).names))
                 return self._after(transition, is_withheld and not self.pause, seconds)
             case guards.EffectsSeen(call):
                 return _now_if(not self.attempts[call].unseen(self._context(call, place)))

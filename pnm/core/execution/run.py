@@ -123,7 +123,7 @@ class Run(RunView):
             outcome, kind, now = report.outcome, report.outcome.kind, self._state.now
             if self._state.settled:
                 self._state.settled.pop(report.request, None)
-            if not self._calls.is_accepted(call) and kind not in BEFORE_ACCEPTANCE:
+            if self._calls.attempts[call].accepted is None and kind not in BEFORE_ACCEPTANCE:
                 self._take(call, None)  # a client may leave out what goes without saying
             del self._calls.open[report.request]  # before the firing, so that observers and guards see the request as over
             if kind is _SUCCESS and self._calls.succeeded(call, outcome, now):
@@ -279,7 +279,7 @@ class Run(RunView):
             if firing.tells:
                 self._tell(rule, call, place, None if firing.fails else check)
             if check and check.cause is Cause.INVARIANT_FALSE:
-                self._calls.attempt(call).interrupt(self._guards.context(call, None))
+                self._calls.attempts[call].interrupt(self._guards.context(call, None))
             if firing.action is not None:
                 self._perform(firing.action, call, place, state.now, is_turn=bool(firing.turns))
         if check is not None:
@@ -333,7 +333,7 @@ class Run(RunView):
         if rule.outcome is CallOutcome.ALREADY_TRUE:
             self.observer.spared(sent, now)
         if rule.gives_up:
-            self._calls.forget(call)
+            self._calls.open.pop(self._calls.attempts[call].request, None)
 
     def _perform(self, action: TransitionAction, call: int, place: int | None, now: float, *, is_turn: bool = False) -> None:
         """Carry out the action of a transition; `is_turn` if the run may begin to end with it."""

@@ -97,7 +97,7 @@ class RunView:
         self._places, self._undecided, self._noted = self._agenda.places, self._agenda.undecided, self._questions.noted
         # last, because it may be refused; until then nothing of the shared resources is touched
         self.resources.check_capacities(machine.capacities)
-        check_adoption(machine, adopted, self._calls.resources)
+        check_adoption(machine, adopted, self._calls.bindings.resources)
         for call, request in adopted.items():
             self._calls.adopt(call, request)
             if request.resources:
@@ -181,7 +181,7 @@ class RunView:
     @property
     def feedback(self) -> dict[UUID, str]:
         """The last feedback of servers about the requests that are not over; empty for none."""
-        return {request: self._calls.feedback(call) for request, call in self._calls.open.items()}
+        return {request: self._calls.attempts[call].feedback for request, call in self._calls.open.items()}
 
     def arguments(self, call: ActionCall) -> tuple[str, ...]:
         """Return the arguments that a call would be sent with now; parameters without a value by their names."""

@@ -157,15 +157,19 @@ class BlockNet(Generic[AnyPlaced]):
         self._first_places: list[int] = []
         self.count_places = self.count_transitions = 0
         # worked out so far
-        self.inputs: Final = WhenAsked(lambda one: (block := self.block_of(one)).arcs(block.template.inputs[one - block.transition]))
+        self.inputs: Final[WhenAsked[int, NumberedArcs]] = WhenAsked(lambda one: self._arcs(one, lambda template: template.inputs))
         """For every transition, the places that it takes from, and how much of each."""
-        self.outputs: Final = WhenAsked(lambda one: (block := self.block_of(one)).arcs(block.template.outputs[one - block.transition]))
+        self.outputs: Final[WhenAsked[int, NumberedArcs]] = WhenAsked(lambda one: self._arcs(one, lambda template: template.outputs))
         """The places that it gives to, and how much to each."""
-        self.only_input: Final = WhenAsked(lambda one: self.inputs[one][0][0] if self.inputs[one] and not self.unmarked[one] else None)
+        self.only_input: Final[WhenAsked[int, int | None]] = WhenAsked(
+            lambda one: self.inputs[one][0][0] if self.inputs[one] and not self.unmarked[one] else None
+        )
         """For every transition that takes one token from one place, that place."""
         self.consumers: Final = WhenAsked(self._consumers)
         """For every place, the transitions that take from it, in their order, and how much each does."""
-        self.joins: Final = WhenAsked(lambda place: [(one, weight) for one, weight in self.consumers[place] if self.unmarked[one]])
+        self.joins: Final[WhenAsked[int, NumberedArcs]] = WhenAsked(
+            lambda place: [(one, weight) for one, weight in self.consumers[place] if self.unmarked[one]]
+        )
         """Those of them that take more than one token."""
 
     # --- building -----------------------------------------------------------------------------
@@ -203,6 +207,10 @@ class BlockNet(Generic[AnyPlaced]):
         """Return the name of a transition."""
         block = self.block_of(transition)
         return block.transition_name(transition - block.transition)
+
+    def _arcs(self, transition: int, of: Callable[[Template], Sequence[_Codes]]) -> NumberedArcs:
+        block = self.block_of(transition)
+        return block.arcs(of(block.template)[transition - block.transition])
 
     def _consumers(self, place: int) -> NumberedArcs:
         block, found = self.segment_of(place), list[tuple[int, int]]()

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pnm.core.execution.call_data import already_true, closed_call, denied_at_end, finished, intention, is_assumed, unseen
+from pnm.core.execution.call_data import already_true, closed_call, denied_at_end, finished, intention, ready, unseen
 from pnm.core.execution.call_requests import Calls
 from pnm.core.execution.machine_index import index_of, prepare
 from pnm.core.execution.questions import EvaluationContext
@@ -41,7 +41,7 @@ def test_what_is_constant_of_a_call(start: Effects, end: Effects, known: dict, s
     closed = closed_call(call)
     assert closed is not None
     assert (dict(closed.own), ()) == goal_data(action, DEFAULT, None, context)
-    assert is_assumed(names_written((*start, *end)), context.world) is not all(context.world.is_sensed((name,)) for name in closed.names)
+    assert context.world.senses(names_written((*start, *end))) is all(context.world.is_sensed((name,)) for name in closed.names)
     if closed.effects is None:
         assert any(effect.operation != "assign" for effect in (*start, *end))
         return
@@ -129,7 +129,6 @@ def test_an_action_is_ready_with_what_is_known_now(changes: list[tuple[str, bool
         kept, fresh = calls.context_of(0, None), EvaluationContext(known, GO)
         assert shown(kept.environment()) == shown(fresh.environment())
         assert shown(kept.given()) == shown(fresh.given())
-        others = Calls(UUID(int=1), generate(PlanGraph((ActionCall(0, GO),))), known, Bindings(), lambda action: None, asks=False)
-        ready = calls.ready(0, kept)
-        assert shown(ready) == shown(others.ready(0, fresh))
-        assert calls.ready(0, kept) is ready, "it is made anew although nothing has changed"
+        made = ready(GO, kept)
+        assert shown(made) == shown(ready(GO, fresh))
+        assert ready(GO, kept) is made, "it is made anew although nothing has changed"
