@@ -46,6 +46,7 @@ class RunOptions(TypedDict):
     task: NotRequired[UUID | None]
     priority: NotRequired[int]
     adopted: NotRequired[Mapping[int, UnderWay]]
+    tells: NotRequired[bool]
 
 
 class WorldOptions(TypedDict, total=False):
@@ -262,7 +263,7 @@ class WrittenJournal(Journal):
     ) -> Run:
         """Return a run, and record what it was made from."""
         asks, adopted = options.get("asks", False), options.get("adopted", {})
-        options["goal_fields"] = self._remembering(options["goal_fields"])
+        options["goal_fields"], options["tells"] = self._remembering(options["goal_fields"]), True
         run = super().make_run(machine, knowledge, **options)
         text = self._codec.text(records.MachineSource(machine.plan, options["bindings"], machine.on_failure, machine.capacities))
         source = hashlib.sha256(text.encode()).hexdigest()

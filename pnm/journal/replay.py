@@ -238,6 +238,7 @@ class Replay:
             task=made.task,
             priority=made.priority,
             adopted=made.adopted,
+            tells=True,
         )
         replayed = ReplayedRun(made, run, lambda action: self.fields.get(str(action)) if self.fields else None, self)
         self.runs[made.run] = replayed

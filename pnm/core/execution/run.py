@@ -289,7 +289,12 @@ class Run(RunView):
         self._engine.move(taken, given)
         # After the firing: only now are the tokens of the resources back on their places, for other calls to take.
         if firing.gives and step is not None:
-            self._give(rule, step)
+            if rule.gives_up:  # the request keeps its resources
+                names = self._claims.withhold(step, str(self._calls.action(step)))
+                self.observer.withheld(self._calls.as_sent(step), names, state.now)
+            else:
+                self._claims.give(step)
+            self._places.extend(self._claims.served())  # of this run: the listener on the executor only notices with the next event
         guard, lacking = rule.guard, tuple[str, ...]()
         if firing.fails and isinstance(guard, Withheld):
             lacking = tuple(self._guards.withheld(guard.call, guard, place))
@@ -297,9 +302,10 @@ class Run(RunView):
         failures = [self._results.failed(one, state.now, check, rule, lacking) for one in failing]
         begins_to_end = firing.turns and state.turn()
         for failure in failures:
-            cause = Explanation(failure.cause, failure.expected, failure.observed)
-            own = own_arguments(failure.call, self.machine.plan) if isinstance(failure.call, ActionCall) else None
-            self._told.append(Hindered(failure.call.index, cause, is_failure=True, arguments=own))
+            if self._tells:
+                cause = Explanation(failure.cause, failure.expected, failure.observed)
+                own = own_arguments(failure.call, self.machine.plan) if isinstance(failure.call, ActionCall) else None
+                self._told.append(Hindered(failure.call.index, cause, is_failure=True, arguments=own))
             self.observer.failed(failure, state.now)
         self._leave_and_mark(taken, given, site.all_at(firing.decided), marked_at)
         if begins_to_end:  # everything that waits has an exit for that, which has just opened
@@ -328,7 +334,8 @@ class Run(RunView):
         sent, now = self._calls.as_sent(call), self._state.now
         unseen = self._calls.explain_unseen(call, self._guards.context(call, place)) if isinstance(rule.guard, EffectsMissing) else None
         if cause := self._results.hindered(rule, call, check, unseen):
-            self._told.append(Hindered(call, cause, arguments=own_arguments(sent, self.machine.plan)))
+            if self._tells:
+                self._told.append(Hindered(call, cause, arguments=own_arguments(sent, self.machine.plan)))
             self.observer.hindered(sent, cause, now)
         if rule.outcome is CallOutcome.ALREADY_TRUE:
             self.observer.spared(sent, now)
@@ -345,7 +352,9 @@ class Run(RunView):
             self._state.is_stepping = False
             for command in commands:
                 if isinstance(command, events.Send):
-                    self._told.append(Sent(command.request.id, call, command.request.attempt, own_arguments(sent, self.machine.plan)))
+                    if self._tells:
+                        own = own_arguments(sent, self.machine.plan)
+                        self._told.append(Sent(command.request.id, call, command.request.attempt, own))
                     self.observer.sent(sent, command.request, now)
             self._reports += reports
         elif action is TransitionAction.ADOPT:  # the request is known since the run was made
@@ -359,12 +368,3 @@ class Run(RunView):
         if changes_knowledge or self._has_changed_knowledge:
             self._has_changed_knowledge = False
             self._agenda.ask_about_knowledge(now, of_all=is_turn)
-
-    def _give(self, rule: Rule, call: int) -> None:
-        """Give back the resources of the call; a request that was given up keeps them."""
-        if rule.gives_up:
-            names = self._claims.withhold(call, str(self._calls.action(call)))
-            self.observer.withheld(self._calls.as_sent(call), names, self._state.now)
-        else:
-            self._claims.give(call)
-        self._agenda.places.extend(self._claims.served())  # of this run: the listener on the executor only notices with the next event

@@ -47,6 +47,7 @@ class RunView:
         task: on whose behalf resources are claimed; its own when not given.
         priority: how its claims stand among those of others.
         adopted: for the number of every call that the plan marks as under way, the request that it takes over.
+        tells: whether `told` is noted, for its journal.
 
     The mutable state is what the constructor sets under "state".
 
@@ -69,6 +70,7 @@ class RunView:
         task: UUID | None = None,
         priority: int = 0,
         adopted: Mapping[int, UnderWay] = _NONE,
+        tells: bool = False,
     ) -> None:
         self.machine, self.knowledge, self.id = machine, knowledge, id
         self.resources = Resources(machine.capacities) if resources is None else resources
@@ -80,6 +82,7 @@ class RunView:
         self._agenda = Agenda(self._index, knowledge)
         self._fired: list[int] = []
         self._told: list[Told] = []
+        self._tells = tells
         self._commands: list[Command] = []
         self._reports: deque[Accepted | Ended] = deque()
         """Ends of requests that concerned knowledge alone."""
@@ -237,28 +240,29 @@ class RunView:
 
         A call that has ended and waits for others before that is not among them: what it does has been done, and a pause holds it up.
         """
-        return (*self.open_calls.values(), *(self._calls.as_sent(self._index.settling[place]) for place in self._sought))
+        sought = (self._calls.as_sent(call) for place, call in self._settling if place in self._undecided)
+        return (*self.open_calls.values(), *sought)
 
     @property
     def settling(self) -> tuple[ActionCall, ...]:
         """The calls that have succeeded, and whose effects are still to be looked for: no other run can take them over."""
-        return tuple(self._calls.as_sent(call) for place, call in self._index.settling.items() if self._engine.tokens[place])
+        return tuple(self._calls.as_sent(call) for _, call in self._settling)
 
     @property
     def unreported(self) -> Changes:
         """The changes of running calls at their start that sensors report, but have not reported since."""
-        settling = (call for place, call in self._index.settling.items() if self._engine.tokens[place])
-        return {fluent: value for call in (*self._calls.open.values(), *settling) for fluent, value in self._calls.unreported(call).items()}
+        calls = (*self._calls.open.values(), *(call for _, call in self._settling))
+        return {fluent: value for call in calls for fluent, value in self._calls.unreported(call).items()}
 
     @property
     def looks_for_effects(self) -> bool:
         """Whether effects of calls are looked for, or what that depends on is asked: it ends by itself, unlike a wait for other calls."""
-        return bool(self._sought)
+        return any(place in self._undecided for place, _ in self._settling)
 
     @property
-    def _sought(self) -> list[int]:
-        """The places of calls whose effects are being looked for."""
-        return [place for place in self._index.settling if self._engine.tokens[place] and place in self._undecided]
+    def _settling(self) -> list[tuple[int, int]]:
+        """The marked places at which effects are still to be looked for, and their calls."""
+        return [(place, call) for place, call in self._index.settling.items() if self._engine.tokens[place]]
 
     @property
     def handover(self) -> Handover:
