@@ -139,6 +139,12 @@ def intention(call: ActionCall, knowledge: EvaluationContext) -> Intention:
     return Intention(start, end, ending, seen)
 
 
+def sending(call: ActionCall, context: EvaluationContext) -> tuple[GroundAction, Intention]:
+    """Return the action of a request that is sent now, and what it is going to change."""
+    action = ready(call.action, context)
+    return action, intention(call if action is call.action else replace(call, action=action), context)
+
+
 def finished(action: GroundAction, intended: Intention, knowledge: EvaluationContext) -> Changes:
     """Return the changes at the end of the action.
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Final, TypeAlias
 from uuid import UUID
 
-from pnm.core.execution.call_data import GoalFields, finished, goal, intention, ready, variables_of
+from pnm.core.execution.call_data import GoalFields, finished, goal, ready, sending, variables_of
 from pnm.core.execution.call_results import CallResult
 from pnm.core.execution.events import Cancel, Command, Performed, Reattach, Send, Store
 from pnm.core.execution.handover import CallAttempt, UnderWay
@@ -68,10 +68,6 @@ class Calls:
         """Return the call with what its parameters had for values when it was sent last."""
         planned, attempt = self._plan.calls[call], self.attempts.get(call)
         return planned if attempt is None or attempt.action is planned.action else replace(planned, action=attempt.action)
-
-    def _with(self, call: int, action: GroundAction) -> ActionCall:
-        planned = self._plan.calls[call]
-        return planned if action is planned.action else replace(planned, action=action)
 
     def note_feedback(self, feedback: Feedback) -> ActionCall | None:
         """Note the feedback of a server about a request; return its call if it is under way, and the feedback is new."""
@@ -156,10 +152,8 @@ class Calls:
             Unanswered: a question has to be asked before the transition fires.
         """
         match action:
-            case TransitionAction.SEND:
-                made = ready(context.action, context)
-                if not all(map(is_fixed, (*made.start_effects, *made.end_effects))):
-                    intention(self._with(call, made), context)
+            case TransitionAction.SEND if not all(map(is_fixed, (*context.action.start_effects, *context.action.end_effects))):
+                sending(self._plan.calls[call], context)
             case TransitionAction.FINISH if not all(map(is_fixed, (intended := self.attempts[call].intended).end_effects)):
                 finished(self.action(call), intended, context)
             case _:
@@ -172,9 +166,7 @@ class Calls:
         if closed is not None and closed.effects is not None:
             action, intended = self._plan.calls[call].action, closed.effects.intended(self.world)
         else:
-            context = self.context_of(call, answers)
-            action = ready(context.action, context)
-            intended = intention(self._with(call, action), context)
+            action, intended = sending(self._plan.calls[call], self.context_of(call, answers))
         self.open[identity] = call
         if action.operation is not None:
             self.attempts[call] = CallAttempt(number, identity, action, intended)

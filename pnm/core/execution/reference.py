@@ -1,6 +1,6 @@
 """The definition of a Petri Net Machine, to be read and to be run: PNM = (Σ, PN, m₀, δ̂, P_g), as in the paper of 2019.
 
-PN   A place/transition net: places P, transitions T and weighted arcs. For each transition `net.inputs` has the places that it takes
+PN   A place/transition net: places P, transitions T and weighted arcs. Of each transition `net.inputs` has the places that it takes
      tokens from, and `net.outputs` those that it puts tokens on, both with the number of tokens.
 m₀   The initial marking, `machine.initial`. A marking m says how many tokens each place holds.
 P_g  The goal places, `machine.goal_places`. The machine has reached its goal when P_g ∩ m ≠ ∅, and has failed when `failed_place` is
@@ -9,22 +9,19 @@ P_g  The goal places, `machine.goal_places`. The machine has reached its goal wh
      answer, and control: begin, pause, resume, step, stop.
 δ̂    The transition function, `ReferenceRun.delta`. In the paper δ̂: Σ × M × T → T̄, where T̄ says how often each transition fires, and then
      m' = T̄·D + m with the incidence matrix D. Here δ̂ gives the firings in their order, because one may change knowledge that decides
-     the next. T̄ is how often each of them is in that order, so the equation holds for every symbol; a test checks it.
+     the next. T̄ counts them, so the equation holds for every symbol; a test checks it.
 
-Each transition has a *rule*: a guard and an action. A transition *may fire* if it is enabled, which means that the marking covers its
-inputs, and if its guard is open. There are two kinds of guards:
+Each transition has a *rule*: a guard and an action. It *may fire* if it is enabled, which means that the marking covers its inputs, and
+if its guard is open. There are two kinds of guards:
 
 - `Accepts` and `Ends` are opened by a report: the server has accepted the request of a call, or the request has ended in some way. The
   report fires one transition by itself. So the outcome of an action chooses the transition, as in the paper's figure of an action.
 - All others are asked at marked places. `opens` gives the moment from which such a guard is open: it may be past, to come, or never.
 
 After each symbol the machine *settles*: one transition fires after the other until none may. A Petri net leaves open which one goes
-first. Here it is determined, so that the same symbols always give the same firings:
-
-- Between places there is a queue. A place is asked when a token arrives. If no transition may fire there yet, the place is *undecided*:
-  it is asked again when knowledge that it may read has changed, when its moment comes, and when the run is stopped, paused or resumed,
-  or begins to end.
-- At one place the transitions are asked in the order of the net. The first that may fire fires.
+first; here the same symbols always give the same firings. A token puts its place in a queue. At a place the transitions are asked in the
+order of the net, and the first that may fire fires. If none may, the place is *undecided*: it is asked again when knowledge that it may
+read has changed, when its moment comes, and when the run is stopped, paused or resumed, or begins to end.
 
 The *action* of a transition is what its firing does besides moving tokens: it sends the request of a call or has it cancelled, or writes
 to knowledge which effects a call is assumed to have. Sensors report all other effects; they are never written, but looked for.
@@ -38,34 +35,31 @@ Four ideas go beyond the paper:
 - A *question* to a person or a database may have to be answered before a guard can be evaluated. The place waits for the answer.
 
 Defined elsewhere: conditions, effects, goals and results of calls, the firing rule, the line for resources, and answers. Left out:
-explanations, observers, going on in another process (`Restarted`), and answers that a run has from the run before it.
-`pnm.core.execution.run` is the same machine, made fast: by number, and asking only what may have changed.
-`python -m tests.random_runs reference` holds it against this one, on random machines and symbols.
+explanations, observers, going on in another process (`Restarted`), and answers that a run has from the run before it. The same machine
+made fast, by number and asking only what may have changed, is `pnm.core.execution.run`; `python -m tests.random_runs reference` holds it
+against this one, on random machines and symbols.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 from math import inf
-from typing import NamedTuple, TypeAlias, assert_never
+from typing import TypeAlias, assert_never
 from uuid import UUID
 
 from pnm.core.execution import call_data, events
 from pnm.core.execution.handover import CallAttempt, UnderWay
 from pnm.core.execution.questions import EvaluationContext, Questions, carry_out, subject_of
 from pnm.core.knowledge_base import Layered
-from pnm.core.logic.computed_values import Question, Unanswered
-from pnm.core.logic.conditions import Condition, evaluate, ground, names
+from pnm.core.logic.computed_values import Unanswered
+from pnm.core.logic.conditions import evaluate, ground, names
 from pnm.core.logic.effects import Changes
-from pnm.core.logic.expressions import UNKNOWN, Truth
+from pnm.core.logic.expressions import UNKNOWN
 from pnm.core.machine import guards, requests
 from pnm.core.machine.bindings import Bindings
-from pnm.core.machine.guards import Opener, Rule
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
-from pnm.core.machine.plan_graph import GroundAction
-from pnm.core.machine.requests import CallOutcome, OutcomeKind, TransitionAction
 from pnm.core.net.net import Marking, fire, is_enabled
 from pnm.core.resources import Claim, Resources, RunClaims
 
@@ -76,14 +70,6 @@ Symbol: TypeAlias = _Report | requests.Postponed | _Change | _Control
 """Σ. All other events move no token."""
 
 ALWAYS, NEVER = -inf, inf
-_NO_CHANGES: Changes = {}
-
-
-class Response(NamedTuple):
-    """Value of δ̂: the transitions that fire, in their order, and what is to be done outside: requests, cancellations, questions."""
-
-    firings: tuple[str, ...]
-    commands: tuple[events.Command, ...]
 
 
 @dataclass
@@ -116,7 +102,7 @@ class ReferenceRun:
     counts: dict[int, int] = field(default_factory=dict)  # by call, how many requests there were since it was reached
     early: list[_Report] = field(default_factory=list)  # reports about adopted requests from before the beginning
     operated: deque[requests.Ended] = field(default_factory=deque)  # ends of operations on knowledge, which need no server
-    has_result: bool = False  # a result was stored, and no place was asked about it yet
+    has_change: bool = False  # knowledge has changed, and no place was asked about it yet
     questions: Questions[str] = field(default_factory=Questions)
     firings: list[str] = field(default_factory=list)
     commands: list[events.Command] = field(default_factory=list)
@@ -124,18 +110,15 @@ class ReferenceRun:
     def __post_init__(self) -> None:
         net, self.rules, self.marking = self.machine.net, self.machine.rules, self.machine.initial
         self.asked_at = {place: [name for name in net.transitions if place in net.inputs[name]] for place in net.places}
-        resources = self.machine.resource_places.keys()
-        brings_its_own = {name for name, rule in self.rules.items() if rule.action is TransitionAction.ADOPT}
-        self.claiming = {name for name, inputs in net.inputs.items() if resources & inputs.keys()} - brings_its_own
+        takes = {name for name, inputs in net.inputs.items() if self.machine.resource_places.keys() & inputs.keys()}
+        self.claiming = {name for name in takes if self.rules[name].action is not requests.TransitionAction.ADOPT}  # which brings its own
         self.claims = RunClaims[str](self.resources or Resources(self.machine.capacities), self.id, 0)
-        self.identity: Callable[[str], UUID] = requests.identities(self.id)
+        self.identity = requests.identities(self.id)
         for call, taken in self.adopted.items():
             self.alive[taken.request], action = call, taken.call.action
             self.attempts[call] = CallAttempt(0, taken.request, action, taken.intended, taken.accepted, begun=taken.begun)
             if taken.resources:
                 self.claims.keep(call, self.claims.claim(taken.request, taken.resources))
-
-    # --- what the marking says ------------------------------------------------------------------
 
     @property
     def is_over(self) -> bool:
@@ -157,8 +140,8 @@ class ReferenceRun:
 
     # --- δ̂ --------------------------------------------------------------------------------------
 
-    def delta(self, symbol: Symbol, now: float) -> Response:
-        """Take a symbol in: note what it says, fire what it opens, and settle."""
+    def delta(self, symbol: Symbol, now: float) -> tuple[list[str], list[events.Command]]:
+        """Take a symbol in and settle; return the transitions that fire, in their order, and what is to be done outside."""
         self.firings, self.commands, self.now = [], [], max(self.now, now)
         match symbol:
             case requests.Accepted() | requests.Ended():
@@ -196,7 +179,7 @@ class ReferenceRun:
             case events.Settled(request):  # a person says how it ends: it is cancelled, and its end is reported so
                 self.commands += [events.Cancel(request)] if request in self.alive else []
             case requests.Postponed(request):  # its server has not come to it yet: the limit for its acceptance begins anew
-                for transition in self._opened_by(self.alive.get(request), None):
+                for transition in self._opened_by(self.alive[request], None) if request in self.alive else ():
                     self.marked_at |= dict.fromkeys(self.machine.net.inputs[transition], self.now)
             case _:
                 assert_never(symbol)
@@ -204,7 +187,7 @@ class ReferenceRun:
         while self.early and self.has_begun:
             self._report(self.early.pop(0))
             self._settle()
-        return Response(tuple(self.firings), tuple(self.commands))
+        return self.firings, self.commands
 
     def _report(self, report: _Report) -> None:
         """Fire the transition that a report opens, if its request is alive."""
@@ -219,24 +202,21 @@ class ReferenceRun:
             if attempt.accepted is None and kind not in requests.BEFORE_ACCEPTANCE:
                 self._report(requests.Accepted(report.request))  # a client may leave out what goes without saying
             del self.alive[report.request]
-            if kind is OutcomeKind.SUCCEEDED:
+            if kind is requests.OutcomeKind.SUCCEEDED:
                 if values := call_data.variables_of(report.outcome, self.machine.plan.calls[call], context.binding):
                     self.knowledge.local.store(values)
-                    self.has_result = True
+                    self.has_change = True
                 attempt.end(context, self.now)
         for transition in self._opened_by(call, kind)[:1]:
             self._fire(transition, None)
 
-    def _opened_by(self, call: int | None, kind: OutcomeKind | None) -> list[str]:
+    def _opened_by(self, call: int, kind: requests.OutcomeKind | None) -> list[str]:
         """Return the transitions that may fire when the request of the call ends in this way; None stands for its acceptance."""
 
         def is_open(guard: guards.Guard) -> bool:
-            match guard:
-                case guards.Accepts(of):
-                    return of == call and kind is None
-                case guards.Ends(of, kinds):
-                    return of == call and kind in kinds
-            return False
+            if kind is None:
+                return guard == guards.Accepts(call)
+            return isinstance(guard, guards.Ends) and guard.call == call and kind in guard.kinds
 
         return [name for name, rule in self.rules.items() if is_open(rule.guard) and is_enabled(self.machine.net, self.marking, name)]
 
@@ -257,17 +237,17 @@ class ReferenceRun:
         for transition in self.asked_at[place]:
             rule, takes = self.rules[transition], transition in self.claiming
             opener = rule.guard.opened_by
-            if opener is Opener.REPORT or (opener is Opener.ENDING and not (self.is_ending or self.pause)):
+            if opener is guards.Opener.REPORT or (opener is guards.Opener.ENDING and not (self.is_ending or self.pause)):
                 is_undecided = True  # a report, or the end of the run, is waited for
                 continue
             # A transition that lacks nothing but resources is asked as well: its call has to stand in line for them.
             free = self.machine.resource_places if takes else ()
             wanted = {one: weight for one, weight in self.machine.net.inputs[transition].items() if one not in free}
-            if not self.marking.covers(wanted) or (has_asked and opener is not Opener.TIME):
+            if not self.marking.covers(wanted) or (has_asked and opener is not guards.Opener.TIME):
                 continue  # while an answer is awaited that may open an earlier transition, no later one fires but those of time
             is_undecided = True
             try:
-                if self.pause and not self.is_stepping and (takes or rule.action is TransitionAction.SEND):
+                if self.pause and not self.is_stepping and (takes or rule.action is requests.TransitionAction.SEND):
                     break  # until the run is resumed
                 if takes and rule.call is not None and not self.claims.are_free(place, self._claim(rule.call, rule.action, place)):
                     is_in_line = True
@@ -275,21 +255,25 @@ class ReferenceRun:
                 opens = self.opens(transition, place)
                 if opens <= self.now:
                     if self.asks and rule.call is not None:  # what it is going to change may depend on questions
-                        if rule.action is TransitionAction.SEND:
-                            self._ready(rule.call, place)
-                        elif rule.action is TransitionAction.FINISH:
-                            self._finished(rule.call, place)
+                        if rule.action is requests.TransitionAction.SEND:
+                            call_data.sending(self.machine.plan.calls[rule.call], self._context(rule.call, place))
+                        elif rule.action is requests.TransitionAction.FINISH:
+                            attempt = self.attempts[rule.call]
+                            call_data.finished(attempt.action, attempt.intended, self._context(rule.call, place))
                     self._fire(transition, place)
                     return
                 moment = min(moment, opens)
             except Unanswered as needed:
                 has_asked = True
-                self._ask(place, rule.call, needed.question)
-        if not is_in_line:  # others need not wait behind what waits for something else, such as an answer, which may take long
-            self._leave_line(place)
+                need = self.questions.need(place, subject_of(self.machine.plan, rule.call), needed.question, self.now, self.identity)
+                self.commands += need.commands
+                self.queue += [place] if need.until is None else []  # it is answered, if only with nothing
+                self.moments.add((NEVER if need.until is None else need.until, self.machine.net.places.index(place)))
+        if not is_in_line and self.claims.leave(place):  # others need not wait behind what waits for something else, such as an answer
+            self.queue += self.claims.served()
         if is_undecided:
             self.undecided.setdefault(place)
-        self._ask_again(place, moment)
+        self.moments.add((moment, self.machine.net.places.index(place)))
 
     def _fire(self, transition: str, place: str | None) -> None:
         """Carry out the action of a transition and move the tokens. Its place is the one that it was asked at; a report has none."""
@@ -324,7 +308,8 @@ class ReferenceRun:
     def _leave(self, place: str) -> None:
         """Forget what was waited for at a place: the next token there is decided anew."""
         self.undecided.pop(place, None)
-        self._leave_line(place)
+        if self.claims.leave(place):  # others may have the resources now
+            self.queue += self.claims.served()
         for transition in self.asked_at[place]:
             self.since.pop(transition, None)
         self.commands += map(events.Withdraw, self.questions.left(place))
@@ -334,45 +319,43 @@ class ReferenceRun:
     def opens(self, transition: str, place: str) -> float:
         """Return the moment from which the guard is open; it is `NEVER` if nothing but a change can open it."""
         rule, guard = self.rules[transition], self.rules[transition].guard
+        context = self._context(rule.call, place)
         match guard:
             case guards.Always():
-                return ALWAYS
+                is_open = True
             case guards.Ending():
-                return _now_if(self.is_ending)
+                is_open = self.is_ending
             case guards.Failing():
-                return _now_if(self.is_failing)
+                is_open = self.is_failing
             case guards.CancelAsked():
-                stops = self.stop is not None and self.stop.cancel
-                return _now_if(stops or (self.is_ending and self.machine.on_failure is OnFailure.CANCEL))
+                is_open = (self.stop is not None and self.stop.cancel) or (self.is_ending and self.machine.on_failure is OnFailure.CANCEL)
             case guards.PauseAsked():
-                return _now_if(self.pause is not None and self.pause.at_once)
+                is_open = self.pause is not None and self.pause.at_once
             case guards.ConditionTrue(condition):
-                return _now_if(self._truth(condition, rule.call, place) is True)
+                is_open = evaluate(ground(condition, context.environment()), context) is True
             case guards.ConditionFalse(condition) | guards.ConditionUnknown(condition):
-                truth = self._truth(condition, rule.call, place)  # what is not true yet may be about to be reported
+                truth = evaluate(ground(condition, context.environment()), context)  # what is not true yet may be about to be reported
                 opens = self._after(transition, truth is not True, self.knowledge.world.lag(names(condition)))
                 return opens if truth is UNKNOWN or isinstance(guard, guards.ConditionFalse) else NEVER
             case guards.InvariantFalse(condition):
-                return self.attempts[rule.call or 0].breaks(condition, self._context(rule.call, place), self.now)
-            case guards.AlreadyTrue(call):
-                context = self._context(call, place)
-                return _now_if(call_data.already_true(call_data.ready(context.action, context), context))
-            case guards.DataMissing(call):
-                context = self._context(call, place)
-                return _now_if(bool(call_data.goal(context.action, self.goal_fields, context)[1]))
+                return self.attempts[rule.call or 0].breaks(condition, context, self.now)
+            case guards.AlreadyTrue():
+                is_open = call_data.already_true(call_data.ready(context.action, context), context)
+            case guards.DataMissing():
+                is_open = bool(call_data.goal(context.action, self.goal_fields, context)[1])
             case guards.Withheld(call, seconds, action):
                 is_withheld = bool(self.claims.resources.withheld_from(self._claim(call, action, place).names))
                 return self._after(transition, is_withheld and not self.pause, seconds)
             case guards.EffectsSeen(call):
-                return _now_if(not self.attempts[call].unseen(self._context(call, place)))
+                is_open = not self.attempts[call].unseen(context)
             case guards.EffectsMissing(call):
-                attempt, context = self.attempts[call], self._context(call, place)
+                attempt = self.attempts[call]
                 lag = call_data.lag_of_effects(attempt.intended.expected, attempt.action, context)
                 return self._after(transition, bool(attempt.unseen(context)), lag)
             case guards.Adopted(call):
-                return _now_if(call in self.adopted)
+                is_open = call in self.adopted
             case guards.Accepts() | guards.Ends():
-                return NEVER
+                is_open = False
             case guards.After(seconds):
                 return self.marked_at[place] + seconds
             case guards.Late(seconds):
@@ -381,6 +364,7 @@ class ReferenceRun:
                 return max([(self.origin or 0.0) + seconds, *(self.marked_at[earlier] + delay for earlier, delay in since)])
             case _:
                 assert_never(guard)
+        return ALWAYS if is_open else NEVER
 
     def _after(self, transition: str, is_so: bool, seconds: float) -> float:
         """Return when something has been so for that long; `NEVER` if it is not so now, and then the time begins anew."""
@@ -389,16 +373,13 @@ class ReferenceRun:
         self.since.pop(transition, None)
         return NEVER
 
-    def _truth(self, condition: Condition, step: int | None, place: str) -> Truth:
-        context = self._context(step, place)
-        return evaluate(ground(condition, context.environment()), context)
-
     # --- actions --------------------------------------------------------------------------------
 
-    def _act(self, rule: Rule, call: int, place: str | None) -> None:
+    def _act(self, rule: guards.Rule, call: int, place: str | None) -> None:
         """Carry out the meaning of a firing for its call: send, cancel, or write assumed effects."""
-        attempt, world, is_news, changes = self.attempts.get(call), self.knowledge.world, False, _NO_CHANGES
-        self.counts[call] = 0 if rule.outcome is CallOutcome.WAITING else self.counts.get(call, 0) + (rule.outcome is CallOutcome.RUNNING)
+        attempt, world, changes = self.attempts.get(call), self.knowledge.world, Changes()
+        begins = rule.outcome is requests.CallOutcome.RUNNING
+        self.counts[call] = 0 if rule.outcome is requests.CallOutcome.WAITING else self.counts.get(call, 0) + begins
         if attempt and rule.gives_up:
             self.alive.pop(attempt.request, None)
         if attempt and isinstance(rule.guard, guards.InvariantFalse):
@@ -406,57 +387,47 @@ class ReferenceRun:
         match rule.action:
             case None:
                 return
-            case TransitionAction.ADOPT:
+            case requests.TransitionAction.ADOPT:
                 self.counts[call] = self.adopted.pop(call).result.attempts
                 return
-            case TransitionAction.SEND:
-                is_news = self._send(call, place)
+            case requests.TransitionAction.SEND:
+                self._send(call, place)
             case _ if attempt is None:
                 pass  # no request was sent
-            case TransitionAction.CANCEL:
+            case requests.TransitionAction.CANCEL:
                 attempt.accepted = None
                 self.commands.append(events.Cancel(attempt.request))
-            case TransitionAction.BEGIN:
+            case requests.TransitionAction.BEGIN:
                 changes = attempt.begin(world, self.now)
-            case TransitionAction.FINISH:
-                changes = attempt.finish(self._finished(call, place), world)
-            case TransitionAction.UNDO:
+            case requests.TransitionAction.FINISH:
+                changes = attempt.finish(call_data.finished(attempt.action, attempt.intended, self._context(call, place)), world)
+            case requests.TransitionAction.UNDO:
                 changes = attempt.undo(world)
             case _:
                 assert_never(rule.action)
         # What sensors report is not written: the check of the effects would see its own expectation.
-        if world.record(world.assumed(changes)) or is_news or self.has_result:
-            self.has_result = False
+        if world.record(world.assumed(changes)) or self.has_change:
+            self.has_change = False
             self._ask_about_knowledge()
 
-    def _send(self, call: int, place: str | None) -> bool:
-        """Send a request of the call, or carry out its operation; return whether that has changed knowledge."""
+    def _send(self, call: int, place: str | None) -> None:
+        """Send a request of the call, or carry out its operation on knowledge."""
         context, before = self._context(call, place), self.attempts.get(call)
-        request = self._claim(call, TransitionAction.SEND, place).request
+        request = self._claim(call, requests.TransitionAction.SEND, place).request
         # What it intends is computed now: as soon as the robot moves, sensors report some of it.
-        action, intended = self._ready(call, place)
+        action, intended = call_data.sending(self.machine.plan.calls[call], context)
         self.attempts[call] = CallAttempt(before.number + 1 if before else 1, request, action, intended)
         self.alive[request], self.is_stepping = call, False
         if action.operation is not None:
             performed = carry_out(request, action.operation, context)
             self.commands += performed.commands
             self.operated += performed.reports
-            return performed.changes_knowledge
-        fields, _ = call_data.goal(context.action, self.goal_fields, context)
-        self.commands.append(events.Send(requests.Request(request, action, fields, self.counts[call])))
-        return False
+            self.has_change |= performed.changes_knowledge
+        else:
+            fields, _ = call_data.goal(context.action, self.goal_fields, context)
+            self.commands.append(events.Send(requests.Request(request, action, fields, self.counts[call])))
 
-    def _ready(self, call: int, place: str | None) -> tuple[GroundAction, call_data.Intention]:
-        """Return the action of a request that is sent now, and what it is going to change."""
-        context = self._context(call, place)
-        action = call_data.ready(context.action, context)
-        return action, call_data.intention(replace(self.machine.plan.calls[call], action=action), context)
-
-    def _finished(self, call: int, place: str | None) -> Changes:
-        """Return what the end of a request changes."""
-        return call_data.finished(self.attempts[call].action, self.attempts[call].intended, self._context(call, place))
-
-    # --- what is asked outside, and again -------------------------------------------------------
+    # --- knowledge and resources ----------------------------------------------------------------
 
     def _context(self, step: int | None, place: str | None) -> EvaluationContext:
         """Return the context of a step's conditions; what is not decided at a place asks no questions."""
@@ -465,38 +436,15 @@ class ReferenceRun:
             return EvaluationContext(self.knowledge, answers=answers, asks=asks)
         return EvaluationContext(self.knowledge, calls[step].action, self.bindings.of(calls[step].action.name), answers, asks)
 
-    def _ask(self, place: str, step: int | None, question: Question) -> None:
-        need = self.questions.need(place, subject_of(self.machine.plan, step), question, self.now, self.identity)
-        self.commands += need.commands
-        if need.until is None:  # it is answered, if only with nothing
-            self.queue.append(place)
-        else:
-            self._ask_again(place, need.until)
-
-    def _ask_again(self, place: str, moment: float) -> None:
-        if moment < NEVER:
-            self.moments.add((moment, self.machine.net.places.index(place)))
-
     def _ask_about_knowledge(self) -> None:
         """Have the undecided places asked again at which a guard reads knowledge."""
-        knowing = {name for name, rule in self.rules.items() if rule.guard.opened_by is Opener.KNOWLEDGE}
+        knowing = {name for name, rule in self.rules.items() if rule.guard.opened_by is guards.Opener.KNOWLEDGE}
         self.queue += [place for place in self.undecided if knowing.intersection(self.asked_at[place])]
 
-    # --- resources ------------------------------------------------------------------------------
-
-    def _claim(self, call: int, action: TransitionAction | None, place: str | None) -> Claim:
+    def _claim(self, call: int, action: requests.TransitionAction | None, place: str | None) -> Claim:
         """Return the claims of a call for its request; for the next one if that is being sent."""
         attempt, context = self.attempts.get(call), self._context(call, place)
-        if attempt and action is not TransitionAction.SEND:
+        if attempt and action is not requests.TransitionAction.SEND:
             return self.claims.claim(attempt.request, self.bindings.resources(attempt.action))
         request = self.identity(f"{call}/{attempt.number + 1 if attempt else 1}")
         return self.claims.claim(request, self.bindings.resources(call_data.ready(context.action, context)))
-
-    def _leave_line(self, place: str) -> None:
-        """Wait for no resources at the place; others may have them now."""
-        if self.claims.leave(place):
-            self.queue += self.claims.served()
-
-
-def _now_if(is_open: bool) -> float:
-    return ALWAYS if is_open else NEVER
