@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, TypeAlias, assert_never
 
@@ -163,15 +163,11 @@ def succeeds(test: Test, look: Look) -> bool:
         case Negation(inner):
             return not succeeds(inner, look)
         case Every(tests):
-            return _outcomes(tests, look) <= {True}
+            return {succeeds(test, look) for test in tests} <= {True}
         case Some(tests):
-            return True in _outcomes(tests, look)
+            return True in {succeeds(test, look) for test in tests}
         case _:
             assert_never(test)
-
-
-def _outcomes(tests: Iterable[Test], look: Look) -> set[bool]:
-    return {succeeds(test, look) for test in tests}
 
 
 # --- values --------------------------------------------------------------------------------

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
-
-
-class Draw(Protocol):
-    """Draws a value."""
-
-    def __call__(self, value: Any, /) -> str | None:
-        """Return its picture as SVG; None where the text of the value says more."""
+from collections.abc import Callable
+from typing import Any
 
 
 class Picture:
     """The picture of values of one class: what draws it, which is mutable state."""
 
     def __init__(self) -> None:
-        self.draw: Draw = lambda _: None
+        self.draw: Callable[[Any], str | None] = lambda _: None
+        """Returns the picture of a value as SVG; None where its text says more."""
 
 
 PLAN = Picture()

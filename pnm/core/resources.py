@@ -146,7 +146,11 @@ class Resources:
         if is_free:
             self._hold(claim)
         else:
-            self._join(claim)
+            self._joined += 1
+            rank = -claim.priority, self._joined, claim.request  # behind its equals
+            self._line[claim.request] = rank, claim
+            for name in claim.names:
+                insort(self._lines.setdefault(name, []), rank)
             if any(self.outranking(claim.names)):  # nothing has become free, but those who hold what this one needs may be preempted
                 self._call(None)
         if earlier is not None and earlier.names != claim.names:
@@ -281,14 +285,6 @@ class Resources:
     def _call(self, task: UUID | None) -> None:
         for listener in tuple(self._listeners.get(task, ())):  # a copy, because listeners may come and go while they are called
             listener()
-
-    def _join(self, claim: Claim) -> None:
-        """Put a claim in line: behind its equals."""
-        self._joined += 1
-        rank = -claim.priority, self._joined, claim.request
-        self._line[claim.request] = rank, claim
-        for name in claim.names:
-            insort(self._lines.setdefault(name, []), rank)
 
     def _leave(self, request: UUID) -> Claim | None:
         """Take the claim of a request out of line; return it if there was one."""

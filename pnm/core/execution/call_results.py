@@ -112,36 +112,26 @@ class Explanation(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """A request that a run has sent, as its journal tells it to those who do not execute the run.
-
-    Args:
-        request: its identity.
-        call: the number of its call.
-        attempt: which one at this call it is.
-        arguments: those that it was sent with; None if they are those of the plan.
-    """
+    """A request that a run has sent, as its journal tells it to those who do not execute the run."""
 
     request: UUID
     call: int
     attempt: int
+    """Its number among those of the call."""
     arguments: tuple[str, ...] | None = None
+    """Those that it was sent with; None if they are those of the plan."""
 
 
 @dataclass(frozen=True, slots=True)
 class Hindered:
-    """A hindrance or a failure of a step, as its journal tells it to readers that do not execute the run.
-
-    Args:
-        step: its number.
-        cause: with what was expected and what was observed.
-        is_failure: whether the step was given up; else it is tried again, or recovers.
-        arguments: those that its call was sent with last; None if they are those of the plan.
-    """
+    """A hindrance or a failure of a step, as its journal tells it to readers that do not execute the run."""
 
     step: int
     cause: Explanation
     is_failure: bool = False
+    """The step was given up; else it is tried again, or recovers."""
     arguments: tuple[str, ...] | None = None
+    """Those that its call was sent with last; None if they are those of the plan."""
 
 
 Told: TypeAlias = Sent | Hindered

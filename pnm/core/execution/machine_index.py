@@ -167,8 +167,12 @@ class Shape:
         return Decision(tuple(by_guard), self.firings, staying, passage, limit, len(by_guard) < count, len(staying) < count, knows)
 
     def _opened(self, kind: OutcomeKind | None) -> tuple[Firing, ...]:
-        template = self._block.template
-        return tuple([self.firings[number] for number in template.reported if _admits(template.kinds[number].guard, kind, self._call)])
+        template, call = self._block.template, self._call
+
+        def is_opened(guard: Guard) -> bool:
+            return guard == Accepts(call) if kind is None else isinstance(guard, Ends) and guard.call == call and kind in guard.kinds
+
+        return tuple([self.firings[number] for number in template.reported if is_opened(template.kinds[number].guard)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +230,7 @@ class MachineIndex:
         """The places from whose marking guards of transitions count, and the seconds."""
         self.reads: Final[dict[Rules, WhenAsked[int, Reads]]] = WhenAsked(lambda rules: WhenAsked(partial(self._reads_at, rules)))
         """The knowledge that decisions at places of a run read, by the rules of its world."""
-        self.closed: Final = WhenAsked(self._closed)
+        self.closed: Final[WhenAsked[int, ClosedCall | None]] = WhenAsked(lambda call: closed_call(self._calls[call]))
         """The parts of calls that do not depend on knowledge."""
 
     def is_call(self, step: int | None) -> bool:
@@ -271,23 +275,16 @@ class MachineIndex:
     # --- what each block has for itself -------------------------------------------------------
 
     def _reads_at(self, rules: Rules, place: int) -> Reads:
-        read: set[Fluent | str] = set()
+        site, read = self.sites[place], set[Fluent | str]()
         for firing in self.decision(place).firings:
-            reads = self._reads_for(self.sites[place], firing, rules)
+            call = firing.call if site.call is None else site.call
+            action = None if call is None else self._calls[call].action
+            # Other runs may give back resources without anything being heard of it.
+            reads = None if firing.takes else reads_of_guard(self.guard(site, firing), action, rules)
             if reads is None:
                 return None
             read |= reads
         return frozenset(read)
-
-    def _reads_for(self, site: Site, firing: Firing, rules: Rules) -> Reads:
-        """Return the fluents that the guard of a transition reads."""
-        call = firing.call if site.call is None else site.call
-        action = None if call is None else self._calls[call].action
-        # Other runs may give back resources without anything being heard of it.
-        return None if firing.takes else reads_of_guard(self.guard(site, firing), action, rules)
-
-    def _closed(self, call: int) -> ClosedCall | None:
-        return closed_call(self._calls[call])
 
     def _limit(self, transition: int) -> float:
         block = self.blocks.block_of(transition)
@@ -333,10 +330,3 @@ def prepare(machine: PetriNetMachine) -> None:
                 index.conditions[site.transition + number]
             for number in site.template.limiting:
                 index.limits[site.transition + number]
-
-
-def _admits(guard: Guard, kind: OutcomeKind | None, call: int) -> bool:
-    """Return whether the end of a request of the call in this way, or its acceptance, opens a guard."""
-    if kind is None:
-        return isinstance(guard, Accepts) and guard.call == call
-    return isinstance(guard, Ends) and guard.call == call and kind in guard.kinds

@@ -14,7 +14,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
-from functools import lru_cache, reduce
+from functools import lru_cache, partial, reduce
 from math import isnan
 from typing import Final, Protocol, TypeAlias, assert_never, runtime_checkable
 
@@ -361,14 +361,6 @@ def _compared(left: object, right: object) -> tuple[object, object]:
             return left, right
 
 
-def _lesser(left: object, right: object) -> object:
-    return right if is_less(right, left) else left
-
-
-def _greater(left: object, right: object) -> object:
-    return right if is_less(left, right) else left
-
-
 def _places(container: object, value: object) -> list[int]:
     """Return the positions of a value in a list, a mapping or a text."""
     if not isinstance(container, Iterable):
@@ -424,15 +416,9 @@ def _size(operands: list[object]) -> int:
     return sum(sizes) * max([1, *map(abs, counts)])
 
 
-def _setitem(container: object, key: object, value: object) -> object:
+def _changed(change: Callable[..., None], container: object, *item: object) -> object:
     changed = container.copy() if isinstance(container, list | dict) else container
-    operator.setitem(changed, key, value)  # type: ignore[call-overload]
-    return changed
-
-
-def _delitem(container: object, key: object) -> object:
-    changed = container.copy() if isinstance(container, list | dict) else container
-    operator.delitem(changed, key)  # type: ignore[call-overload]
+    change(changed, *item)
     return changed
 
 
@@ -453,16 +439,16 @@ OPERATORS: Final[Mapping[str, Callable[..., object]]] = {
     "gt": lambda left, right: is_less(right, left),
     "le": lambda left, right: is_less(left, right) or alike(left, right),
     "ge": lambda left, right: is_less(right, left) or alike(left, right),
-    "min": lambda *operands: reduce(_lesser, operands),
-    "max": lambda *operands: reduce(_greater, operands),
+    "min": lambda *operands: reduce(lambda left, right: right if is_less(right, left) else left, operands),
+    "max": lambda *operands: reduce(lambda left, right: right if is_less(left, right) else left, operands),
     "contains": _contains,
     "countOf": lambda container, value: len(_places(container, value)),
     "indexOf": _index_of,
     "truth": as_truth,
     "not_": lambda value: not as_truth(value),
     "div": operator.truediv,
-    "setitem": _setitem,
-    "delitem": _delitem,
+    "setitem": partial(_changed, operator.setitem),
+    "delitem": partial(_changed, operator.delitem),
 }
 """Python's operators by the names of its module `operator`; ``setitem`` and ``delitem`` give a changed copy."""
 CHANGING: Final = frozenset({"setitem", "delitem"})

@@ -174,14 +174,15 @@ class ProblemModel:
     def vocabulary(self) -> Vocabulary:
         """The names that files about this problem may use."""
         domain = self.domain
-        fluents = frozenset((*domain.predicates, *domain.functions))
         derived = domain.rules.derived
         types = {name: domain.supertypes(name) for name in ("object", *domain.types)}
         types_of = {name: types["object"].union(*map(domain.supertypes, kinds)) for name, kinds in self.objects.items()}
-        predicates = {name: _signature(declared, FluentKind.FACT) for name, declared in domain.predicates.items()}
         kinds = {name: FluentKind.OBJECT if declared.values else FluentKind.NUMBER for name, declared in domain.functions.items()}
-        functions = {name: _signature(declared, kinds[name]) for name, declared in domain.functions.items()}
-        return Vocabulary(domain.parameters, fluents, frozenset(self.objects), derived, {**predicates, **functions}, types, types_of)
+        signatures = {
+            name: Signature(kinds.get(name, FluentKind.FACT), tuple(variable.types for variable in declared.parameters), declared.values)
+            for name, declared in domain.fluents.items()
+        }
+        return Vocabulary(domain.parameters, frozenset(domain.fluents), frozenset(self.objects), derived, signatures, types, types_of)
 
     @property
     def is_timed(self) -> bool:
@@ -220,10 +221,6 @@ class ProblemModel:
     def all_types(self, types: Iterable[str]) -> frozenset[str]:
         """Return the types and all of their supertypes."""
         return frozenset().union(*map(self.domain.supertypes, types))
-
-
-def _signature(declared: Declaration, kind: FluentKind) -> Signature:
-    return Signature(kind, tuple(variable.types for variable in declared.parameters), declared.values)
 
 
 # --- the declared names, and the refusal of all others in files about them -----------------

@@ -7,7 +7,7 @@ by the places that stand for orderings.
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from pnm.core.machine.bindings import Bindings, is_open
@@ -60,17 +60,14 @@ class Builder:
             (starts_after, announces), (ends_after, leads_to) = ((self._into.pop(one, ()), self._out_of.pop(one, ())) for one in events)
             names = self.context.bindings.resources(step.action) if isinstance(step, ActionCall) else ()
             ports = (starts_after, ends_after, announces, leads_to, [self.resources[name] for name in names])
-            block = self._block(step, context, ports)
+            connected = frozenset(port for port, places in zip(PORTS, ports, strict=True) if places)
+            delays = tuple([(self.blocks.place_name(place), delay) for place, delay in self._delayed.get(step.index, ())])
+            match step:
+                case ActionCall():
+                    block: Block[Any] = CallBlock(context, step, connected, delays)
+                case _:
+                    block = block_without_call(context, step, connected, delays)
             self._place(self._template(block), block.terms, [*map(tuple, ports)])
-
-    def _block(self, step: Step, context: Context, ports: Sequence[Collection[int]]) -> Block[Any]:
-        connected = frozenset(port for port, places in zip(PORTS, ports, strict=True) if places)
-        delays = tuple([(self.blocks.place_name(place), delay) for place, delay in self._delayed.get(step.index, ())])
-        match step:
-            case ActionCall():
-                return CallBlock(context, step, connected, delays)
-            case _:
-                return block_without_call(context, step, connected, delays)
 
     def _template(self, block: Block[Any]) -> BlockTemplate:
         if (key := block.key) is None:

@@ -39,7 +39,7 @@ from itertools import chain
 from math import isfinite
 from typing import Final, NamedTuple, TypeAlias
 
-from pnm.core.machine.blocks import MachineBlocks, PlacedRegion, PlacedStep
+from pnm.core.machine.blocks import MachineBlocks, PlacedStep
 from pnm.core.machine.guards import Adopted, ConditionTrue, Guard, Withheld
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
@@ -142,7 +142,9 @@ def _verified(machine: PetriNetMachine) -> Proof:
     except CycleError as error:
         raise Unsound(f"blocks wait for each other: {error.args[1]}") from error
     if blocks is None:
-        _check_contents(anatomy)
+        asked_of = AskedOf(taken)
+        for call in taken.plan.calls:
+            check_content(net_of(taken, call.index, anatomy.transitions.get(call.index, ())), asked_of(call))
     for kind, shape in found.items():
         _FOUND_GOOD.keep(kind, shape)
     return Proof(len(machine.plan.calls), len(proved), sum(shape.explored.states for shape in proved), machine)
@@ -182,14 +184,6 @@ class _Contents:
         return tuple([(position, found[number]) for position, number in enumerate(block.template.own) if number in found])
 
 
-def _check_contents(anatomy: Anatomy) -> None:
-    """Check that every call does what is asked of it."""
-    machine = anatomy.machine
-    asked_of = AskedOf(machine)
-    for call in machine.plan.calls:
-        check_content(net_of(machine, call.index, anatomy.transitions.get(call.index, ())), asked_of(call))
-
-
 class _Sample(NamedTuple):
     """The blocks of a machine that are looked at."""
 
@@ -220,7 +214,10 @@ def _sample(machine: PetriNetMachine, blocks: MachineBlocks) -> _Sample:
             sample.chosen.append(block)
             continue
         region, template = regions.get(step.index), block.template
-        borders, guards = _borders(block, region), blocks.own_guards(block)
+        # the places at which the block is entered, and left, directly from what holds it, by its ports
+        first_border = 0 if region is None else region.place + len(region.inner.flow.orderings)
+        borders = [[place for place in places if place >= first_border] for places in block.ports[:4]]
+        guards = blocks.own_guards(block)
         content = contents.check(block, step, guards) if isinstance(step, ActionCall) else template
         like = (content, tuple(map(bool, block.ports)), *map(bool, borders), kinds_of(guards))
         if (kind := (*like, id(region))) in seen:
@@ -256,12 +253,6 @@ def _part(machine: PetriNetMachine, blocks: Sequence[PlacedStep], places: Collec
     if len({*part.net.places, *part.net.transitions, *others}) < count:
         raise Unsound("a name is used twice")
     return part
-
-
-def _borders(block: PlacedStep, region: PlacedRegion | None) -> list[list[int]]:
-    """Return the places at which the block is entered, and left, directly from what holds it, by its ports."""
-    first_border = 0 if region is None else region.place + len(region.inner.flow.orderings)
-    return [[place for place in places if place >= first_border] for places in block.ports[:4]]
 
 
 def _beside(blocks: MachineBlocks, own: set[int]) -> Connected:
