@@ -6,7 +6,7 @@ call, is worked out for each. Both when it is first asked for, and kept.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Final
@@ -208,7 +208,12 @@ class MachineIndex:
         """Places at which nothing is decided."""
         self.alive, self.goal, self.failed = tuple(blocks.alive), blocks.goal, blocks.failed
         self.on_failure: OnFailure = machine.on_failure
-        sites = self._sited(blocks.placed)
+        shapes, sites = dict[object, Shape](), list[Site]()
+        for block in blocks.placed:
+            key = (block.template, *map(len, block.ports))
+            if (shape := shapes.get(key)) is None:
+                shape = shapes[key] = Shape(self, block, OWN)
+            sites.append(self._site(block, shape))
         of_calls, first = {site.call: site for site in sites}, blocks.placed[0]
         self.of_calls = [of_calls.get(call) or self._site(first, Shape(self, first, call)) for call in range(len(self._calls))]
         """The blocks of the calls; a net that is one block is that of each call."""
@@ -216,7 +221,15 @@ class MachineIndex:
         """For every place, the block that decides there."""
         self.codes: Final = [0] * blocks.count_places
         """For every place, its code in that block."""
-        self._spread(sites)
+        for site in sites:
+            count = len(site.template.places)
+            self.sites[site.place : site.place + count] = [site] * count
+            self.codes[site.place : site.place + count] = range(count)
+        # What is decided at a place between blocks, or at one of the frame, is decided by the one block that takes from there.
+        for site in sites:
+            for code in site.template.reading:
+                for place in site.ports[~code]:
+                    self.sites[place], self.codes[place] = site, code
         # worked out so far
         self.rules: Final = WhenAsked(blocks.rule)
         """The rules of transitions."""
@@ -245,32 +258,10 @@ class MachineIndex:
         """Return the guard of a transition."""
         return self.rules[site.transition + firing.number].guard if firing.guard is None else firing.guard
 
-    def _sited(self, blocks: Sequence[PlacedStep]) -> list[Site]:
-        shapes: dict[object, Shape] = {}
-        sites: list[Site] = []
-        for block in blocks:
-            key = (block.template, *map(len, block.ports))
-            if (shape := shapes.get(key)) is None:
-                shape = shapes[key] = Shape(self, block, OWN)
-            sites.append(self._site(block, shape))
-        return sites
-
     def _site(self, block: PlacedStep, shape: Shape) -> Site:
         step = None if block.step is None else block.step.index
         call = step if self.is_call(step) else None
         return Site(block.template, block.title, block.place, block.transition, block.ports, shape, step, call)
-
-    def _spread(self, sites: Sequence[Site]) -> None:
-        """Note which site every place belongs to."""
-        for site in sites:
-            count = len(site.template.places)
-            self.sites[site.place : site.place + count] = [site] * count
-            self.codes[site.place : site.place + count] = range(count)
-        # What is decided at a place between blocks, or at one of the frame, is decided by the one block that takes from there.
-        for site in sites:
-            for code in site.template.reading:
-                for place in site.ports[~code]:
-                    self.sites[place], self.codes[place] = site, code
 
     # --- what each block has for itself -------------------------------------------------------
 

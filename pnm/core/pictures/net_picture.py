@@ -126,7 +126,14 @@ def block_layouts(machine: PetriNetMachine) -> Mapping[BlockKey, BlockLayout]:
     transitions: dict[BlockKey, list[str]] = {key: [] for key in names}
     for name, rule in machine.rules.items():
         transitions[_block_of(machine, name, rule)].append(name)
-    return {key: _laid_out(machine, key, name, places[key], transitions[key], home) for key, name in names.items()}
+    layouts: dict[BlockKey, BlockLayout] = {}
+    for key, name in names.items():
+        columns, width = _columns(machine, key, places[key], transitions[key], home)
+        crossings, rows, right = _crossings(machine, transitions[key], {place: column.x for column in columns for place in column.places})
+        stacked = max((len(column.places) for column in columns if column.standing is Standing.CAME_IN), default=0)
+        top = max(TOP, TITLE + STACK * stacked)
+        layouts[key] = BlockLayout(key, name, columns, crossings, max(width, right + _EDGE), top, top + rows * ROW + _EDGE / 2)
+    return layouts
 
 
 def _block_of(machine: PetriNetMachine, name: str, rule: Rule) -> BlockKey:
@@ -148,17 +155,6 @@ def _homes(machine: PetriNetMachine) -> dict[str, BlockKey]:
         else:
             home[place] = Frame.BEGIN if place == machine.start_place or place in machine.resource_places else Frame.END
     return home
-
-
-def _laid_out(
-    machine: PetriNetMachine, key: BlockKey, name: str, places: Sequence[str], transitions: Sequence[str], home: Mapping[str, BlockKey]
-) -> BlockLayout:
-    columns, width = _columns(machine, key, places, transitions, home)
-    line = {place: column.x for column in columns for place in column.places}
-    crossings, rows, right = _crossings(machine, transitions, line)
-    stacked = max((len(column.places) for column in columns if column.standing is Standing.CAME_IN), default=0)
-    top = max(TOP, TITLE + STACK * stacked)
-    return BlockLayout(key, name, columns, crossings, max(width, right + _EDGE), top, top + rows * ROW + _EDGE / 2)
 
 
 def _columns(

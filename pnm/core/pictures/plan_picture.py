@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from typing import Final, NamedTuple
 
 from pnm.core.logic.expressions import Fluent, fluent_text
@@ -241,20 +242,12 @@ def plan_svg(plan: PlanGraph, title: str = "", *, style: str = _STYLE) -> str:
         drawn.append(f'<g transform="translate(0 {height})">')
         if name:
             drawn.append(f'<path class="rule" d="M0 0H{width}"/><text x="8" y="16">{xml(name)}</text>')
-        drawn += (*_section(layout, width), "</g>")
+        lines = {index: cell.line for index, cell in layout.cells.items()}
+        arrows = [arrow for arrow in layout.arrows if not arrow.is_for_the_end and lines[arrow.before] == lines[arrow.after]]
+        drawn += (*_rules(layout, width), *_paths(layout, arrows), *_facts(layout, arrows), *_numbered_arrows(layout))
+        drawn += (*chain.from_iterable(map(_box, layout.cells.values())), "</g>")
         height += 2 * _MARGIN[1] + max(layout.rows - 1, 0) * _PITCH[1] + _BOX[1] + max(layout.lines - 1, 0) * _BETWEEN
     return picture("plan", title or f"a plan of {counted(len(plan.calls), 'call')}", style, width, height, drawn)
-
-
-def _section(layout: PlanLayout, width: int) -> Iterator[str]:
-    yield from _rules(layout, width)
-    cells = layout.cells
-    drawn = [arrow for arrow in layout.arrows if not arrow.is_for_the_end and cells[arrow.before].line == cells[arrow.after].line]
-    yield from _paths(layout, drawn)
-    yield from _facts(layout, drawn)
-    yield from _numbered_arrows(layout)
-    for cell in layout.cells.values():
-        yield from _box(cell)
 
 
 def _corner(cell: Cell) -> tuple[int, int]:
