@@ -368,10 +368,6 @@ def _places(container: object, value: object) -> list[int]:
     return [position for position, item in enumerate(container) if alike(item, value)]
 
 
-def _contains(container: object, value: object) -> bool:
-    return operator.contains(container, value) if isinstance(container, str) else bool(_places(container, value))
-
-
 def _index_of(container: object, value: object) -> int:
     if not (places := _places(container, value)):
         raise ValueError("there is no such item")
@@ -441,7 +437,7 @@ OPERATORS: Final[Mapping[str, Callable[..., object]]] = {
     "ge": lambda left, right: is_less(right, left) or alike(left, right),
     "min": lambda *operands: reduce(lambda left, right: right if is_less(right, left) else left, operands),
     "max": lambda *operands: reduce(lambda left, right: right if is_less(left, right) else left, operands),
-    "contains": _contains,
+    "contains": lambda some, value: operator.contains(some, value) if isinstance(some, str) else bool(_places(some, value)),
     "countOf": lambda container, value: len(_places(container, value)),
     "indexOf": _index_of,
     "truth": as_truth,

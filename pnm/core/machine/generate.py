@@ -67,14 +67,12 @@ class Builder:
                     block: Block[Any] = CallBlock(context, step, connected, delays)
                 case _:
                     block = block_without_call(context, step, connected, delays)
-            self._place(self._template(block), block.terms, [*map(tuple, ports)])
-
-    def _template(self, block: Block[Any]) -> BlockTemplate:
-        if (key := block.key) is None:
-            return block.template()
-        if key not in self._templates:
-            self._templates[key] = _TEMPLATES.get(key) or _TEMPLATES.keep(key, block.template())
-        return self._templates[key]
+            if (key := block.key) is None:
+                template = block.template()
+            else:
+                template = self._templates.get(key) or _TEMPLATES.get(key) or _TEMPLATES.keep(key, block.template())
+                self._templates[key] = template
+            self._place(template, block.terms, [*map(tuple, ports)])
 
     def _place(self, template: BlockTemplate, terms: Terms[Any] | None, ports: Sequence[tuple[int, ...]]) -> PlacedStep:
         step = None if terms is None else terms.step

@@ -349,11 +349,6 @@ def _due(seconds: float) -> Guard | None:
     return guards.Due(seconds) if isfinite(seconds) else None
 
 
-def _over_all(call: Asked) -> Guard | None:
-    invariant = call.step.action.invariant
-    return None if invariant == TRUE else guards.InvariantFalse(invariant)
-
-
 def _cancels(rule: Rule, fails: bool) -> bool:
     return rule.action is TransitionAction.CANCEL and not fails
 
@@ -371,7 +366,13 @@ WATCHES: Final = (
     WatchedPlaces(
         CallRule.ANSWER, _at(lambda net: net.unanswered), _IS_AFTER, lambda call: guards.After(call.terms.binding.accept), _cancels
     ),
-    WatchedPlaces(CallRule.OVER_ALL, _UNDER_WAY, _is(guards.InvariantFalse), _over_all, _cancels_and_fails),
+    WatchedPlaces(
+        CallRule.OVER_ALL,
+        _UNDER_WAY,
+        _is(guards.InvariantFalse),
+        lambda call: None if (over_all := call.step.action.invariant) == TRUE else guards.InvariantFalse(over_all),
+        _cancels_and_fails,
+    ),
     WatchedPlaces(CallRule.DEADLINE, _UNDER_WAY, _is(guards.Due), lambda call: _due(call.step.deadline), _cancels_and_fails),
     WatchedPlaces(CallRule.TIME_LIMIT, _UNDER_WAY, _IS_AFTER, lambda call: guards.After(call.terms.timeout), _cancels),
     WatchedPlaces(

@@ -43,7 +43,7 @@ from pnm.core.machine.blocks import MachineBlocks, PlacedStep
 from pnm.core.machine.guards import Adopted, ConditionTrue, Guard, Withheld
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
-from pnm.core.machine.verification.call_content import RESOURCES, Asked, AskedOf, CallNet, WatchedPlaces, check_content, check_guard
+from pnm.core.machine.verification.call_content import RESOURCES, AskedOf, CallNet, WatchedPlaces, check_content, check_guard
 from pnm.core.machine.verification.decompose import Anatomy, Connected, Event, Owner, PlacedBlock, check_roles
 from pnm.core.machine.verification.explore import Exploration, NeverFires, explore_part, never_fire
 from pnm.core.machine.verification.part import Inside, Part, Unsound, kinds_of, shape_of, step_of
@@ -169,19 +169,18 @@ class _Contents:
         kind = template, asked.kind
         watched = self._looked_at.get(kind)
         if watched is None:
-            watched = _KEEPS_ITS_RULES.get(kind) or self._first(block, asked)
+            watched = _KEEPS_ITS_RULES.get(kind)
+            if watched is None:
+                places = {*range(block.place, block.place + len(template.places)), *chain.from_iterable(block.ports)}
+                part = _part(self._machine, [block], places)
+                found = check_content(net_of(part, call.index, part.net.transitions), asked)
+                watched = tuple([(position, found[number]) for position, number in enumerate(template.own) if number in found])
             self._looked_at[kind] = _KEEPS_ITS_RULES.keep(kind, watched) if template.is_shared else watched
         for position, watch in watched:
             check_guard(watch, guards[position][0], asked)
         if sorted(self._resources[place] for place in block.ports[RESOURCES]) != sorted(asked.resources):
             raise Unsound(f"{call} does not keep the rule of its resources: its port is not that of {', '.join(asked.resources)}")
         return kind
-
-    def _first(self, block: PlacedStep, asked: Asked) -> _Watched:
-        places = {*range(block.place, block.place + len(block.template.places)), *chain.from_iterable(block.ports)}
-        part = _part(self._machine, [block], places)
-        found = check_content(net_of(part, asked.step.index, part.net.transitions), asked)
-        return tuple([(position, found[number]) for position, number in enumerate(block.template.own) if number in found])
 
 
 class _Sample(NamedTuple):
