@@ -12,57 +12,48 @@ from pnm.files.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from pnm.actions.bindings_file import read_bindings as read_bindings
-    from pnm.core.execution.call_results import CallResult as CallResult
-    from pnm.core.execution.call_results import Failure as Failure
-    from pnm.core.execution.call_results import RunResult as RunResult
+    from pnm.core.execution.call_results import CallResult as CallResult, Failure as Failure, RunResult as RunResult
     from pnm.core.execution.events import Observer as Observer
     from pnm.core.execution.run import Run as Run
-    from pnm.core.knowledge_base import KnowledgeBase as KnowledgeBase
-    from pnm.core.knowledge_base import Layered as Layered
+    from pnm.core.knowledge_base import KnowledgeBase as KnowledgeBase, Layered as Layered
     from pnm.core.logic.computed_values import MISSING as MISSING
-    from pnm.core.logic.conditions import Condition as Condition
-    from pnm.core.logic.conditions import evaluate as evaluate
-    from pnm.core.logic.effects import Effect as Effect
-    from pnm.core.logic.effects import changes as changes
-    from pnm.core.logic.expressions import UNKNOWN as UNKNOWN
-    from pnm.core.logic.expressions import Fluent as Fluent
-    from pnm.core.machine.bindings import Binding as Binding
-    from pnm.core.machine.bindings import Bindings as Bindings
+    from pnm.core.logic.conditions import Condition as Condition, evaluate as evaluate
+    from pnm.core.logic.effects import Effect as Effect, changes as changes
+    from pnm.core.logic.expressions import UNKNOWN as UNKNOWN, Fluent as Fluent
+    from pnm.core.machine.bindings import Binding as Binding, Bindings as Bindings
     from pnm.core.machine.generate import generate as generate
-    from pnm.core.machine.machine import OnFailure as OnFailure
-    from pnm.core.machine.machine import PetriNetMachine as PetriNetMachine
-    from pnm.core.machine.plan_graph import ActionCall as ActionCall
-    from pnm.core.machine.plan_graph import GroundAction as GroundAction
-    from pnm.core.machine.plan_graph import Moment as Moment
-    from pnm.core.machine.plan_graph import Ordering as Ordering
-    from pnm.core.machine.plan_graph import PlanEvent as PlanEvent
-    from pnm.core.machine.plan_graph import PlanGraph as PlanGraph
-    from pnm.core.machine.requests import Accepted as Accepted
-    from pnm.core.machine.requests import ActionClient as ActionClient
-    from pnm.core.machine.requests import Ended as Ended
-    from pnm.core.machine.requests import Outcome as Outcome
-    from pnm.core.machine.requests import OutcomeKind as OutcomeKind
-    from pnm.core.machine.requests import Request as Request
+    from pnm.core.machine.machine import OnFailure as OnFailure, PetriNetMachine as PetriNetMachine
+    from pnm.core.machine.plan_graph import (
+        ActionCall as ActionCall,
+        GroundAction as GroundAction,
+        Moment as Moment,
+        Ordering as Ordering,
+        PlanEvent as PlanEvent,
+        PlanGraph as PlanGraph,
+    )
+    from pnm.core.machine.requests import (
+        Accepted as Accepted,
+        ActionClient as ActionClient,
+        Ended as Ended,
+        Outcome as Outcome,
+        OutcomeKind as OutcomeKind,
+        Request as Request,
+    )
     from pnm.core.machine.verification.part import Unsound as Unsound
-    from pnm.core.machine.verification.verify import Proof as Proof
-    from pnm.core.machine.verification.verify import explore as explore
-    from pnm.core.machine.verification.verify import verify as verify
-    from pnm.core.net.net import Arc as Arc
-    from pnm.core.net.net import Marking as Marking
-    from pnm.core.net.net import NetBuilder as NetBuilder
-    from pnm.core.net.net import PetriNet as PetriNet
-    from pnm.core.net.net import enabled as enabled
-    from pnm.core.net.net import fire as fire
-    from pnm.core.net.net import is_enabled as is_enabled
+    from pnm.core.machine.verification.verify import Proof as Proof, explore as explore, verify as verify
+    from pnm.core.net.net import (
+        Arc as Arc,
+        Marking as Marking,
+        NetBuilder as NetBuilder,
+        PetriNet as PetriNet,
+        enabled as enabled,
+        fire as fire,
+        is_enabled as is_enabled,
+    )
     from pnm.core.pictures.net_picture import net_svg as net_svg
-    from pnm.core.pictures.plan_picture import plan_dot as plan_dot
-    from pnm.core.pictures.plan_picture import plan_svg as plan_svg
-    from pnm.core.pictures.timeline import Timeline as Timeline
-    from pnm.core.pictures.timeline import timeline_svg as timeline_svg
-    from pnm.errors import InputError as InputError
-    from pnm.errors import NotEnabled as NotEnabled
-    from pnm.errors import PnmError as PnmError
-    from pnm.errors import Position as Position
+    from pnm.core.pictures.plan_picture import plan_dot as plan_dot, plan_svg as plan_svg
+    from pnm.core.pictures.timeline import Timeline as Timeline, timeline_svg as timeline_svg
+    from pnm.errors import InputError as InputError, NotEnabled as NotEnabled, PnmError as PnmError, Position as Position
     from pnm.executor import Executor as Executor
 else:
     __all__, __getattr__, __dir__ = lazy_exports(__name__, __file__)

@@ -11,8 +11,7 @@ from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
 from planner_bridge.pddl.comments import CommentTable
 from planner_bridge.pddl.reader import MAX_BYTES, comments
-from planner_bridge.pddl.writer import write_domain as domain_text
-from planner_bridge.pddl.writer import write_problem as problem_text
+from planner_bridge.pddl.writer import write_domain as domain_text, write_problem as problem_text
 from planner_bridge.planning.kairos import IMPROVE
 from planner_bridge.planning.solve import solve
 from planner_bridge.yaml.reader import read

@@ -18,8 +18,7 @@ import yaml
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.pddl import writer as pddl
 from planner_bridge.pddl.comments import Anchor, AnchorPath, Comment, CommentTable, LineIndex, attach
-from planner_bridge.pddl.expressions import CONNECTIVES, NAME, NUMBER, Group, with_article
-from planner_bridge.pddl.expressions import parse as parse_lists
+from planner_bridge.pddl.expressions import CONNECTIVES, NAME, NUMBER, Group, parse as parse_lists, with_article
 from planner_bridge.pddl.reader import HIERARCHY, NETWORK
 from planner_bridge.yaml.read_constraints import is_about_states, read_constraint, read_metric, read_preference
 from pnm.actions.bindings_file import read_binding

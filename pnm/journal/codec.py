@@ -11,8 +11,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import MISSING as NO_DEFAULT
-from dataclasses import Field, fields, is_dataclass
+from dataclasses import MISSING as NO_DEFAULT, Field, fields, is_dataclass
 from enum import Enum
 from functools import lru_cache
 from json.encoder import encode_basestring as _quoted

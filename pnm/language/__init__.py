@@ -10,11 +10,13 @@ from pnm.files.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from pnm.language.domain import LanguageDomain as LanguageDomain
-    from pnm.language.plan import HandWrittenPlan as HandWrittenPlan
-    from pnm.language.plan import World as World
-    from pnm.language.plan import parse_plans as parse_plans
-    from pnm.language.plan import read_domain as read_domain
-    from pnm.language.plan import read_plans as read_plans
-    from pnm.language.plan import read_world as read_world
+    from pnm.language.plan import (
+        HandWrittenPlan as HandWrittenPlan,
+        World as World,
+        parse_plans as parse_plans,
+        read_domain as read_domain,
+        read_plans as read_plans,
+        read_world as read_world,
+    )
 else:
     __all__, __getattr__, __dir__ = lazy_exports(__name__, __file__)

@@ -10,8 +10,7 @@ import threading
 from weakref import ref
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pnm.clock import FollowingLoop, VirtualTimeLoop, collect_if_due, follow_real_time, in_own_thread, short_pauses
 from tests.support.processes import LIMIT

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 from pnm.files.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
-    from planner_bridge.planning.unified_planning.problems import from_unified_planning as from_unified_planning
-    from planner_bridge.planning.unified_planning.problems import to_unified_planning as to_unified_planning
+    from planner_bridge.planning.unified_planning.problems import (
+        from_unified_planning as from_unified_planning,
+        to_unified_planning as to_unified_planning,
+    )
 else:
     __all__, __getattr__, __dir__ = lazy_exports(__name__, __file__)

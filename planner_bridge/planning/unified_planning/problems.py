@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Any, Final, TypeAlias, assert_never
 
 import unified_planning.shortcuts as up
-from unified_planning.engines import PDDLPlanner
-from unified_planning.engines import PlanGenerationResultStatus as Status
+from unified_planning.engines import PDDLPlanner, PlanGenerationResultStatus as Status
 from unified_planning.engines.factory import DEFAULT_ENGINES
 from unified_planning.engines.results import PlanGenerationResult
 from unified_planning.exceptions import UPException, UPUnsupportedProblemTypeError

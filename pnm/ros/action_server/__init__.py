@@ -5,9 +5,11 @@ from typing import TYPE_CHECKING
 from pnm.files.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
-    from pnm.ros.action_server.python_server import LIMIT as LIMIT
-    from pnm.ros.action_server.python_server import KnowledgeError as KnowledgeError
-    from pnm.ros.action_server.python_server import PnmActionServer as PnmActionServer
-    from pnm.ros.action_server.python_server import PnmSimpleActionServer as PnmSimpleActionServer
+    from pnm.ros.action_server.python_server import (
+        LIMIT as LIMIT,
+        KnowledgeError as KnowledgeError,
+        PnmActionServer as PnmActionServer,
+        PnmSimpleActionServer as PnmSimpleActionServer,
+    )
 else:
     __all__, __getattr__, __dir__ = lazy_exports(__name__, __file__)

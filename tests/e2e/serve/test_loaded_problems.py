@@ -17,8 +17,7 @@ from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.node.services import ServiceClient
 from tests.support.e2e.deployment import SimulationProgram
 from tests.support.e2e.plan_deployment import PlanDeployment, Serving
-from tests.support.e2e.task_node import DOMAIN as DELIVERY
-from tests.support.e2e.task_node import PROBLEM as PARCELS
+from tests.support.e2e.task_node import DOMAIN as DELIVERY, PROBLEM as PARCELS
 from tests.support.files import written
 from tests.support.processes import LIMIT, Program
 from tests.support.ros.child_process import run_bounded

@@ -24,8 +24,7 @@ from pnm.core.machine.plan_graph import ActionCall, PlanGraph, Step
 from pnm.core.machine.requests import Request
 from pnm.journal import journal as journal_module
 from pnm.journal.records import Happened, Record, RunMade
-from pnm.journal.replay import ReplayDiffers
-from pnm.journal.replay import ReplayStep as Replayed
+from pnm.journal.replay import ReplayDiffers, ReplayStep as Replayed
 from pnm.journal.resume import steps_after
 from pnm.journal.store import KeptJournal
 from tests.support.files import ROOT

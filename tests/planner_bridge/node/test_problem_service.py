@@ -6,8 +6,7 @@ from dataclasses import replace
 from math import inf, nan
 
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from planner_bridge.model.grounding import initial_knowledge, problem_now
 from planner_bridge.node.world_queries import SharedWorld

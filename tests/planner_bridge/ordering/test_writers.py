@@ -6,8 +6,7 @@ from functools import cache
 from itertools import combinations
 from typing import NamedTuple
 
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Domain, Problem

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from planner_bridge.pddl.expressions import MAX_DEPTH, Atom, Group, Node, parse, where
 from pnm.errors import InputError

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import kairos
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 
 from planner_bridge.model.problem import Metric, Problem
 from planner_bridge.pddl import parse_domain, parse_problem

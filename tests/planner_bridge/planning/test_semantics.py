@@ -14,8 +14,7 @@ from uuid import UUID
 
 import pytest
 import unified_planning.shortcuts as up
-from hypothesis import HealthCheck, Phase, assume, event, given, note, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, Phase, assume, event, given, note, settings, strategies as st
 from unified_planning.engines import SequentialPlanValidator, TimeTriggeredPlanValidator, UPSequentialSimulator
 from unified_planning.exceptions import UPInvalidActionError
 from unified_planning.io import PDDLReader

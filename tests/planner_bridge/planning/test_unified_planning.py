@@ -7,8 +7,7 @@ from typing import Any as Anything
 
 import pytest
 import unified_planning.shortcuts as up
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.pddl import parse_domain, parse_problem

@@ -13,8 +13,7 @@ from planner_bridge.pipeline.achieve import achieve
 from planner_bridge.tasks.replanning import PlanAgain, ResumePlan
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange
-from tests.support.e2e.command_line import pnm
-from tests.support.e2e.command_line import result as told
+from tests.support.e2e.command_line import pnm, result as told
 from tests.support.pddl.problems import ROOMS
 from tests.support.tasks.replanning import pursued
 from tests.support.tasks.rooms import ROUND, done, ring

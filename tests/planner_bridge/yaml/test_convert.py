@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.pddl import parse_domain, parse_problem
@@ -17,8 +16,7 @@ from planner_bridge.pddl.reader import comments
 from planner_bridge.yaml.convert import exported, imported
 from planner_bridge.yaml.emitter import Entry, YamlList, YamlMapping, document, scalar
 from planner_bridge.yaml.reader import parse
-from planner_bridge.yaml.writer import write_domain as domain_as_yaml
-from planner_bridge.yaml.writer import write_problem as problem_as_yaml
+from planner_bridge.yaml.writer import write_domain as domain_as_yaml, write_problem as problem_as_yaml
 from pnm.core.logic.conditions import All, Compare, Holds
 from pnm.core.logic.domain import ActionSchema, Preference
 from pnm.core.logic.effects import TimedChange
@@ -27,8 +25,7 @@ from pnm.core.logic.rules import DerivationRule, Rules
 from pnm.core.logic.trajectory import Constraint
 from pnm.files.yaml_nodes import Mapped
 from tests.support.files import ROOT, SHARED
-from tests.support.pddl import models as pddl
-from tests.support.pddl import random_problems as generated
+from tests.support.pddl import models as pddl, random_problems as generated
 from tests.support.pddl.files import REFUSED
 from tests.support.yaml.conversion import comments_in, notes
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pnm.actions.bindings_file import read_bindings
 from pnm.actions.simulated_robots import arguments_of, result_of

@@ -6,8 +6,7 @@ import asyncio
 from dataclasses import replace
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pnm.actions.simulated_robots import SimulatedRobots, SimulatedWorld
 from pnm.clock import run_async

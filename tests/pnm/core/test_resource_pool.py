@@ -8,8 +8,7 @@ from functools import partial
 from random import Random
 from uuid import UUID
 
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pnm.core.execution.events import Begin, Send, Tick
 from pnm.core.execution.run import Run

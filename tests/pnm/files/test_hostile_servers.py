@@ -8,8 +8,7 @@ import struct
 import threading
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pnm.files.database.database import Database
 from pnm.files.database.driver import DatabaseError, Layout

@@ -6,8 +6,7 @@ from enum import Enum
 from uuid import UUID
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as some
+from hypothesis import given, strategies as some
 
 from pnm.core.execution.call_results import Failure
 from pnm.core.logic.computed_values import MISSING

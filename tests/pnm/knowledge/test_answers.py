@@ -7,8 +7,7 @@ from pathlib import Path
 from uuid import UUID
 
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from planner_bridge.pipeline.carry_out import carry_out
 from pnm.core.logic.computed_values import Layer, Question, Uncomputable, operate

@@ -6,8 +6,7 @@ import asyncio
 from uuid import UUID
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pnm.core.logic.computed_values import MISSING, Layer, Question
 from pnm.errors import InputError

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from itertools import count, product
 
 import yaml
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, Flow, Junction, flows

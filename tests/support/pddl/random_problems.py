@@ -15,8 +15,7 @@ from typing import Any, Final
 from hypothesis import strategies as st
 
 from planner_bridge.model.problem import Domain, Problem
-from pnm.core.logic.conditions import TRUE, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjunction
-from pnm.core.logic.conditions import Any as AnyOf
+from pnm.core.logic.conditions import TRUE, Any as AnyOf, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjunction
 from pnm.core.logic.domain import ActionSchema, Declaration, DurationConstraint
 from pnm.core.logic.effects import Effect, Effects, ForEach, Set, TimedChange, When
 from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, Expression, Fluent, Value, ValueOf, Variable

@@ -6,8 +6,7 @@ from random import Random
 from uuid import UUID
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pnm.core.execution.call_data import already_true, closed_call, denied_at_end, finished, intention, ready, unseen
 from pnm.core.execution.call_requests import Calls

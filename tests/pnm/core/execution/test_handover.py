@@ -7,8 +7,7 @@ from dataclasses import replace
 from uuid import UUID
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pnm.core.execution.events import Begin, KnowledgeChanged, Pause, Stop, Tick, Wake
 from pnm.core.execution.handover import UnderWay

@@ -8,8 +8,7 @@ from random import Random
 from uuid import UUID
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from pnm.actions.simulated_robots import SimulatedRobots, SimulatedWorld, report_changes
 from pnm.clock import run_async

@@ -6,8 +6,7 @@ from dataclasses import replace
 from uuid import UUID
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pnm.core.execution.events import Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tick, Wake
 from pnm.core.execution.guards import OPENS, Guards

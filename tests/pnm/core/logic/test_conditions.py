@@ -6,8 +6,7 @@ from functools import partial
 from itertools import product
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pnm.core.logic.conditions import (
     TRUE,

@@ -6,8 +6,7 @@ from dataclasses import replace
 from math import inf
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pnm.core.logic.conditions import Any, Not
 from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, ConstraintProgress

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from itertools import permutations
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import TRUE, Holds, Not, evaluate

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pnm.core.knowledge_base import parse_fluent, parse_statement, statement_text
 from pnm.core.logic.expressions import Fluent, Value

@@ -7,8 +7,7 @@ from itertools import product
 
 import kairos
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import All, Holds, Not, evaluate

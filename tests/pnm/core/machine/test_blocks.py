@@ -8,8 +8,7 @@ from math import inf
 from random import Random
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pnm.core.logic.conditions import Holds
 from pnm.core.machine.blocks import PlacedStep

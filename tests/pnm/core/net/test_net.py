@@ -7,8 +7,7 @@ from dataclasses import FrozenInstanceError, fields
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pnm.core.net.block_net import Engine, block_net
 from pnm.core.net.net import Arc, Marking, NetBuilder, NetError, PetriNet, enabled, fire, is_enabled

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from graphlib import TopologicalSorter
 
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pnm.core.net.orders import topological_order
 

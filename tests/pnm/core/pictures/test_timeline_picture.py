@@ -14,8 +14,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pnm.core.machine.requests import OutcomeKind
 from pnm.core.pictures.timeline import Replan, TimedAttempt, TimedCall, TimedPlan, Timeline, replan, timeline_svg

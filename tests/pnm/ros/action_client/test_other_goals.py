@@ -7,8 +7,7 @@ from uuid import UUID, uuid4
 
 from action_msgs.msg import GoalInfo, GoalStatus, GoalStatusArray
 from builtin_interfaces.msg import Time
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from rclpy.serialization import serialize_message
 
 from pnm.core.machine.bindings import Binding, Foreign, WhenLost

@@ -20,8 +20,7 @@ from typing import Final
 
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.pddl.writer import write_domain, write_problem
-from pnm.core.logic.conditions import All, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjunction, every_part
-from pnm.core.logic.conditions import Any as AnyOf
+from pnm.core.logic.conditions import All, Any as AnyOf, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjunction, every_part
 from pnm.core.logic.domain import ActionSchema, Declaration
 from pnm.core.logic.effects import Effects, ForEach, Set, When, every_effect
 from pnm.core.logic.expressions import Constant

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.guards import After, Always, CancelAsked, ConditionFalse, ConditionTrue, Ending, Failing, Guard, PauseAsked
