@@ -46,7 +46,7 @@ _ELSEWHERE: Final = 60.0
 _LOOK: Final = 1.0
 """Seconds between two looks whether they still are."""
 _HINT: Final = 0.1
-"""Of the planner's time, what it may take to find whom a task waits for best: other tasks wait for its turn, and it goes on without."""
+"""Of the planner's time, the share to find whom a task with a plan waits for best: other tasks wait for its turn meanwhile."""
 _NO_PLAN: Final = frozenset({PlanningStatus.UNSOLVABLE, PlanningStatus.NO_PLAN})
 
 P = TypeVar("P", Plan, PlanGraph)
@@ -265,7 +265,8 @@ class PlanSearch:
                 result, needed, conflicts = await self._around(now, going_on, result, needed, conflicts)
         if forecasts and not (conflicts and all(conflict.yields for conflict in conflicts)):
             can_begin = result.plan is not None and not conflicts
-            conflicts = await self._sooner(now, forecasts, result.plan.makespan if result.plan and can_begin else inf) or conflicts
+            latest = result.plan.makespan if result.plan and can_begin else inf
+            conflicts = await self._sooner(now, forecasts, latest, share=1.0 if result.plan is None else _HINT) or conflicts
         if result.plan is None and not conflicts:
             conflicts = await self._too_early(now, running, result)
         self._control.check()
@@ -315,14 +316,17 @@ class PlanSearch:
         conflicts = [replace(conflict, footprint=read_write_sets(calls, TRUE, world)) for conflict, calls in running]
         return tuple(conflict for conflict in conflicts if needed.disturbed_by(conflict.footprint)) or tuple(conflicts)
 
-    async def _sooner(self, now: Problem, forecasts: Mapping[Task, Forecast], latest: float) -> tuple[Conflict, ...]:
-        """Return the tasks to wait for because the goal is reached before the latest time then; in seconds from now."""
+    async def _sooner(self, now: Problem, forecasts: Mapping[Task, Forecast], latest: float, share: float) -> tuple[Conflict, ...]:
+        """Return the tasks to wait for because the goal is reached before the latest time then; in seconds from now.
+
+        The planner has a share of its time: all of it where there is no plan but one that waits.
+        """
         releases = (time for forecast in forecasts.values() for time in forecast.released.values())
         if min(releases, default=inf) >= latest:
             return ()
         expected = with_forecasts(now, forecasts.values())
         try:
-            result = await self._solve(expected, _HINT)
+            result = await self._solve(expected, share)
         except InputError:  # of a planner that knows no facts that change by themselves
             return ()
         if result.plan is None or result.plan.makespan >= latest:

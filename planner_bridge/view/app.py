@@ -16,7 +16,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 from uuid import UUID, uuid4
 
 import uvicorn
@@ -35,9 +35,6 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.pictures.plan_picture import plan_svg
 from pnm.errors import InputError, PnmError, printable
 from pnm.files.database.place import Place
-
-if TYPE_CHECKING:
-    pass
 
 
 def shown_json(value: object) -> str:

@@ -97,11 +97,9 @@ class Journal:
 
     def succeeded(self, run: Run, successor: Run) -> None:
         """Record that a run has taken the place of another."""
-        self._record(records.RunSucceeded(run.id, successor.id, records.became(run.result_so_far(), run.machine.plan)))
 
     def retired(self, run: Run) -> None:
         """Record that a run is not carried on."""
-        self._record(records.RunRetired(run.id, records.became(run.result_so_far(), run.machine.plan)))
 
     def confirmed(self, request: UUID, resources: Resources) -> None:
         """Record that the server of a request that was given up has confirmed its end, and free what it has kept."""
@@ -300,6 +298,14 @@ class WrittenJournal(Journal):
     def go_on(self, replayed: ReplayedRun, observer: Observer | None, goal_fields: GoalFields) -> Run:
         """Return a run that was replayed, connected to what it is to go on with."""
         return super().go_on(replayed, observer, self._remembering(goal_fields))
+
+    def succeeded(self, run: Run, successor: Run) -> None:
+        """Record that a run has taken the place of another."""
+        self._record(records.RunSucceeded(run.id, successor.id, records.became(run.result_so_far(), run.machine.plan)))
+
+    def retired(self, run: Run) -> None:
+        """Record that a run is not carried on."""
+        self._record(records.RunRetired(run.id, records.became(run.result_so_far(), run.machine.plan)))
 
     def accepted(self, wanted: Wanted, order: int) -> None:
         """Keep a task that is about to be accepted; raise `JournalError` if it cannot be kept."""

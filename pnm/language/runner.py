@@ -292,7 +292,7 @@ class PlanRunner:
         return None
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, repr=False)
 class PlansClient:
     """Carries out calls of plans as runs of their own, and passes all others on to the backend.
 
