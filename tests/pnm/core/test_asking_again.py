@@ -102,7 +102,7 @@ def test_only_places_that_read_what_has_changed_need_to_be_asked_again(data: st.
     fast, readable = Scene(plan, known, sensed), Scene(plan, known, sensed)
     agenda, index = readable.run._agenda, readable.run._index
 
-    def ask_all(now: float) -> None:
+    def ask_all(now: float, *, of_all: bool = False) -> None:
         agenda.places.extend([place for place in agenda.undecided if index.decision(place).listens])
 
     agenda.ask_about_knowledge = ask_all  # type: ignore[method-assign]
