@@ -109,6 +109,7 @@ _COMMANDS: Final = ("check", "why", "goal", "pause", "resume", "cancel", "step",
 _CONFIRMED: Final = ("pause", "resume", "cancel", "step")
 """Those that robots have to confirm."""
 
+# --- place ----------------------------------------------------------------------------------------
 
 _HOST: Final = "127.0.0.1"
 

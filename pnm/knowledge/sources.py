@@ -15,7 +15,6 @@ import os
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from time import time
 from typing import Any, Final, TypeAlias, TypeVar
@@ -268,6 +267,8 @@ def make_source(choice: SourceChoice, surroundings: Surroundings) -> Source:
 
 def _all() -> dict[str, _Registered]:
     """Return all registered sources by name; those of programs go before those of packages, and these before the built-in ones."""
+    from importlib.metadata import EntryPoint, entry_points  # here, because whoever only reads a journal looks for no source
+
     own = {name: _Registered(EntryPoint(name, value, "").load, layer) for name, (value, layer) in _OWN.items()}
     original = {name: own[ours] for name, ours in _ORIGINAL.items()}
     packages = {entry.name: _Registered(entry.load, layer) for group, layer in GROUPS.items() for entry in entry_points(group=group)}
