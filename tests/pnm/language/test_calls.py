@@ -12,38 +12,39 @@ from pnm.core.logic.conditions import Compare, Holds
 from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import Constant, ValueOf
 from pnm.core.machine.generate import generate
-from pnm.core.machine.plan_graph import EMPTY, Choice, Junction, Loop, Moment
+from pnm.core.machine.plan_graph import Moment
 from pnm.core.machine.verification.verify import verify
 from pnm.errors import InputError
 from tests.support.files import refused
 from tests.support.yaml.formulas import q
-from tests.support.yaml.plan_reading import ACTIONS, Read, call_of, orderings
+from tests.support.yaml.plan_reading import ACTIONS, call_of, orderings
+from tests.support.yaml.programs import only_plan
 
 BAD_INPUT = Path(__file__).with_name("refused")
 
 
-def test_what_is_given_goes_into_conditions_and_effects(read: Read) -> None:
-    action = call_of(read(f"{ACTIONS}plan: [go: {{r: r1, to: hall}}]\n")).action
+def test_what_is_given_goes_into_conditions_and_effects() -> None:
+    action = call_of(only_plan(f"{ACTIONS}plan: [go: {{r: r1, to: hall}}]\n")).action
     assert (action.parameters, action.arguments) == (("r", "to"), ("r1", "hall"))
     assert action.precondition == Holds(("free", "r1"))
     assert action.end_effects == (Set(("at", "r1", "hall"), Constant(True)),)
     assert action.given == (("r", Literal.of("r1")), ("to", Literal.of("hall")))
 
 
-def test_what_is_not_given_stays_open(read: Read) -> None:
-    action = call_of(read(f"{ACTIONS}plan: [go: {{to: {{Query: goal}}}}]\n")).action
+def test_what_is_not_given_stays_open() -> None:
+    action = call_of(only_plan(f"{ACTIONS}plan: [go: {{to: {{Query: goal}}}}]\n")).action
     assert action.arguments == ("?r", "?to")
     assert action.given == (("to", q("goal", Layer.ALL)),)
     assert action.precondition == Holds(("free", "?r"))
 
 
-def test_without_declared_parameters_a_step_gives_what_it_likes(read: Read) -> None:
-    action = call_of(read(f"{ACTIONS}plan: [any: {{x: 1, y: [2], z: {{a: {{Query: b}}}}}}]\n")).action
+def test_without_declared_parameters_a_step_gives_what_it_likes() -> None:
+    action = call_of(only_plan(f"{ACTIONS}plan: [any: {{x: 1, y: [2], z: {{a: {{Query: b}}}}}}]\n")).action
     assert (action.parameters, action.arguments) == (("x", "y", "z"), ("1", "?y", "?z"))
 
 
-def test_numbers_are_numbers_in_conditions_and_effects(read: Read) -> None:
-    plan = read(
+def test_numbers_are_numbers_in_conditions_and_effects() -> None:
+    plan = only_plan(
         """\
 actions:
   fill:
@@ -70,7 +71,7 @@ plan: [fill: {t: tank, by: 2.5, unit: litre}]
     assert action.duration == 2.5
 
 
-def test_durations_are_known_if_facts_at_the_beginning_tell_them(read: Read) -> None:
+def test_durations_are_known_if_facts_at_the_beginning_tell_them() -> None:
     text = """\
 actions:
   move: {params: "?a ?b", duration: {Operation: ["/", ["(distance ?a ?b)", 2]]}, effects: {increase: [(time), "?duration"]}}
@@ -79,18 +80,18 @@ actions:
 facts: [(= (distance x y) 10)]
 plan: [move: {a: x, b: y}, move: {a: y, b: x}, rest: , nod: ]
 """
-    plan = read(text)
+    plan = only_plan(text)
     assert [one.action.duration for one in plan.graph.calls] == [5.0, None, None, 3.0]
     assert call_of(plan).action.end_effects == (Set(("time",), Constant(5.0), "increase"),)
 
 
-def test_a_text_that_looks_like_a_parameter_is_not_put_into_facts(read: Read) -> None:
-    action = call_of(read("actions: {a: {params: [x], preconditions: '(p ?x)'}}\nplan: [a: {x: {Literal: '?y'}}]\n")).action
+def test_a_text_that_looks_like_a_parameter_is_not_put_into_facts() -> None:
+    action = call_of(only_plan("actions: {a: {params: [x], preconditions: '(p ?x)'}}\nplan: [a: {x: {Literal: '?y'}}]\n")).action
     assert (action.arguments, action.precondition) == (("?x",), Holds(("p", "?x")))
 
 
-def test_actions_on_knowledge_have_the_parameters_they_use(read: Read) -> None:
-    plan = read(
+def test_actions_on_knowledge_have_the_parameters_they_use() -> None:
+    plan = only_plan(
         f"{ACTIONS}plan: [set: {{operation: {{LocalUpdate: [a, 1]}}}}, set: {{operation: {{LocalUpdate: [a, '?value']}}, unused: 3}}]\n"
     )
     assert [one.action.parameters for one in plan.graph.calls] == [(), ("value", "unused")]
@@ -98,8 +99,8 @@ def test_actions_on_knowledge_have_the_parameters_they_use(read: Read) -> None:
     assert [one.recoveries for one in plan.graph.calls] == [(), ()]
 
 
-def test_options_of_a_step(read: Read) -> None:
-    plan = read(
+def test_options_of_a_step() -> None:
+    plan = only_plan(
         """\
 actions: {a: {retries: 4, timeout: 9, resources: [arm]}, timeout: }
 plan:
@@ -119,62 +120,7 @@ plan:
     assert plan.bindings.of("a").timeout == 9.0
 
 
-def test_choices_loops_and_sequences(read: Read) -> None:
-    plan = read(
-        """\
-actions: {a: , b: , c: }
-plan:
-  - if: {Query: x}
-    then: [a: , b: ]
-  - if: [{Query: x}, (p)]
-    then: []
-    else: [c: ]
-  - while: {condition: (p), actions: [concurrent_actions: [[a: , b: ], {sequence: [c: ]}]], limit: 7}
-"""
-    )
-    one, two, loop = plan.graph.steps
-    assert isinstance(one, Choice)
-    assert isinstance(two, Choice)
-    assert isinstance(loop, Loop)
-    assert (one.otherwise, two.then, loop.limit) == (EMPTY, EMPTY, 7)
-    assert [str(step) for step in one.then.steps] == ["a()#0", "b()#1"]
-    assert [str(step) for step in loop.body.steps] == ["a()#3", "b()#4", "c()#5"]
-    assert [(o.before.call, o.after.call) for o in loop.body.orderings] == [(3, 4)]
-    assert [step.index for step in plan.graph.steps] == [6, 7, 8]
-
-
-def test_where_several_meet_several_there_is_a_junction(read: Read) -> None:
-    plan = read("actions: {a: , b: }\nplan: [concurrent_actions: [a: , a: ], concurrent_actions: [b: , b: , b: ]]\n")
-    (junction,) = (step for step in plan.graph.steps if isinstance(step, Junction))
-    assert junction.index == 5
-    assert orderings(plan) == {(0, 5), (1, 5), (5, 2), (5, 3), (5, 4)}
-
-
-def test_lists_in_the_order_that_after_says(read: Read) -> None:
-    plan = read(
-        """\
-actions: {a: }
-plan:
-  - a:
-    id: one
-  - a:
-  - a:
-    id: three
-    after: [one]
-  - a:
-    after: []
-  - a:
-  - concurrent_actions: []
-    id: nothing
-    after: [three, one]
-  - a:
-    after: nothing
-"""
-    )
-    assert orderings(plan) == {(0, 1), (0, 2), (1, 4), (2, 4), (3, 4), (2, 6), (0, 6), (6, 5)}
-
-
-def test_a_step_that_names_none_waits_for_all_before_it_that_do_not_wait_for_it(read: Read) -> None:
+def test_a_step_that_names_none_waits_for_all_before_it_that_do_not_wait_for_it() -> None:
     light = f"""\
 {ACTIONS}plan:
   - {{go: , id: light, end_after: [look]}}
@@ -183,13 +129,13 @@ def test_a_step_that_names_none_waits_for_all_before_it_that_do_not_wait_for_it(
   - {{go: , id: look}}
   - {{go: }}
 """
-    ends = {pair for pair in orderings(read(light)) if 0 not in pair}
+    ends = {pair for pair in orderings(only_plan(light)) if 0 not in pair}
     assert ends == {(1, 2), (2, 3)}
-    assert (0, 4) in orderings(read(light))
+    assert (0, 4) in orderings(only_plan(light))
 
 
-def test_starts_ends_and_times_are_waited_for(read: Read) -> None:
-    plan = read(
+def test_starts_ends_and_times_are_waited_for() -> None:
+    plan = only_plan(
         f"""\
 {ACTIONS}plan:
   - go:
@@ -220,7 +166,7 @@ def test_starts_ends_and_times_are_waited_for(read: Read) -> None:
     ("steps", "message"),
     [*refused(BAD_INPUT / "orderings.yaml"), ("{go: , id: a, end_after: [b]}, {go: , id: b, after: [a]}", "steps wait for each other: ")],
 )
-def test_what_cannot_be_waited_for(read: Read, steps: str, message: str) -> None:
+def test_what_cannot_be_waited_for(steps: str, message: str) -> None:
     with pytest.raises(InputError) as raised:
-        read(f"{ACTIONS}plan: [{steps}]\n")
+        only_plan(f"{ACTIONS}plan: [{steps}]\n")
     assert message in str(raised.value)

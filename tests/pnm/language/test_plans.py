@@ -13,12 +13,13 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import EMPTY, ActionCall, Loop, Recovery, Then
 from pnm.errors import InputError
-from pnm.language import read_plans
-from pnm.language.to_plan_graph import MAX_NESTING, MAX_STEPS
+from pnm.language import parse_plans, read_plans, to_plan_graph
+from pnm.language.to_plan_graph import MAX_NESTING
 from tests.support.files import refused
 from tests.support.yaml.examples import PAPER_DOMAIN, PAPER_PLAN, RECIPES, RECOVERING
 from tests.support.yaml.formulas import q
-from tests.support.yaml.plan_reading import ACTIONS, Read, ReadAll, orderings
+from tests.support.yaml.plan_reading import ACTIONS, orderings
+from tests.support.yaml.programs import only_plan
 
 BAD_INPUT = Path(__file__).with_name("refused")
 
@@ -41,21 +42,13 @@ def test_the_listings_of_the_paper_as_they_are_printed(tmp_path: Path) -> None:
     assert generate(plan.graph, plan.bindings)
 
 
-ONE_FILE = """\
-actions: {a: }
-plan: [a: ]
-"""
-TWO_DOCUMENTS = "actions: {a: }\n---\ninitial_knowledge: {x: 1}\nplan: [a: {}]\n"
-
-
-def test_a_file_has_a_plan_and_a_domain_or_both_as_documents(read: Read) -> None:
-    assert [call.action.name for call in read(ONE_FILE).graph.calls] == ["a"]
-    plan = read(TWO_DOCUMENTS)
+def test_a_plan_may_stand_in_a_document_of_its_own() -> None:
+    plan = only_plan("actions: {a: }\n---\ninitial_knowledge: {x: 1}\nplan: [a: {}]\n")
     assert (plan.name, plan.variables) == ("plan", {"x": 1})
 
 
-def test_recipes_have_the_names_of_their_plans(read_all: ReadAll) -> None:
-    plans = read_all(RECIPES)
+def test_recipes_have_the_names_of_their_plans() -> None:
+    plans = parse_plans(RECIPES)
     assert list(plans) == ["first", "second"]
     assert plans["first"].variables == {"value": 5}
     assert plans["second"].graph.steps == ()
@@ -78,8 +71,8 @@ def test_a_plan_names_the_file_of_its_domain(tmp_path: Path) -> None:
         read_plans(tmp_path / "plan.yaml")
 
 
-def test_what_a_plan_says_besides_its_steps(read: Read) -> None:
-    plan = read(
+def test_what_a_plan_says_besides_its_steps() -> None:
+    plan = only_plan(
         """\
 name: fetch
 params: [what, "?where - place"]
@@ -106,9 +99,9 @@ plan: []
     assert plan.objects["place"] == ("hall",)
 
 
-def test_the_goal_is_that_of_the_problem_if_the_plan_has_none(read: Read) -> None:
-    assert read("actions: {}\nproblem: {goal: (done)}\nplan: []\n").goal == Holds(("done",))
-    assert read("actions: {}\nplan: []\n").goal == TRUE
+def test_the_goal_is_that_of_the_problem_if_the_plan_has_none() -> None:
+    assert only_plan("actions: {}\nproblem: {goal: (done)}\nplan: []\n").goal == Holds(("done",))
+    assert only_plan("actions: {}\nplan: []\n").goal == TRUE
 
 
 USUAL = (Recovery(frozenset({Cause.CANCELED}), Then.CONTINUE, EMPTY), Recovery(frozenset({Cause.EFFECTS_MISSING}), Then.RETRY, EMPTY, 3))
@@ -117,14 +110,14 @@ USUAL = (Recovery(frozenset({Cause.CANCELED}), Then.CONTINUE, EMPTY), Recovery(f
 # --- recoveries ---
 
 
-def test_what_is_done_when_nobody_says(read: Read) -> None:
-    plan = read(f"{ACTIONS}plan: [go: , say: , set: {{operation: {{Query: a}}}}]\n")
+def test_what_is_done_when_nobody_says() -> None:
+    plan = only_plan(f"{ACTIONS}plan: [go: , say: , set: {{operation: {{Query: a}}}}]\n")
     assert [one.recoveries for one in plan.graph.calls] == [USUAL[1:], USUAL[:1], ()]
     assert [one.retries for one in plan.graph.calls] == [0, 0, 0]
 
 
-def test_recoveries(read: Read) -> None:
-    plan = read(RECOVERING)
+def test_recoveries() -> None:
+    plan = only_plan(RECOVERING)
     moves = [one for one in plan.graph.calls if one.action.name == "move"]
     aborted, preempted, *usual = moves[0].recoveries
     assert (aborted.causes, aborted.then, aborted.times) == ({Cause.ABORTED}, Then.RETRY, 1)
@@ -142,29 +135,16 @@ def test_recoveries(read: Read) -> None:
     assert generate(plan.graph, plan.bindings)
 
 
-def test_conditions_of_recoveries_speak_of_the_call(read: Read) -> None:
+def test_conditions_of_recoveries_speak_of_the_call() -> None:
     text = "actions: {a: {params: [r], recoveries: {before: {when: '(low ?r)', do: [skip_action]}}}}\nplan: [a: {r: r1}, a: ]\n"
-    assert [one.recoveries[0].when for one in read(text).graph.calls] == [Holds(("low", "r1")), Holds(("low", "?r"))]
-
-
-def test_calls_in_chains_have_recoveries_of_their_own(read: Read) -> None:
-    plan = read(
-        """\
-actions:
-  a: {recoveries: {during: {aborted: [b: , retry]}}}
-  b: {recoveries: {during: {aborted: [c: , retry]}}}
-  c:
-plan: [a: ]
-"""
-    )
-    assert [str(one) for one in plan.graph.calls] == ["a()#0", "b()#1", "c()#2"]
+    assert [one.recoveries[0].when for one in only_plan(text).graph.calls] == [Holds(("low", "r1")), Holds(("low", "?r"))]
 
 
 # --- plans that call plans ---
 
 
-def test_plans_call_each_other_like_actions(read_all: ReadAll) -> None:
-    plans = read_all(
+def test_plans_call_each_other_like_actions() -> None:
+    plans = parse_plans(
         """\
 actions: {a: }
 outer: {plan: [inner: {x: 1}, free: {whatever: 2}]}
@@ -180,6 +160,7 @@ free: {plan: [a: ]}
 
 WRONG = [
     *refused(BAD_INPUT / "plans.yaml"),
+    ("", "2:1: there is no plan in the file; expected the key 'plan'"),
     ("plan: [{any: , id: x, after: [y]}, {any: , id: y, after: [x]}]", "1:8: steps wait for each other: "),
     ("x: {plan: [y: ]}\ny: {plan: [z: ]}\nz: {plan: [x: ]}", "the plan would never end: "),
 ]
@@ -189,54 +170,49 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("text", "message"), WRONG)
-def test_what_is_wrong_with_a_plan(read_all: ReadAll, text: str, message: str) -> None:
+def test_what_is_wrong_with_a_plan(text: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
-        read_all(f"{text}\n{ACTIONS}")
+        parse_plans(f"{text}\n{ACTIONS}")
     assert message in str(caught.value), str(caught.value)
     assert caught.value.position is not None
 
 
-def test_objects_are_checked_against_their_types(read: Read) -> None:
+def test_objects_are_checked_against_their_types() -> None:
     head = "types: robot place - object\nconstants: [r1 - robot, on hall - place]\n"
-    assert read(f"{head}{ACTIONS}plan: [go: {{r: r1, to: on}}]\n")
+    assert only_plan(f"{head}{ACTIONS}plan: [go: {{r: r1, to: on}}]\n")
     for given, message in (
         ("{to: true}", "to of go is the name of an object, not true; write 'true' with quotes"),
         ("{to: r1}", r"there is no object for to of go \(one of type place\) 'r1' here; expected one of: hall, on"),
         ("{r: r2}", r"there is no object for r of go \(one of type robot\) 'r2' here; expected one of: r1"),
     ):
         with pytest.raises(InputError, match=message):
-            read(f"{head}{ACTIONS}plan: [go: {given}]\n")
+            only_plan(f"{head}{ACTIONS}plan: [go: {given}]\n")
 
 
-def test_recovering_that_would_need_itself_is_refused(read: Read) -> None:
+def test_recovering_that_would_need_itself_is_refused() -> None:
     text = "actions: {a: {recoveries: {during: {lost: [b: , fail]}}}, b: {recoveries: {during: {lost: [a: , fail]}}}}\nplan: [a: ]\n"
     with pytest.raises(InputError, match="to recover would never end: a, which uses b, which uses a; give this step recoveries of its own"):
-        read(text)
-    read(text.replace("[a: , fail]", "[{a: , recoveries: {}}, fail]"))
+        only_plan(text)
+    only_plan(text.replace("[a: , fail]", "[{a: , recoveries: {}}, fail]"))
 
 
-def test_what_is_wrong_with_recoveries_of_actions_is_told_even_if_they_are_not_called(read: Read) -> None:
+def test_what_is_wrong_with_recoveries_of_actions_is_told_even_if_they_are_not_called() -> None:
     with pytest.raises(InputError, match=r":1:44: there is no action 'b' here"):
-        read("actions: {a: {recoveries: {during: {lost: [b: , fail]}}}}\nplan: []\n")
+        only_plan("actions: {a: {recoveries: {during: {lost: [b: , fail]}}}}\nplan: []\n")
 
 
-def test_the_number_of_steps_is_bounded(read: Read) -> None:
-    levels = 14
-    actions = "".join(f"  a{n}: {{recoveries: {{during: {{lost: [a{n + 1}: , a{n + 1}: , fail]}}}}}}\n" for n in range(levels))
-    with pytest.raises(InputError, match=f"the plan has more than {MAX_STEPS} steps, those of recoveries included"):
-        read(f"actions:\n{actions}  a{levels}:\nplan: [a0: ]\n")
-
-
-def test_the_depth_of_recoveries_is_bounded(read: Read) -> None:
-    levels = MAX_NESTING + 1
-    actions = "".join(f"  a{n}: {{recoveries: {{during: {{lost: [a{n + 1}: , fail]}}}}}}\n" for n in range(levels))
-    with pytest.raises(InputError, match=f"steps are nested deeper than {MAX_NESTING}"):
-        read(f"actions:\n{actions}  a{levels}:\nplan: [a0: ]\n")
-
-
-def test_a_file_without_plans_is_refused(read: Read) -> None:
-    with pytest.raises(InputError, match=r":1:1: there is no plan in the file; expected the key 'plan'"):
-        read("actions: {}\n")
+@pytest.mark.parametrize(
+    ("levels", "calls", "message"),
+    [(7, 2, "the plan has more than 100 steps, those of recoveries included"), (MAX_NESTING + 1, 1, f"nested deeper than {MAX_NESTING}")],
+)
+def test_the_number_of_steps_and_the_depth_of_recoveries_are_bounded(
+    monkeypatch: pytest.MonkeyPatch, levels: int, calls: int, message: str
+) -> None:
+    monkeypatch.setattr(to_plan_graph, "MAX_STEPS", 100)
+    chains = (f"[{f'a{n + 1}: , ' * calls}fail]" for n in range(levels))
+    actions = "".join(f"  a{n}: {{recoveries: {{during: {{lost: {chain}}}}}}}\n" for n, chain in enumerate(chains))
+    with pytest.raises(InputError, match=message):
+        only_plan(f"actions:\n{actions}  a{levels}:\nplan: [a0: ]\n")
 
 
 TOO_LONG = (f"domain: {'a' * 300}.yaml\nplan: []", f"1:9: there is no file '{'a' * 200}' beside this one")

@@ -103,12 +103,12 @@ actions:
     params: "?t - thing ?from ?to - place"
     duration: {Operation: ["/", [10, "(battery ?t)"]]}
     preconditions:
-      at_start: [(at ?t ?from), {not: (home ?t)}]
-      over_all: {Comparison: [">", [(battery ?t), 0]]}
+      at_start: ["(at ?t ?from)", {not: "(home ?t)"}]
+      over_all: {Comparison: [">", ["(battery ?t)", 0]]}
       at_end: (free ?t)
     effects:
-      at_start: {not: (at ?t ?from)}
-      at_end: [(at ?t ?to), {decrease: [(battery ?t), "?duration"]}, {Exists: [Query: distance]}]
+      at_start: {not: "(at ?t ?from)"}
+      at_end: ["(at ?t ?to)", {decrease: ["(battery ?t)", "?duration"]}, {Exists: [Query: distance]}]
     resources: [floor]
     retries: 2
     timeout: 30
@@ -116,7 +116,7 @@ actions:
     ros_type: nav2_msgs/action/NavigateToPose
     goal: {to: "?to", speed: 0.5}
     store: {distance: driven}
-    ask: {speed: How fast?}
+    ask: {speed: "How fast?"}
 problem:
   name: home
   objects: [r1 - robot, k1 k2 - kitchen]
@@ -150,26 +150,6 @@ counting:
         actions:
           - add_one: {}
           - keep: {operation: {LocalUpdate: ["value", {LocalQuery: "result"}, ""]}}
-"""
-
-
-NESTED = """\
-actions:
-  a:
-  b:
-  c:
-  k: {type: kb_action}
-initial_knowledge: {n: 0}
-plan:
-  - concurrent_actions:
-      - - a: {i: 1}
-        - while:
-            condition: {Comparison: ["<", [LocalQuery: n, 2]]}
-            actions:
-              - concurrent_actions: [b: , {if: {Comparison: [eq, [{LocalQuery: n}, 0]]}, then: [c: ]}]
-              - k: {operation: {LocalUpdate: [n, {Operation: ["+", [{LocalQuery: n}, 1]]}]}}
-      - sequence: [a: {i: 2}, a: {i: 3}]
-  - a: {i: 4}
 """
 
 

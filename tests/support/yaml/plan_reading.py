@@ -2,14 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeAlias
-
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.language import HandWrittenPlan
-
-ReadAll: TypeAlias = Callable[[str], dict[str, HandWrittenPlan]]
-Read: TypeAlias = Callable[[str], HandWrittenPlan]
 
 
 def orderings(plan: HandWrittenPlan) -> set[tuple[int, int]]:

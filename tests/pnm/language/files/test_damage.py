@@ -7,9 +7,9 @@ from hypothesis import example, given, strategies as st
 from pnm.language.plan import parse_plans
 from tests.support.files import input_error
 from tests.support.yaml.damage import WORDS, damaged
-from tests.support.yaml.examples import COUNTING, NESTED, ORIGINAL, PAPER_DOMAIN, PAPER_PLAN, PDDL, RECIPES, RECOVERING
+from tests.support.yaml.examples import COUNTING, ORIGINAL, PAPER_DOMAIN, PAPER_PLAN, PDDL, RECIPES, RECOVERING
 
-GOOD = (COUNTING, NESTED, RECIPES, RECOVERING, f"{ORIGINAL}plan: [count: {{value: 1}}]\n")
+GOOD = (COUNTING, PDDL, RECIPES, RECOVERING, f"{ORIGINAL}plan: [count: {{value: 1}}]\n")
 MARKS = (*WORDS, ":", "-", "[", "]", "{", "}", "'", '"', "&a ", "*a", "\t", "---\n", "...\n")
 
 
@@ -19,7 +19,7 @@ def test_damaged_trees_are_read_or_refused_with_a_place(data: st.DataObject, tex
     check(damaged(data, text.replace("<<: *kb_action", "type: kb_action")))
 
 
-@given(st.data(), st.sampled_from((*GOOD, PDDL, PAPER_DOMAIN, PAPER_PLAN)))
+@given(st.data(), st.sampled_from((*GOOD, PAPER_DOMAIN, PAPER_PLAN)))
 @example(None, "...\n- not:\n a")  # type: ignore[arg-type]
 def test_damaged_texts_are_read_or_refused_with_a_place(data: st.DataObject | None, text: str) -> None:
     for _ in range(3 if data else 0):

@@ -16,18 +16,12 @@ BATTERY = ValueOf(("battery", "?r"))
 CONDITIONS: list[tuple[str, Condition]] = [
     # as the original has them
     ("{Exists: [Query: time]}", Computed(Operation("exists", (TIME,)))),
-    ("{Exists: {Query: time}}", Computed(Operation("exists", (TIME,)))),
     ("{and: {Exists: [LocalQuery: result]}}", Computed(Operation("exists", (q("result"),)))),
-    ("{and: [{Exists: [LocalQuery: value]}]}", Computed(Operation("exists", (q("value"),)))),
     ('{Comparison: ["eq", [Query: time, Query: value]]}', Computed(Operation("eq", (TIME, VALUE)))),
-    ('{not: {Comparison: ["ne", [Query: time, Query: value]]}}', Not(Computed(Operation("ne", (TIME, VALUE))))),
     ("{not: [{Query: time}]}", Not(Computed(TIME))),
-    ('{Comparison: ["ne", [LocalQuery: value, 10]]}', Computed(Operation("ne", (q("value"), lit(10))))),
     ('[Comparison: ["eq", [LocalQuery: running, true]]]', Computed(Operation("eq", (q("running"), lit(True))))),
     ("{Operation: [truth, {Query: time}]}", Computed(Operation("truth", (TIME,)))),
-    ("{Operation: [contains, [{LocalQuery: all}, 3]]}", Computed(Operation("contains", (q("all"), lit(3))))),
     ('{Comparison: ["contains", [{LocalQuery: all}, {LocalQuery: x}]]}', Computed(Operation("contains", (q("all"), q("x"))))),
-    ("{LocalQuery: running}", Computed(q("running"))),
     ("{RemoteQuery: [running, {kind: all}]}", Computed(Query(lit("running"), Layer.GLOBAL, lit({"kind": "all"})))),
     ('{Comparison: [eq, [{LocalQuery: {LocalQuery: "_k"}}, true]]}', Computed(Operation("eq", (Query(q("_k"), Layer.LOCAL), lit(True))))),
     (
@@ -39,10 +33,8 @@ CONDITIONS: list[tuple[str, Condition]] = [
     ("{LogicalOr: [{Query: time}]}", Any((Computed(TIME),))),
     ("{LogicalNot: {Query: time}}", Not(Computed(TIME))),
     ("{and: []}", TRUE),
-    ("{or: []}", FALSE),
     ("{}", TRUE),
     # what the original breaks at
-    ("{and: [{Query: time}, {Query: value}, {LocalQuery: x}]}", All((Computed(TIME), Computed(VALUE), Computed(q("x"))))),
     (
         "{Comparison: [gt, [{Operation: [add, [{Query: time}, 1]]}, 400]]}",
         Computed(Operation("gt", (Operation("add", (TIME, lit(1))), lit(400)))),
@@ -52,11 +44,9 @@ CONDITIONS: list[tuple[str, Condition]] = [
     # words begin with a small or a capital letter, operators are names or symbols
     ("{query: time}", Computed(TIME)),
     ("{And: [{Query: time}, {Not: {Query: value}}]}", All((Computed(TIME), Not(Computed(VALUE))))),
-    ('{comparison: ["<", [{Query: time}, 3]]}', Computed(Operation("lt", (TIME, lit(3))))),
     ('{Operation: ["<", [{Query: time}, 3]]}', Computed(Operation("lt", (TIME, lit(3))))),
     # facts
     ('"(at ?r kitchen)"', Holds(("at", "?r", "kitchen"))),
-    ("(handempty)", Holds(("handempty",))),
     ('{Holds: "(at ?r kitchen)"}', Holds(("at", "?r", "kitchen"))),
     ('{not: "( at  ?r kitchen )"}', Not(Holds(("at", "?r", "kitchen")))),
     ("[(a), (b), {and: [(c)]}]", All((Holds(("a",)), Holds(("b",)), Holds(("c",))))),
@@ -98,33 +88,26 @@ def test_conditions(text: str, expected: Condition) -> None:
 
 VALUES: list[tuple[str, Data]] = [
     ("3", lit(3)),
-    ("2.5", lit(2.5)),
     ("yes", lit("yes")),
     ("null", lit(None)),
-    ("hello there", lit("hello there")),
     ('"?x"', Parameter("?x")),
     ('"? or what"', lit("? or what")),
     ('"(battery ?r)"', BATTERY),
     ('"(really) now"', lit("(really) now")),
-    ('{Literal: "?x"}', lit("?x")),
     ("{Literal: {Query: time}}", lit({"Query": "time"})),
     ("[1, two, [3]]", lit([1, "two", [3]])),
     ("{b: 1, a: [2]}", lit({"a": [2], "b": 1})),
     ("[1, {Query: time}]", Compound((lit(1), TIME))),
     ("{status: end, value: {LocalQuery: score}}", Compound((lit("end"), q("score")), ("status", "value"))),
-    ("{Operation: [sub, [{Query: value}, 1]]}", Operation("sub", (VALUE, lit(1)))),
     ('{Operation: ["-", [{Query: value}]]}', Operation("neg", (VALUE,))),
     ('{Operation: ["+", [1, {Query: value}, 3]]}', Operation("add", (Operation("add", (lit(1), VALUE)), lit(3)))),
-    ("{Operation: [add, [{Operation: [add, [{Query: value}, 1]]}, 1]]}", Operation("add", (Operation("add", (VALUE, lit(1))), lit(1)))),
     (
         "{or: [{Comparison: [eq, [{Query: value}, 1]]}, {not: {Query: time}}]}",
         Operation("or", (Operation("eq", (VALUE, lit(1))), Operation("not", (TIME,)))),
     ),
     ("{imply: [{Query: value}, {Query: time}]}", Operation("or", (Operation("not", (VALUE,)), TIME))),
     ("{value: 5}", lit({"value": 5})),
-    ("{query: time}", lit({"query": "time"})),
     ("{localQuery: time}", q("time")),
-    ("{Exists: {Query: value}}", Operation("exists", (VALUE,))),
     ("{PersonQuery: [name, {text: your name}]}", Query(lit("name"), Layer.PERSON, lit({"text": "your name"}))),
 ]
 
@@ -136,7 +119,6 @@ def test_values(text: str, expected: Data) -> None:
 
 OPERATIONS: list[tuple[str, KnowledgeOperation]] = [
     ('{LocalUpdate: [value, {LocalQuery: result}, ""]}', Update(lit("value"), q("result"), Layer.LOCAL, lit(""))),
-    ("{LocalUpdate: [value, 3]}", Update(lit("value"), lit(3))),
     ("{Update: [value, null]}", Update(lit("value"), lit(None), Layer.ALL)),
     (
         '{RemoteUpdate: [CONTROLLER, "", {status: end, return_value: {LocalQuery: score}}]}',
@@ -144,9 +126,7 @@ OPERATIONS: list[tuple[str, KnowledgeOperation]] = [
     ),
     ("{PersonUpdate: [said, hello]}", Update(lit("said"), lit("hello"), Layer.PERSON)),
     ("{LocalUpdate: [{LocalQuery: key}, 1]}", Update(q("key"), lit(1))),
-    ('{RemoteQuery: ["CONTROLLER", ""]}', Query(lit("CONTROLLER"), Layer.GLOBAL, lit(""))),
     ("{Operation: [setitem, [{LocalQuery: d}, k, 1]]}", Operation("setitem", (q("d"), lit("k"), lit(1)))),
-    ("{Operation: [delitem, [{LocalQuery: d}, k]]}", Operation("delitem", (q("d"), lit("k")))),
     ("{Operation: [truth, {LocalQuery: d}]}", Operation("truth", (q("d"),))),
 ]
 
@@ -154,11 +134,3 @@ OPERATIONS: list[tuple[str, KnowledgeOperation]] = [
 @pytest.mark.parametrize(("text", "expected"), OPERATIONS, ids=[text for text, _ in OPERATIONS])
 def test_operations_on_knowledge(text: str, expected: KnowledgeOperation) -> None:
     assert read_operation(node(text)) == expected
-
-
-def test_a_question_that_is_found_by_asking_others() -> None:
-    """The shape of the longest query that the original ships: find a class, list its members, ask which one is meant."""
-    text = "{RemoteQuery: [{RemoteQuery: [{RemoteQuery: [{LocalQuery: place}, {type: class}]}, {use_name: true}]}, {status: which}]}"
-    found = Query(q("place"), Layer.GLOBAL, lit({"type": "class"}))
-    listed = Query(found, Layer.GLOBAL, lit({"use_name": True}))
-    assert read_data(node(text)) == Query(listed, Layer.GLOBAL, lit({"status": "which"}))

@@ -62,13 +62,6 @@ def test_a_hand_written_plan_does_not_believe_what_nobody_confirms(tmp_path: Pat
     assert "effects_missing" in result.reason
 
 
-def test_a_goal_that_is_false_outside_is_explained(tmp_path: Path) -> None:
-    goal = "{Comparison: [eq, [RemoteQuery: bell, rung]]}"
-    (tmp_path / "p.yaml").write_text(f"knowledge: memory\nactions: {{ring: }}\ngoal: {goal}\nplan: [ring:]\n")
-    wanted = 'expected eq(global[bell], "rung"); observed global[bell] is missing'
-    assert carry_out(tmp_path / "p.yaml").reason == f"every call is done but the goal does not hold: {wanted}"
-
-
 def test_a_goal_that_is_false_outside_is_explained_with_the_answer() -> None:
     trace = drive(PlanGraph((), goal=rung(Layer.GLOBAL)), known={"bell": "silent"})
     assert trace.result.reason.endswith('expected eq(global[bell], "rung"); observed global[bell] is "silent"')

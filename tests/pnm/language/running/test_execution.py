@@ -1,4 +1,4 @@
-"""Plans in YAML, carried out; what the original implementation did with its own examples is in tests/docs."""
+"""Plans in YAML, carried out; the listings of the paper and what the original implementation did are in tests/docs."""
 
 from __future__ import annotations
 
@@ -8,38 +8,14 @@ import pytest
 
 from pnm.core.logic.computed_values import Layer
 from pnm.core.machine.plan_graph import Choice, Loop, WaitUntil
-from pnm.core.machine.requests import Outcome, OutcomeKind, Request
+from pnm.core.machine.requests import Outcome, OutcomeKind
 from tests.support.runs.direct import Answer, Trace, answering_with, drive, succeed
-from tests.support.yaml.examples import NESTED, PAPER_DOMAIN, PAPER_PLAN
 from tests.support.yaml.programs import only_plan
 
 
 def run_text(text: str, answer: Answer = succeed, known: Mapping[str, object] | None = None) -> Trace:
     plan = only_plan(text)
     return drive(plan.graph, answer, bindings=plan.bindings, variables=plan.variables, known=known, on_failure=plan.on_failure)
-
-
-def results(**fields: object) -> Answer:
-    """Answer that all went well, each action with a result of one field: a value, or a function of the goal."""
-
-    def answer(request: Request) -> Outcome:
-        found = fields.get(request.action.name)
-        return Outcome(OutcomeKind.SUCCEEDED, found(request.goal) if callable(found) else {})
-
-    return answer
-
-
-def test_the_listings_of_the_paper() -> None:
-    text = PAPER_DOMAIN.rstrip(".\n") + "\n" + PAPER_PLAN
-    trace = run_text(text, results(dummy_server=lambda goal: {"time": goal["value"]}))
-    assert trace.result.goal, trace.result.reason
-    assert [(name, goal.get("value", goal.get("time"))) for name, goal in trace.sent] == [
-        ("dummy_server", 3),
-        ("wait", 3),
-        ("wait", 3),
-        ("wait", 5),
-        ("wait", 6),
-    ]
 
 
 def test_values_that_a_step_gives_are_not_seen_by_preconditions() -> None:
@@ -73,12 +49,6 @@ def test_a_condition_in_a_recovery_is_about_the_call_that_recovers(step: str) ->
     assert trace.result.goal, trace.result.reason
 
 
-def test_queries_in_what_a_step_gives_are_answered() -> None:
-    step = "a: {x: {Operation: [add, [{Query: n}, 1]]}, y: [{LocalQuery: n}]}"
-    ((_, goal),) = run_text(f"actions: {{a: {{params: [x, y]}}}}\ninitial_knowledge: {{n: 4}}\nplan: [{step}]\n").sent
-    assert (goal["x"], goal["y"]) == (5, [4])
-
-
 def test_an_operation_on_knowledge_changes_a_list() -> None:
     operation = "{Operation: [setitem, [{LocalQuery: l}, 0, 9]]}"
     text = f"actions: {{k: {{type: kb_action}}}}\ninitial_knowledge: {{l: [1, 2]}}\nplan: [k: {{operation: {operation}}}]\n"
@@ -109,18 +79,6 @@ plan:
     assert (told.name, value, told.meta) == ("CONTROLLER", "", '{"status": "end", "value": "the one upstairs"}')
 
 
-# --- what the paper promises ---------------------------------------------------------------
-
-
-def test_blocks_in_blocks() -> None:
-    trace = run_text(NESTED)
-    assert trace.result.goal, trace.result.reason
-    assert sorted(trace.actions) == ["a"] * 4 + ["b"] * 2 + ["c"]
-    numbers = [goal["i"] for name, goal in trace.sent if name == "a"]
-    assert numbers.index(2) < numbers.index(3)
-    assert numbers[-1] == 4
-
-
 def test_a_chain_of_recovery_knows_what_the_call_was_given() -> None:
     text = """\
 actions:
@@ -135,9 +93,3 @@ plan: [move: {r: r1}]
     assert trace.result.goal, trace.result.reason
     assert trace.actions == ["move", "say", "move", "say", "move"]
     assert trace.sent[1][1]["text"] == ["r1", 7]
-
-
-def test_a_step_stores_its_result_where_it_says() -> None:
-    text = "actions: {a: {store: {x: other}}}\nplan: [{a: , store: {x: mine}}, a: ]\n"
-    trace = run_text(text, results(a=lambda goal: {"x": 1}))
-    assert trace.run.knowledge.local.variables() == {"mine": 1, "other": 1}

@@ -10,7 +10,6 @@ import pytest
 
 from planner_bridge.model.world import simulated_backend
 from planner_bridge.pipeline.carry_out import carry_out
-from pnm.actions.backend import schedule
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase, Layered
@@ -38,6 +37,7 @@ def test_a_plan_calls_another_with_knowledge_of_its_own(tmp_path: Path) -> None:
 def test_a_plan_that_is_called_and_fails_says_why(tmp_path: Path) -> None:
     broken = Faults((Fault("go(pharmacy)", FaultKind.ABORT),))
     result = carry_out(written(tmp_path, GUIDE), parameters={"shop": "pharmacy"}, faults=broken)
+    assert [call.attempts for call in result.calls if call.call.action.name == "inner"] == [1], "a called plan is not tried again by itself"
     (failure,) = result.failures
     assert (str(failure.call), failure.cause) == ("inner(pharmacy)#1", "aborted")
     assert "go(pharmacy)#1: aborted" in failure.observed
@@ -172,24 +172,6 @@ def test_why_no_planner_finds_another_way(tmp_path: Path, old: str, new: str, wh
     task = carry_out(written(tmp_path, PATROL.replace(old, new)), faults=BLOCKED)
     assert not task.goal_reached
     assert why in task.reason
-
-
-def test_facts_that_nobody_reports_change_by_themselves(tmp_path: Path) -> None:
-    text = PATROL.replace("(way c b)]", "(way c b), {at: 4, facts: [(open)]}]").replace(
-        "  - (at ?r - robot ?x - room)\n", "  - (at ?r - robot ?x - room)\n  - (open)\n"
-    )
-    (plan,) = read_plans(written(tmp_path, text)).values()
-    world = KnowledgeBase(plan.facts, objects=plan.objects)
-
-    async def later() -> None:
-        stop = schedule(world, plan.timed, asyncio.get_running_loop().time())
-        await asyncio.sleep(3.9)
-        assert not world.value(("open",))
-        await asyncio.sleep(0.2)
-        assert world.value(("open",)) is True
-        stop()
-
-    run_async(later(), virtual=True)
 
 
 def test_what_files_get_wrong_is_told(tmp_path: Path) -> None:
