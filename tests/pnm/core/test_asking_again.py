@@ -25,6 +25,7 @@ from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.executor import Executor
 from pnm.journal.journal import Journal, Perform
 from tests.support.runs.commands import RUN, in_its_moment
+from tests.support.runs.held_run import HeldRun
 
 ROOMS = ("hall", "kitchen")
 OPEN, WARM, DONE = (tuple((name, room) for room in ROOMS) for name in ("open", "warm", "done"))
@@ -78,11 +79,11 @@ CHANGES = st.one_of(
 class Scene:
     """A run, and the world that it is in."""
 
-    def __init__(self, plan: PlanGraph, known: dict, sensed: dict[str, float]) -> None:
+    def __init__(self, plan: PlanGraph, known: dict, sensed: dict[str, float], kind: type[Run] = Run) -> None:
         rules = replace(RULES)  # those of a world and of a plan are equal, and seldom one object
         self.world = KnowledgeBase(known, objects={"room": ROOMS}, sensed=sensed, rules=rules, variables={"r": "hall", "go": True})
         bindings = Bindings({f"a{index}": Binding(retries=1, resources=("arm",) if index == 0 else ()) for index in range(4)})
-        self.run = Run(generate(plan, bindings), Layered(self.world), id=RUN, bindings=bindings)
+        self.run = kind(generate(plan, bindings), Layered(self.world), bindings=bindings, **({"id": RUN} if kind is Run else {}))
 
     def change(self, what: object, value: object) -> None:
         if isinstance(what, str):
@@ -90,47 +91,27 @@ class Scene:
         else:
             self.world.update({what: value})
 
-    def handle(self, event: Event, now: float) -> object:
-        return self.run.handle(event, now), self.run.fired, self.run.marking
-
 
 @given(st.data())
-def test_only_places_that_read_what_has_changed_need_to_be_asked_again(data: st.DataObject) -> None:
-    plan = data.draw(plans())
+def test_what_has_changed_has_all_places_asked_again_that_the_reference_would_ask(data: st.DataObject) -> None:
     known = {fluent: fluent in OPEN for fluent in FLUENTS} | {("level", room): 3.0 for room in ROOMS}
     sensed = {name: data.draw(st.sampled_from([0.0, 1.0])) for name in data.draw(st.sets(st.sampled_from(["open", "warm", "done"])))}
-    fast, readable = Scene(plan, known, sensed), Scene(plan, known, sensed)
-    agenda, index = readable.run._agenda, readable.run._index
-
-    def ask_all(now: float, *, of_all: bool = False) -> None:
-        agenda.places.extend([place for place in agenda.undecided if index.decision(place).listens])
-
-    agenda.ask_about_knowledge = ask_all  # type: ignore[method-assign]
-    now = 0.0
-    event: Event
-    assert fast.handle(Begin(), now) == readable.handle(Begin(), now)
+    scene, now = Scene(data.draw(plans()), known, sensed, HeldRun), 0.0
+    scene.run.handle(Begin(), now)
     for _ in range(data.draw(st.integers(5, 25))):
         now += data.draw(st.sampled_from([0.0, 0.0, 0.5, 1.0]))
-        open_requests = fast.run.open_requests
-        match data.draw(st.sampled_from(["change", "changed", "changed", "tick", "accepted", "accepted", "ended", "pause"])):
-            case "change" | "changed" as kind:
-                what, value = data.draw(CHANGES)
-                for scene in (fast, readable):
-                    scene.change(what, value)
-                if kind == "change":  # it is heard of only with the next one
-                    continue
+        event: Event = Tick()
+        match data.draw(st.sampled_from(["changed", "changed", "changed", "tick", "accepted", "accepted", "ended", "pause"])):
+            case "changed":
+                scene.change(*data.draw(CHANGES))
                 event = KnowledgeChanged()
-            case "tick":
-                event = Tick()
             case "pause":
                 event = data.draw(st.sampled_from([Pause(), Pause(at_once=True), Resume()]))
-            case kind if open_requests:
-                request = data.draw(st.sampled_from(open_requests))
+            case "accepted" | "ended" as kind if requests := scene.run.open_requests:
+                request = data.draw(st.sampled_from(requests))
                 ends = st.sampled_from([OutcomeKind.SUCCEEDED, OutcomeKind.SUCCEEDED, OutcomeKind.SUCCEEDED, OutcomeKind.ABORTED])
                 event = Accepted(request) if kind == "accepted" else Ended(request, Outcome(data.draw(ends)))
-            case _:
-                continue
-        assert fast.handle(event, now) == readable.handle(event, now)
+        scene.run.handle(event, now)
 
 
 ROOM = (Variable("?r", ("room",)),)

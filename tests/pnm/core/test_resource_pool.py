@@ -22,25 +22,6 @@ from pnm.core.resources import Claim, Resources
 from tests.support.runs.commands import claim
 
 
-def test_a_claim_gets_all_or_nothing() -> None:
-    pool = Resources()
-    assert pool.take(claim(1, "arm"))
-    assert not pool.take(claim(2, "leg", "arm"))
-    assert pool.held == (claim(1, "arm"),)
-    pool.give(UUID(int=1))
-    assert pool.take(claim(2, "leg", "arm"))
-    assert pool.line == ()
-
-
-def test_what_one_ahead_waits_for_is_not_taken_by_one_behind() -> None:
-    pool = Resources()
-    pool.take(claim(1, "arm"))
-    pool.take(claim(2, "arm", "leg"))
-    assert not pool.take(claim(3, "leg"))
-    assert pool.take(claim(4, "eye"))
-    assert pool.take(claim(5, "leg", priority=1)), "but a higher priority is ahead"
-
-
 def test_a_claim_stands_in_line_once_and_where_it_came_first() -> None:
     pool = Resources()
     pool.take(claim(1, "arm"))
@@ -49,23 +30,6 @@ def test_a_claim_stands_in_line_once_and_where_it_came_first() -> None:
     assert [one.request.int for one in pool.line] == [2, 3]
     assert not pool.take(claim(2, "arm", "leg")), "another claim comes anew"
     assert [one.request.int for one in pool.line] == [3, 2]
-
-
-def test_whoever_waits_is_told_when_it_would_be_served() -> None:
-    pool, told = Resources(), list[str]()
-    stop = pool.listen(lambda: told.append("served"))
-    pool.take(claim(1, "arm"))
-    pool.take(claim(2, "leg"))
-    pool.take(claim(3, "arm", "leg"))
-    pool.give(UUID(int=1))
-    assert told == []
-    pool.take(claim(4, "arm"))
-    pool.withdraw(UUID(int=3))
-    assert told == ["served"]
-    assert pool.servable() == {UUID(int=4)}
-    stop()
-    pool.give(UUID(int=2))
-    assert told == ["served"]
 
 
 def test_only_the_one_whose_turn_it_is_is_told() -> None:
@@ -92,24 +56,6 @@ def test_whoever_waits_for_what_is_withheld_is_told() -> None:
         pool.take(claim(number, *names, task=number))
     pool.withhold(UUID(int=1), "lift()")
     assert told == ["3"]
-
-
-def test_tasks_are_outranked_by_claims_of_higher_priority_alone() -> None:
-    pool = Resources({"leg": 2})
-    for one in (claim(1, "arm", task=7), claim(2, "leg", task=8), claim(3, "eye", task=9, priority=2)):
-        assert pool.take(one)
-    higher = claim(4, "arm", "leg", "eye", priority=1)
-    pool.take(higher)
-    assert [*pool.outranking()] == [(higher, claim(1, "arm", task=7))]
-    pool.withdraw(UUID(int=4))
-    pool.take(claim(5, "arm"))
-    assert not [*pool.outranking()]
-
-
-def test_a_resource_is_in_use_as_often_as_it_may_be() -> None:
-    pool = Resources({"arm": 2})
-    assert [pool.take(claim(number, "arm")) for number in range(3)] == [True, True, False]
-    assert repr(pool) == "<Resources, in use: arm; 1 in line>"
 
 
 def test_a_call_that_goes_on_after_a_recovery_waits_with_a_limit_for_what_it_was_sent_with() -> None:

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import TRUE, Condition, Holds, Not, evaluate
-from pnm.core.logic.effects import OPERATIONS, Effects, ForEach, Set, When
+from pnm.core.logic.effects import OPERATIONS, Effect, Effects, ForEach, Set, When
 from pnm.core.logic.expressions import (
     UNKNOWN,
     Arithmetic,
@@ -53,14 +53,21 @@ AMOUNTS: st.SearchStrategy[Expression] = st.one_of(
 PLAIN = st.one_of(st.builds(add, st.just("p")), st.builds(Set, FACTS, st.builds(Constant, st.booleans())))
 SETS = st.one_of(PLAIN, st.builds(Set, NUMBERS, AMOUNTS, st.sampled_from(OPERATIONS)))
 CONDITIONS: st.SearchStrategy[Condition] = st.one_of(st.just(TRUE), st.builds(Holds, FACTS), st.builds(Not, st.builds(Holds, FACTS)))
-EFFECTS = st.recursive(
-    SETS,
-    lambda inner: st.one_of(
-        st.builds(When, CONDITIONS, st.lists(inner, max_size=3).map(tuple)),
-        st.builds(ForEach, st.just((Variable("?x"),)), st.lists(inner, max_size=3).map(tuple)),
-    ),
-    max_leaves=4,
-)
+
+
+def effects_of(sets: st.SearchStrategy[Set]) -> st.SearchStrategy[Effect]:
+    """Effects that are made of these, under conditions and for all rooms."""
+    return st.recursive(
+        sets,
+        lambda inner: st.one_of(
+            st.builds(When, CONDITIONS, st.lists(inner, max_size=3).map(tuple)),
+            st.builds(ForEach, st.just((Variable("?x"),)), st.lists(inner, max_size=3).map(tuple)),
+        ),
+        max_leaves=4,
+    )
+
+
+EFFECTS = effects_of(SETS)
 ALL_FACTS: list[Fluent] = [("p",), ("at", "hall"), ("at", "kitchen")]
 ALL_NUMBERS: list[Fluent] = [("n",), ("m",)]
 TRUTHS: st.SearchStrategy[Value | Unknown] = st.sampled_from((True, False, UNKNOWN))

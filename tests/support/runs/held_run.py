@@ -51,7 +51,8 @@ class HeldRun(Run):
     ) -> None:
         super().__init__(machine, knowledge, id=RUN, asks=asks, bindings=bindings, adopted=adopted or {})
         world, local = knowledge.world, knowledge.local
-        own = KnowledgeBase(world.facts(), sensed=world.sensed_names(), objects=world.objects_by_type(), rules=world.rules)
+        things, sensed, variables = world.objects_by_type(), world.sensed_names(), world.variables()
+        own = KnowledgeBase(world.facts(), variables=variables, objects=things, sensed=sensed, rules=world.rules)
         self.own = Layered(own, KnowledgeBase(variables=local.variables()))
         self.reference = ReferenceRun(machine, self.own, RUN, bindings or Bindings(), asks=asks, adopted=dict(adopted or {}))
         self._is_at_work = False
@@ -60,6 +61,7 @@ class HeldRun(Run):
     def _hear(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
         if not self._is_at_work:  # it is news from outside, for both
             self.own.world.update(changes)
+            self.own.world.store(self.knowledge.world.variables())
 
     def handle(self, event: Event, now: float) -> list[Command]:
         assert not isinstance(event, Restarted), "the reference leaves this out"

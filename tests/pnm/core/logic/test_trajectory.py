@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import product
 
 import kairos
@@ -12,16 +11,13 @@ from hypothesis import example, given, strategies as st
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import All, Holds, Not, evaluate
 from pnm.core.logic.expressions import UNKNOWN, Variable
-from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, moments, names_in, observed_of, progressed, shifted
+from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, names_in, observed_of, progressed, shifted
 from tests.support.logic.trajectories import (
-    AFTER,
     BEFORE,
     LIKE_KAIROS,
-    ONCE,
     SAFE,
     P,
     Q,
-    Rest,
     Trace,
     always,
     progress,
@@ -117,70 +113,10 @@ def test_what_is_unknown_fulfils_nothing() -> None:
     assert progress((Constraint("sometime-before", (P, Q)),), [*nobody_knows, (1.0, state_of(p=True))]) == (IMPOSSIBLE,)
 
 
-NEVER_P = always(Not(P))
-SOON = Constraint("always-within", (P, Q), (2.0,))
-
-
-@pytest.mark.parametrize(
-    ("constraint", "states", "left"),
-    [
-        (always(P), "p", (always(P),)),
-        (always(P), "p - p", (IMPOSSIBLE,)),
-        (sometime(P), "-", (sometime(P),)),
-        (sometime(P), "- p -", ()),
-        (ONCE, "- q", (ONCE,)),
-        (ONCE, "- p p", (replace(ONCE, begun=True),)),
-        (ONCE, "- p -", (NEVER_P,)),
-        (ONCE, "- p - p", (IMPOSSIBLE,)),
-        (AFTER, "q - q", (AFTER,)),
-        (AFTER, "pq", (AFTER,)),
-        (AFTER, "q p -", (AFTER, sometime(Q))),
-        (AFTER, "p q", (AFTER,)),
-        (BEFORE, "-", (BEFORE,)),
-        (BEFORE, "q", ()),
-        (BEFORE, "q p", ()),
-        (BEFORE, "pq", (IMPOSSIBLE,)),
-        (BEFORE, "p q", (IMPOSSIBLE,)),
-        (Constraint("within", (P,), (2.0,)), "- - p", ()),
-        (Constraint("within", (P,), (2.0,)), "- -", (Constraint("within", (P,), (2.0,)),)),
-        (Constraint("within", (P,), (2.0,)), "- - -", (IMPOSSIBLE,)),
-        (SOON, "p p p q", (IMPOSSIBLE,)),
-        (SOON, "p p q p", (SOON, Constraint("within", (Q,), (5.0,)))),
-        (SOON, "p p", (SOON, Constraint("within", (Q,), (2.0,)))),
-        (Constraint("hold-during", (P,), (1.0, 3.0)), "- p p -", ()),
-        (Constraint("hold-during", (P,), (1.0, 3.0)), "- p -", (IMPOSSIBLE,)),
-        (Constraint("hold-after", (P,), (1.0,)), "-", (Constraint("hold-after", (P,), (1.0,)),)),
-        (Constraint("hold-after", (P,), (1.0,)), "- p", (Constraint("hold-after", (P,), (1.0,)),)),
-        (Constraint("hold-after", (P,), (1.0,)), "p -", (IMPOSSIBLE,)),
-        (Constraint("at end", (P,)), "p -", (Constraint("at end", (P,)),)),
-    ],
-    ids=lambda value: str(value) if isinstance(value, Constraint | str) else "",
-)
-def test_what_is_left(constraint: Constraint, states: str, left: Rest) -> None:
-    assert progress((constraint,), course(states)) == left
-
-
-def test_a_deadline_that_nothing_happens_at_is_kept_all_the_same() -> None:
-    deadline = Constraint("within", (P,), (1.5,))
-    assert moments(deadline) == (1.5,)
-    assert progressed((deadline,), state_of(), 1.4) == (deadline,)
-    assert progressed((deadline,), state_of(), 1.5) == (IMPOSSIBLE,)
-    assert progressed((deadline,), state_of(p=True), 1.5) == ()
-
-
 def test_of_several_deadlines_the_earliest_is_left() -> None:
     soon, late = (Constraint("within", (P,), (time,)) for time in (3.0, 5.0))
     assert progressed((soon, late), state_of()) == progressed((late, soon), state_of()) == (soon,)
     assert progressed((soon, Constraint("within", (Q,), (5.0,))), state_of()) == (soon, Constraint("within", (Q,), (5.0,)))
-
-
-def test_times_count_from_now_on_for_a_planner() -> None:
-    assert shifted(Constraint("within", (P,), (9.0,)), 4.0).times == (5.0,)
-    assert shifted(Constraint("hold-during", (P,), (3.0, 9.0)), 4.0).times == (0.0, 5.0)
-    assert shifted(Constraint("hold-after", (P,), (9.0,)), 4.0).times == (5.0,)
-    assert shifted(Constraint("hold-after", (P,), (4.0,)), 4.0) == always(P)
-    assert shifted(SOON, 4.0).times == (2.0,)
-    assert shifted(BEFORE, 4.0) == BEFORE
 
 
 def test_a_constraint_stands_for_every_choice_of_objects() -> None:
@@ -194,14 +130,9 @@ def test_a_constraint_stands_for_every_choice_of_objects() -> None:
     assert names_in(lifted) == {"at", "open"}
 
 
-def test_constraints_are_told_as_pddl() -> None:
-    assert str(Constraint("hold-during", (P,), (1.0, 2.5))) == "(hold-during 1 2.5 (p))"
-    assert str(Constraint("at end", (P,))) == "(at end (p))"
-
-
 def test_what_is_seen_in_place_of_a_constraint() -> None:
     assert observed_of(always(All((Not(P), Q))), state_of(p=True, q=True)) == "(p) is true"
-    assert observed_of(NEVER_P, state_of(p=True)) == "(p) is true"
+    assert observed_of(always(Not(P)), state_of(p=True)) == "(p) is true"
     assert observed_of(BEFORE, state_of(p=True)) == "(p) is true; (q) is false"
 
 

@@ -21,7 +21,6 @@ from pnm.core.logic.effects import (
     effects_text,
     facts,
     ground_effects,
-    names_written,
     read,
     read_early,
     undo,
@@ -198,8 +197,3 @@ def test_a_constant_object_is_as_plain_as_a_fact() -> None:
 )
 def test_effects_are_written_as_pddl(effects: Effects, text: str) -> None:
     assert effects_text(effects) == text
-
-
-def test_names_written_look_into_every_effect() -> None:
-    nested = ForEach((Variable("?x"),), (When(Holds(("r",)), (add("q", "?x"),)), change_number("decrease", "n", 1.0)))
-    assert names_written((add("p"), nested)) == {"p", "q", "n"}

@@ -159,10 +159,6 @@ def test_several_tasks_stand_below_each_other() -> None:
     assert "other" in texts(two)
 
 
-def test_no_task_has_a_picture() -> None:
-    assert texts(timeline_svg()) == []
-
-
 def test_a_picture_grows_as_its_calls_do() -> None:
     def elements(calls: int) -> int:
         chain = tuple(
