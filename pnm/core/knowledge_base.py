@@ -33,7 +33,7 @@ Listener = Callable[[Mapping[Fluent, Value | Unknown]], None]
 class KnowledgeBase:
     """One store of facts, numbers and variables that notifies its listeners of changes.
 
-    The mutable state is the five dictionaries set in the constructor, the list of listeners, the last changes, and the
+    The mutable state is the dictionaries set in the constructor, the list of listeners, the last changes, and the
     cache of derived facts. Given facts that rules derive raise `InputError`.
     """
 
@@ -51,6 +51,8 @@ class KnowledgeBase:
         if self._derived:
             self._refuse_derived(facts or {})
         self._facts: dict[Fluent, Value | Unknown] = dict(facts or {})
+        self._recorded: dict[str, dict[Fluent, None]] | None = None
+        """The recorded fluents of each name, in their order, from the first report on: a report costs what it is about, not the world."""
         self._variables: dict[str, object] = dict(variables or {})
         self._objects: dict[str, tuple[str, ...]] = dict(objects or {})
         self._sensed: dict[str, float] = dict(sensed or {})
@@ -125,6 +127,8 @@ class KnowledgeBase:
         facts = self._facts
         real = {fluent: value for fluent, value in changes.items() if not same_value(facts.get(fluent), value)}
         if real:
+            if self._recorded is not None:
+                self._note_names(real, self._recorded)
             facts.update(real)
             self._changed += real
             if len(self._changed) > _REMEMBERED:
@@ -150,11 +154,17 @@ class KnowledgeBase:
         names = frozenset(names) - self._derived
         if self._derived:
             facts = {fluent: value for fluent, value in facts.items() if not self._derives(fluent)}
-        gone: Changes = {}
-        for fluent, value in self._facts.items():
-            if fluent[0] in names and fluent not in facts and value is not UNKNOWN:
-                gone[fluent] = absent_value(value)
+        if self._recorded is None:
+            self._recorded = {}
+            self._note_names(self._facts, self._recorded)
+        omitted = (fluent for name in sorted(names) for fluent in self._recorded.get(name, ()) if fluent not in facts)
+        gone = {fluent: absent_value(value) for fluent in omitted if (value := self._facts[fluent]) is not UNKNOWN}
         return self.update({**gone, **facts})
+
+    @staticmethod
+    def _note_names(fluents: Iterable[Fluent], recorded: dict[str, dict[Fluent, None]]) -> None:
+        for fluent in fluents:
+            recorded.setdefault(fluent[0], {})[fluent] = None
 
     def begin_anew(self, facts: Mapping[Fluent, Value | Unknown], objects: Mapping[str, tuple[str, ...]], rules: Rules) -> None:
         """Replace the facts, objects and rules of one world by those of another; variables and the sensed names stay.
@@ -174,6 +184,7 @@ class KnowledgeBase:
         changes |= {fluent: value for fluent, value in facts.items() if not same_value(self._facts.get(fluent), value)}
         self._facts.clear()
         self._facts.update(facts)
+        self._recorded = None
         self._objects = dict(objects)
         self._derived_facts = DerivedFacts(rules, self._facts, self.objects)
         self._forget_changes()

@@ -104,9 +104,14 @@ def test_of_what_a_report_omits_a_number_is_no_longer_known_and_an_object_is_gon
     assert changed == {("battery", "r1"): 79.0, ("battery", "r2"): UNKNOWN, ("place", "r1"): UNDEFINED}
 
 
-@given(FACTS, FACTS, st.frozensets(st.sampled_from(("p", "q", "n"))))
-def test_after_a_report_its_facts_are_all_that_is_so(first: Facts, report: Facts, names: frozenset[str]) -> None:
+@given(FACTS, FACTS, FACTS, FACTS, st.frozensets(st.sampled_from(("p", "q", "n"))))
+def test_after_a_report_its_facts_are_all_that_is_so(
+    first: Facts, before: Facts, between: Facts, report: Facts, names: frozenset[str]
+) -> None:
     knowledge = KnowledgeBase(first)
+    knowledge.replace(names, before)
+    knowledge.update(between)
+    first = knowledge.facts()
     knowledge.replace(iter(names), report)
     about = {fluent for fluent, value in knowledge.facts().items() if fluent[0] in names and value is True}
     assert about == {fluent for fluent, value in report.items() if fluent[0] in names and value is True}
