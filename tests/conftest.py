@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from planner_bridge.pipeline.achieve import achieve
+from pnm.actions.faults import read_faults
 from pnm.files.database.place import Place, place_of
 from tests.support.e2e.hosts.postgres import PostgresServer, postgres_server
 from tests.support.files import ROOT
@@ -83,3 +85,13 @@ def place(request: pytest.FixtureRequest, tmp_path: Path) -> Place:
         return tmp_path / "database"
     server: PostgresServer = request.getfixturevalue("postgres")
     return place_of(server.database())
+
+
+@pytest.fixture(scope="session")
+def delivery(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The journal of a run in which a move fails four times: the plan goes on once, and there is a new one then."""
+    journal = tmp_path_factory.mktemp("delivery") / "run.journal"
+    domain, problems = ROOT / "domains" / "delivery" / "domain.pddl", ROOT / "problems" / "delivery"
+    result = achieve(domain, problems / "p01.pddl", faults=read_faults(problems / "faults.yaml", None), journal=journal)
+    assert (result.goal_reached, result.replans) == (True, 2)
+    return journal

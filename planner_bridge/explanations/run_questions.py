@@ -83,23 +83,13 @@ def why_call_of_run(history: JournalHistory, task: TaskHistory, run: RunHistory,
     return needed, why_now(history, task, run, call), *failed
 
 
-def explained(place: Place, task: UUID, call: tuple[UUID, int] | None = None, last: int | None = None) -> tuple[Answer, ...]:
-    """Read a journal, and return why a task, or one of its calls, is as it is: for who knows them by their ids, as a page does.
-
-    Args:
-        call: its run and its number, from 0; None for the task as a whole.
-        last: the record up to which the journal is read; None for all that there is.
-    """
+def explained(place: Place, run: UUID, call: int, last: int) -> tuple[Answer, ...]:
+    """Read a journal up to a record, and return why a call of a run is as it is: for who knows them by their ids, as a page does."""
     history = JournalHistory.read(place, last)
-    if task not in history.tasks:
-        raise InputError(f"the journal knows no task {task}")
-    meant = history.tasks[task]
-    if call is None:
-        return why_so(history, meant)
-    run = next((run for run in meant.runs if run.id == call[0]), None)
-    if run is None or not 0 <= call[1] < len(run.source.plan.calls):
-        raise InputError(f"the task has no call {call[1]} in a run {call[0]}")
-    return why_call_of_run(history, meant, run, call[1])
+    meant = history.runs.get(run)
+    if meant is None or meant.made.task not in history.tasks or call >= len(meant.source.plan.calls):
+        raise InputError(f"the journal has no call {call} of a run {run}")
+    return why_call_of_run(history, history.tasks[meant.made.task], meant, call)
 
 
 def why_so(history: JournalHistory, task: TaskHistory) -> tuple[Answer, ...]:

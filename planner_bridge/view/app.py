@@ -13,10 +13,10 @@ import re
 import socket
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from itertools import count
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, TypeVar
 from uuid import UUID, uuid4
 
 import uvicorn
@@ -29,8 +29,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from planner_bridge.view.follow import Feed, Reader
 from planner_bridge.view.serving import MAX_TEXT, Controlled, Reply
-from planner_bridge.view.shown import Shown, View
-from planner_bridge.view.story import Story, detail, view_of
+from planner_bridge.view.story import Story, Thing, View, detail, view_of
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.pictures.plan_picture import plan_svg
 from pnm.errors import InputError, PnmError, printable
@@ -71,16 +70,8 @@ _DIGITS: Final = 40
 T = TypeVar("T")
 
 
-class _Asked(NamedTuple):
-    """The subject of a question: a task, or a call by its run and its number, after a record."""
-
-    task: UUID
-    call: tuple[UUID, int]
-    number: int
-
-
 class ViewApp:
-    """The application. The mutable state is how many browsers watch."""
+    """The application."""
 
     def __init__(self, place: Place, feed: Feed, past: Reader, control: Control) -> None:
         self._place = place
@@ -89,7 +80,6 @@ class ViewApp:
         self._control = control
         self._key = uuid4().hex
         """Of this journal as this process reads it: numbers of records that a browser has from elsewhere mean nothing here."""
-        self._watching = 0
         routes = [
             Route("/", self._page),
             Route("/state", self._state),
@@ -119,12 +109,11 @@ class ViewApp:
         """
         from planner_bridge.explanations.run_questions import explained  # here, because it takes its time to import
 
-        def asked(story: Story, run: UUID, index: int) -> _Asked | None:
-            task = story.runs[run].made.task if run in story.runs else None
-            return None if task is None else _Asked(task, (run, index), story.number)
+        def asked(story: Story, run: UUID, index: int) -> tuple[UUID, int, int] | None:
+            return (run, index, story.number) if run in story.runs else None
 
-        def answered(about: _Asked) -> Response:
-            return ShownResponse([answer.as_json() for answer in explained(self._place, about.task, about.call, about.number)])
+        def answered(about: tuple[UUID, int, int]) -> Response:
+            return ShownResponse([answer.as_json() for answer in explained(self._place, *about)])
 
         return await self._told_of_call(request, asked, answered)
 
@@ -195,30 +184,12 @@ class ViewApp:
                 seen = view
                 yield f"id: {view.number}\nretry: 1000\ndata: {text}\n\n"
 
-        if self._watching >= WATCHING:
+        if self._feed.watching >= WATCHING:
             return _refused(f"{WATCHING} browsers watch already; close one of them", 503)
-        self._watching += 1
-        return _Watched(stream(), self._left)
-
-    def _left(self) -> None:
-        self._watching -= 1
+        return StreamingResponse(stream(), media_type="text/event-stream")
 
     def _frame(self, before: View | None, after: View) -> dict[str, Any]:
         return {"journal": self._key, **frame(before, after)}
-
-
-class _Watched(StreamingResponse):
-    """A stream that says when nobody watches it any more, also if nothing of it was sent."""
-
-    def __init__(self, frames: AsyncIterator[str], left: Callable[[], None]) -> None:
-        super().__init__(frames, media_type="text/event-stream")
-        self._left = left
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        try:
-            await super().__call__(scope, receive, send)
-        finally:
-            self._left()
 
 
 class _Guarded:
@@ -275,13 +246,14 @@ def frame(before: View | None, after: View) -> dict[str, Any]:
 
     In its parts, None stands for what is not there any more.
     """
-    parts: dict[str, dict[str, Any]] = {}
+    parts: dict[str, dict[str, Thing | None]] = {}
     for name in PARTS:
-        old: Mapping[str, Shown] = {} if before is None else getattr(before, name)
-        new: Mapping[str, Shown] = getattr(after, name)
+        old: Mapping[str, Thing] = {} if before is None else getattr(before, name)
+        new: Mapping[str, Thing] = getattr(after, name)
         if old is not new:
-            changed = {key: asdict(shown) for key, shown in new.items() if (was := old.get(key)) is not shown and was != shown}
-            if changes := changed | dict.fromkeys(old.keys() - new.keys()):
+            changes = dict[str, Thing | None].fromkeys(old.keys() - new.keys())
+            changes |= {key: thing for key, thing in new.items() if (was := old.get(key)) is not thing and was != thing}
+            if changes:
                 parts[name] = changes
     return {**{name: getattr(after, name) for name in _HEAD}, "is_whole": before is None, "parts": parts}
 

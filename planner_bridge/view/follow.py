@@ -17,8 +17,7 @@ from threading import Lock
 from typing import Final, TypeVar
 
 from planner_bridge.tasks.result import TASKS
-from planner_bridge.view.shown import View
-from planner_bridge.view.story import Story, view_of
+from planner_bridge.view.story import Story, View, view_of
 from pnm.errors import PnmError
 from pnm.files.database.place import Place
 from pnm.journal.kept import Rewritten
@@ -138,7 +137,7 @@ class Feed:
     def __init__(self, reader: Reader) -> None:
         self._reader = reader
         self.view = View()
-        self._watching = 0
+        self.watching = 0
         self._reading: asyncio.Task[None] | None = None
         self._changed = asyncio.Event()
         """Set, and replaced, when the view has changed."""
@@ -147,7 +146,7 @@ class Feed:
 
     async def views(self) -> AsyncIterator[View]:
         """Yield the view after the last record, and again when it has changed: whoever takes long misses those in between."""
-        self._watching += 1
+        self.watching += 1
         try:
             self._set(await self.newest())
             if self._reading is None or self._reading.done():
@@ -161,8 +160,8 @@ class Feed:
                 else:
                     await changed.wait()
         finally:
-            self._watching -= 1
-            if not self._watching and self._reading is not None:
+            self.watching -= 1
+            if not self.watching and self._reading is not None:
                 self._reading.cancel()
                 self._reading = None
 

@@ -1,7 +1,10 @@
 """The story that the page tells: the history of a journal, with facts, open questions, and its last records in words; and its views.
 
-It reaches back to the beginning of the segment before the last one: a segment may begin as soon as a task has ended, and people still
-want to see it then.
+A view has its things by key, and they are JSON as they are sent; what changes from one moment to the next is told key by key, see
+`planner_bridge.view.app`. A thing is never changed, but replaced.
+
+The story reaches back to the beginning of the segment before the last one: a segment may begin as soon as a task has ended, and people
+still want to see it then.
 """
 
 from __future__ import annotations
@@ -9,15 +12,14 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from math import isfinite
-from typing import Any, Final, TypeVar, cast
+from typing import Any, Final, TypeAlias
 from uuid import UUID
 
 from planner_bridge.explanations.history import Attempt, JournalHistory, RunHistory, TaskHistory, Trouble
 from planner_bridge.tasks.replanning import decision_words
-from planner_bridge.view import shown
 from pnm.core.execution.call_results import CallResult, Failure
 from pnm.core.execution.events import Answered, Ask, Restarted, Withdraw
 from pnm.core.execution.questions import EvaluationContext
@@ -38,7 +40,39 @@ EVENTS: Final = 200
 _SEGMENTS: Final = 2
 """The number of records that it reaches back to."""
 
-T = TypeVar("T", bound=shown.Shown)
+Thing: TypeAlias = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """The whole state after a record.
+
+    Args:
+        time: of the record, on the clock of its process.
+        began: when what is shown began.
+        first: the first record of what is shown.
+        problem: why no more can be shown; empty if all is well.
+        clock: the time of day, in seconds, when that clock was 0; None if it is not known.
+        calls: by run and number.
+        troubles: by record, and their number in it.
+        events: by record: the last ones, and all that are marked.
+    """
+
+    number: int = 0
+    time: float = 0.0
+    began: float = 0.0
+    first: int = 0
+    problem: str = ""
+    clock: float | None = None
+    tasks: Mapping[str, Thing] = field(default_factory=dict)
+    runs: Mapping[str, Thing] = field(default_factory=dict)
+    calls: Mapping[str, Thing] = field(default_factory=dict)
+    requests: Mapping[str, Thing] = field(default_factory=dict)
+    facts: Mapping[str, Thing] = field(default_factory=dict)
+    servers: Mapping[str, Thing] = field(default_factory=dict)
+    questions: Mapping[str, Thing] = field(default_factory=dict)
+    troubles: Mapping[str, Thing] = field(default_factory=dict)
+    events: Mapping[str, Thing] = field(default_factory=dict)
 
 
 class Story(JournalHistory):
@@ -46,21 +80,21 @@ class Story(JournalHistory):
 
     def __init__(self, source: Callable[[str], records.MachineSource] | None = None) -> None:
         super().__init__(source, _SEGMENTS)
-        self.facts: Mapping[str, shown.FactShown] = {}
+        self.facts: Mapping[str, Thing] = {}
         """A new mapping whenever one of them changes."""
-        self.events: dict[int, shown.EventShown] = {}
+        self.events: dict[int, Thing] = {}
         self.clock: float | None = None
         """The time of day when the clock of the records was 0, as long as one process writes them."""
-        self._questions: dict[str, shown.QuestionShown] = {}
+        self._questions: dict[str, Thing] = {}
         """Those of runs."""
-        self._shown: dict[str, tuple[object, shown.Shown]] = {}
-        """The last view and its sources: most parts have not changed since."""
+        self._shown: dict[str, tuple[object, Thing]] = {}
+        """What was shown last, and its sources: most things have not changed since."""
 
     @property
-    def questions(self) -> dict[str, shown.QuestionShown]:
+    def questions(self) -> dict[str, Thing]:
         """The questions that are open: those of runs, and those to a person about tasks."""
         about_tasks = {
-            help.asked.question.hex: shown.QuestionShown("a person", help.asked.text, task.name, help.since, help.asked.choices)
+            help.asked.question.hex: _question("a person", help.asked.text, task.name, help.since, help.asked.choices)
             for task in self.tasks.values()
             for help in task.helps.values()
         }
@@ -73,16 +107,17 @@ class Story(JournalHistory):
         assert step is not None, "this record was executed"
         self._tell(step)
         task, mark = self.task_of(record), self._mark(record)
-        self.events[number] = shown.EventShown(self.time, task.hex if task else "", words(step, self.replay), mark)
-        if (old := self.events.get(number - EVENTS)) and not old.mark:
+        lines = words(step, self.replay)
+        self.events[number] = {"time": self.time, "task": task.hex if task else "", "lines": lines, "mark": mark}
+        if (old := self.events.get(number - EVENTS)) and not old["mark"]:
             del self.events[number - EVENTS]
         return step
 
-    def once(self, key: str, made_of: object, show: Callable[[], T]) -> T:
-        """Return the view of a thing: the last one, if its sources are the same."""
+    def once(self, key: str, made_of: object, show: Callable[[], Thing]) -> Thing:
+        """Return what is shown of a thing: what was shown last, if its sources are the same."""
         if (known := self._shown.get(key)) is None or known[0] != made_of:
             known = self._shown[key] = made_of, show()
-        return cast("T", known[1])
+        return known[1]
 
     def _mark(self, record: records.Record) -> str:
         """Return the mark of a record for going through them."""
@@ -129,9 +164,9 @@ class Story(JournalHistory):
             match command:
                 case Ask(id, question) if question.layer is Layer.PERSON:
                     text = f"{question.name}: {_said(question.meta)}" if _said(question.meta) else question.name
-                    self._questions[id.hex] = shown.QuestionShown("a person", text, name, self.time)
+                    self._questions[id.hex] = _question("a person", text, name, self.time)
                 case Ask(id, question):
-                    self._questions[id.hex] = shown.QuestionShown("a source of knowledge", str(question), name, self.time)
+                    self._questions[id.hex] = _question("a source of knowledge", str(question), name, self.time)
                 case Withdraw(id):
                     self._questions.pop(id.hex, None)
                 case _:
@@ -143,13 +178,24 @@ class Story(JournalHistory):
         facts = dict(self.facts)
         if delta.sensed:
             sensed = {fluent_text(fluent): self.world.is_sensed(fluent) for fluent in self.world.facts()}
-            facts = {name: replace(fact, source=_source(is_sensed=sensed.get(name, False))) for name, fact in facts.items()}
+            facts = {name: {**fact, "source": _source(is_sensed=sensed.get(name, False))} for name, fact in facts.items()}
         self.facts = facts | {fluent_text(fluent): self._fact(fluent, value) for fluent, value in delta.facts.items()}
 
-    def _fact(self, fluent: Fluent, value: Value | Unknown, *, is_initial: bool = False) -> shown.FactShown:
+    def _fact(self, fluent: Fluent, value: Value | Unknown, *, is_initial: bool = False) -> Thing:
+        """Return a fact, and since when it is so: if it is initial, since the beginning of what is shown at least."""
         before = self.facts.get(fluent_text(fluent))
-        was = "" if before is None or not isinstance(value, Unknown) else before.was or before.value
-        return shown.FactShown(value_words(value), _source(is_sensed=self.world.is_sensed(fluent)), self.time, is_initial, was)
+        return {
+            "value": value_words(value),
+            "source": _source(is_sensed=self.world.is_sensed(fluent)),
+            "since": self.time,
+            "is_initial": is_initial,
+            "was": "" if before is None or not isinstance(value, Unknown) else before["was"] or before["value"],  # known last
+        }
+
+
+def _question(who: str, text: str, subject: str, since: float, choices: tuple[str, ...] = ()) -> Thing:
+    """Return an open question: who is asked, what, on whose behalf, since when, and the answers to choose from; none for any."""
+    return {"who": who, "text": text, "subject": subject, "since": since, "choices": choices}
 
 
 def value_words(value: Value | Unknown) -> str:
@@ -176,12 +222,12 @@ def _said(meta: str) -> str:
 # The view of a story: what is shown after its last record. A pure function, which changes nothing that can be seen.
 
 
-def view_of(story: Story) -> shown.View:
+def view_of(story: Story) -> View:
     """Return the view of a story; the same story gives the same view."""
     runs = story.runs.values()
     results = {f"{run.id.hex}/{index}": (run, result) for run in runs for index, result in run.last_results.items()}
     troubles = {key: (run, trouble) for run in runs for key, trouble in run.troubles.items()}
-    return shown.View(
+    return View(
         story.number,
         story.time,
         story.began,
@@ -189,10 +235,7 @@ def view_of(story: Story) -> shown.View:
         "",
         story.clock,
         {id.hex: _task(story, task) for id, task in story.tasks.items()},
-        {
-            run.id.hex: shown.RunShown(run.made.task.hex, run.made.name, run.record, run.time, run.origin, run.is_over, run.replan)
-            for run in runs
-        },
+        {run.id.hex: _run(run) for run in runs},
         {key: story.once(key, result, partial(_call, run, result)) for key, (run, result) in results.items()},
         {id.hex: story.once(id.hex, attempt, partial(_request, story, attempt)) for id, attempt in story.attempts.items()},
         story.facts,
@@ -203,23 +246,36 @@ def view_of(story: Story) -> shown.View:
     )
 
 
-def _task(story: Story, task: TaskHistory) -> shown.TaskShown:
-    wanted, used = task.accepted.wanted, task.used
-    limit = used.limit if used and isfinite(used.limit) else None
-    return shown.TaskShown(
-        task.name,
-        task.state.word,
-        _reason(task),
-        wanted.priority,
-        task.accepted.wall,
-        None if wanted.deadline is None else task.accepted.wall + wanted.deadline,
-        round(task.seconds(story.time), 6),
-        limit,
-        task.ending.code.word if task.ending else "",
-        tuple(run.id.hex for run in task.runs),
-        task.accepted.order,
-        str(task.counts) if task.runs else "",
-    )
+def _task(story: Story, task: TaskHistory) -> Thing:
+    """Return a task: times of day, and used seconds of its limit; its code is empty while it has not ended."""
+    wanted, used, accepted = task.accepted.wanted, task.used, task.accepted.wall
+    return {
+        "goal": task.name,
+        "state": task.state.word,
+        "reason": _reason(task),
+        "priority": wanted.priority,
+        "accepted": accepted,
+        "deadline": None if wanted.deadline is None else accepted + wanted.deadline,
+        "used": round(task.seconds(story.time), 6),
+        "limit": used.limit if used and isfinite(used.limit) else None,
+        "code": task.ending.code.word if task.ending else "",
+        "runs": tuple(run.id.hex for run in task.runs),
+        "order": task.accepted.order,
+        "counts": str(task.counts) if task.runs else "",
+    }
+
+
+def _run(run: RunHistory) -> Thing:
+    """Return a run: with which record it was made, and the time from which its plan counts, None until it begins."""
+    return {
+        "task": run.made.task.hex,
+        "name": run.made.name,
+        "record": run.record,
+        "time": run.time,
+        "origin": run.origin,
+        "is_over": run.is_over,
+        "replan": run.replan and asdict(run.replan),
+    }
 
 
 def _reason(task: TaskHistory) -> str:
@@ -240,54 +296,64 @@ def _reason(task: TaskHistory) -> str:
     return f"{', '.join(going_on)} {'run' if len(going_on) > 1 else 'runs'}" if going_on else ""
 
 
-def _call(run: RunHistory, result: CallResult) -> shown.CallShown:
+def _call(run: RunHistory, result: CallResult) -> Thing:
+    """Return a call, planned in seconds after the origin of its run; nothing reports effects that are assumed."""
     call, action = result.call, result.call.action
-    return shown.CallShown(
-        run.id.hex,
-        call.index,
-        str(action),
-        run.lane(action),
-        result.kind.name.lower(),
-        result.outcome if result.kind is not CallOutcome.ALREADY_TRUE else "not needed: its effects held",
-        result.attempts,
-        result.started,
-        result.ended,
-        call.planned,
-        action.duration,
-        result.assumed,
-    )
+    return {
+        "run": run.id.hex,
+        "index": call.index,
+        "action": str(action),
+        "lane": run.lane(action),
+        "state": result.kind.name.lower(),
+        "outcome": result.outcome if result.kind is not CallOutcome.ALREADY_TRUE else "not needed: its effects held",
+        "attempts": result.attempts,
+        "started": result.started,
+        "ended": result.ended,
+        "planned": call.planned,
+        "duration": action.duration,
+        "is_assumed": result.assumed,
+    }
 
 
-def _request(story: Story, attempt: Attempt) -> shown.RequestShown:
+def _request(story: Story, attempt: Attempt) -> Thing:
     run, outcome = story.runs[attempt.sender], attempt.outcome
-    return shown.RequestShown(
-        attempt.run.hex,
-        attempt.call,
-        str(attempt.action),
-        run.lane(attempt.action),
-        run.server(attempt.action),
-        attempt.number,
-        attempt.record,
-        attempt.sent,
-        attempt.accepted,
-        attempt.ended,
-        outcome.kind.value if outcome else "",
-        outcome.message if outcome else "",
-        attempt.feedback,
-    )
+    return {
+        "run": attempt.run.hex,
+        "call": attempt.call,
+        "action": str(attempt.action),
+        "lane": run.lane(attempt.action),
+        "server": run.server(attempt.action),
+        "attempt": attempt.number,
+        "record": attempt.record,
+        "sent": attempt.sent,
+        "accepted": attempt.accepted,
+        "ended": attempt.ended,
+        "outcome": outcome.kind.value if outcome else "",
+        "message": outcome.message if outcome else "",
+        "feedback": attempt.feedback,
+    }
 
 
-def _trouble(run: RunHistory, trouble: Trouble) -> shown.TroubleShown:
-    (cause, expected, observed), index, is_failure = trouble.cause, trouble.step.index, trouble.is_failure
-    words, time = _step_text(trouble.step), trouble.time
-    return shown.TroubleShown(run.id.hex, index, words, is_failure, cause.value, expected, observed, time, trouble.followed)
+def _trouble(run: RunHistory, trouble: Trouble) -> Thing:
+    return {
+        "run": run.id.hex,
+        "call": trouble.step.index,
+        "step": _step_text(trouble.step),
+        "is_failure": trouble.is_failure,
+        "cause": trouble.cause.cause.value,
+        "expected": trouble.cause.expected,
+        "observed": trouble.cause.observed,
+        "time": trouble.time,
+        "followed": trouble.followed,
+    }
 
 
 def _step_text(step: Step) -> str:
     return str(step.action if isinstance(step, ActionCall) else step)
 
 
-def _servers(story: Story) -> dict[str, shown.ServerShown]:
+def _servers(story: Story) -> dict[str, Thing]:
+    """Return the action servers, as far as the journal knows: with how many requests that they have not carried out."""
     actions: dict[str, dict[str, None]] = {}
     busy: dict[str, list[str]] = {}
     failed = Counter[str]()
@@ -301,7 +367,7 @@ def _servers(story: Story) -> dict[str, shown.ServerShown]:
             busy.setdefault(server, []).append(str(attempt.action))
         failed[server] += attempt.outcome is not None and attempt.outcome.kind is not OutcomeKind.SUCCEEDED
     found = sorted(name for name in actions if name)
-    return {name: shown.ServerShown(tuple(actions[name]), tuple(busy.get(name, ())), failed[name]) for name in found}
+    return {name: {"actions": (*actions[name],), "busy": (*busy.get(name, ()),), "failed": failed[name]} for name in found}
 
 
 def timelines(journal: Place | str) -> tuple[Timeline, ...]:
@@ -418,7 +484,7 @@ def _check(story: Story, when: str, condition: Condition, context: EvaluationCon
     for fluent in sorted(read)[:_READ]:
         name, source = fluent_text(fluent), _sources(frozenset({fluent}), context)
         if fact := story.facts.get(name):
-            value, since, is_initial = fact.value, fact.since, fact.is_initial
+            value, since, is_initial = fact["value"], fact["since"], fact["is_initial"]
         else:
             value, since, is_initial = value_words(context.value(fluent) or False), None, False
         reads.append({"name": name, "value": value, "source": source, "since": since, "is_initial": is_initial})

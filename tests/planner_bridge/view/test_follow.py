@@ -13,8 +13,7 @@ from planner_bridge.tasks.result import TASKS
 from planner_bridge.view import follow
 from planner_bridge.view.app import frame
 from planner_bridge.view.follow import Feed, Reader
-from planner_bridge.view.shown import View
-from planner_bridge.view.story import view_of
+from planner_bridge.view.story import View, view_of
 from pnm.errors import PnmError
 from pnm.journal.kept import JournalError
 from pnm.journal.records import RunRetired

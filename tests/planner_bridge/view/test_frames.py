@@ -12,8 +12,7 @@ import pytest
 
 from planner_bridge.view.app import frame
 from planner_bridge.view.follow import Reader
-from planner_bridge.view.shown import View
-from planner_bridge.view.story import view_of
+from planner_bridge.view.story import View, view_of
 from pnm.journal import journal as journal_module
 from tests.support.tasks.scenarios.random_scenarios import run_scenario
 
@@ -34,32 +33,19 @@ def views(journal: Path) -> list[View]:
     return [view for view in found if view is not None]
 
 
-@pytest.mark.parametrize("number", [*range(8), 34, 40, 51, 78])
+@pytest.mark.parametrize("number", [1, 3, 34])  # in the last one runs succeed others
 def test_frames_one_by_one_are_the_whole_state_after_every_record(number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(journal_module, "_LONG", 60)  # so that segments begin now and then
     run_scenario(number, journal=tmp_path / "journal")
     shown = views(tmp_path / "journal")
     assert len(shown) > 10
     state, seen = {"parts": dict[str, Any]()}, None
-    for view in shown:
+    slow = random.Random(number).choices(shown, k=20)  # one that misses most of them, and goes back and forth
+    for view in (*shown, *slow):
         state = applied(state, json.loads(json.dumps(frame(seen, view), allow_nan=False)))
-        assert state == json.loads(json.dumps(frame(None, view), allow_nan=False))
-        seen = view
-    # a slow browser misses most of them, and goes back and forth
-    for view in random.Random(number).choices(shown, k=20):
-        assert seen is not None
-        state = applied(state, json.loads(json.dumps(frame(seen, view))))
         assert state == json.loads(json.dumps(frame(None, view)))
         seen = view
-
-
-@pytest.mark.parametrize("number", range(4))
-def test_what_is_shown_after_a_record_does_not_depend_on_what_was_read_before(
-    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(journal_module, "_LONG", 40)
-    run_scenario(number, journal=tmp_path / "journal")
-    shown = views(tmp_path / "journal")
+    # what is shown after a record does not depend on what was read before
     assert Reader(tmp_path / "journal").newest() == shown[-1]
-    for view in random.Random(number).sample(shown, 8):
+    for view in slow[:6]:
         assert Reader(tmp_path / "journal").at(view.number, view_of) == view

@@ -1,4 +1,4 @@
-"""Timelines of tasks: what a journal tells of them is what the task itself says, whatever goes wrong."""
+"""Timelines of tasks: what a journal tells of them is what the task itself says."""
 
 from __future__ import annotations
 
@@ -8,17 +8,13 @@ import pytest
 
 from planner_bridge.pipeline.achieve import achieve
 from planner_bridge.pipeline.carry_out import carry_out
-from planner_bridge.tasks.result import TASKS
 from planner_bridge.tasks.settings import TaskObserver
 from planner_bridge.view.story import timelines
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
-from pnm.core.pictures.timeline import Timeline, timeline_svg
-from pnm.journal.kept import JournalError
-from pnm.journal.resume import replayed
+from pnm.core.pictures.timeline import Timeline
 from tests.support.files import ROOT, written
-from tests.support.tasks.scenarios.random_scenarios import run_scenario
 
 DELIVERY = (ROOT / "domains/delivery/domain.pddl", ROOT / "problems/delivery/p01.pddl")
 BLOCKED = Faults((Fault("move(r1, hall, kitchen)", FaultKind.ABORT, message="the way is blocked"),))
@@ -86,26 +82,3 @@ def test_a_plan_by_hand_has_lanes_by_what_its_actions_have_for_themselves(tmp_pa
     (timeline,) = timelines(tmp_path / "j")
     assert [(call.name, call.lane) for call in timeline.plans[0].calls] == [("say(Hello you)", "voice"), ("point(hall)", "r1")]
     assert all(attempt.outcome is OutcomeKind.SUCCEEDED for call in timeline.plans[0].calls for attempt in call.attempts)
-
-
-@pytest.mark.parametrize("number", range(15))
-def test_of_many_tasks_each_has_a_timeline_that_can_be_drawn(number: int, tmp_path: Path) -> None:
-    run_scenario(number, journal=tmp_path / "j")
-    told = timelines(tmp_path / "j")
-    replay = replayed(tmp_path / "j", TASKS)
-    assert {timeline.ending.partition(":")[0] for timeline in told} >= {
-        task.ending.code.word for task in replay.tasks.values() if task.ending
-    }
-    for timeline in told:
-        assert [plan.began for plan in timeline.plans] == sorted(plan.began for plan in timeline.plans)
-        for plan in timeline.plans:
-            for call in plan.calls:
-                times = [time for attempt in call.attempts for time in (attempt.sent, attempt.ended) if time is not None]
-                assert times == sorted(times)
-                assert all(-1e-6 <= time <= timeline.now + 1e-6 for time in times)
-    assert timeline_svg(*told).startswith("<svg")
-
-
-def test_what_is_no_journal_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(JournalError):
-        timelines(tmp_path / "nothing")

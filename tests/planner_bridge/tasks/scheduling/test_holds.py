@@ -177,7 +177,7 @@ def told(simulation: TaskSimulation, task: UUID, journal: Path) -> list[tuple[st
     history = JournalHistory.read(journal)
     run = history.tasks[task].runs[-1]
     why = " ".join(reason.statement for reason in why_now(history, history.tasks[task], run, len(run.source.plan.calls) - 1).reasons)
-    return [(status.state.word, status.reason), (shown.state, shown.reason), ("", why)]
+    return [(status.state.word, status.reason), (shown["state"], shown["reason"]), ("", why)]
 
 
 def test_one_state_of_a_task_is_told_by_all_while_it_is_held_and_while_it_is_paused(tmp_path: Path) -> None:

@@ -1,39 +1,21 @@
-"""Told and executed: after every record of a random journal, what is told without executing the runs is what executing them shows."""
+"""What a history tells of a journal without executing its runs, held against what executing them shows."""
 
 from __future__ import annotations
 
-import json
-import random
-import sqlite3
 from collections import Counter
 from contextlib import closing
 from pathlib import Path
 
-import pytest
-
 from planner_bridge.explanations.history import JournalHistory, RunHistory
-from planner_bridge.explanations.run_questions import explained
-from planner_bridge.pipeline.achieve import achieve
 from planner_bridge.tasks.result import TASKS
-from planner_bridge.view.story import timelines
-from pnm.actions.faults import read_faults
 from pnm.core.execution.call_results import CallResult, Explanation, Failure, Hindered, Sent, Told, action_with, sent_with
-from pnm.core.execution.events import Command, Event, Observer
-from pnm.core.execution.run import Run
+from pnm.core.execution.events import Observer
 from pnm.core.machine.plan_graph import ActionCall, PlanGraph, Step
 from pnm.core.machine.requests import Request
-from pnm.journal import journal as journal_module
 from pnm.journal.records import Happened, Record, RunMade
-from pnm.journal.replay import ReplayDiffers, ReplayStep as Replayed
+from pnm.journal.replay import ReplayStep
 from pnm.journal.resume import steps_after
 from pnm.journal.store import KeptJournal
-from tests.support.files import ROOT
-from tests.support.tasks.scenarios.forged_journal import forged
-from tests.support.tasks.scenarios.random_deaths import run_deaths
-from tests.support.tasks.scenarios.random_scenarios import run_scenario
-
-LENGTHS = (1, 60, 1000)
-"""Records after which a segment begins."""
 
 
 class Seen(Observer):
@@ -70,7 +52,7 @@ class Executed(JournalHistory):
         self.seen: dict[object, Seen] = {}
         self.checked = Counter[str]()
 
-    def apply(self, number: int, time: float, record: Record) -> Replayed:
+    def apply(self, number: int, time: float, record: Record) -> ReplayStep:
         super().apply(number, time, record)
         step, replay = self.execute(), self.replay
         assert step is not None
@@ -100,7 +82,7 @@ class Executed(JournalHistory):
             assert {index: as_told(one) for index, one in run.last_results.items()} == {index: as_told(one) for index, one in shown.items()}
             self.checked["results"] += 1
 
-    def check_news(self, step: Replayed) -> None:
+    def check_news(self, step: ReplayStep) -> None:
         """Compare, in their order, what a record says that its run has sent and been hindered by with what the run shows."""
         if isinstance(step.record, Happened):
             plan, seen = self.runs[step.record.run].source.plan, self.seen[step.record.run]
@@ -118,7 +100,7 @@ def news(plan: PlanGraph, told: Told) -> str:
             return in_words(sent_with(step, arguments) if isinstance(step, ActionCall) else step, cause, is_failure=is_failure)
 
 
-def check(journal: Path) -> Counter[str]:
+def told_as_executed(journal: Path) -> Counter[str]:
     """Hold what is told of a journal against what executing it shows, after every record; then one read at once against that."""
     with closing(KeptJournal(journal)) as kept:
         stepwise = Executed(kept)
@@ -131,61 +113,3 @@ def check(journal: Path) -> Counter[str]:
         other = stepwise.runs[id]
         assert (run.troubles, run.replan, run.last_results) == (other.troubles, other.replan, other.last_results)
     return stepwise.checked
-
-
-def test_what_is_told_of_tasks_that_people_interfere_with_is_what_executing_shows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    checked = Counter[str]()
-    for number in range(12):
-        monkeypatch.setattr(journal_module, "_LONG", random.Random(number).choice(LENGTHS))
-        run_scenario(number, journal=tmp_path / str(number))
-        checked += check(tmp_path / str(number))
-    assert checked["results"] > 30
-    assert checked["news"] > 30
-
-
-@pytest.mark.parametrize("number", range(8))
-def test_what_is_told_of_tasks_whose_processes_die_is_what_executing_shows(
-    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(journal_module, "_LONG", random.Random(number).choice(LENGTHS))
-    run_deaths(number, tmp_path)
-    check(tmp_path / "journal")
-
-
-@pytest.fixture(scope="module")
-def journal(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The journal of a run with failures and new plans."""
-    place = tmp_path_factory.mktemp("told") / "run.journal"
-    domain, problems = ROOT / "domains" / "delivery" / "domain.pddl", ROOT / "problems" / "delivery"
-    assert achieve(domain, problems / "p01.pddl", faults=read_faults(problems / "faults.yaml", None), journal=place).goal_reached
-    return place
-
-
-def test_of_a_task_that_is_over_no_run_is_executed(journal: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (task,) = JournalHistory.read(journal).tasks
-    (drawn,), answers = timelines(journal), explained(journal, task)
-
-    def handle(run: Run, event: Event, now: float) -> list[Command]:
-        raise AssertionError("it was executed")
-
-    monkeypatch.setattr(Run, "handle", handle)
-    assert timelines(journal) == (drawn,)
-    assert explained(journal, task) == answers
-
-
-@pytest.mark.parametrize("change", [("told", "Sent", "attempt", 7), ("results", "Became", "attempts", 7)])
-def test_what_no_run_has_done_is_found_where_runs_are_executed(journal: Path, change: tuple[str, str, str, int], tmp_path: Path) -> None:
-    key, kind, field, value = change
-    copy = tmp_path / "forged"
-    with closing(sqlite3.connect(journal)) as file:
-        file.execute("VACUUM INTO ?", (str(copy),))
-    with forged(copy) as file:
-        rows = file.execute("SELECT sequence, text FROM records ORDER BY sequence").fetchall()
-        for number, text in rows:
-            record = json.loads(text)
-            if entries := [entry for entry in record.get(key, ()) if entry["@"] == kind]:
-                entries[0][field] = value
-                file.execute("UPDATE records SET text = ? WHERE sequence = ?", (json.dumps(record), number))
-                break
-    with pytest.raises(ReplayDiffers, match=f"record {number}: the replay .* the journal says"):
-        JournalHistory.read(copy).execute()
