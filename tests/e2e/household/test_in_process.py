@@ -27,6 +27,13 @@ def test_the_goal_is_reached(problem: int) -> None:
         assert "charge" in {call.call.action.name for call in result.calls if call.attempts}
 
 
+def test_everything_that_actions_change_is_sensed_or_assumed() -> None:
+    backend = in_world(4, seed=1)
+    assert backend.bindings.actions.keys() == backend.problem.domain.actions.keys()
+    assert backend.sensing.names == {"at", "free", "holding", "on", "open", "battery"}
+    assert backend.bindings.assumed == {"seen", "came_from"}
+
+
 def test_a_robot_that_cannot_charge_opens_the_way_with_what_is_left() -> None:
     backend = in_world(4, seed=1)
     backend.world.robots[0].battery_level = 20.0

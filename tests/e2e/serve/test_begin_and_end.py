@@ -1,46 +1,14 @@
-"""How serving plans begins and ends: bad worlds, ROS 2 not there, served already, signals; and plans of `pnm run` over ROS 2."""
+"""How serving plans ends: by signals, with clients and action servers in other processes; and plans of `pnm run` over ROS 2."""
 
 from __future__ import annotations
 
 import signal
 from pathlib import Path
 
-import pytest
-
 from tests.support.e2e.command_line import pnm, result
 from tests.support.e2e.deployment import RunProgram
 from tests.support.e2e.plan_deployment import ABORTED
 from tests.support.e2e.plan_files import DOMAIN, FILES, PLANS, shared
-
-
-def serve_refused(deployment, *options: str) -> tuple[int, str]:
-    """Serve a world that cannot be served; return the exit status and what is said."""
-    serving = deployment.serve(*options)
-    status = serving.ended()
-    assert not any(line.startswith("ready") for line in serving.out), str(serving)
-    return status, "\n".join(serving.err)
-
-
-def test_a_world_that_is_wrong_is_refused_before_anything_starts(deployment):
-    deployment.write({**FILES, "world.yaml": "a: {recipes: [plans.yaml]}\nb: {recipes: [plans.yaml]}\n"})
-    status, told = serve_refused(deployment, "--name", "c")
-    assert (status, "world.yaml:1:1: there is no world 'c' here; expected one of: a, b" in told) == (2, True), told
-
-
-@pytest.mark.parametrize(
-    ("files", "said"),
-    [
-        ({"plans.yaml": "1st: {plan: []}"}, "not a name for an action server: '1st'"),
-        (
-            {"domain.yaml": "actions: {go: {ros_type: my_msgs/action/Go}}", "plans.yaml": "tour: {plan: [go: {}]}"},
-            "the ROS type my_msgs/action/Go is not installed",
-        ),
-    ],
-)
-def test_names_that_cannot_be_are_refused(deployment, files, said):
-    deployment.write({**FILES, **files})
-    status, told = serve_refused(deployment)
-    assert (status, said in told) == (2, True), told
 
 
 def test_a_terminal_that_is_closed_cancels_what_runs_and_tells_the_clients(deployment):
@@ -54,16 +22,6 @@ def test_a_terminal_that_is_closed_cancels_what_runs_and_tells_the_clients(deplo
     assert [(result["status"], result["reason"]) for result in client.results()] == [(ABORTED, "cancelled")] * 2
     assert {one["value"] for one in workers.objects() if one["event"] == "cancelled"} == {1000, 2000}
     assert sum("cancelled the node is shut down" in line for line in serving.out) == 2
-
-
-def test_an_action_server_that_does_not_let_go_is_not_waited_for_without_end(deployment):
-    deployment.write({**FILES, "plans.yaml": "clings: {plan: [stubborn: {time: 1000}]}", "domain.yaml": "actions: {stubborn: {cancel: 1}}"})
-    workers = deployment.workers("stubborn").ready()
-    serving = deployment.serve().ready()
-    client = deployment.client("clings")
-    workers.happens("start", "stubborn")
-    serving.stop()
-    assert client.result()["reason"] == "cancelled"
 
 
 def test_who_asks_twice_does_not_have_to_wait(deployment):

@@ -1,18 +1,19 @@
-"""Twenty-five goals over five robots, one request in twenty of which goes wrong: over ROS 2, compared with the robots' own log."""
+"""Fifteen goals over four robots, one request in twenty of which goes wrong: over ROS 2, compared with the robots' own log."""
 
 from __future__ import annotations
 
 import json
 import random
+from collections.abc import Callable
 
 import pytest
 
 from planner_bridge.pddl import write_domain, write_problem
-from tests.support.e2e.deployment import SimulationProgram
-from tests.support.e2e.plan_deployment import ABORTED, SUCCEEDED, ClientProgram, PlanDeployment, Serving
+from tests.support.e2e.deployment import ProblemDeployment
+from tests.support.e2e.plan_deployment import ABORTED, SUCCEEDED, ClientProgram, Serving
 from tests.support.pddl.problems import fleet
 
-ROBOTS, PARCELS, ROOMS = 5, 25, 6
+ROBOTS, PARCELS, ROOMS = 4, 15, 6
 BINDINGS = """
 actions:
   move: {server: "/{r}/move", resources: ["{r}"], retries: 0}
@@ -30,18 +31,17 @@ TRUE_REASONS = {"action_failed", "condition_lost", "no_plan", "replan_limit"}
 
 
 @pytest.mark.timeout(600)
-def test_all_goals_hold_in_the_end_or_are_reported_with_the_reason(deployment: PlanDeployment) -> None:
+def test_all_goals_hold_in_the_end_or_are_reported_with_the_reason(deploy: Callable[..., ProblemDeployment]) -> None:
     problem = fleet(ROBOTS, PARCELS, ROOMS)
-    files = {"domain.pddl": write_domain(problem.domain), "problem.pddl": write_problem(problem)}
-    deployment.write({**files, "bindings.yaml": BINDINGS, "faults.yaml": FAULTS})
-    here = [str(deployment.folder / name) for name in ("domain.pddl", "problem.pddl")]
-    bindings = ["--bindings", str(deployment.folder / "bindings.yaml")]
-    faults = ["--faults", str(deployment.folder / "faults.yaml"), "--speed", "10", "--log", "/dev/stdout"]
-    robots = deployment.start(
-        SimulationProgram(["-m", "planner_bridge", "simulate", *here, *bindings, *faults], deployment.environment)
+    texts = write_domain(problem.domain), write_problem(problem)
+    deployment = deploy("", texts=texts, bindings=BINDINGS, faults=FAULTS, speed="10")
+    robots = deployment.simulate().ready()
+    deployment.start(
+        Serving(
+            ["-m", "planner_bridge", "serve", *deployment.files, "--bindings", str(deployment.folder / "bindings.yaml")],
+            deployment.environment,
+        )
     ).ready()
-    deployment.start(Serving(["-m", "planner_bridge", "serve", *here, *bindings], deployment.environment)).ready()
-
     rng = random.Random(1)
     goals = [f"(in p{number} a{rng.randrange(ROOMS)})" for number in range(PARCELS)]
     client = deployment.start(ClientProgram(["-m", "tests.support.e2e.programs.goal_client", "send", *goals], deployment.environment))

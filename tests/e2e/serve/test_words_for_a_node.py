@@ -1,12 +1,12 @@
-"""The commands that speak to a running node: from a terminal of its own, to `pnm serve` in one process and robots in another."""
+"""The commands that speak to a running node, to `pnm serve` in one process and robots in another."""
 
 from __future__ import annotations
 
-import json
 import signal
 
 import pytest
 
+from tests.support.e2e.command_line import pnm, result
 from tests.support.e2e.deployment import SimulationProgram
 from tests.support.e2e.plan_deployment import PlanDeployment, Serving
 from tests.support.e2e.task_node import DOMAIN, PROBLEM
@@ -16,103 +16,94 @@ FAR = "(and (at r1 yard) (at r2 corridor))"
 
 
 @pytest.fixture(scope="module")
-def robots(deployment_of_module: PlanDeployment) -> SimulationProgram:
-    command = ["-m", "planner_bridge", "simulate", DOMAIN, PROBLEM, "--speed", "0.5", "--log", "/dev/stdout"]
-    return deployment_of_module.start(SimulationProgram(command, deployment_of_module.environment)).ready()
-
-
-@pytest.fixture(scope="module")
-def served(deployment_of_module: PlanDeployment, robots: SimulationProgram) -> PlanDeployment:
+def node(deployment_of_module: PlanDeployment) -> PlanDeployment:
     """The node, and slow robots for it."""
-    serving = Serving(["-m", "planner_bridge", "serve", DOMAIN, PROBLEM], deployment_of_module.environment)
-    deployment_of_module.start(serving).ready()
-    return deployment_of_module
+    deployment = deployment_of_module
+    command = ["-m", "planner_bridge", "simulate", DOMAIN, PROBLEM, "--speed", "0.5", "--log", "/dev/stdout"]
+    deployment.start(SimulationProgram(command, deployment.environment)).ready()
+    deployment.start(Serving(["-m", "planner_bridge", "serve", DOMAIN, PROBLEM], deployment.environment)).ready()
+    return deployment
+
+
+@pytest.fixture
+def served(node: PlanDeployment, monkeypatch: pytest.MonkeyPatch) -> PlanDeployment:
+    """The node, which commands in this process find as well."""
+    for name, value in node.environment.items():
+        monkeypatch.setenv(name, value)
+    return node
 
 
 def started(deployment: PlanDeployment, *arguments: str) -> Program:
     return deployment.start(Program(["-m", "planner_bridge", *arguments], deployment.environment))
 
 
-def words(deployment: PlanDeployment, *arguments: str) -> tuple[int, str]:
-    """Run a command; return its exit status and all that it prints."""
-    program = started(deployment, *arguments)
-    status = program.ended()
-    return status, "\n".join((*program.out, *program.err))
+def words(*arguments: str) -> tuple[int, str]:
+    """Give a command; return its exit status and all that it prints."""
+    done = pnm(*arguments)
+    return done.returncode, done.output.rstrip("\n")
 
 
-def tasks(deployment: PlanDeployment) -> dict[str, str]:
+def tasks() -> dict[str, str]:
     """Return the state of every task, by the beginning of its id."""
-    program = started(deployment, "status", "--json")
-    assert program.ended() == 0, str(program)
-    return {task["id"][:8]: task["state"] for task in json.loads(program.out[-1])["tasks"]}
+    return {task["id"][:8]: task["state"] for task in result(pnm("status", "--json"))["tasks"]}
 
 
-def going_on(deployment: PlanDeployment, goal: str) -> tuple[Program, str]:
+def going_on(deployment: PlanDeployment) -> tuple[Program, str]:
     """Send a goal and wait until something of it is under way; return its client, and the beginning of its id."""
-    before = tasks(deployment).keys()
-    client = started(deployment, "goal", goal)
+    before = tasks().keys()
+    client = started(deployment, "goal", FAR)
     client.until(lambda: any(" sent " in line for line in client.out))
-    (task,) = tasks(deployment).keys() - before
+    (task,) = tasks().keys() - before
     return client, task
 
 
 # --- what fails ------------------------------------------------------------------------------
 
 
-def test_a_node_that_is_not_there_is_named_with_what_may_be_wrong(served):
-    status, said = words(served, "facts", "-n", "elsewhere")
-    assert (status, "there is no service /elsewhere/knowledge/query" in said) == (1, True), said
-    assert "is `pnm serve` running, in the namespace /elsewhere and with ROS_DOMAIN_ID=" in said
-
-
-def test_a_task_that_is_not_there_is_said(served):
-    status, said = words(served, "pause")
-    assert (status, said) == (2, "no task is going on")
-    status, said = words(served, "cancel", "zz")
-    assert (status, said.startswith("no task")) == (2, True)
-
-
+@pytest.mark.usefixtures("served")
 @pytest.mark.parametrize(
-    ("arguments", "exit_status", "said"),
+    ("arguments", "status", "said"),
     [
+        (["facts", "-n", "elsewhere"], 1, "is `pnm serve` running, in the namespace /elsewhere and with ROS_DOMAIN_ID="),
+        (["pause"], 2, "no task is going on"),
+        (["cancel", "zz"], 2, "no task"),
         (["goal", "(at r1 kichen)"], 2, "goal     not reached: goal:1:8: unknown object 'kichen'; did you mean 'kitchen'?"),
         (["facts", "--add", "(at r1 moon)"], 1, "add[0]:1:8: unknown object 'moon'"),
         (["facts", "--add", "(at r1 hall)"], 1, "(at r1 hall)"),  # which is sensed
         (["facts", "(at r1"], 1, "questions[0]:1:7: the text ends here"),
     ],
 )
-def test_what_the_node_refuses_is_printed_with_its_reason(served, arguments, exit_status, said):
-    status, printed = words(served, *arguments)
-    assert (status, said in printed) == (exit_status, True), printed
+def test_what_cannot_be_is_printed_with_its_reason(arguments: list[str], status: int, said: str) -> None:
+    ended, printed = words(*arguments)
+    assert (ended, said in printed) == (status, True), printed
 
 
 # --- what works -------------------------------------------------------------------------------
 
 
-def test_a_goal_is_reached_and_its_events_are_printed(served):
-    client = started(served, "goal", "(at r2 kitchen)", "--deadline", "600", "--policy", "queue", "--priority", "2")
-    assert client.ended() == 0, str(client)
-    assert client.out[-1] == "goal     holds"
-    assert any("sent    move(r2, hall, kitchen)" in line for line in client.out)
-    assert any("feedback move(r2, hall, kitchen): progress 0." in line for line in client.out), str(client)
-    assert words(served, "facts", "(at r2 kitchen)") == (0, "(at r2 kitchen)  true")
+def test_a_goal_is_reached_and_its_events_are_printed(served: PlanDeployment) -> None:
+    status, printed = words("goal", "(at r2 kitchen)", "--deadline", "600", "--policy", "queue", "--priority", "2")
+    assert (status, printed.splitlines()[-1]) == (0, "goal     holds"), printed
+    assert "sent    move(r2, hall, kitchen)" in printed
+    assert "feedback move(r2, hall, kitchen): progress 0." in printed
+    assert words("facts", "(at r2 kitchen)") == (0, "(at r2 kitchen)  true")
 
 
-def test_a_task_is_paused_resumed_and_cancelled_by_the_beginning_of_its_id(served, robots):
-    client, task = going_on(served, FAR)
-    assert words(served, "pause", task[:4], "--at-once") == (0, f"{task}: paused")
-    assert tasks(served)[task] == "paused"
-    assert words(served, "resume") == (0, f"{task}: goes on")
-    assert words(served, "cancel", task) == (0, f"{task}: cancelled")
+def test_a_task_is_paused_resumed_and_cancelled_by_the_beginning_of_its_id(served: PlanDeployment) -> None:
+    client, task = going_on(served)
+    assert words("pause", task[:4], "--at-once") == (0, f"{task}: paused")
+    assert tasks()[task] == "paused"
+    assert words("resume") == (0, f"{task}: goes on")
+    assert words("cancel", task) == (0, f"{task}: cancelled")
     assert client.ended() == 1
     assert client.out[-1].startswith("goal     not reached: ")
-    assert tasks(served)[task] == "over"
+    assert tasks()[task] == "over"
 
 
-def test_an_interrupted_goal_is_cancelled_and_watched_by_another(served, robots):
+def test_an_interrupted_goal_is_cancelled_and_watched_by_another(served: PlanDeployment) -> None:
     watching = started(served, "watch")
     watching.until(lambda: watching.out)
-    client, task = going_on(served, FAR)
+    client, task = going_on(served)
     client.process.send_signal(signal.SIGINT)
     assert client.ended() == 1
     assert client.out[-1].startswith("goal     not reached: ")

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import count
-from typing import Final
+from pathlib import Path
+from typing import Final, TypeVar
+
+from tests.support.files import written
+from tests.support.processes import Program
+
+P = TypeVar("P", bound=Program)
 
 LEASE: Final = 3
 """Seconds after which a process that is not heard is taken for gone, in the profile below."""
@@ -65,6 +72,38 @@ def lan(*hosts: str) -> Iterator[Lan]:
     finally:
         for name in ("switch", *hosts):
             subprocess.run(["ip", "netns", "delete", f"{made.name}-{name}"], capture_output=True, check=False)
+
+
+class HostsDeployment:
+    """Programs on the hosts of a network, which end with it.
+
+    Args:
+        lan: has the hosts.
+        folder: for the files.
+    """
+
+    def __init__(self, lan: Lan, folder: Path) -> None:
+        self.lan = lan
+        self.folder = folder
+        self._environment = {
+            "ROS_DOMAIN_ID": "0",  # the network is nobody else's
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+            "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+            "FASTRTPS_DEFAULT_PROFILES_FILE": str(written(folder / "dds.xml", DDS)),
+        }
+        self._programs: list[Program] = []
+
+    def _started(self, kind: type[P], host: str, *arguments: str) -> P:
+        program = kind(["-m", *arguments], self._environment, self.lan.host(host))
+        self._programs.append(program)
+        return program
+
+    def close(self) -> None:
+        """End all processes, those that are stopped as well."""
+        for program in self._programs:
+            if program.process.poll() is None:
+                program.process.send_signal(signal.SIGCONT)
+            program.close()
 
 
 def _connect(made: Lan, host: str, address: str) -> None:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-import signal
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-from tests.support.e2e.deployment import P, SimulationProgram
-from tests.support.e2e.hosts.lan import DDS, Lan, lan
+from tests.support.e2e.deployment import SimulationProgram
+from tests.support.e2e.hosts.lan import HostsDeployment, Lan, lan
 from tests.support.e2e.hosts.postgres import PostgresServer
 from tests.support.e2e.plan_deployment import ClientProgram, Serving
 from tests.support.files import written
@@ -64,7 +63,7 @@ class FleetNode(Serving):
         return self
 
 
-class Fleet:
+class Fleet(HostsDeployment):
     """Two nodes, of which one serves, with robots that drive to and fro.
 
     Args:
@@ -76,25 +75,13 @@ class Fleet:
     """
 
     def __init__(self, lan: Lan, postgres: PostgresServer, folder: Path, *, lease: float = 3.0, speed: str = "4") -> None:
-        self.lan = lan
+        super().__init__(lan, folder)
         self.lease = lease
         self.journal = f"{postgres.url()}?name=fleet"
-        self._environment = {
-            "ROS_DOMAIN_ID": "0",  # the network is nobody else's
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
-            "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
-            "FASTRTPS_DEFAULT_PROFILES_FILE": str(written(folder / "dds.xml", DDS)),
-        }
-        self._programs: list[Program] = []
         self._files = (str(written(folder / "domain.pddl", DOMAIN)), str(written(folder / "problem.pddl", PROBLEM)))
         options = ["--speed", speed, "--log", "/dev/stdout"]
         self.robots = self._started(SimulationProgram, "robots", "planner_bridge", "simulate", *self._files, *options).ready()
         self.nodes: dict[str, FleetNode] = {}
-
-    def _started(self, kind: type[P], host: str, *arguments: str) -> P:
-        program = kind(["-m", *arguments], self._environment, self.lan.host(host))
-        self._programs.append(program)
-        return program
 
     def serve(self, host: str) -> FleetNode:
         """Start the node of a host."""
@@ -138,13 +125,6 @@ class Fleet:
 
     def __str__(self) -> str:
         return "\n\n".join(map(str, (self.robots, *self._programs[-4:])))
-
-    def close(self) -> None:
-        """End all processes."""
-        for program in self._programs:
-            if program.process.poll() is None:
-                program.process.send_signal(signal.SIGCONT)
-            program.close()
 
     def forget(self, killed: Program) -> None:
         """Wait for the end of a program that was killed."""

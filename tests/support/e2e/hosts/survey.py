@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from tests.support.e2e.deployment import P, RunProgram, SimulationProgram
-from tests.support.e2e.hosts.lan import DDS, Lan
+from tests.support.e2e.deployment import RunProgram, SimulationProgram
+from tests.support.e2e.hosts.lan import HostsDeployment, Lan
 from tests.support.e2e.plan_deployment import Serving
 from tests.support.files import written
 from tests.support.processes import Program
@@ -58,7 +58,7 @@ SENSED = {"rover": "standing", "drone": "above"}
 """What the sensors of each kind of robot see; that a place is surveyed nobody senses."""
 
 
-class Survey:
+class Survey(HostsDeployment):
     """Robots of two kinds, each on a host that is called like its kind.
 
     Args:
@@ -68,58 +68,40 @@ class Survey:
     """
 
     def __init__(self, lan: Lan, folder: Path, *, speed: str = "4") -> None:
-        self.lan = lan
-        self._folder = folder
+        super().__init__(lan, folder)
         self._speed = speed
         self._domain = str(written(folder / "domain.pddl", DOMAIN))
-        self._environment = {
-            "ROS_DOMAIN_ID": "0",  # the network is nobody else's
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
-            "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
-            "FASTRTPS_DEFAULT_PROFILES_FILE": str(written(folder / "dds.xml", DDS)),
-        }
-        self._programs: list[Program] = []
-
-    def _started(self, kind: type[P], host: str, *arguments: str) -> P:
-        program = kind(["-m", *arguments], self._environment, self.lan.host(host))
-        self._programs.append(program)
-        return program
 
     def _problem(self, name: str, kinds: Sequence[str], goal: str) -> str:
         robots, init = (" ".join(ROBOTS[kind][part] for kind in kinds) for part in (0, 1))
-        return str(written(self._folder / f"{name}.pddl", PROBLEM.format(robots=robots, init=init, goal=goal)))
+        return str(written(self.folder / f"{name}.pddl", PROBLEM.format(robots=robots, init=init, goal=goal)))
 
     def robot(self, kind: str, faults: str = "faults: []") -> SimulationProgram:
         """Start the robot of this kind on its host; its world has no other, and its sensors see only where it is."""
         unseen = [name for other, name in SENSED.items() if other != kind]
         files = [self._domain, self._problem(kind, [kind], "(and)")]
-        bindings = str(written(self._folder / f"{kind}.yaml", BINDINGS.format(assumed=", ".join((*unseen, "surveyed")))))
-        options = ["--bindings", bindings, "--faults", str(written(self._folder / f"{kind}_faults.yaml", faults))]
+        bindings = str(written(self.folder / f"{kind}.yaml", BINDINGS.format(assumed=", ".join((*unseen, "surveyed")))))
+        options = ["--bindings", bindings, "--faults", str(written(self.folder / f"{kind}_faults.yaml", faults))]
         arguments = ("planner_bridge", "simulate", *files, *options, "--speed", self._speed, "--log", "/dev/stdout")
         return self._started(SimulationProgram, kind, *arguments)
 
     def run(self, goal: str, *, kinds: Sequence[str] = ("rover", "drone")) -> RunProgram:
         """Start a run on the rover's host."""
         files = [self._domain, self._problem("run", kinds, goal)]
-        bindings = str(written(self._folder / "run.yaml", BINDINGS.format(assumed="surveyed")))
+        bindings = str(written(self.folder / "run.yaml", BINDINGS.format(assumed="surveyed")))
         return self._started(RunProgram, "rover", "planner_bridge", "run", *files, "--bindings", bindings, "--actions", "ros2", "--json")
 
     def run_plan(self, text: str) -> Program:
         """Start a plan that was written by hand on the rover's host."""
-        plan = str(written(self._folder / "plan.yaml", text))
+        plan = str(written(self.folder / "plan.yaml", text))
         return self._started(Program, "rover", "planner_bridge", "run", "--plan", plan, "--actions", "ros2")
 
     def serve(self, text: str) -> Serving:
         """Serve a plan on the rover's host."""
-        str(written(self._folder / "served.yaml", text))
-        world = str(written(self._folder / "world.yaml", "{domain: served.yaml, plans: [served.yaml]}"))
+        str(written(self.folder / "served.yaml", text))
+        world = str(written(self.folder / "world.yaml", "{domain: served.yaml, plans: [served.yaml]}"))
         return self._started(Serving, "rover", "planner_bridge", "serve", "--world", world)
 
     def client(self, plan: str, parameters: str = "{}") -> Program:
         """Send a goal to a plan that is served, from the rover's host."""
         return self._started(Program, "rover", "tests.support.e2e.programs.plan_client", plan, "", parameters)
-
-    def close(self) -> None:
-        """End all processes."""
-        for program in self._programs:
-            program.close()

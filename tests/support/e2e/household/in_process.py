@@ -65,15 +65,15 @@ class SimulatorBackend(ClientBackend):
         self.actions = 0
         self.spent = False
         self.performed: Callable[[str], None] = lambda kind: None
-        self._sensing = read_sensing(HOUSEHOLD / "sensing.yaml", problem.vocabulary)
+        self.sensing = read_sensing(HOUSEHOLD / "sensing.yaml", problem.vocabulary)
         self._sensors: tuple[Instance, ...] = ()
 
     async def open(self, knowledge: KnowledgeBase) -> None:
         """Report the state of the world, from now on after every action."""
-        for name in self._sensing.names:
+        for name in self.sensing.names:
             knowledge.sense((name,), lag=0.0)
         self._knowledge = knowledge
-        self._sensors = instances(self._sensing, knowledge.objects)
+        self._sensors = instances(self.sensing, knowledge.objects)
         self._report()
 
     def goal_fields(self, action: GroundAction, /) -> tuple[str, ...]:
