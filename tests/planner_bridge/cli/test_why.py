@@ -16,7 +16,7 @@ from pnm.journal.resume import replay_steps
 from tests.support.e2e.command_line import pnm
 from tests.support.files import ROOT
 from tests.support.pddl.explanations.doors import house
-from tests.support.tasks.scenarios.late_reports import reach_with_late_sensors
+from tests.support.tasks.simulation import reach_with_late_sensors
 
 DELIVERY = (str(ROOT / "domains/delivery/domain.pddl"), str(ROOT / "problems/delivery/p01.pddl"))
 

@@ -22,7 +22,7 @@ from tests.support.files import ROOT
 from tests.support.runs.commands import accepted, begun
 from tests.support.runs.handover import SUCCEEDED
 from tests.support.runs.plan_graphs import plan_of
-from tests.support.tasks.scenarios.late_reports import reach_with_late_sensors
+from tests.support.tasks.simulation import reach_with_late_sensors
 
 LIT, DOOR, MOVING, ENERGY = ("lit",), ("door",), ("moving",), ("energy",)
 OPEN = GroundAction(

@@ -64,7 +64,7 @@ def test_a_violation_at_the_very_end_counts() -> None:
 
 def test_a_violation_that_is_reported_after_the_end_counts() -> None:
     problem = constrained(always(Not(B)))
-    done = monitored(problem, backend=LateBackend(problem, changes((2.65, "b"))))
+    done = monitored(problem, backend=LateBackend(problem, Bindings(), changes((2.65, "b"))))
     assert done.outcomes() == ["succeeded", "succeeded"]
     assert done.result.reason == "(always (not (clean b))) is violated after 2.95 s: (clean b) is true"
     assert done.result.as_json()["decisions"] == []

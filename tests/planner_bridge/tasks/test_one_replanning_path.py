@@ -99,10 +99,6 @@ def test_a_task_can_be_paused_and_cancelled_during_the_back_off(goal: str) -> No
     simulate_tasks(scenario, fleet(), faults=Faults((ALWAYS_ABORTED, NEVER_ENDS)), chosen=replace(SERVED, limits=PATIENT))
 
 
-def late_backend(problem: Problem, bindings: Bindings, faults: Faults) -> LateBackend:
-    return LateBackend(problem, faults, bindings)
-
-
 @pytest.mark.parametrize("on_change", OnChange)
 def test_late_reports_are_waited_for_while_another_call_is_under_way(on_change: OnChange) -> None:
     problem = load(ROOT / "domains" / "delivery" / "domain.pddl", ROOT / "problems" / "delivery" / "p01.pddl")
@@ -117,7 +113,7 @@ def test_late_reports_are_waited_for_while_another_call_is_under_way(on_change: 
         assert not simulation.seen(task, "ended", "move(r2"), "r2 is still on its way"
         await simulation.reaches(task)
 
-    simulate_tasks(scenario, problem, faults=faults, chosen=replace(SERVED, on_change=on_change), make_backend=late_backend)
+    simulate_tasks(scenario, problem, faults=faults, chosen=replace(SERVED, on_change=on_change), make_backend=LateBackend)
 
 
 def test_a_plan_that_is_sent_as_a_text_is_not_replanned_while_its_other_calls_are_under_way() -> None:
@@ -239,7 +235,7 @@ def after_failure(searches: Searches, *, forbid_after: int, news: bool = False) 
 
     once = Faults((Fault(CALL, FaultKind.ABORT, times=1),))
     chosen = replace(LAZY, limits=Limits(forbid_after=forbid_after, replans=5, backoff=0.0))
-    simulate_tasks(scenario, fleet(), faults=once, chosen=chosen, make_backend=late_backend)
+    simulate_tasks(scenario, fleet(), faults=once, chosen=chosen, make_backend=LateBackend)
     failed, sent = found
     return failed, sent
 

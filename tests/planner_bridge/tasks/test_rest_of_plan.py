@@ -30,16 +30,8 @@ from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
 from pnm.core.machine.requests import CallOutcome
 from tests.support.pddl.problems import ROOMS, matches, rooms
 from tests.support.runs.simulated import LateBackend
-from tests.support.tasks.replanning import aborts, decisions, pursued
+from tests.support.tasks.replanning import aborts, pursued
 from tests.support.tasks.simulation import TaskSimulation, simulate_tasks
-
-
-def test_the_rest_of_the_plan_is_used_before_a_planner_is_asked() -> None:
-    result, _ = pursued(rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc"), aborts("move(r1, b, c)", times=2))
-    assert result.goal_reached
-    assert result.plans == 1
-    assert decisions(result) == [ResumePlan]
-
 
 OVER_B = [("move", "r1", "a", "b"), ("move", "r1", "b", "c")]
 
@@ -88,11 +80,6 @@ def test_the_rest_of_a_plan_that_breaks_a_constraint_is_not_used(constraint: Con
     assert decided(problem, OVER_B) == PlanAgain(frozenset(), why)
 
 
-def test_a_goal_that_holds_is_planned_for_again_as_long_as_something_is_missing() -> None:
-    problem = replace(rooms(init="(at r1 c)", goal="(at r1 c)"), constraints=(Constraint("sometime", (clean("d"),)),))
-    assert decided(problem, OVER_B, done=2) == PlanAgain(frozenset(), "the rest of the plan would leave (sometime (clean d)) unfulfilled")
-
-
 def test_the_rest_of_a_network_of_tasks_is_used_and_otherwise_the_whole_network_is_planned_for() -> None:
     network = replace(rooms(init="(at r1 b)", goal="(at r1 c)"), network="(:htn)")
     rest = decided(network, OVER_B, done=1)
@@ -108,7 +95,7 @@ def test_the_rest_of_a_network_of_tasks_is_used_and_otherwise_the_whole_network_
 def test_late_reports_are_waited_for_before_anything_is_decided(what: str) -> None:
     problem = matches(1)
     faults = Faults((Fault(what, FaultKind.ABORT, times=1),))
-    backend = LateBackend(problem, faults)
+    backend = LateBackend(problem, Bindings(), faults)
     settings = Settings(bindings=Bindings({"strike": Binding(retries=0), "mend": Binding(retries=0)}))
     result = run_async(achieve_at(backend, problem, settings, TaskObserver()), virtual=True)
     truth = evaluate(problem.goal, backend.robots.world.truth)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
+from pnm.core.logic.conditions import Condition
+from pnm.errors import InputError
 
 ROOMS = """
 (define (domain rooms)
@@ -108,3 +110,12 @@ def fleet(robots: int = 2, parcels: int = 4, places: int = 4, goal: str = "(and)
     )
     text = f"(define (problem p) (:domain fleet) (:objects {things}) (:init {' '.join(dict.fromkeys(init + ring))}) (:goal {goal}))"
     return parse_problem(text, parse_domain(FLEET))
+
+
+def read_goal(problem: Problem, text: str) -> Condition:
+    """Read another goal in the words of a problem."""
+    if not text.startswith("("):
+        raise InputError(f"not a goal: {text!r}")
+    objects = " ".join(f"{name} - {kinds[0]}" for name, kinds in problem.own_objects.items())
+    whole = f"(define (problem q) (:domain {problem.domain.name}) (:objects {objects}) (:init) (:goal {text}))"
+    return parse_problem(whole, problem.domain).goal

@@ -129,12 +129,12 @@ def simulate(
 class LateBackend(SimulatedBackend):
     """Simulated robots whose sensors report 0.3 s late."""
 
-    def __init__(self, problem: Problem, faults: Faults, bindings: Bindings = Bindings()) -> None:
-        super().__init__(robots_of(problem, bindings, faults))
+    def __init__(self, problem: Problem, bindings: Bindings, faults: Faults) -> None:
+        super().__init__(robots_of(problem, bindings, faults), bindings.assumed)
 
     async def open(self, knowledge: KnowledgeBase) -> None:
         loop, world = asyncio.get_running_loop(), self.robots.world
-        names = world.reported()
+        names = world.reported(self._assumed)
         knowledge.sense(names, lag=1.0)
         knowledge.replace(names, world.report(names))
         world.truth.listen(lambda _: loop.call_later(0.3, lambda: knowledge.replace(names, world.report(names))) and None)

@@ -6,28 +6,28 @@ import asyncio
 import gc
 import logging
 from collections.abc import Awaitable, Callable, Mapping
+from functools import partial
 from pathlib import Path
 from uuid import UUID, uuid4
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.world import simulated_backend
-from planner_bridge.pddl import parse_problem
 from planner_bridge.tasks.result import TASKS
 from planner_bridge.tasks.settings import Settings
 from planner_bridge.tasks.task_manager import TaskLimits, TaskManager
 from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import VirtualTimeLoop
-from pnm.core.logic.conditions import Condition, evaluate
+from pnm.core.logic.conditions import evaluate
 from pnm.core.machine.bindings import Bindings
-from pnm.errors import InputError
 from pnm.journal.journal import NO_JOURNAL, Journal, WrittenJournal
 from pnm.journal.store import Durability, JournalFile
 from pnm.knowledge.source import Source
 from pnm.language.runner import PlanRunner, Program
 from pnm.tasks import Code, TaskEnding, TaskListener, TaskState, TraceEvent, TraceKind, Wanted
-from tests.support.pddl.problems import fleet
+from tests.support.pddl.problems import fleet, read_goal
+from tests.support.runs.simulated import LateBackend
 from tests.support.tasks.laws import QUIET, contradictory_requests, standing_still
 
 LIMIT = 20000.0
@@ -56,6 +56,7 @@ class TaskSimulation(TaskListener):
         self.backend = make_backend(problem, chosen.bindings, faults)
         self.knowledge = initial_knowledge(problem)
         self.runner = PlanRunner(programs or {}, self.backend, self.knowledge, source, journal)
+        self.read = partial(read_goal, problem)
         self.master = TaskManager(problem, self.runner, chosen, self.read, helper=helper, limits=limits)
         self.master.listen(self)
         self.goals: dict[UUID, str] = {}
@@ -66,12 +67,6 @@ class TaskSimulation(TaskListener):
         self._news = asyncio.Event()
         self._heard: dict[UUID, float] = {}
         """When something has happened to each task last."""
-
-    def read(self, text: str) -> Condition:
-        if not text.startswith("("):
-            raise InputError(f"not a goal: {text!r}")
-        whole = f"(define (problem q) (:domain {self.problem.domain.name}) {_objects(self.problem)} (:init) (:goal {text}))"
-        return parse_problem(whole, self.problem.domain).goal
 
     # --- what is told ---------------------------------------------------------------------------
 
@@ -181,10 +176,6 @@ class TaskSimulation(TaskListener):
         return self.backend.robots.world.holds(self.read(text))
 
 
-def _objects(problem: Problem) -> str:
-    return f"(:objects {' '.join(f'{name} - {kinds[0]}' for name, kinds in problem.own_objects.items())})"
-
-
 class _Errors(logging.Handler):
     """Keeps what is logged as an error."""
 
@@ -251,3 +242,12 @@ def simulate_tasks(
     finally:
         logging.getLogger().removeHandler(errors)
     assert not errors.found, errors.found
+
+
+def reach_with_late_sensors(problem: Problem, goal: str, journal: Path) -> None:
+    """Have a goal reached whose effects are reported late, and keep a journal of that."""
+
+    async def scenario(simulation: TaskSimulation) -> None:
+        await simulation.reaches(simulation.want(goal))
+
+    simulate_tasks(scenario, problem, chosen=Settings(), make_backend=LateBackend, journal=journal)

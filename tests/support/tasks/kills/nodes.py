@@ -19,16 +19,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.pipeline.loading import load
 from planner_bridge.tasks.result import TASKS
-from pnm.core.knowledge_base import parse_statement
 from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.journal.replay import Replay
 from pnm.journal.resume import replayed
 from pnm.tasks import Code
-from tests.support.e2e.deployment import SimulationProgram
-from tests.support.e2e.plan_deployment import PlanDeployment
+from tests.support.e2e.deployment import ProblemDeployment, SimulationProgram
 from tests.support.processes import LIMIT, overlaps, ros_domain, until
 from tests.support.tasks.kills.campaign import Campaign, forks
 from tests.support.tasks.kills.instants import AtCommit, AtMessage, AtTime, Instant, die_in_journals
@@ -67,7 +63,7 @@ class Node:
         kills: how often it is killed at least.
     """
 
-    deployment: PlanDeployment
+    deployment: ProblemDeployment
     rng: random.Random
     kills: int
     verdict: Verdict = field(default_factory=Verdict)
@@ -78,11 +74,7 @@ class Node:
 
     def carried_out(self) -> Verdict:
         """Kill it so often, in rounds of three goals, and judge what is left."""
-        folder = self.deployment.folder
-        self.deployment.write({"domain.pddl": COURIERS, "problem.pddl": problem_text("(and)"), "bindings.yaml": BINDINGS})
-        self._files = [str(folder / name) for name in ("domain.pddl", "problem.pddl")]
-        command = ["-m", "planner_bridge", "simulate", *self._files, "--speed", "2", "--log", "/dev/stdout"]
-        robots = self.deployment.start(SimulationProgram(command, self.deployment.environment)).ready()
+        robots = self.deployment.simulate().ready()
         while self.verdict.kills < self.kills:
             self._pursue_goals(robots)
         last = self._replace(None)
@@ -90,8 +82,8 @@ class Node:
         last.terminate()
         last.join(LIMIT)
         self.verdict.wrong += [f"the node has ended with {last.exitcode}"] if last.exitcode else []
-        self.verdict.wrong += _complaints(self._truth(robots), replayed(self._journal, TASKS), robots, self.goals)
-        self.verdict.wrong += [text for file in folder.glob("*.out") if "Traceback" in (text := file.read_text())]
+        self.verdict.wrong += _complaints(self.deployment.truth(robots).facts(), replayed(self._journal, TASKS), robots, self.goals)
+        self.verdict.wrong += [text for file in self.deployment.folder.glob("*.out") if "Traceback" in (text := file.read_text())]
         robots.stop()
         return self.verdict
 
@@ -107,7 +99,7 @@ class Node:
             self.verdict.kills += self.process.exitcode == -signal.SIGKILL
         options = ["--bindings", str(self.deployment.folder / "bindings.yaml"), "--journal", str(self._journal), "--improve", "0"]
         self._out = self.deployment.folder / f"node{self._numbers()}.out"
-        self.process = self._start(["serve", *self._files, *options], self._out, instant)
+        self.process = self._start(["serve", *self.deployment.files, *options], self._out, instant)
         return self.process
 
     def _says(self, text: str) -> int:
@@ -177,14 +169,6 @@ class Node:
             self._until(lambda: are_over() or len(robots.objects()) - events >= least)
         return not any(client.is_alive() for client in clients)
 
-    def _truth(self, robots: SimulationProgram) -> dict[Fluent, Value | Unknown]:
-        """Return the world that the robots have left."""
-        world = initial_knowledge(load(*map(Path, self._files)))
-        for event in robots.objects():
-            if event["event"] == "change":
-                world.update(dict(map(parse_statement, event["facts"])))
-        return world.facts()
-
 
 def _complaints(true: Mapping[Fluent, Value | Unknown], replay: Replay, robots: SimulationProgram, goals: int) -> list[str]:
     """Compare the journal with what the robots have done, and with what was wanted."""
@@ -212,7 +196,8 @@ def _complaints(true: Mapping[Fluent, Value | Unknown], replay: Replay, robots: 
 
 def _carried_out(number: int, kills: int) -> Verdict:
     with TemporaryDirectory() as folder, ros_domain() as domain:
-        deployment = PlanDeployment(Path(folder), domain)
+        texts = COURIERS, problem_text("(and)")
+        deployment = ProblemDeployment("", Path(folder), domain, bindings=BINDINGS, speed="2", quick=True, texts=texts)
         node = Node(deployment, random.Random(number), kills)
         try:
             return node.carried_out()

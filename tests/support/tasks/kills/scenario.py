@@ -16,6 +16,7 @@ from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
 from pnm.core.logic.conditions import Condition
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.tasks import Wanted
+from tests.support.pddl.problems import read_goal
 from tests.support.tasks.kills.instants import Instant, random_instant
 
 ROBOTS: Final = 3
@@ -59,11 +60,11 @@ class Scenario:
     @cached_property
     def problem(self) -> Problem:
         """The world, and what its goals may speak of."""
-        return _problem("(and)")
+        return parse_problem(problem_text("(and)"), _DOMAIN)
 
     def read_goal(self, text: str) -> Condition:
         """Return the goal of a text."""
-        return _problem(text).goal
+        return read_goal(self.problem, text)
 
 
 def random_scenario(number: int) -> Scenario:
@@ -91,7 +92,3 @@ def problem_text(goal: str) -> str:
     things = " ".join(f"{letter}{n} - {kind}" for letter, kind in (("r", "robot"), ("p", "parcel")) for n in range(ROBOTS))
     rooms = " ".join(f"a{n}" for n in range(PLACES))
     return f"(define (problem p) (:domain couriers) (:objects {things} {rooms} - room) (:init {' '.join(init + ring)}) (:goal {goal}))"
-
-
-def _problem(goal: str) -> Problem:
-    return parse_problem(problem_text(goal), _DOMAIN)

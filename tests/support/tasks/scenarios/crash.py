@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextvars import Context
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Final
 from uuid import UUID
@@ -15,7 +16,6 @@ from uuid import UUID
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.world import simulated_backend
-from planner_bridge.pddl import parse_problem
 from planner_bridge.tasks.result import TASKS
 from planner_bridge.tasks.settings import Settings
 from planner_bridge.tasks.task_manager import TaskLimits, TaskManager
@@ -23,7 +23,6 @@ from pnm.actions.backend import ClientBackend
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.actions.simulated_robots import LAG
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import Condition
 from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import GroundAction
@@ -32,6 +31,7 @@ from pnm.journal.resume import take_up
 from pnm.knowledge.source import Source
 from pnm.language.runner import PlanRunner, Program
 from pnm.tasks import TaskEnding, TaskListener, Wanted
+from tests.support.pddl.problems import read_goal
 from tests.support.runs.simulation.course import quiet
 from tests.support.runs.simulation.disk import Disk, DiskPlan, Fate, Folder
 from tests.support.runs.simulation.fleet import Connection, Fleet, Weather
@@ -128,7 +128,7 @@ class Deployment:
         runner = PlanRunner(self.programs, backend, knowledge, self.person, journal, replay.resources if replay else None)
         if replay is None:
             journal.begin(knowledge, runner.resources)
-        manager = TaskManager(self.problem, runner, self.settings, self.read, helper=self.person, limits=self.limits)
+        manager = TaskManager(self.problem, runner, self.settings, partial(read_goal, self.problem), helper=self.person, limits=self.limits)
         manager.listen(survival)
         if replay:
             manager.restore(replay)
@@ -144,11 +144,6 @@ class Deployment:
         await manager.close()
         journal.close()
         story.beliefs = knowledge
-
-    def read(self, text: str) -> Condition:
-        objects = " ".join(f"{name} - {kinds[0]}" for name, kinds in self.problem.own_objects.items())
-        whole = f"(define (problem q) (:domain {self.problem.domain.name}) (:objects {objects}) (:init) (:goal {text}))"
-        return parse_problem(whole, self.problem.domain).goal
 
 
 def survive(
