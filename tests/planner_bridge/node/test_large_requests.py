@@ -14,14 +14,13 @@ import pytest
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.node import world_queries
-from planner_bridge.node.problem_service import NOTHING, LoadedProblem, ProblemFolder, ServedProblem, make_plan
+from planner_bridge.node.problem_service import NOTHING, LoadedProblem, ProblemFolder, ServedProblem
 from planner_bridge.node.world_queries import MAX_CHARACTERS, MAX_GOAL_CHOICES
 from planner_bridge.tasks.settings import Settings
 from pnm.clock import in_own_thread, run_async
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.domain import MAX_CHOICES
 from pnm.errors import InputError
-from pnm.tasks import Code
 from tests.support.processes import LIMIT
 from tests.support.tasks.world import PROBLEM, world
 
@@ -168,15 +167,6 @@ def test_goals_range_over_less_than_questions():
     assert world().read_goal(deep(8))
     with pytest.raises(InputError, match=f"goal:1:1: the quantifiers range over {3**9} choices of objects; expected {MAX_GOAL_CHOICES}"):
         world().read_goal(deep(9))
-
-
-def test_a_plan_request_whose_goal_cannot_be_read_raises_what_is_wrong():
-    async def scene():
-        with pytest.raises(InputError, match="goal:1:2: unknown predicate"):
-            await make_plan(world(), Settings(), "(flies r1)", "", 5.0)
-        assert (await make_plan(world(), Settings(), "(dark)", "", 5.0)).code is Code.GOAL_REACHED
-
-    run_async(scene(), virtual=False)
 
 
 def test_the_time_for_answers_is_over_in_the_middle_of_a_question(monkeypatch):

@@ -29,7 +29,8 @@ def test_a_plan_is_looked_for_from_the_world_as_it_is():
         )
         assert (await make_plan(world, Settings(), "(at r1 b)", "", 5.0)).steps == ()
         assert (await make_plan(world, Settings(), "(at r1 a)", "", 5.0)).code is Code.NO_PLAN
-        with pytest.raises(InputError, match="kairoz"):
-            await make_plan(world, Settings(), "", "kairoz", 5.0)
+        for goal, planner, said in (("", "kairoz", "kairoz"), ("(flies r1)", "", "goal:1:2: unknown predicate")):
+            with pytest.raises(InputError, match=said):
+                await make_plan(world, Settings(), goal, planner, 5.0)
 
     asyncio.run(main())

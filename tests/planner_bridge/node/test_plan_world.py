@@ -172,13 +172,3 @@ def test_plans_that_declare_a_name_differently_leave_it_unchecked() -> None:
     names = names_of_world(None, (*parse_plans(DECLARED).values(), *parse_plans(other).values()))
     names.check_report(("battery", "r1"), 1.0)
     names.check_report(("battery",), 1.0)
-
-
-def test_without_a_problem_there_are_no_goals() -> None:
-    async def scene() -> None:
-        plans = parse_plans(DECLARED).values()
-        current = LoadedProblem(NOTHING, initial_knowledge(*plans), {}, Settings(), plans)
-        with pytest.raises(InputError, match="no domain and problem are loaded"):
-            current.read_goal("(open)")
-
-    run_async(scene(), virtual=True)

@@ -39,12 +39,6 @@ def opens(at: float) -> Faults:
     return Faults(changes=(HiddenChange({DOOR: True}, at=at),))
 
 
-def test_without_patience_a_goal_without_a_plan_is_given_up_at_once() -> None:
-    result, _ = pursued(closed(), opens(at=20.0))
-    assert not result.goal_reached
-    assert result.reason.startswith("no plan: proved unsolvable: (at r1 c) cannot be reached")
-
-
 def test_patience_ends_with_the_reason() -> None:
     result, _ = pursued(closed(), opens(at=20.0), limits=Limits(patience=5.0))
     assert not result.goal_reached

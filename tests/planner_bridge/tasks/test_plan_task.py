@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Awaitable, Callable
 from io import StringIO
 from pathlib import Path
+from uuid import UUID
 
 import pytest
 
@@ -12,12 +14,12 @@ from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.run_console import TaskConsole
 from planner_bridge.pipeline.carry_out import carry_out
 from planner_bridge.tasks.settings import Settings
-from pnm.actions.faults import Fault, FaultKind, Faults
+from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.language.plan import HandWrittenPlan, parse_plans
 from pnm.language.runner import Program
-from pnm.tasks import Code
+from pnm.tasks import Code, TaskListener
 from tests.support.pddl.problems import fleet
 from tests.support.tasks.simulation import TaskSimulation, simulate_tasks
 
@@ -103,6 +105,57 @@ def test_goals_share_resources_with_the_capacities_that_plans_give_them() -> Non
         assert first == second < third
 
     simulate_tasks(scenario, fleet(robots=3), chosen=chosen, programs={"spare": Program.of(plan)})
+
+
+TOUR = """
+actions: {go: {params: [place], duration: 5}}
+tour:
+  restarts: 2
+  results: [n]
+  initial_knowledge: {n: 3}
+  plan:
+    - go: {place: a}
+    - go: {place: b}
+      recoveries: {during: {aborted: restart_plan}}
+short:
+  timeout: 20
+  plan: [go: {place: a}, go: {place: b}]
+"""
+
+
+def simulate_tour(scenario: Callable[[TaskSimulation], Awaitable[None]], faults: Faults = NO_FAULTS) -> None:
+    programs = {name: Program.of(plan) for name, plan in parse_plans(TOUR).items()}
+    simulate_tasks(scenario, chosen=Settings(), programs=programs, faults=faults)
+
+
+def test_calls_and_restarts_of_a_plan_are_counted_and_told() -> None:
+    async def scenario(simulation: TaskSimulation) -> None:
+        statuses = list[tuple[int, int, tuple[str, ...]]]()
+
+        class Counts(TaskListener):
+            def changed(self, task: UUID) -> None:
+                (status,) = simulation.master.status()
+                statuses.append((status.ended, status.restarts, status.running))
+
+        simulation.master.listen(Counts())
+        task = simulation.want("tour", is_plan=True)
+        await simulation.reaches(task)
+        assert (simulation.endings[task].results, simulation.endings[task].cause) == ({"n": 3}, "")
+        assert list(dict.fromkeys(one[:2] for one in statuses)) == [(0, 0), (1, 0), (2, 0), (2, 1), (3, 1), (4, 1)]
+        assert {running for *_, running in statuses} == {(), ("go(a)",), ("go(b)",)}
+
+    simulate_tour(scenario, Faults((Fault("go(b)", FaultKind.ABORT, times=1),)))
+
+
+def test_a_pause_does_not_use_up_the_time_of_a_plan() -> None:
+    async def scenario(simulation: TaskSimulation) -> None:
+        task = await simulation.begun("short", is_plan=True)
+        await simulation.master.pause(task, at_once=True)
+        await asyncio.sleep(100.0)
+        await simulation.master.resume(task)
+        await simulation.reaches(task)
+
+    simulate_tour(scenario)
 
 
 SHOP = """

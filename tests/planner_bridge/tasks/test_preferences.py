@@ -109,29 +109,7 @@ def test_of_preferences_every_instance_is_left_as_the_metric_names_them() -> Non
     )
 
 
-def test_a_problem_without_constraints_is_left_alone() -> None:
-    watching, left = monitor(TO_C, (0.0, {}))
-    assert watching.idle
-    assert left.domain is TO_C.domain
-
-
 # --- told ---
-
-
-def test_the_result_as_json_tells_constraints_and_preferences() -> None:
-    problem = replace(wished(Preference("p", B)), constraints=(always(Not(B)), sometime(Holds(("at", "r1", "a")))))
-    told = monitored(problem, changes((0.3, "b"))).result.as_json()
-    assert told["constraints"] == [
-        {
-            "constraint": "(always (not (clean b)))",
-            "status": "violated",
-            "violations": [{"constraint": "(always (not (clean b)))", "time": 0.3, "observed": "(clean b) is true"}],
-        },
-        {"constraint": "(sometime (at r1 a))", "status": "fulfilled", "violations": []},
-    ]
-    assert told["preferences"] == [{"name": "p", "status": "fulfilled", "violated": 0}]
-    plain = monitored(TO_C).result.as_json()
-    assert (plain["constraints"], plain["preferences"]) == ([], [])
 
 
 def test_a_person_reads_what_is_violated_as_it_happens_and_at_the_end() -> None:

@@ -23,18 +23,6 @@ from tests.support.pddl.problems import ROOMS, matches, rooms
 from tests.support.tasks.replanning import aborts, decisions, pursued
 
 
-def test_nothing_goes_wrong() -> None:
-    result, _ = pursued(rooms())
-    assert result.goal_reached
-    assert (result.plans, result.replans, result.failures) == (1, 0, ())
-
-
-def test_a_goal_that_holds_needs_no_call() -> None:
-    result, _ = pursued(rooms(goal="(at r1 a)"))
-    assert result.goal_reached
-    assert result.calls == ()
-
-
 def test_a_ground_action_that_failed_twice_is_planned_around() -> None:
     result, _ = pursued(rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc ba ad dc"), aborts("move(r1, b, c)"))
     assert result.goal_reached
@@ -76,22 +64,6 @@ def test_the_limit_of_replans_ends_a_task_by_name() -> None:
     assert result.replans == 2
     assert result.reason == "the limit of 2 replans is reached; last failure: move(r1, a, b)#0: aborted: the action failed"
     assert decisions(result) == [ResumePlan, ResumePlan, GiveUp]
-
-
-def test_the_limit_in_seconds_ends_a_task_by_name() -> None:
-    result, _ = pursued(
-        rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc"), aborts("move"), limits=Limits(seconds=0.5, forbid_after=100)
-    )
-    assert result.reason.startswith("the limit of 0.5 s is reached")
-
-
-def test_trying_without_progress_takes_longer_and_longer() -> None:
-    history, limits = History(), Limits(backoff=0.5, longest_backoff=3.0)
-    pauses = []
-    for _ in range(6):
-        history = history.after((), ())
-        pauses.append(history.backoff(limits))
-    assert pauses == [0.0, 0.5, 1.0, 2.0, 3.0, 3.0]
 
 
 def test_a_pause_before_another_try_is_told_with_its_reason() -> None:
@@ -233,13 +205,6 @@ def test_what_is_reported_only_when_it_is_asked_for_is_asked_for_before_every_pl
     assert result.goal_reached
     assert {call.call.action.arguments[1:] for call in result.calls if call.outcome == "succeeded"} == {("a", "d"), ("d", "c")}
     assert asked[:2] == [True, True], "at the start, and after the failure"
-
-
-def test_a_fact_that_no_action_changes_may_change_all_the_same() -> None:
-    gone = HiddenChange({("way", "b", "c"): False}, at=0.3)
-    result, _ = pursued(rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc ba ad dc"), Faults(changes=(gone,)))
-    assert result.goal_reached
-    assert [failure.cause for failure in result.failures] == ["precondition_false"]
 
 
 def test_a_goal_that_comes_true_in_another_way_is_reached() -> None:

@@ -1,29 +1,17 @@
-"""What comes in with a goal for a plan, what is counted while it goes on, and what goes out: without ROS 2."""
+"""What comes in with a goal for a plan, and what goes out: without ROS 2."""
 
 from __future__ import annotations
 
-import asyncio
 import json
 from pathlib import Path
-from uuid import UUID
 
 import pytest
 from hypothesis import given, strategies as st
 
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.model.world import simulated_backend
-from planner_bridge.node.problem_service import NOTHING
-from planner_bridge.tasks.settings import Settings
-from planner_bridge.tasks.task_manager import TaskManager
-from pnm.actions.faults import Fault, FaultKind, Faults
-from pnm.clock import run_async
-from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import Condition
 from pnm.errors import InputError
-from pnm.language.plan import merge_bindings, read_plans
-from pnm.language.runner import PlanRunner, Program
+from pnm.language.plan import read_plans
 from pnm.ros.tasks.task_messages import read_parameters, result_fields
-from pnm.tasks import Code, TaskEnding, TaskListener, Wanted
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
@@ -79,82 +67,6 @@ def test_a_result_that_json_cannot_say_is_told_of() -> None:
     fields = result_fields(True, "goal", "done\x1b", {"a": float("nan"), "b": 1})
     assert fields["results"] == '{"b": 1}'
     assert str(fields["message"]).startswith("done\N{REPLACEMENT CHARACTER}; a is left out: JSON cannot say nan")
-
-
-def test_calls_and_restarts_of_a_plan_are_counted_and_told(tmp_path: Path) -> None:
-    file = tmp_path / "plan.yaml"
-    file.write_text(
-        "actions: {go: {params: [place], duration: 5}}\nname: tour\nrestarts: 2\nresults: [n]\ninitial_knowledge: {n: 3}\n"
-        "plan:\n  - go: {place: a}\n  - go: {place: b}\n    recoveries: {during: {aborted: restart_plan}}\n"
-    )
-    (plan,) = read_plans(file).values()
-    faults = Faults((Fault("go(b)", FaultKind.ABORT, times=1),))
-    runner = PlanRunner({"tour": Program.of(plan)}, simulated_backend(plan, merge_bindings([plan]), faults), KnowledgeBase())
-    tour = Wanted(UUID(int=1), "tour", is_plan=True)
-
-    class Told(TaskListener):
-        def __init__(self, master: TaskManager) -> None:
-            self.master = master
-            self.statuses: list[tuple[int, int, tuple[str, ...]]] = []
-            self.endings: list[TaskEnding] = []
-            self.over = asyncio.Event()
-
-        def changed(self, task: UUID) -> None:
-            (status,) = self.master.status()
-            self.statuses.append((status.ended, status.restarts, status.running))
-
-        def ended(self, task: UUID, ending: TaskEnding) -> None:
-            self.endings.append(ending)
-            self.over.set()
-
-    async def go() -> Told:
-        await runner.backend.open(runner.world)
-        master = TaskManager(NOTHING, runner, Settings(), _no_goal)
-        told = Told(master)
-        master.listen(told)
-        master.begin(tour)
-        await asyncio.wait_for(told.over.wait(), 100.0)
-        await master.close()
-        await runner.backend.close()
-        return told
-
-    told = run_async(go(), virtual=True)
-    assert (told.endings[0].code, told.endings[0].results, told.endings[0].cause) == (Code.GOAL_REACHED, {"n": 3}, "")
-    counts = list(dict.fromkeys(one[:2] for one in told.statuses))
-    assert counts == [(0, 0), (1, 0), (2, 0), (2, 1), (3, 1), (4, 1)]
-    assert {running for *_, running in told.statuses} == {(), ("go(a)",), ("go(b)",)}
-
-
-def test_a_pause_does_not_use_up_the_time_of_a_plan(tmp_path: Path) -> None:
-    file = tmp_path / "plan.yaml"
-    file.write_text("actions: {go: {params: [place], duration: 5}}\nname: tour\ntimeout: 20\nplan: [go: {place: a}, go: {place: b}]\n")
-    (plan,) = read_plans(file).values()
-    runner = PlanRunner({"tour": Program.of(plan)}, simulated_backend(plan, merge_bindings([plan])), KnowledgeBase())
-    over: list[Code] = []
-
-    class Told(TaskListener):
-        def ended(self, task: UUID, ending: TaskEnding) -> None:
-            over.append(ending.code)
-
-    async def go() -> None:
-        await runner.backend.open(runner.world)
-        master = TaskManager(NOTHING, runner, Settings(), _no_goal)
-        master.listen(Told())
-        master.begin(Wanted(UUID(int=1), "tour", is_plan=True))
-        await asyncio.sleep(1.0)
-        await master.pause(UUID(int=1), at_once=True)
-        await asyncio.sleep(100.0)
-        await master.resume(UUID(int=1))
-        await asyncio.sleep(15.0)
-        await master.close()
-        await runner.backend.close()
-
-    run_async(go(), virtual=True)
-    assert over == [Code.GOAL_REACHED]
-
-
-def _no_goal(text: str) -> Condition:
-    raise InputError(f"not a goal: {text!r}")
 
 
 def test_a_world_begins_as_all_of_its_plans_say(tmp_path: Path) -> None:
