@@ -56,42 +56,55 @@ NOTHING: Final = Problem("nothing", Domain("nothing"))
 """The problem of a node that has only hand-written plans."""
 
 
-class LoadedProblem:
-    """The problem that is loaded: goals are read in it, plan requests answered, facts queried and updated.
+class ServedProblem:
+    """The problem of a node and the services about it and about what is known, as `pnm.tasks.ServedWorld`: goals are read in it.
 
-    The mutable state is the problem, and its `world`.
+    Requests take a while if they are large. So each is worked on in a thread, from a snapshot of what is known when its turn comes,
+    while the event loop goes on; and one at a time, because threads share the interpreter with it. The mutable state is the problem,
+    and its `world`.
 
     Args:
         settings: planner and time limit of plan requests.
+        folder: where problems are saved, and loaded from.
+        begin_anew: has the task manager take over another problem, and the knowledge of its initial state; raises an `InputError` if it
+            cannot, and nothing changes.
         plans: hand-written plans; while there is no problem, their declarations are the world's.
         began: when the problem was as its initial state has it, on the clock of the event loop; now if not given.
+        check: raises an `InputError` if the robot's action servers and sensors, as they are bound, can never work with a problem;
+            returns what is to be done once that is the one.
     """
 
     def __init__(
         self,
         problem: Problem,
         knowledge: KnowledgeBase,
-        goals: Mapping[str, str],
         settings: Settings,
+        folder: ProblemFolder,
+        begin_anew: Callable[[Problem, KnowledgeBase], None],
+        *,
+        goals: Mapping[str, str] | None = None,
         plans: Iterable[HandWrittenPlan] = (),
         began: float | None = None,
+        check: Callable[[Problem], Awaitable[Callable[[], Awaitable[None]]]] | None = None,
     ) -> None:
-        self.knowledge = knowledge
-        self.goals = goals
+        self._knowledge = knowledge
         self._settings = settings
+        self._folder = folder
+        self._begin_anew = begin_anew
+        self._goals = goals or {}
         self._plans = tuple(plans)
-        self._turn = asyncio.Lock()
-        self.begin(problem, began)
+        self._check = check
+        self._turn, self._search = asyncio.Lock(), asyncio.Lock()
+        self._begin(problem, began)
 
-    def begin(self, problem: Problem, began: float | None = None) -> None:
+    def _begin(self, problem: Problem, began: float | None = None) -> None:
         """Read goals in another problem from now on."""
         loop = asyncio.get_running_loop()
         began = loop.time() if began is None else began
-        self.problem = problem
         self._is_loaded = problem is not NOTHING
-        goals = self.goals if self._is_loaded else {}
+        goals = self._goals if self._is_loaded else {}
         world = problem if self._is_loaded else world_of_plans(self._plans)
-        self.world = SharedWorld(world, self.knowledge, goals, elapsed=lambda: loop.time() - began)
+        self.world = SharedWorld(world, self._knowledge, goals, elapsed=lambda: loop.time() - began)
 
     @property
     def problem_world(self) -> SharedWorld:
@@ -100,107 +113,109 @@ class LoadedProblem:
             raise InputError("no domain and problem are loaded, only plans; expected them when the node starts, or by problem/load")
         return self.world
 
-    def world_of(self, texts: Sequence[str], known: KnowledgeBase) -> SharedWorld:
-        """Return the world in which these texts are read: plans that declare no objects may be asked about any."""
+    def _now(self) -> SharedWorld:
+        return self.problem_world.over(snapshot(self._knowledge))
+
+    def _world_of(self, texts: Sequence[str]) -> Callable[[], SharedWorld]:
+        """Return what makes the present world in which these texts are read: plans that declare no objects may be asked about any."""
+        known = snapshot(self._knowledge)
         if self._is_loaded:
-            return self.world.over(known)
-        return SharedWorld(with_names_of(self.world.problem, self._plans, texts), known)
+            return lambda: self.world.over(known)
+        return lambda: SharedWorld(with_names_of(self.world.problem, self._plans, texts), known)
 
     def read_goal(self, text: str) -> Condition:
         """Return the goal that a text or a name stands for."""
         return self.problem_world.read_goal(text)
 
     async def make(self, goal: str, planner: str, seconds: float | None) -> MadePlan:
-        """Answer a plan request, after those that came before: a search takes a processor, which robots need."""
-        async with self._turn:
-            return await make_plan(self.problem_world, self._settings, goal, planner, seconds)
+        """Search for a plan for a goal, as its text or its name, from the current state; cancelling this ends the planner.
 
+        Plan requests have their turns: a search takes a processor, which robots need. The settings have the planner and the time limit
+        of requests that name none.
+        """
+        async with self._search:
+            world, settings, cancel = self.problem_world, self._settings, threading.Event()
+            current, planner, timeout = world.current_problem(), planner or settings.planner, seconds or settings.planner_timeout
 
-class ServedProblem:
-    """The services about knowledge and problem of a node, as `pnm.tasks.ServedWorld`.
+            def search() -> MadePlan:
+                problem = replace(current, goal=world.read_goal(goal))
+                result = solve(
+                    problem, planner=planner, timeout=timeout, improve=settings.improve, cancel=cancel, executor=settings.executor
+                )
+                if result.plan is None:
+                    return MadePlan(code_of_planning(result.status, ()), result.reason, str(problem.goal))
+                before: dict[int, set[int]] = {}
+                for ordering in plan_graph(problem, result.plan).orderings:
+                    before.setdefault(ordering.after.call, set()).add(ordering.before.call)
+                steps = tuple(
+                    TaskStep(
+                        step.action, step.arguments, step.start, step.duration, StepState.WAITING, tuple(sorted(before.get(number, ())))
+                    )
+                    for number, step in enumerate(result.plan.steps)
+                )
+                return MadePlan(Code.GOAL_REACHED, f"found by {result.planner}", str(problem.goal), steps)
 
-    Requests take a while if they are large. So each is worked on in a thread, from a snapshot of what is known when its turn comes,
-    while the event loop goes on; and one at a time, because threads share the interpreter with it.
-
-    Args:
-        folder: where problems are saved, and loaded from.
-        begin_anew: has the task manager take over another problem, and the knowledge of its initial state; raises an `InputError` if it
-            cannot, and nothing changes.
-        check: raises an `InputError` if the robot's action servers and sensors, as they are bound, can never work with a problem;
-            returns what is to be done once that is the one.
-    """
-
-    def __init__(
-        self,
-        loaded: LoadedProblem,
-        folder: ProblemFolder,
-        begin_anew: Callable[[Problem, KnowledgeBase], None],
-        check: Callable[[Problem], Awaitable[Callable[[], Awaitable[None]]]] | None = None,
-    ) -> None:
-        self._loaded = loaded
-        self._folder = folder
-        self._begin_anew = begin_anew
-        self._check = check
-        self._turn = asyncio.Lock()
+            try:
+                return await in_own_thread(search)
+            finally:
+                cancel.set()
 
     async def query(self, questions: Sequence[str], /) -> list[tuple[str, str]]:
         """Return the answer to each question, in order; without questions, all facts."""
         async with self._turn:
-            known = snapshot(self._loaded.knowledge)
-            return await asyncio.to_thread(lambda: self._loaded.world_of(questions, known).query(questions))
+            world = self._world_of(questions)
+            return await asyncio.to_thread(lambda: world().query(questions))
 
     async def check_goal(self, goal: str, /) -> None:
         """Read a goal; raise an `InputError` if it is none."""
-        await asyncio.to_thread(self._loaded.read_goal, goal)
+        await asyncio.to_thread(self.read_goal, goal)
 
     async def pack(self, goal: str, /) -> str:
         """Return the problem as the world is now, with this goal, for another process."""
         async with self._turn:
-            world = self._loaded.problem_world.over(snapshot(self._loaded.knowledge))
+            world = self._now()
             return await asyncio.to_thread(lambda: packed(replace(world.current_problem(), goal=world.read_goal(goal))))
 
     async def update(self, add: Sequence[str], remove: Sequence[str], forget: Sequence[str], /) -> int:
         """Record all changes or none; return how many facts changed."""
         async with self._turn:
-            known, texts = snapshot(self._loaded.knowledge), (*add, *remove, *forget)
-            wanted = await asyncio.to_thread(lambda: self._loaded.world_of(texts, known).read_changes(add, remove, forget))
-            return self._loaded.world.record(wanted)
+            world = self._world_of((*add, *remove, *forget))
+            return self.world.record(await asyncio.to_thread(lambda: world().read_changes(add, remove, forget)))
 
     async def get(self) -> tuple[str, str]:
         """Return domain and problem in PDDL, the problem with the current state as its initial state."""
         async with self._turn:
-            world = self._loaded.problem_world.over(snapshot(self._loaded.knowledge))
+            world = self._now()
             return await asyncio.to_thread(lambda: (world.domain_text(), world.problem_text()))
 
     async def save(self, file: str, /) -> str:
         """Write the problem with the current state to a file in the folder; return its whole path."""
         async with self._turn:
-            world = self._loaded.problem_world.over(snapshot(self._loaded.knowledge))
+            world = self._now()
             return str(await asyncio.to_thread(lambda: self._folder.write(file, world.problem_text())))
 
     async def load(self, domain: str, problem: str, /) -> None:
         """Replace domain or problem, and the facts; goals with names must make sense in the new ones as well."""
-        loaded = self._loaded
         async with self._turn:
-            known = loaded.world.problem.domain if domain.strip() else loaded.problem_world.problem.domain
+            known = (self.world if domain.strip() else self.problem_world).problem.domain
 
             def read() -> tuple[Problem, KnowledgeBase]:
                 new = load_texts(domain, problem, self._folder, known)
                 initial = initial_knowledge(new)
-                SharedWorld(new, initial, loaded.goals)  # raises what is wrong with the goals
+                SharedWorld(new, initial, self._goals)  # raises what is wrong with the goals
                 return new, initial
 
             new, initial = await asyncio.to_thread(read)
             adopt = await self._check(new) if self._check is not None else None
             self._begin_anew(new, initial)
-            loaded.begin(new)
+            self._begin(new)
             if adopt is not None:
                 await adopt()
 
     def follow(self, listener: Callable[[Mapping[str, object]], None], /) -> Callable[[], None]:
         """Pass on every change from now on, as fields of a message; return a function that ends that."""
-        self._loaded.world.attend()
-        return self._loaded.knowledge.listen(lambda batch: listener(self._loaded.world.changes(batch)) if batch else None)
+        self.world.attend()
+        return self._knowledge.listen(lambda batch: listener(self.world.changes(batch)) if batch else None)
 
 
 # --- the folder of problems -----------------------------------------------------------------------
@@ -270,35 +285,3 @@ class ProblemFolder:
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror}") from error
         return path
-
-
-# --- plan requests --------------------------------------------------------------------------------
-# Plan requests: plans for a goal from the current state, without execution.
-
-
-async def make_plan(world: SharedWorld, settings: Settings, goal: str, planner: str, seconds: float | None) -> MadePlan:
-    """Search for a plan for a goal of the world, as its text or its name; cancelling this ends the planner.
-
-    The settings have the planner and the time limit of requests that name none.
-    """
-    current, cancel = world.current_problem(), threading.Event()
-    planner, timeout = planner or settings.planner, seconds or settings.planner_timeout
-
-    def search() -> MadePlan:
-        problem = replace(current, goal=world.read_goal(goal))
-        result = solve(problem, planner=planner, timeout=timeout, improve=settings.improve, cancel=cancel, executor=settings.executor)
-        if result.plan is None:
-            return MadePlan(code_of_planning(result.status, ()), result.reason, str(problem.goal))
-        before: dict[int, set[int]] = {}
-        for ordering in plan_graph(problem, result.plan).orderings:
-            before.setdefault(ordering.after.call, set()).add(ordering.before.call)
-        steps = tuple(
-            TaskStep(step.action, step.arguments, step.start, step.duration, StepState.WAITING, tuple(sorted(before.get(number, ()))))
-            for number, step in enumerate(result.plan.steps)
-        )
-        return MadePlan(Code.GOAL_REACHED, f"found by {result.planner}", str(problem.goal), steps)
-
-    try:
-        return await in_own_thread(search)
-    finally:
-        cancel.set()

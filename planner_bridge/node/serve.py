@@ -15,7 +15,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.node.node_context import NodeContext, open_context
 from planner_bridge.node.node_log import NodeLog, NodeObserver, open_diagnoses
 from planner_bridge.node.options import PARAMETERS, Options
-from planner_bridge.node.problem_service import NOTHING, LoadedProblem, ProblemFolder, ServedProblem
+from planner_bridge.node.problem_service import NOTHING, ProblemFolder, ServedProblem
 from planner_bridge.node.world_queries import SharedWorld, read_goals
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings
@@ -79,29 +79,25 @@ async def make_task_manager(context: NodeContext) -> NodeApi:
     folder = ProblemFolder(options.problems, options.problem)
     goals = read_goals(options.goals) if options.goals else {}
     plans = [program.plan for program in context.runner.programs.values()]
-    try:
-        began = context.replay.began if context.replay else None
-        loaded = LoadedProblem(context.problem or NOTHING, context.knowledge, goals, settings, plans, began)
-    except InputError as error:
-        raise InputError(f"{options.goals}: {error}") from error
-    manager = TaskManager(
-        loaded.problem,
-        context.runner,
-        settings,
-        loaded.read_goal,
-        helper=context.sources if options.ask_for_help else None,
-        limits=TaskLimits(options.max_tasks, options.max_queue, options.on_conflict),
-    )
 
     def begin_anew(problem: Problem, initial: KnowledgeBase) -> None:
         manager.begin_anew(problem)  # may refuse, so it comes before the first change
-        world = SharedWorld(problem, initial)
+        new = SharedWorld(problem, initial)
         replace = partial(context.knowledge.begin_anew, initial.facts(), initial.objects_by_type(), initial.rules)
-        context.begin_journal(replace, (world.domain_text(), world.problem_text()))
+        context.begin_journal(replace, (new.domain_text(), new.problem_text()))
         context.backend.declare(context.names_of(problem))
 
-    world = ServedProblem(loaded, folder, begin_anew, context.check)
-    return NodeApi(manager, loaded.make, world, manager.knowledge_of, manager.restore, manager.close)
+    problem, began = context.problem or NOTHING, context.replay.began if context.replay else None
+    try:
+        world = ServedProblem(
+            problem, context.knowledge, settings, folder, begin_anew, goals=goals, plans=plans, began=began, check=context.check
+        )
+    except InputError as error:
+        raise InputError(f"{options.goals}: {error}") from error
+    limits = TaskLimits(options.max_tasks, options.max_queue, options.on_conflict)
+    helper = context.sources if options.ask_for_help else None
+    manager = TaskManager(problem, context.runner, settings, world.read_goal, helper=helper, limits=limits)
+    return NodeApi(manager, world.make, world, manager.knowledge_of, manager.restore, manager.close)
 
 
 def serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], observer: NodeObserver) -> None:

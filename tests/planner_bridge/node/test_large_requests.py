@@ -14,7 +14,7 @@ import pytest
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.node import world_queries
-from planner_bridge.node.problem_service import NOTHING, LoadedProblem, ProblemFolder, ServedProblem
+from planner_bridge.node.problem_service import NOTHING, ProblemFolder, ServedProblem
 from planner_bridge.node.world_queries import MAX_CHARACTERS, MAX_GOAL_CHOICES
 from planner_bridge.tasks.settings import Settings
 from pnm.clock import in_own_thread, run_async
@@ -32,14 +32,14 @@ def deep(variables: int) -> str:
     return f"(forall ({' '.join(f'?x{number}' for number in range(variables))} - robot) (charged ?x0))"
 
 
-def serve(scene: Callable[[ServedProblem, LoadedProblem], Awaitable[None]], tmp_path) -> None:
+def serve(scene: Callable[[ServedProblem], Awaitable[None]], tmp_path) -> None:
     async def whole() -> None:
-        loaded = LoadedProblem(PROBLEM, initial_knowledge(PROBLEM), {}, Settings())
+        knowledge = initial_knowledge(PROBLEM)
 
         def begin_anew(_: Problem, initial: KnowledgeBase) -> None:
-            loaded.knowledge.begin_anew(initial.facts(), initial.objects_by_type(), initial.rules)
+            knowledge.begin_anew(initial.facts(), initial.objects_by_type(), initial.rules)
 
-        await scene(ServedProblem(loaded, ProblemFolder(tmp_path), begin_anew), loaded)
+        await scene(ServedProblem(PROBLEM, knowledge, Settings(), ProblemFolder(tmp_path), begin_anew))
 
     run_async(whole(), virtual=False)
 
@@ -60,7 +60,7 @@ async def turns_of(work: Awaitable[object]) -> int:
 
 @pytest.mark.parametrize("what", ["query", "update", "get", "save", "load"])
 def test_the_event_loop_goes_on_while_a_request_is_worked_on(tmp_path, what):
-    async def scene(served, loaded):
+    async def scene(served):
         requests = {
             "query": lambda: served.query([LONG] * 5),
             "update": lambda: served.update(["(dark)"] * 10_000, [], []),
@@ -85,8 +85,8 @@ class KnowledgeOfOneThread(KnowledgeBase):
 @pytest.mark.parametrize("problem", [PROBLEM, NOTHING], ids=lambda problem: problem.name)
 def test_changes_are_read_from_a_snapshot(problem):
     async def scene():
-        loaded = LoadedProblem(problem, KnowledgeOfOneThread(objects=problem.objects_by_type), {}, Settings())
-        served = ServedProblem(loaded, ProblemFolder(Path()), lambda *_: None)
+        knowledge = KnowledgeOfOneThread(objects=problem.objects_by_type)
+        served = ServedProblem(problem, knowledge, Settings(), ProblemFolder(Path()), lambda *_: None)
         with pytest.raises(InputError, match="unknown predicate"):
             await served.update(["(flies r1)"], [], [])
 
@@ -94,7 +94,7 @@ def test_changes_are_read_from_a_snapshot(problem):
 
 
 def test_requests_have_their_turns_in_order_each_from_what_is_known_then(tmp_path):
-    async def scene(served, loaded):
+    async def scene(served):
         ended = []
 
         async def noted(name, work):
@@ -109,7 +109,6 @@ def test_requests_have_their_turns_in_order_each_from_what_is_known_then(tmp_pat
         )
         assert ended == ["first", "update", "second"]
         assert (first[1][1], second[0][1]) == ("false", "true")
-        assert loaded.knowledge.value(("dark",)) is True
 
     serve(scene, tmp_path)
 
@@ -132,9 +131,9 @@ def test_plan_requests_have_their_turns_and_leave_threads_to_others(tmp_path):
     planners = BusyPlanners()
 
     async def scene() -> None:
-        loaded = LoadedProblem(PROBLEM, initial_knowledge(PROBLEM), {}, Settings(planner="race:kairos,aries", executor=planners))
-        served = ServedProblem(loaded, ProblemFolder(tmp_path), lambda *_: None)
-        requests = [asyncio.create_task(loaded.make("(dark)", "", LIMIT)) for _ in range(40)]
+        settings = Settings(planner="race:kairos,aries", executor=planners)
+        served = ServedProblem(PROBLEM, initial_knowledge(PROBLEM), settings, ProblemFolder(tmp_path), lambda *_: None)
+        requests = [asyncio.create_task(served.make("(dark)", "", LIMIT)) for _ in range(40)]
         assert await in_own_thread(lambda: planners.are_both_busy.wait(LIMIT))
         async with asyncio.timeout(LIMIT):
             assert await served.query(["(dark)"]) == [("(dark)", "false")]
@@ -147,7 +146,7 @@ def test_plan_requests_have_their_turns_and_leave_threads_to_others(tmp_path):
 
 
 def test_a_request_has_a_budget(tmp_path, monkeypatch):
-    async def scene(served, loaded):
+    async def scene(served):
         with pytest.raises(InputError, match=f"characters at once; expected {MAX_CHARACTERS} at most"):
             await served.query([LONG] * 20)
         with pytest.raises(InputError, match=f"characters at once; expected {MAX_CHARACTERS} at most"):

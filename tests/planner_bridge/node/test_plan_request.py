@@ -7,8 +7,7 @@ import asyncio
 import pytest
 
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.node.problem_service import make_plan
-from planner_bridge.node.world_queries import SharedWorld
+from planner_bridge.node.problem_service import ProblemFolder, ServedProblem
 from planner_bridge.tasks.settings import Settings
 from pnm.errors import InputError
 from pnm.tasks import Code, StepState
@@ -21,16 +20,16 @@ def test_a_plan_is_looked_for_from_the_world_as_it_is():
     async def main():
         knowledge = initial_knowledge(PROBLEM)
         knowledge.update({("at", "r1", "a"): False, ("at", "r1", "b"): True})
-        world = SharedWorld(PROBLEM, knowledge)
-        made = await make_plan(world, Settings(), "", "", None)
+        served = ServedProblem(PROBLEM, knowledge, Settings(), ProblemFolder(None), lambda *_: None)
+        made = await served.make("", "", None)
         assert (made.code, [(step.arguments, step.state) for step in made.steps]) == (
             Code.GOAL_REACHED,
             [(("r1", "b", "c"), StepState.WAITING)],
         )
-        assert (await make_plan(world, Settings(), "(at r1 b)", "", 5.0)).steps == ()
-        assert (await make_plan(world, Settings(), "(at r1 a)", "", 5.0)).code is Code.NO_PLAN
+        assert (await served.make("(at r1 b)", "", 5.0)).steps == ()
+        assert (await served.make("(at r1 a)", "", 5.0)).code is Code.NO_PLAN
         for goal, planner, said in (("", "kairoz", "kairoz"), ("(flies r1)", "", "goal:1:2: unknown predicate")):
             with pytest.raises(InputError, match=said):
-                await make_plan(world, Settings(), goal, planner, 5.0)
+                await served.make(goal, planner, 5.0)
 
     asyncio.run(main())

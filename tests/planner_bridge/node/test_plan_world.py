@@ -10,7 +10,7 @@ import pytest
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.world import names_of_world
-from planner_bridge.node.problem_service import NOTHING, LoadedProblem, ProblemFolder, ServedProblem
+from planner_bridge.node.problem_service import NOTHING, ProblemFolder, ServedProblem
 from planner_bridge.tasks.settings import Settings
 from pnm.clock import run_async
 from pnm.errors import InputError
@@ -66,8 +66,8 @@ plan:
 def with_node_of(text: str, scene: Callable[[ServedProblem], Awaitable[None]]) -> None:
     async def whole() -> None:
         plans = parse_plans(text).values()
-        current = LoadedProblem(NOTHING, initial_knowledge(*plans), {}, Settings(), plans)
-        await scene(ServedProblem(current, ProblemFolder(None), lambda *_: None))
+        knowledge = initial_knowledge(*plans)
+        await scene(ServedProblem(NOTHING, knowledge, Settings(), ProblemFolder(None), lambda *_: None, plans=plans))
 
     run_async(whole(), virtual=True)
 

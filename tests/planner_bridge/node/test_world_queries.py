@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import pytest
 
 from planner_bridge.explanations.goal_now import unpacked
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.node.problem_service import LoadedProblem, ServedProblem
+from planner_bridge.node.problem_service import ProblemFolder, ServedProblem
 from planner_bridge.node.world_queries import MAX_LENGTH, MAX_TEXTS, SharedWorld, read_goals
 from planner_bridge.tasks.settings import Settings
 from pnm.clock import run_async
@@ -210,7 +209,7 @@ def test_changes_are_told_as_texts():
 def test_the_object_that_a_function_no_longer_has_is_told_whatever_happened_before_anybody_followed():
     async def scene() -> None:
         knowledge, told = initial_knowledge(PROBLEM), []
-        served = ServedProblem(LoadedProblem(PROBLEM, knowledge, {}, Settings()), Path(), lambda *_: None)
+        served = ServedProblem(PROBLEM, knowledge, Settings(), ProblemFolder(None), lambda *_: None)
         knowledge.update({("location", "a1"): "kitchen"})  # as sensors do while action servers are looked for
         stop = served.follow(lambda fields: told.append((fields["added"], fields["removed"], fields["unknown"])))
         for value in ("dock", UNKNOWN, UNDEFINED, "hall", UNDEFINED):
@@ -285,7 +284,7 @@ def test_goals_are_read_from_a_file(tmp_path):
 def test_the_problem_as_the_world_is_now_goes_to_another_process_with_what_is_unknown():
     async def scene() -> None:
         knowledge = initial_knowledge(PROBLEM)
-        served = ServedProblem(LoadedProblem(PROBLEM, knowledge, {"dark": "(dark)"}, Settings()), Path(), lambda *_: None)
+        served = ServedProblem(PROBLEM, knowledge, Settings(), ProblemFolder(None), lambda *_: None, goals={"dark": "(dark)"})
         knowledge.update({("charged", "r1"): UNKNOWN, ("dark",): True})
         problem = unpacked(await served.pack("dark"))
         assert str(problem.goal) == "(dark)"
