@@ -102,37 +102,6 @@ sensors:
     assert rows["(x hall)"][2].startswith("/deaf has not answered yet")
 
 
-def test_a_name_that_ros_does_not_take_is_refused_with_its_place(started):
-    program = started("check", COUNT, 'measure: {server: "1x", goal: {}}')
-    assert program.ended() == 2
-    assert "bindings.yaml:3:12: not a name for an action server: '1x'" in program.err[-1]
-
-
-def test_a_table_without_a_row_is_refused(started):
-    program = started("check", COUNT, 'measure: {goal: {nested_field: {of: "?to", table: {hall: {int32_value: 1}}}}}')
-    assert program.ended() == 2
-    assert "bindings.yaml:3:53: the table has no row for kitchen, which ?to of measure may be" in program.err[-1]
-
-
-def test_one_server_bound_with_two_types_is_refused_with_both_places(check, started):
-    bindings = [f"count: {{server: /measure, type: {FIBONACCI}, goal: {{order: 3}}}}", f"{MEASURE[:-1]}, type: {NESTED}}}"]
-    status, rows = check(*bindings)
-    assert (status, rows["count"][0], rows["measure"][0]) == (2, "unfit", "unfit")
-    for command in ("run", "serve"):
-        program = started(command, *bindings, options=("--actions", "ros2") if command == "run" else ())
-        assert program.ended() == 2
-        first, second = program.err
-        assert f"bindings.yaml:2:10: /measure is a {FIBONACCI} here, and a {NESTED} in the binding of measure (" in first
-        assert first.endswith("bindings.yaml:3:12); expected one type for one server")
-        assert f"bindings.yaml:3:12: /measure is a {NESTED} here, and a {FIBONACCI} in the binding of count (" in second
-
-
-def test_a_binding_without_a_type_uses_the_type_that_another_gives_to_the_same_server(started):
-    bindings = ["count: {server: measure, goal: {nested_field: {int32_value: 4}}}", f"{MEASURE[:-1]}, type: {NESTED}}}"]
-    run = started("run", *bindings, options=("--actions", "ros2"))
-    assert run.ended() == 0, str(run)
-
-
 @pytest.mark.parametrize("command", ["run", "serve"])
 def test_run_and_serve_refuse_what_can_never_work_before_anything_is_sent(started, world, command):
     before = len(world.servers.out)
@@ -195,22 +164,3 @@ def test_servers_whose_names_depend_on_a_parameter_are_not_called_ready(world, t
     assert (status, rows) == (1, [["inspect", "/{robot}/inspect", FIBONACCI, "open", advice]])
     status, (row,) = checked(world, tmp_path, FIBONACCI, "--set", "robot=r1")
     assert (status, row[:4]) == (1, ["inspect", "/r1/inspect", FIBONACCI, "absent"])
-
-
-def test_a_type_that_there_is_not_is_found_whatever_the_server_is_called(world, tmp_path):
-    status, (row,) = checked(world, tmp_path, "test_msgs/action/Inspekt")
-    assert status == 2
-    assert row[3] == "unfit"
-    assert "the ROS type test_msgs/action/Inspekt is not installed" in row[4]
-    run = ["-m", "planner_bridge", "run", "--plan", str(tmp_path / "plan.yaml"), "--actions", "ros2", "--set", "robot=r1"]
-    assert world.start(Program(run, world.environment)).ended() == 2
-
-
-def test_a_simulation_beside_the_robot_is_noticed(deploy):
-    deployment = deploy("foreign", texts=(DOMAIN, PROBLEM), bindings="\n  ".join(("actions:", COUNT, MEASURE)), quick=True)
-    for servers in [deployment.start(Program(["-m", "tests.support.e2e.programs.foreign_servers"], deployment.environment)) for _ in "12"]:
-        servers.until(lambda servers=servers: servers.out)
-    files = [*deployment.files, "--bindings", str(deployment.folder / "bindings.yaml")]
-    check = deployment.start(Program(["-m", "planner_bridge", "check", *files], deployment.environment))
-    assert check.ended() == 1
-    assert [line.split()[3:5] for line in check.out[1:]] == [["several", "2"]] * 2, str(check)

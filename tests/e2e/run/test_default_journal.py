@@ -5,11 +5,15 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+
+from planner_bridge.node.node_journal import journal_of
+from tests.support.e2e.command_line import pnm
 from tests.support.e2e.deployment import SimulationProgram
 from tests.support.e2e.plan_deployment import PlanDeployment, Serving
 from tests.support.e2e.task_node import DOMAIN, PROBLEM, goals
 from tests.support.files import written
-from tests.support.processes import LIMIT, Program
+from tests.support.processes import LIMIT
 
 
 def serve(deployment: PlanDeployment, *options: str) -> Serving:
@@ -22,7 +26,9 @@ def journal_line(serving: Serving) -> str:
     return line.removeprefix("journal: ")
 
 
-def test_a_killed_node_goes_on_without_any_option_and_history_finds_its_journal(deployment: PlanDeployment) -> None:
+def test_a_killed_node_goes_on_without_any_option_and_history_finds_its_journal(
+    deployment: PlanDeployment, monkeypatch: pytest.MonkeyPatch
+) -> None:
     command = ["-m", "planner_bridge", "simulate", DOMAIN, PROBLEM, "--speed", "4", "--log", "/dev/stdout"]
     robots = deployment.start(SimulationProgram(command, deployment.environment)).ready()
     serving = serve(deployment)
@@ -37,28 +43,23 @@ def test_a_killed_node_goes_on_without_any_option_and_history_finds_its_journal(
     assert journal_line(serving) == f"{place}; 1 task of another process goes on"
     serving.until(lambda: any("reached the goal holds" in line for line in serving.out))
     serving.stop()
+    monkeypatch.setenv("XDG_STATE_HOME", deployment.environment["XDG_STATE_HOME"])
     for name in ("history", "replay"):
-        found = deployment.start(Program(["-m", "planner_bridge", name, "--json"], deployment.environment))
-        assert found.ended() == 0, str(found)
-        assert f"journal: {place}" in found.err
-        assert all(map(json.loads, found.out))
+        found = pnm(name, "--json")
+        assert found.returncode == 0, found.stderr
+        assert found.stderr == f"journal: {place}\n"
+        assert all(map(json.loads, found.stdout.splitlines()))
     assert journal_line(serve(deployment)) == f"{place}; goes on with what was known"
 
 
-def test_nodes_of_other_names_and_files_have_other_journals(deployment: PlanDeployment) -> None:
-    changed = Path(PROBLEM).read_text(encoding="utf-8") + "\n"
-    (deployment.folder / "problem.pddl").write_text(changed, encoding="utf-8")
-    own_problem = ["serve", DOMAIN, str(deployment.folder / "problem.pddl"), "--ros-args", "-r", "__node:=three"]
-    nodes = [
-        serve(deployment),
-        serve(deployment, "--ros-args", "-r", "__ns:=/r1"),
-        deployment.start(Serving(["-m", "planner_bridge", *own_problem], deployment.environment)),
+def test_nodes_of_other_names_and_files_have_other_journals() -> None:
+    files, others = "0" * 64, "1" * 64
+    places = [journal_of("", node, 7, origin) for node, origin in (("/pnm", files), ("/r1/pnm", files), ("/pnm", others))]
+    assert [place.name for place in places if isinstance(place, Path)] == [
+        "pnm-7-000000000000.journal",
+        "r1.pnm-7-000000000000.journal",
+        "pnm-7-111111111111.journal",
     ]
-    places = [journal_line(node) for node in nodes]
-    names = [place.rpartition("/")[2] for place in places]
-    assert [name.split("-")[0] for name in names] == ["pnm", "r1.pnm", "three"]
-    digests = [name.split("-")[2] for name in names]
-    assert digests[0] == digests[1] != digests[2]
 
 
 def test_what_was_begun_with_other_files_is_not_forgotten_in_silence(deployment: PlanDeployment) -> None:
@@ -71,9 +72,6 @@ def test_what_was_begun_with_other_files_is_not_forgotten_in_silence(deployment:
     second = deployment.start(Serving(["-m", "planner_bridge", "serve", DOMAIN, str(problem)], deployment.environment))
     assert journal_line(second) != journal_line(first)
     assert any("not finished with the files that this node had before: (at parcel1 hall)" in line for line in second.err), str(second)
-    second.stop()
-    third = serve(deployment)
-    assert journal_line(third).endswith("; 1 task of another process goes on")
 
 
 def test_none_keeps_nothing_and_says_so(deployment: PlanDeployment) -> None:

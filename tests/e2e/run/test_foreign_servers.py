@@ -1,14 +1,10 @@
-"""Action servers of other people's types are used as they are, and ours tell how far they have come."""
+"""Action servers of other people's types are used as they are, also with the files that `pnm init` writes for them."""
 
 from __future__ import annotations
 
-import threading
-
 import pytest
 
-from pnm.ros.node.messages import import_type
-from pnm.ros.node.ros_thread import RosThread
-from tests.support.processes import LIMIT, Program
+from tests.support.processes import Program
 
 DOMAIN = """
 (define (domain foreign)
@@ -20,56 +16,43 @@ DOMAIN = """
 """
 PROBLEM = "(define (problem p) (:domain foreign) (:init) (:goal (measured_again)))"
 
-COUNT = "count: {goal: {order: 3}, store: {sequence: numbers}, retries: 0}"
-MEASURE = "measure: {goal: {nested_field: {int32_value: 21}}, store: {nested_field: reading}, retries: 0}"
-AGAIN = "measure_again: {server: measure, goal: {nested_field: $reading}, retries: 0}"
+BINDINGS = """
+actions:
+  count: {goal: {order: 3}, store: {sequence: numbers}, retries: 0}
+  measure: {goal: {nested_field: {int32_value: 21}}, store: {nested_field: reading}, retries: 0}
+  measure_again: {server: measure, goal: {nested_field: $reading}, retries: 0}
+"""
 
 
-@pytest.fixture
-def execute(deploy):
-    """Run the little domain with the given bindings; return the exit status, the result, and the goals that the servers got."""
-
-    def run(*bindings: str):
-        deployment = deploy("foreign", texts=(DOMAIN, PROBLEM), bindings="\n  ".join(("actions:", *bindings)), quick=True)
-        servers = deployment.start(Program(["-m", "tests.support.e2e.programs.foreign_servers"], deployment.environment))
-        servers.until(lambda: servers.out)
-        status, result = deployment.run("--replans", "0").result()
-        return status, result, servers.objects()
-
-    return run
+@pytest.fixture(scope="module")
+def world(deploy_for_module):
+    """The little domain, and the servers."""
+    deployment = deploy_for_module("foreign", texts=(DOMAIN, PROBLEM), bindings=BINDINGS, quick=True)
+    servers = deployment.start(Program(["-m", "tests.support.e2e.programs.foreign_servers"], deployment.environment))
+    servers.until(lambda: servers.out)
+    return deployment, servers
 
 
-def test_goals_are_filled_from_bindings_and_from_results_of_earlier_actions(execute):
-    status, result, goals = execute(COUNT, MEASURE, AGAIN)
+def test_goals_are_filled_from_bindings_and_from_results_of_earlier_actions(world):
+    deployment, servers = world
+    status, result = deployment.run("--replans", "0").result()
     assert (status, result["goal_reached"], result["failures"]) == (0, True, [])
+    goals = servers.objects()
     assert goals == [{"server": "count", "order": 3}, {"server": "measure", "number": 21}, {"server": "measure", "number": 42}]
     assert all(call["assumed"] for call in result["calls"]), "nothing senses what these actions have done"
 
 
-def test_simulated_robots_tell_how_far_they_have_come(deploy, monkeypatch):
-    deployment = deploy("delivery/p01", speed="2", quick=True)
-    deployment.simulate().ready()
-    for name, value in deployment.environment.items():
-        monkeypatch.setenv(name, value)
-    ros, told, over = RosThread("listener"), [], threading.Event()
-    ground = import_type("pnm_interfaces/action/GroundAction")
+def test_the_first_files_for_them_pass_the_check_and_reach_their_goal(world, tmp_path) -> None:
+    deployment, _ = world
 
-    def answered(future):
-        future.result().get_result_async().add_done_callback(lambda _: over.set())
+    def ends(status: int, *arguments: str) -> Program:
+        program = deployment.start(Program(["-m", "planner_bridge", *arguments], deployment.environment))
+        assert program.ended() == status, str(program)
+        return program
 
-    def send():
-        from rclpy.action import ActionClient
-
-        client = ActionClient(ros.node, ground, "/r1/move")
-        client.wait_for_server(LIMIT)
-        goal = ground.Goal(action="move", arguments=["r1", "store", "hall"])
-        client.send_goal_async(goal, lambda message: told.append(message.feedback.progress)).add_done_callback(answered)
-
-    try:
-        ros.call(send)
-        assert over.wait(LIMIT)
-    finally:
-        assert ros.close()
-    assert len(told) >= 2
-    assert told == sorted(told)
-    assert all(0.0 < share <= 1.0 for share in told)
+    folder = tmp_path / "mine"
+    assert "lines need a decision" in ends(0, "init", str(folder)).out[-1]
+    files = [str(folder / "domain.pddl"), str(folder / "problem.pddl"), "--sensing", str(folder / "sensing.yaml")]
+    ends(0, "check", *files)
+    ends(0, "run", *files, "--actions", "ros2")
+    assert "domain.pddl" in ends(2, "init", str(folder)).err[-1]

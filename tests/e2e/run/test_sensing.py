@@ -81,35 +81,3 @@ def test_what_is_unknown_because_its_sensor_was_killed_fails_a_call_and_is_plann
     assert (finished.result["goal_reached"], finished.result["plans"], finished.result["replans"]) == (True, 2, 1)
     assert finished.attempts("work_slowly") == [1]
     assert any("nothing was heard on /r1/battery for 1 s; its facts are unknown" in line for line in run.err)
-
-
-def test_reports_of_another_world_leave_unknown_what_they_are_about(deploy):
-    deployment = deploy("workshop", texts=(DOMAIN, PROBLEM))
-    report = {"topic": "knowledge/sensed", "type": "pnm_interfaces/msg/State", "fields": {"names": ["charged"], "facts": ["(charged r9)"]}}
-    sensor = deployment.start(Program(["-m", "tests.support.ros.sensors", json.dumps(report)], deployment.environment))
-    sensor.until(lambda: "ready" in sensor.out)
-    run = deployment.run()
-    assert run.ended() == 1
-    assert any("a report on knowledge/sensed is wrong: there is no object 'r9' in the domain" in line for line in run.err)
-    (result,) = run.objects()
-    assert result["reason"] == (
-        "no plan: (done r1) cannot be reached with what is known: work(r1) would do it, but (charged r1) is unknown"
-    )
-
-
-def test_sensors_that_are_wrong_are_refused_before_anything_starts(deploy):
-    deployment = deploy("workshop", texts=(DOMAIN, PROBLEM))
-    for text, said in {
-        SENSING.replace("charged", "chraged"): "sensing.yaml:6:15: there is no predicate 'chraged' in the domain; did you mean 'charged'?",
-        SENSING.replace("battery\n", "battery\n    type: test_msgs/msg/Empty\n"): "sensing.yaml:7:15: Empty has no field 'float32_value'",
-    }.items():
-        run = deployment.run("--sensing", str(written(deployment.folder / "sensing.yaml", text)))
-        assert run.ended() == 2
-        assert said in run.err[-1]
-    battery = {"topic": "/r1/battery", "type": "test_msgs/msg/Strings", "fields": {}}
-    sensor = deployment.start(Program(["-m", "tests.support.ros.sensors", json.dumps(battery)], deployment.environment))
-    sensor.until(lambda: "ready" in sensor.out)
-    run = deployment.run("--sensing", str(written(deployment.folder / "sensing.yaml", SENSING)))
-    assert run.ended() == 2
-    (line,) = [line for line in run.err if "Strings" in line]  # and not in the log as well
-    assert "sensing.yaml:6:15: Strings has no field 'float32_value'; it has string_value" in line

@@ -61,15 +61,6 @@ def assert_lost(failure):
     )
 
 
-def test_a_goal_is_reached_by_robots_on_two_hosts(survey):
-    rover, drone = survey.robot("rover"), survey.robot("drone")
-    for one in (rover, drone):
-        one.ready()
-    assert reached(survey.run("(and (surveyed north) (standing r1 south) (above d1 north))"))["failures"] == []
-    assert starts(rover) == ["drive(r1, base, south)"]
-    assert starts(drone) == ["fly(d1, base, north)", "look_down(d1, north)"]
-
-
 def test_what_ends_while_the_link_is_cut_is_heard_of_when_it_has_healed(survey):
     drone = survey.robot("drone").ready()
     run = survey.run("(surveyed north)", kinds=["drone"])
@@ -117,20 +108,3 @@ def test_what_was_given_up_is_cancelled_after_the_cut_before_it_is_done_again(su
     assert run.ended() == 0
     assert end_outcomes(drone) == ["canceled", "succeeded"]
     assert not overlaps(drone.objects())
-
-
-def test_whoever_serves_plans_goes_on_after_a_cut(survey):
-    drone = survey.robot("drone").ready()
-    survey.serve(PERSISTENT.format(times=1)).ready()
-
-    def ending(start, end):
-        client = survey.client("served", f"{{from: {start}, to: {end}}}")
-        assert client.ended() == 0
-        return next(one["reason"] for one in client.objects() if one["event"] == "result")
-
-    assert ending("base", "north") == "goal"
-    survey.lan.cut("drone")
-    assert ending("north", "south") == "unavailable"
-    survey.lan.heal("drone")
-    assert ending("north", "base") == "goal"
-    assert starts(drone) == ["fly(d1, base, north)", "fly(d1, north, base)"]

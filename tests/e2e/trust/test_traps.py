@@ -43,11 +43,7 @@ def test_the_traps_work(traps: tuple[Path, Path]) -> None:
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("plan", *FILES, "--planner", "race:kairos,aries"),
-        ("plan", *MALL, "--planner", "fast-downward"),
         ("plan", *MALL, "--planner", "race:fast-downward"),
-        ("plan", *FILES, "--planner", "up-nothing-of-ours"),
-        ("run", *FILES, "--quiet", "--view=0"),
         ("serve", *FILES, "--view=0", "--journal", "t.journal"),
         ("replay", "{journal}", "--view=0"),
         ("demo", "mall"),
@@ -70,7 +66,7 @@ def test_nothing_of_the_current_folder_is_executed(arguments: tuple[str, ...], t
             program.ended()
     assert not log.exists(), log.read_text()
     if arguments[0] == "plan":
-        assert bool(program.out) == ("up-nothing-of-ours" not in arguments), str(program)
+        assert program.out, str(program)
 
 
 def test_python_is_started_in_one_place_alone() -> None:

@@ -7,7 +7,6 @@ import os
 import pty
 import re
 import signal
-import sqlite3
 import stat
 import subprocess
 import sys
@@ -25,6 +24,7 @@ from pnm.files.text import private_folder, secret_in
 from tests.support.e2e.command_line import pnm
 from tests.support.files import ROOT
 from tests.support.processes import LIMIT, Program
+from tests.support.tasks.scenarios.forged_journal import forged
 
 PRECIOUS = "precious\nDo you want that? y"
 """The name of a file, which looks like an answer where its line break is printed."""
@@ -58,7 +58,7 @@ def test_a_journal_that_somebody_else_has_begun_is_asked_about(died: Path, tmp_p
     assert (tmp_path / PRECIOUS).read_text() == "precious"
 
 
-@pytest.mark.parametrize("answer", ["n", "", "y"])
+@pytest.mark.parametrize("answer", ["", "y"])
 def test_at_a_terminal_it_is_done_if_somebody_says_so(answer: str, died: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "elsewhere"))
     hands, terminal = pty.openpty()
@@ -81,13 +81,9 @@ def test_at_a_terminal_it_is_done_if_somebody_says_so(answer: str, died: Path, t
     assert ("nothing was done" in err, resumed.returncode) == ((False, 0) if answer == "y" else (True, 2))
 
 
-@pytest.mark.parametrize("is_own", [True, False])
-def test_ones_own_journal_goes_on_and_so_does_another_with_yes(
-    is_own: bool, died: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if not is_own:
-        monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "elsewhere"))
-    with closing(Program(["-m", "planner_bridge", "resume", str(died), *([] if is_own else ["--yes"])], {})) as program:
+def test_another_journal_goes_on_with_yes(died: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "elsewhere"))
+    with closing(Program(["-m", "planner_bridge", "resume", str(died), "--yes"], {})) as program:
         program.until(lambda: any("stays until" in line for line in program.err))
         program.process.send_signal(signal.SIGINT)
         program.ended()
@@ -95,15 +91,14 @@ def test_ones_own_journal_goes_on_and_so_does_another_with_yes(
 
 
 def test_a_command_that_was_changed_in_a_journal_of_ones_own_is_asked_about(died: Path, tmp_path: Path) -> None:
-    with closing(sqlite3.connect(died)) as journal, journal:
+    with forged(died) as journal:
         number, text = journal.execute("SELECT sequence, text FROM records WHERE text LIKE '%SharedBegan%'").fetchone()
         record = json.loads(text)
         record["command"] = [*record["command"], "--timeline", str(tmp_path / "other")]
-        columns = [row[1] for row in journal.execute("PRAGMA table_info(records)")]
         journal.execute("UPDATE records SET text = ? WHERE sequence = ?", (json.dumps(record), number))
     done = pnm("resume", str(died))
     assert done.returncode == 2
-    assert "not begun by you" in done.stderr or "damaged" in done.stderr, columns
+    assert "not begun by you" in done.stderr
     assert not (tmp_path / "other").exists()
 
 

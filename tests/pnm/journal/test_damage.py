@@ -130,18 +130,6 @@ def test_a_fact_that_no_run_has_used_yet_is_checked_as_well(written: Path, tmp_p
         taken(tmp_path / "j")
 
 
-def test_a_record_that_is_missing_is_missed(place: Place) -> None:
-    file = JournalFile(place, Durability.PROCESS_CRASH, 0.0)
-    for number in range(1, 6):
-        file.append([Row(0.0, str(number))], {})
-    file._database.run("DELETE FROM records WHERE sequence = 3")
-    file.close()
-    kept = KeptJournal(place)
-    with pytest.raises(JournalError, match="is damaged: the records 3 to 3 are missing"):
-        list(kept.rows())
-    kept.close()
-
-
 @pytest.mark.parametrize("has_lock", [True, False])
 def test_whoever_reads_a_journal_without_its_log_is_told_once(has_lock: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path, away = tmp_path / "tasks.journal", tmp_path / "away.journal"

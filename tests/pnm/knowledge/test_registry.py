@@ -22,12 +22,6 @@ def registered(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sources, "_registered", {})
 
 
-@pytest.mark.parametrize("name", ["sqlite", "memory", "person", "ros2", "terminal", "topics"])
-def test_built_in_names(name: str) -> None:
-    assert check_source(name) == name
-    assert name in source_names()
-
-
 @pytest.mark.parametrize("name", ["RPKnowledgeBase", "rpn_planner_kb.rpn_planner_knowledge_base.RPKnowledgeBase"])
 def test_classes_of_the_original_are_the_default(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))

@@ -41,10 +41,6 @@ def test_people_are_asked_and_told_what_is_for_them(question: Question) -> None:
     assert (person.updates, shared.updates) == ([(question.name, "done")], [])
 
 
-def test_a_local_variable_called_user_is_no_person() -> None:
-    assert run_questions(Sources([DelayedSource({"USER": 1})], DelayedSource()).query(about("USER", Layer.LOCAL), ME)) == 1
-
-
 def test_an_update_goes_where_the_next_query_finds_it() -> None:
     first, second = MemoryKnowledge(), DelayedSource({"a": "old"})
     sources = Sources([first, second])

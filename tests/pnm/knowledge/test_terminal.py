@@ -10,8 +10,7 @@ from uuid import UUID
 import pytest
 
 from pnm.core.logic.computed_values import MISSING, Layer, Question
-from pnm.errors import printable
-from pnm.knowledge.people import TerminalSource, message_text, question_text, read_answer
+from pnm.knowledge.people import TerminalSource, message_text, question_text
 from pnm.knowledge.source import Asker, SourceError
 from pnm.knowledge.sources import Sources
 from tests.support.logic.people import TerminalUser, about, run_questions
@@ -53,24 +52,6 @@ def test_the_words_of_a_message(question: Question, value: object, said: str) ->
     assert message_text(question, value) == said
 
 
-@pytest.mark.parametrize(
-    ("text", "value"),
-    [("kitchen", "kitchen"), (" 5 ", 5), ('"5"', "5"), ("true", True), ("null", None), ("[1, 2]", [1, 2]), ("NaN", "NaN"), ("on", "on")],
-)
-def test_what_people_write(text: str, value: object) -> None:
-    assert read_answer(text, about("shop", Layer.PERSON)) == value
-
-
-@pytest.mark.parametrize("text", ['{"a": 1', '"kitchen', "[1, 2"])
-def test_a_slip_of_the_pen_is_no_answer(text: str) -> None:
-    with pytest.raises(SourceError, match="is not JSON"):
-        read_answer(text, about("shop", Layer.PERSON))
-
-
-def test_texts_from_elsewhere_do_nothing_to_a_terminal() -> None:
-    assert printable("a\x1b[2Jb\nc\u202e") == "a\N{REPLACEMENT CHARACTER}[2Jb c\N{REPLACEMENT CHARACTER}"
-
-
 # --- the terminal ---
 
 
@@ -78,27 +59,18 @@ def test_a_question_at_the_terminal(person: TerminalUser) -> None:
     async def main() -> list[object]:
         terminal = TerminalSource(person.answers, person.shown)
         found = []
-        for typed in ("bakery\n", "5\n", "[1]\n", "\n"):
+        for typed in ("bakery\n", "5\n", "[1]\n", "\n", '["a"\n'):
             asking = asyncio.ensure_future(terminal.query(about("shop", Layer.PERSON, "Which shop?"), ME))
             await person.sees("[tour] Which shop? ")
             person.types(typed)
+            if typed == '["a"\n':
+                await person.sees("is not JSON")
+                await person.sees("once more: ")
+                person.types('["a"]\n')
             found.append(await asking)
         return found
 
-    assert run_questions(main(), virtual=False) == ["bakery", 5, [1], MISSING]
-
-
-def test_a_slip_of_the_pen_is_asked_for_once_more(person: TerminalUser) -> None:
-    async def main() -> object:
-        asking = asyncio.ensure_future(TerminalSource(person.answers, person.shown).query(about("shop", Layer.PERSON), ME))
-        await person.sees("What is shop? ")
-        person.types('["a"\n')
-        await person.sees("is not JSON")
-        await person.sees("once more: ")
-        person.types('["a"]\n')
-        return await asking
-
-    assert run_questions(main(), virtual=False) == ["a"]
+    assert run_questions(main(), virtual=False) == ["bakery", 5, [1], MISSING, ["a"]]
 
 
 def test_questions_queue_and_say_who_asks(person: TerminalUser) -> None:

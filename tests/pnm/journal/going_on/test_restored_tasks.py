@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import re
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
+from contextlib import asynccontextmanager
+from functools import wraps
 from pathlib import Path
 from uuid import UUID
 
 import pytest
 
 from planner_bridge.model.world import simulated_backend
+from planner_bridge.tasks.result import TASKS
 from planner_bridge.tasks.settings import Settings
-from planner_bridge.tasks.task_manager import TaskLimits
-from pnm.actions.faults import Fault, FaultKind, Faults
+from planner_bridge.tasks.task_manager import TaskLimits, TaskManager
+from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.bindings import Binding, Bindings
@@ -20,8 +24,9 @@ from pnm.core.resources import Resources
 from pnm.errors import InputError
 from pnm.journal.codec import RECORDS
 from pnm.journal.journal import WrittenJournal
+from pnm.journal.records import EndConfirmed
 from pnm.journal.replay import Replay
-from pnm.journal.resume import replayed
+from pnm.journal.resume import replay_steps, replayed
 from pnm.journal.store import Durability, JournalFile
 from pnm.language.plan import parse_plans
 from pnm.language.runner import Program
@@ -29,8 +34,9 @@ from pnm.tasks import Code, TaskEnding, TaskListener, TaskRefused, TaskState, Tr
 from tests.support.pddl.problems import fleet
 from tests.support.tasks.scenarios.successors import Process, Successors
 
-SETTINGS = Settings(improve=0.0, bindings=Bindings({"move": Binding(resources=("{r}",))}))
+TWO = fleet(robots=2)
 GOALS = {"r1 there": ("at", "r1", "a2"), "r1 far": ("at", "r1", "a3"), "r0 there": ("at", "r0", "a2")}
+FAR = Wanted(UUID(int=1), "r1 far")
 ROUND = """
 actions: {move: {params: [r, from, to], duration: 4}}
 plan: [move: {r: r1, from: a1, to: a2}, move: {r: r1, from: a2, to: a3}]
@@ -38,128 +44,128 @@ plan: [move: {r: r1, from: a1, to: a2}, move: {r: r1, from: a2, to: a3}]
 
 
 class Heard(TaskListener):
-    """A listener that notes what is sent, and how tasks end."""
+    """A listener that notes what is sent, what is given up, and how tasks end."""
 
     def __init__(self) -> None:
         self.sent = asyncio.Event()
+        self.given_up = asyncio.Event()
         self.endings: dict[UUID, TaskEnding] = {}
         self.over = asyncio.Event()
 
     def happened(self, event: TraceEvent) -> None:
         if event.kind is TraceKind.SENT:
             self.sent.set()
+        if event.kind is TraceKind.WITHHELD:
+            self.given_up.set()
 
     def ended(self, task: UUID, ending: TaskEnding) -> None:
         self.endings[task] = ending
         self.over.set()
 
 
-async def first_process(processes: Successors) -> tuple[Process, Heard]:
-    """The first process, and what is heard of its tasks."""
-    process, heard = await processes.first(), Heard()
-    process.manager.listen(heard)
-    return process, heard
+class Lives(Successors):
+    """Two processes, one after the other."""
+
+    def __init__(
+        self,
+        folder: Path,
+        binding: Binding = Binding(resources=("{r}",)),
+        faults: Faults = NO_FAULTS,
+        programs: Mapping[str, Program] | None = None,
+        limits: TaskLimits | None = None,
+    ) -> None:
+        settings = Settings(improve=0.0, bindings=Bindings({"move": binding}))
+        robots = simulated_backend(TWO, settings.bindings, faults)
+        super().__init__(TWO, settings, robots, folder / "journal", dict(GOALS), programs or {}, limits)
+
+    @asynccontextmanager
+    async def begun(self) -> AsyncIterator[tuple[TaskManager, Heard]]:
+        """The first process, which dies at the end, and what is heard of its tasks."""
+        process, heard = await self.first(), Heard()
+        process.manager.listen(heard)
+        yield process.manager, heard
+        await process.die()
+
+    @asynccontextmanager
+    async def gone_on(self) -> AsyncIterator[tuple[Process, Replay, Heard]]:
+        """The next one, which has gone on with what the replay has, and what is heard of its tasks."""
+        (process, replay), heard = await self.next(), Heard()
+        process.manager.listen(heard)
+        process.manager.restore(replay)
+        async with asyncio.timeout(1000.0):
+            yield process, replay, heard
+        await process.manager.close()
+        process.journal.close()
 
 
-async def next_process(processes: Successors) -> tuple[Process, Replay, Heard]:
-    """The next process, which goes on with what the replay has, and what is heard of its tasks."""
-    (process, replay), heard = await processes.next(), Heard()
-    process.manager.listen(heard)
-    process.manager.restore(replay)
-    return process, replay, heard
+def virtual(test: Callable[[Path], Coroutine[object, object, None]]) -> Callable[[Path], None]:
+    """Have a test run on virtual time."""
+
+    @wraps(test)
+    def run(tmp_path: Path) -> None:
+        run_async(test(tmp_path), virtual=True)
+
+    return run
 
 
-def test_a_plan_that_was_paused_sends_nothing_in_the_next_process_before_it_is_resumed(tmp_path: Path) -> None:
-    problem, task = fleet(robots=2), Wanted(UUID(int=1), "round", is_plan=True)
+@virtual
+async def test_a_plan_that_was_paused_sends_nothing_in_the_next_process_before_it_is_resumed(tmp_path: Path) -> None:
+    task = Wanted(UUID(int=1), "round", is_plan=True)
     (plan,) = parse_plans(ROUND).values()
-
-    async def main() -> None:
-        robots = simulated_backend(problem, SETTINGS.bindings)
-        processes = Successors(problem, SETTINGS, robots, tmp_path / "journal", programs={"round": Program.of(plan)})
-        first, heard = await first_process(processes)
-        first.manager.begin(task)
+    lives = Lives(tmp_path, programs={"round": Program.of(plan)})
+    async with lives.begun() as (manager, heard):
+        manager.begin(task)
         await heard.sent.wait()
-        await first.manager.pause(task.id, at_once=False)
-        await first.die()
-
-        second, _, heard = await next_process(processes)
+        await manager.pause(task.id, at_once=False)
+    async with lives.gone_on() as (second, _, heard):
         await asyncio.sleep(100.0)
         assert second.link.sent == []
         await second.manager.resume(task.id)
         await heard.over.wait()
         assert [action.partition("(")[0] for action in second.link.sent] == ["move"]
         assert heard.endings[task.id].code is Code.GOAL_REACHED
-        await second.manager.close()
-        second.journal.close()
-
-    run_async(main(), virtual=True)
 
 
-def test_a_task_that_was_paused_because_its_node_was_inactive_goes_on_in_the_next_process(tmp_path: Path) -> None:
-    problem, task = fleet(robots=2), Wanted(UUID(int=1), "r1 far")
-
-    async def main() -> None:
-        robots = simulated_backend(problem, SETTINGS.bindings)
-        processes = Successors(problem, SETTINGS, robots, tmp_path / "journal", GOALS)
-        first, heard = await first_process(processes)
-        first.manager.begin(task)
+@virtual
+async def test_a_task_that_was_paused_because_its_node_was_inactive_goes_on_in_the_next_process(tmp_path: Path) -> None:
+    lives = Lives(tmp_path)
+    async with lives.begun() as (manager, heard):
+        manager.begin(FAR)
         await heard.sent.wait()
-        await first.manager.pause(None, at_once=True, is_kept=False)
-        await first.die()
-
-        second, _, heard = await next_process(processes)
-        async with asyncio.timeout(1000.0):
-            await heard.over.wait()
-        assert heard.endings[task.id].code is Code.GOAL_REACHED
-        await second.manager.close()
-        second.journal.close()
-
-    run_async(main(), virtual=True)
-
-
-def test_a_task_that_has_begun_goes_on_before_those_of_higher_priority_that_waited(tmp_path: Path) -> None:
-    problem, begun, waiting = fleet(robots=2), Wanted(UUID(int=1), "r1 far"), Wanted(UUID(int=2), "r1 there", priority=5)
-
-    async def main() -> None:
-        robots = simulated_backend(problem, SETTINGS.bindings)
-        processes = Successors(problem, SETTINGS, robots, tmp_path / "journal", GOALS, limits=TaskLimits(active=1))
-        first, heard = await first_process(processes)
-        first.manager.begin(begun)
-        await heard.sent.wait()
-        first.manager.begin(waiting)
-        await first.die()
-
-        second, _, heard = await next_process(processes)
-        async with asyncio.timeout(1000.0):
-            while len(heard.endings) < 2:
-                heard.over.clear()
-                await heard.over.wait()
-        assert {ending.code for ending in heard.endings.values()} == {Code.GOAL_REACHED}
-        assert [*heard.endings] == [begun.id, waiting.id]
-        await second.manager.close()
-        second.journal.close()
-
-    run_async(main(), virtual=True)
-
-
-def test_a_task_that_was_over_is_over_in_the_next_process_and_one_that_goes_on_has_ended_as_many_calls(tmp_path: Path) -> None:
-    problem, past, going_on = fleet(robots=2), Wanted(UUID(int=1), "r0 there"), Wanted(UUID(int=2), "r1 far")
-
-    async def main() -> None:
-        robots = simulated_backend(problem, SETTINGS.bindings)
-        processes = Successors(problem, SETTINGS, robots, tmp_path / "journal", GOALS)
-        first, heard = await first_process(processes)
-        first.manager.begin(past)
+        await manager.pause(None, at_once=True, is_kept=False)
+    async with lives.gone_on() as (_, _, heard):
         await heard.over.wait()
-        first.manager.begin(going_on)
+        assert heard.endings[FAR.id].code is Code.GOAL_REACHED
+
+
+@virtual
+async def test_a_task_that_has_begun_goes_on_before_those_of_higher_priority_that_waited(tmp_path: Path) -> None:
+    waiting, lives = Wanted(UUID(int=2), "r1 there", priority=5), Lives(tmp_path, limits=TaskLimits(active=1))
+    async with lives.begun() as (manager, heard):
+        manager.begin(FAR)
+        await heard.sent.wait()
+        manager.begin(waiting)
+    async with lives.gone_on() as (_, _, heard):
+        while len(heard.endings) < 2:
+            heard.over.clear()
+            await heard.over.wait()
+        assert {ending.code for ending in heard.endings.values()} == {Code.GOAL_REACHED}
+        assert [*heard.endings] == [FAR.id, waiting.id]
+
+
+@virtual
+async def test_a_task_that_was_over_is_over_in_the_next_process_and_one_that_goes_on_has_ended_as_many_calls(tmp_path: Path) -> None:
+    past, going_on, lives = Wanted(UUID(int=2), "r0 there"), FAR, Lives(tmp_path)
+    async with lives.begun() as (manager, heard):
+        manager.begin(past)
+        await heard.over.wait()
+        manager.begin(going_on)
         for _ in range(2):
             heard.sent.clear()
             await heard.sent.wait()
-        before = {status.id: status for status in first.manager.status()}
+        before = {status.id: status for status in manager.status()}
         assert (before[past.id].state, before[past.id].reason) == (TaskState.OVER, "the goal holds")
-        await first.die()
-
-        second, _, heard = await next_process(processes)
+    async with lives.gone_on() as (second, _, heard):
         after = {status.id: status for status in second.manager.status()}
         assert after[past.id] == before[past.id]
         assert (after[past.id].ended, after[going_on.id].ended) == (2, before[going_on.id].ended) == (2, 1)
@@ -168,85 +174,77 @@ def test_a_task_that_was_over_is_over_in_the_next_process_and_one_that_goes_on_h
             await second.manager.cancel(past.id)
         await heard.over.wait()
         assert {status.id: status.ended for status in second.manager.status()} == {past.id: 2, going_on.id: 2}
-        await second.manager.close()
-        second.journal.close()
-
-    run_async(main(), virtual=True)
 
 
-def test_what_a_task_has_begun_that_means_nothing_any_more_is_recalled_and_its_resources_are_free_then(tmp_path: Path) -> None:
-    problem, task, later = fleet(robots=2), Wanted(UUID(int=1), "r1 far"), Wanted(UUID(int=2), "r1 there")
-
-    async def main() -> None:
-        robots = simulated_backend(problem, SETTINGS.bindings)
-        processes = Successors(problem, SETTINGS, robots, tmp_path / "journal", GOALS)
-        first, heard = await first_process(processes)
-        first.manager.begin(task)
+@virtual
+async def test_what_a_task_has_begun_that_means_nothing_any_more_is_recalled_and_its_resources_are_free_then(tmp_path: Path) -> None:
+    lives = Lives(tmp_path)
+    async with lives.begun() as (manager, heard):
+        manager.begin(FAR)
         await heard.sent.wait()
-        await first.die()
-
-        processes.goals = {"r1 there": GOALS["r1 there"]}
-        second, replay, heard = await next_process(processes)
-        assert heard.endings[task.id].code is Code.INVALID_GOAL
+    lives.goals = {"r1 there": GOALS["r1 there"]}
+    async with lives.gone_on() as (second, replay, heard):
+        assert heard.endings[FAR.id].code is Code.INVALID_GOAL
         with pytest.raises(InputError, match="r1 is kept by move"):
-            second.manager.begin_anew(problem)
+            second.manager.begin_anew(TWO)
         await asyncio.sleep(1.0)
         assert not replay.resources.held
         second.journal.blocked = "the disk is full"
         with pytest.raises(InputError, match="the disk is full"):
-            second.manager.begin_anew(problem)
+            second.manager.begin_anew(TWO)
         second.journal.blocked = ""
-        second.manager.begin_anew(problem)
+        second.manager.begin_anew(TWO)
         heard.over.clear()
-        second.manager.begin(later)
+        second.manager.begin(Wanted(UUID(int=2), "r1 there"))
         await heard.over.wait()
-        await second.manager.close()
-        second.journal.close()
-
-    run_async(main(), virtual=True)
 
 
-def test_what_is_sensed_later_is_sensed_in_the_next_process(tmp_path: Path) -> None:
-    async def main() -> None:
-        journal, world = WrittenJournal(JournalFile(tmp_path / "journal", Durability.PROCESS_CRASH, 0.0), RECORDS), KnowledgeBase()
-        journal.begin(world, Resources())
-        world.sense(("at",), lag=2.0)
-        world.store({"x": 1})
-        world.sense(("open",))
-        journal.close()
+@virtual
+async def test_what_a_request_has_kept_that_was_given_up_is_free_when_its_server_says_that_it_is_over(tmp_path: Path) -> None:
+    slow = Faults((Fault("move(r1, a1, a2)", FaultKind.SLOW, ignores_cancel=True),))
+    lives = Lives(tmp_path, Binding(resources=("{r}",), timeout=2.0, cancel=1.0, retries=0), slow)
+    async with lives.begun() as (manager, heard):
+        manager.begin(Wanted(UUID(int=1), "r1 there"))
+        await heard.given_up.wait()
+    async with lives.gone_on() as (_, replay, _):
+        (given_up,) = replay.withheld
+        assert str(given_up.action) == "move(r1, a1, a2)", "nobody has said yet that it is over"
+        freed = asyncio.Event()
+        replay.resources.listen(freed.set)
+        while replay.resources.given_up:
+            await freed.wait()
+            freed.clear()
+    assert any(isinstance(step.record, EndConfirmed) for step in replay_steps(lives.journal, TASKS, Replay()))
 
-    run_async(main(), virtual=True)
-    after = replayed(tmp_path / "journal", RECORDS).world
+
+@virtual
+async def test_what_is_sensed_later_is_sensed_in_the_next_process(tmp_path: Path) -> None:
+    journal, world = WrittenJournal(JournalFile(tmp_path / "j", Durability.PROCESS_CRASH, 0.0), RECORDS), KnowledgeBase()
+    journal.begin(world, Resources())
+    world.sense(("at",), lag=2.0)
+    world.store({"x": 1})
+    world.sense(("open",))
+    journal.close()
+    after = replayed(tmp_path / "j", RECORDS).world
     assert (after.sensed_names(), after.variables()) == ({"at": 2.0, "open": 0.0}, {"x": 1})
 
 
-def test_the_status_says_when_and_why_the_plan_was_replaced_last(tmp_path: Path) -> None:
-    problem, task = fleet(robots=2), Wanted(UUID(int=1), "r1 far")
-    once = Settings(improve=0.0, bindings=Bindings({"move": Binding(resources=("{r}",), retries=0)}))
-
-    async def main() -> None:
-        robots = simulated_backend(problem, once.bindings, Faults((Fault("move", FaultKind.ABORT, times=1),)))
-        processes = Successors(problem, once, robots, tmp_path / "journal", GOALS)
-        first, heard = await first_process(processes)
-        first.manager.begin(task)
+@virtual
+async def test_the_status_says_when_and_why_the_plan_was_replaced_last(tmp_path: Path) -> None:
+    lives = Lives(tmp_path, Binding(resources=("{r}",), retries=0), Faults((Fault("move", FaultKind.ABORT, times=1),)))
+    async with lives.begun() as (manager, heard):
+        manager.begin(FAR)
         async with asyncio.timeout(1000.0):
-            while not first.manager.status()[0].replans:
+            while not manager.status()[0].replans:
                 await heard.sent.wait()
                 heard.sent.clear()
-        before = first.manager.status()[0]
+        before = manager.status()[0]
         assert before.state is TaskState.RUNNING
         when, _, why = before.reason.partition(" after it came in: ")
         assert re.fullmatch(r"replanned \d+\.\d\d s", when)
         assert why.startswith("the rest of the plan still works: going on with ")
-        await first.die()
-
-        second, _, heard = await next_process(processes)
+    async with lives.gone_on() as (second, _, heard):
         await heard.sent.wait()
         after = second.manager.status()[0]
         assert (after.state, after.reason) == (TaskState.RUNNING, f"replanned in another process: {why}")
-        async with asyncio.timeout(1000.0):
-            await heard.over.wait()
-        await second.manager.close()
-        second.journal.close()
-
-    run_async(main(), virtual=True)
+        await heard.over.wait()

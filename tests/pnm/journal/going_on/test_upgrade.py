@@ -108,9 +108,11 @@ FULL = ["sh", "-c", 'ulimit -f 1; exec "$@"', "sh"]
 
 
 def test_a_journal_that_cannot_be_made_is_an_error_before_anything_is_done(root: Path, tmp_path: Path) -> None:
-    files = [str(root / "domains/delivery/domain.pddl"), str(root / "problems/delivery/p01.pddl")]
-    for within, place in (([], tmp_path / "nowhere" / "j"), ([], tmp_path), ([], Path("/dev/full")), (FULL, tmp_path / "j")):
-        run = Program(["-m", "planner_bridge", "run", *files, "--journal", str(place)], {}, within)
-        assert run.ended() == 2, str(run)
-        assert not run.out
-        assert str(place) in run.err[-1]
+    run = ["run", str(root / "domains/delivery/domain.pddl"), str(root / "problems/delivery/p01.pddl"), "--journal"]
+    for place in (tmp_path / "nowhere" / "j", tmp_path, Path("/dev/full")):
+        refused = pnm(*run, str(place))
+        assert (refused.returncode, refused.stdout) == (2, ""), place
+        assert str(place) in refused.stderr
+    full = Program(["-m", "planner_bridge", *run, str(tmp_path / "j")], {}, FULL)
+    assert (full.ended(), full.out) == (2, []), str(full)
+    assert str(tmp_path / "j") in full.err[-1]

@@ -153,7 +153,6 @@ def survive(
     journal: Path,
     deaths: Sequence[int | DiskPlan],
     *,
-    before: bool = False,
     faults: Faults = NO_FAULTS,
     programs: Mapping[str, Program] | None = None,
     limits: TaskLimits | None = None,
@@ -164,13 +163,12 @@ def survive(
 ) -> Survival:
     """Carry out tasks in processes that die as they are told, one after the other, and in one more that does not.
 
-    A number is that of the commit, from the birth of its process, before or after which a process dies.
+    A number is that of the commit, from the birth of its process, after which a process dies.
     Tasks in turn are begun when those before them are over. The person is asked by plans, and for help. `wall` returns the time of day.
     """
     survival = Survival()
     files = Folder(journal)
-    fate = Fate.DIES_BEFORE if before else Fate.DIES_AFTER
-    plans = [plan if isinstance(plan, DiskPlan) else DiskPlan(plan, fate) for plan in deaths]
+    plans = [plan if isinstance(plan, DiskPlan) else DiskPlan(plan, Fate.DIES_AFTER) for plan in deaths]
 
     async def whole(loop: ProcessLoop) -> None:
         robots = simulated_backend(problem, settings.bindings, faults).robots
