@@ -1,4 +1,4 @@
-"""What is seen on a terminal only: how long a planner has searched, and its limit; reasons on lines that are not too long."""
+"""What is seen on a terminal only: how long a planner has searched, and its limit; lines that are not too long; questions to a person."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from planner_bridge.pddl import write_domain, write_problem
+from tests.support.e2e.command_line import pnm
 from tests.support.files import ROOT
 from tests.support.pddl.problems import hard
 from tests.support.processes import LIMIT
@@ -43,7 +44,7 @@ def on_a_terminal(*arguments: str) -> tuple[int, str]:
     return status, b"".join(seen).decode()
 
 
-@pytest.mark.parametrize("command", [("plan",), ("net",), ("export", "--with-plan"), ("run",)])
+@pytest.mark.parametrize("command", [("export", "--with-plan"), ("run",)])
 def test_a_search_says_for_how_long_it_goes_on_and_what_to_do_when_its_time_is_over(command: tuple[str, ...], tmp_path: Path) -> None:
     domain, problem = tmp_path / "domain.pddl", tmp_path / "problem.pddl"
     domain.write_text(write_domain(hard().domain))
@@ -61,13 +62,12 @@ CLOSED = """(define (domain d)
 HELD = "(define (problem p) (:domain d) (:init (at_dock) (front_door_open)) (:goal (and (in_the_kitchen) (lamp_on))))"
 
 
-@pytest.mark.parametrize(("command", "head"), [("plan", "no plan:"), ("run", "goal     not reached:")])
-def test_why_there_is_no_plan_is_read_cause_by_cause(command: str, head: str, tmp_path: Path) -> None:
+def test_why_there_is_no_plan_is_read_cause_by_cause(tmp_path: Path) -> None:
     (tmp_path / "d.pddl").write_text(CLOSED)
     (tmp_path / "p.pddl").write_text(HELD)
-    status, seen = on_a_terminal(command, str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl"))
+    status, seen = on_a_terminal("run", str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl"))
     lines = [line.rstrip() for line in re.sub("\x1b\\[[0-9;?]*[A-Za-z]", "", seen).splitlines()]
-    begin = next(number for number, line in enumerate(lines) if line.startswith(head))
+    begin = next(number for number, line in enumerate(lines) if line.startswith("goal     not reached:"))
     assert status == 1
     assert all(len(line) <= 80 for line in lines[begin:])
     reason = [line.strip() for line in lines[begin:] if "replans" not in line]
@@ -78,21 +78,12 @@ def test_why_there_is_no_plan_is_read_cause_by_cause(command: str, head: str, tm
     assert "(lamp_on) cannot be reached: no action brings it about" in reason
 
 
-def test_nothing_of_it_is_seen_in_a_pipe(tmp_path: Path) -> None:
-    (tmp_path / "p.pddl").write_text("(define (problem p) (:domain d) (:init) (:goal (a)))")
-    (tmp_path / "d.pddl").write_text("(define (domain d) (:predicates (a)) (:action do :parameters () :effect (a)))")
-    command = [sys.executable, "-m", "planner_bridge", "plan", str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl")]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True)
-    assert "is looking" not in done.stdout + done.stderr
-
-
 GUIDE = ("domains/mall_guide/domain.pddl", "problems/mall_guide/p01.pddl")
 FAILING = ("domains/delivery/domain.pddl", "problems/delivery/p01.pddl", "--faults", "problems/delivery/faults.yaml")
 
 
-@pytest.mark.parametrize("files", [GUIDE, FAILING])
-def test_a_run_fits_on_a_terminal_and_begins_with_who_moves(files: tuple[str, ...]) -> None:
-    status, seen = on_a_terminal("run", *files, "-v")
+def test_a_run_fits_on_a_terminal_and_begins_with_who_moves() -> None:
+    status, seen = on_a_terminal("run", *FAILING, "-v")
     lines = [line.rstrip().rpartition("\r")[2] for line in re.sub("\x1b\\[[0-9;?]*[A-Za-z]", "", seen).splitlines()]
     assert status == 0
     assert lines[0] == "robots   simulated here; --actions ros2 drives real ones"
@@ -100,12 +91,50 @@ def test_a_run_fits_on_a_terminal_and_begins_with_who_moves(files: tuple[str, ..
 
 
 def test_how_large_a_machine_is_is_printed_when_it_is_asked_for() -> None:
-    brief, verbose = (pnm_run(*GUIDE, *more) for more in ((), ("-v",)))
+    brief, verbose = (pnm("run", *GUIDE, *more).stdout for more in ((), ("-v",)))
     assert "machine  proved: whatever happens, it ends in the goal or in a named failure\n" in brief
     (extra,) = set(verbose.splitlines()) - set(brief.splitlines())
     assert re.fullmatch(r" {9}\d+ places, \d+ transitions, 20 orderings; proved sound: 8 calls of 7 shapes, \d+ states explored", extra)
 
 
-def pnm_run(*arguments: str) -> str:
-    command = [sys.executable, "-m", "planner_bridge", "run", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True).stdout
+# --- `pnm run --ask-for-help` ---
+
+DOMAIN = "(define (domain d) (:predicates (open) (in)) (:action enter :precondition (open) :effect (in)))"
+PROBLEM = "(define (problem p) (:domain d) (:init) (:goal (in)))"
+
+
+@pytest.fixture
+def closed(tmp_path: Path) -> tuple[str, str]:
+    """A door that nothing opens."""
+    domain, problem = tmp_path / "d.pddl", tmp_path / "p.pddl"
+    domain.write_text(DOMAIN)
+    problem.write_text(PROBLEM)
+    return str(domain), str(problem)
+
+
+def test_a_person_at_the_terminal_is_asked(closed: tuple[str, str]) -> None:
+    hands, terminal = pty.openpty()
+    command = [sys.executable, "-m", "planner_bridge", "run", *closed, "--ask-for-help"]
+    with subprocess.Popen(command, stdin=terminal, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT, text=True) as process:
+        os.close(terminal)
+        assert process.stderr is not None
+        shown = ""
+        for answer in ("once more", "try again", "give up"):
+            while not shown.endswith("or 'give up'. "):
+                letter = process.stderr.read(1)
+                assert letter, f"it has ended: {shown}"
+                shown += letter
+            assert "This goal cannot be reached: no plan: proved unsolvable: (in) cannot be reached" in shown
+            shown = ""
+            os.write(hands, f"{answer}\n".encode())
+        out, _ = process.communicate(timeout=LIMIT)
+    os.close(hands)
+    assert process.returncode == 1
+    assert "goal     not reached: no plan" in out
+    assert out.rstrip().splitlines()[-2].endswith("a person was asked for help, and says to give up")
+
+
+def test_without_a_terminal_the_goal_is_given_up_and_the_reason_says_so(closed: tuple[str, str]) -> None:
+    done = pnm("run", *closed, "--ask-for-help")
+    assert done.returncode == 1
+    assert "help was asked for in vain: a person was to be asked or told something, but there is no terminal to do it on" in done.stdout
