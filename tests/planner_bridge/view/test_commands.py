@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import socket
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,7 +14,6 @@ import pytest
 
 from tests.support.e2e.command_line import pnm
 from tests.support.e2e.page.serving import Stream, asked
-from tests.support.files import ROOT
 from tests.support.processes import Program, parent, until
 
 FILES = ("domains/delivery/domain.pddl", "problems/delivery/p01.pddl")
@@ -28,29 +26,6 @@ def taken() -> Iterator[int]:
         other.bind(("127.0.0.1", 0))
         other.listen()
         yield other.getsockname()[1]
-
-
-@pytest.mark.parametrize("command", ["run", "replay"])
-def test_a_port_that_is_taken_is_said_before_anything_moves(command: str, taken: int, delivery: Path) -> None:
-    arguments = FILES if command == "run" else (str(delivery),)
-    done = pnm(command, *arguments, f"--view={taken}")
-    assert (done.returncode, done.stdout) == (2, "")
-    assert f"cannot be at port {taken}" in done.stderr
-    assert "--view=0" in done.stderr
-
-
-def test_what_serves_the_page_is_named_if_it_is_not_there(delivery: Path) -> None:
-    code = "import sys; sys.modules['uvicorn'] = None; from planner_bridge.cli.commands import main; main()"
-    done = subprocess.run(
-        [sys.executable, "-c", code, "replay", str(delivery), "--view=0"],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        timeout=120,
-        check=False,
-    )
-    assert (done.returncode, done.stdout) == (2, "")
-    assert "pip install 'petri-net-machines[view]'" in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -68,11 +43,21 @@ def test_what_cannot_be_shown_is_refused(arguments: tuple[str, ...], said: str, 
     assert said in done.stderr
 
 
-def test_the_port_may_be_left_out_wherever_the_option_stands(taken: int) -> None:
+def test_a_port_that_is_taken_is_said_before_anything_moves_and_may_be_left_out(taken: int, delivery: Path) -> None:
+    for arguments in (("run", "--view", str(taken), *FILES), ("replay", str(delivery), f"--view={taken}")):
+        done = pnm(*arguments)
+        assert (done.returncode, done.stdout) == (2, "")
+        assert f"cannot be at port {taken}" in done.stderr
+        assert "--view=0" in done.stderr
     done = pnm("run", "--view", "domains/none.pddl", "problems/none.pddl")
     assert "none.pddl" in done.stderr or "port 8421" in done.stderr
-    done = pnm("run", "--view", str(taken), *FILES)
-    assert f"cannot be at port {taken}" in done.stderr
+
+
+def test_what_serves_the_page_is_named_if_it_is_not_there(delivery: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "uvicorn", None)
+    done = pnm("replay", str(delivery), "--view=0")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "pip install 'petri-net-machines[view]'" in done.stderr
 
 
 def url_in(program: Program) -> str:

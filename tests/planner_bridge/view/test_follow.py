@@ -23,6 +23,8 @@ from tests.support.processes import LIMIT
 
 
 def test_a_journal_that_is_not_there_yet_is_waited_for(growing: GrowingJournal, tmp_path: Path) -> None:
+    (tmp_path / "text").write_text("no database")
+    assert "cannot be opened" in Reader(tmp_path / "text").newest().problem
     reader = Reader(tmp_path / "later.journal")
     assert "there is no such file" in reader.newest().problem
     growing.grow(growing.longest)
@@ -73,11 +75,6 @@ def test_a_record_that_cannot_be_replayed_is_named_and_leaves_nothing_of_itself(
     assert reader.newest() is view, "it is not replayed again and again"
     with pytest.raises(JournalError, match="damaged behind record 30"):
         reader.at(31, view_of)
-
-
-def test_no_journal_at_all(tmp_path: Path) -> None:
-    (tmp_path / "text").write_text("no database")
-    assert "cannot be opened" in Reader(tmp_path / "text").newest().problem
 
 
 def test_a_journal_of_which_records_were_taken_away_is_read_anew(growing: GrowingJournal) -> None:
@@ -136,7 +133,7 @@ def test_nobody_reads_while_nobody_watches(growing: GrowingJournal) -> None:
     asyncio.run(asyncio.wait_for(course(), LIMIT))
 
 
-def test_a_browser_that_was_away_gets_what_has_changed_since(growing: GrowingJournal) -> None:
+def test_a_browser_that_was_away_gets_what_has_changed_since_and_what_changes_then(growing: GrowingJournal) -> None:
     growing.grow(40)
     with page_of(growing.place) as url:
         stream = Stream(url)
@@ -146,8 +143,10 @@ def test_a_browser_that_was_away_gets_what_has_changed_since(growing: GrowingJou
         growing.grow(60)
         back = Stream(url, f"/events?of={whole['journal']}&after=1", {"Last-Event-ID": number})
         number, change = back.next()
-        back.close()
         assert (number, change["is_whole"]) == ("60", False)
+        growing.grow(70)
+        assert back.next()[0] == "70"
+        back.close()
         reader = Reader(growing.place)
         before, after = reader.at(40, view_of), reader.at(60, view_of)
         assert after is not None
@@ -155,27 +154,16 @@ def test_a_browser_that_was_away_gets_what_has_changed_since(growing: GrowingJou
         assert set(change["parts"]["requests"]) == set(frame(before, after)["parts"]["requests"])
 
 
-@pytest.mark.parametrize(("of", "last"), [("another", "20"), ("", "20"), ("same", "4711"), ("same", "x")])
-def test_a_browser_that_has_seen_something_else_gets_the_whole_state(growing: GrowingJournal, of: str, last: str) -> None:
+def test_a_browser_that_has_seen_something_else_gets_the_whole_state(growing: GrowingJournal) -> None:
     growing.grow(40)
     with page_of(growing.place) as url:
         stream = Stream(url)
         key = stream.next()[1]["journal"]
         stream.close()
-        other = Stream(url, f"/events?of={key if of == 'same' else of}", {"Last-Event-ID": last})
-        assert other.next()[1]["is_whole"]
-        other.close()
-
-
-def test_frames_come_as_the_journal_grows(growing: GrowingJournal) -> None:
-    growing.grow(10)
-    with page_of(growing.place) as url:
-        stream = Stream(url)
-        assert stream.next()[0] == "10"
-        growing.grow(30)
-        number, change = stream.next()
-        assert (number, change["is_whole"]) == ("30", False)
-        stream.close()
+        for of, last in (("another", "20"), ("", "20"), (key, "4711"), (key, "x")):
+            other = Stream(url, f"/events?of={of}", {"Last-Event-ID": last})
+            assert other.next()[1]["is_whole"], (of, last)
+            other.close()
 
 
 def test_a_second_browser_takes_nothing_away_from_the_first(growing: GrowingJournal, monkeypatch: pytest.MonkeyPatch) -> None:

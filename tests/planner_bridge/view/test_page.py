@@ -12,7 +12,6 @@ from playwright.sync_api import Browser, FloatRect, Page, expect
 
 from planner_bridge.view.follow import Reader
 from planner_bridge.view.story import view_of
-from pnm.core.machine.requests import Ended
 from pnm.journal.records import Happened
 from tests.support.e2e.page.browser import browser
 from tests.support.e2e.page.journals import GrowingJournal, steps
@@ -80,8 +79,8 @@ def test_calls_light_up_as_the_journal_grows(page: Page, delivery: Path, growing
 
 
 def test_a_failure_can_be_read_and_what_followed(page: Page, delivery: Path) -> None:
-    ended = [step.number for step in steps(delivery) if isinstance(step.record, Happened) and isinstance(step.record.event, Ended)]
-    failed = next(number for number in ended if "aborted" in _marked(delivery, number) and "give_up" in _marked(delivery, number))
+    marked = [(int(number), " ".join(event["lines"])) for number, event in Reader(delivery).newest().events.items() if event["mark"]]
+    failed = next(number for number, lines in marked if "aborted" in lines and "give_up" in lines)
     with page_of(delivery) as url:
         page.goto(url)
         page.get_by_label("record", exact=True).fill(str(failed))
@@ -136,12 +135,6 @@ def test_the_signs_of_calls_and_words_of_the_key_stand_where_they_can_be_read(pa
 def _overlap(one: FloatRect, other: FloatRect) -> bool:
     beside = one["x"] + one["width"] <= other["x"] or other["x"] + other["width"] <= one["x"]
     return not (beside or one["y"] + one["height"] <= other["y"] or other["y"] + other["height"] <= one["y"])
-
-
-def _marked(journal: Path, record: int) -> str:
-    view = Reader(journal).at(record, view_of)
-    assert view is not None
-    return " ".join(view.events[str(record)]["lines"])
 
 
 def test_the_scrubber_goes_back_and_forth_by_keys(page: Page, delivery: Path) -> None:

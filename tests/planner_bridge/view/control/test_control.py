@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager
+import threading
+from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
-from uuid import UUID, uuid4
+from uuid import uuid4
 
 import pytest
 
@@ -25,237 +26,84 @@ from pnm.errors import InputError
 from pnm.journal.records import Happened
 from pnm.tasks import TaskState
 from tests.support.e2e.page.journals import GrowingJournal, steps
-from tests.support.e2e.page.serving import asked
+from tests.support.e2e.page.serving import asked, page_of
 from tests.support.files import ROOT
 from tests.support.tasks.fake_tasks import FakeTasks, FakeWorld
 
-
-@dataclass
-class ControlledPage:
-    """A page in a process of its own, and the tasks that it controls."""
-
-    page: PageProcess
-    tasks: FakeTasks
-    world: FakeWorld
-
-    @property
-    def token(self) -> str:
-        return urlsplit(self.page.url).fragment.removeprefix("token=")
-
-    async def send(self, command: object, method: str = "POST", **headers: str) -> tuple[int, dict[str, Any]]:
-        """Send a command as the page does; headers come before its own."""
-        own = {"Authorization": f"Bearer {self.token}", "Content-Type": "application/json"}
-        body = None if method == "GET" else json.dumps(command)
-        status, _, text = await asyncio.to_thread(asked, self.page.url, "/control", method, body, **{**own, **headers})
-        return status, json.loads(text)
+# --- what an operator does with commands ---------------------------------------------------------
 
 
-@asynccontextmanager
-async def page_with(what: Controlled, delivery: Path, world: FakeWorld | None = None) -> AsyncIterator[ControlledPage]:
+def replies(tasks: FakeTasks, world: FakeWorld, *commands: object) -> list[str]:
+    """What is refused of commands that are given one after the other, and why."""
+
+    async def course() -> list[str]:
+        operator = Operator(tasks, tasks, world)
+        return [(await operator.reply(command)).refused for command in commands]
+
+    return asyncio.run(course())
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        None,
+        [],
+        "pause",
+        {},
+        {"do": "explode"},
+        {"do": ["pause"]},
+        {"do": "pause", "task": "x"},
+        {"do": "pause", "task": 7},
+        {"do": "pause", "at_once": "yes"},
+        {"do": "step"},
+        {"do": "settle", "request": "1", "is_done": True},
+        {"do": "settle", "request": "00000000000000000000000000000001"},
+        {"do": "tell", "add": "(at r1 hall)"},
+        {"do": "tell", "add": [1]},
+        {"do": "tell", "add": ["\udcff"]},
+        {"do": "goal", "goal": 5},
+        {"do": "goal", "goal": "x" * 100_001},
+        {"do": "goal", "goal": "\ud800"},
+        {"do": "goal", "goal": "", "priority": 1.5},
+        {"do": "goal", "goal": "", "priority": 2**31},
+    ],
+)
+def test_what_is_no_command_is_refused(command: object) -> None:
     tasks = FakeTasks()
-    page = await asyncio.to_thread(PageProcess, 0, what)
-    try:
-        page.follow(str(delivery))
-        controlled = ControlledPage(page, tasks, world or FakeWorld(KnowledgeBase()))
-        page.operate(Operator(tasks, tasks, controlled.world if what is Controlled.NODE else None))
-        yield controlled
-    finally:
-        await asyncio.to_thread(page.close)
+    (refused,) = replies(tasks, FakeWorld(KnowledgeBase()), command)
+    assert refused.startswith("expected")
+    assert (tasks.wanted, tasks.said) == ([], [])
 
 
-async def begun(controlled: ControlledPage, text: str = "running") -> UUID:
-    """Begin a task over the page; return its id."""
-    assert await controlled.send({"do": "goal", "goal": text}) == (200, {"refused": "", "line": 0, "column": 0})
-    return controlled.tasks.wanted[-1].id
-
-
-def test_a_goal_is_sent_and_its_task_is_paused_resumed_and_cancelled(delivery: Path) -> None:
-    async def use() -> None:
-        async with page_with(Controlled.NODE, delivery) as controlled:
-            task = await begun(controlled)
-            for word, state in (("pause", TaskState.PAUSED), ("resume", TaskState.RUNNING)):
-                assert (await controlled.send({"do": word, "task": str(task)}))[0] == 200
-                assert controlled.tasks.open[task].state is state
-            assert (await controlled.send({"do": "cancel", "task": task.hex}))[0] == 200
-            assert task not in controlled.tasks.open
-
-    asyncio.run(use())
-
-
-def test_what_else_an_operator_says_reaches_the_tasks_and_the_world(delivery: Path) -> None:
-    async def use() -> None:
-        async with page_with(Controlled.NODE, delivery) as controlled:
-            task, id = await begun(controlled), uuid4()
-            for command in (
-                {"do": "step", "task": str(task)},
-                {"do": "settle", "request": id.hex, "is_done": True},
-                {"do": "settle", "request": id.hex, "is_done": False},
-                {"do": "answer", "question": id.hex, "text": "5"},
-                {"do": "answer", "question": id.hex, "text": "the kitchen"},
-                {"do": "answer", "question": id.hex, "text": " "},
-                {"do": "tell", "add": ["(at r1 hall)"]},
-            ):
-                assert (await controlled.send(command))[0] == 200
-            answers = [("answer", id, "5"), ("answer", id, "the kitchen"), ("answer", id, " ")]
-            assert controlled.tasks.said == [("step", task), ("settle", id, True), ("settle", id, False), *answers]
-            known = controlled.world.knowledge
-            assert known.facts() == {("at", "r1", "hall"): True}
-            status, reply = await controlled.send({"do": "answer", "question": id.hex, "text": "[1"})
-            assert (status, "is not JSON" in reply["refused"]) == (409, True)
-
-    asyncio.run(use())
-
-
-def test_what_is_refused_is_said_in_a_sentence(delivery: Path) -> None:
-    async def use() -> None:
-        async with page_with(Controlled.NODE, delivery) as controlled:
-            assert await controlled.send({"do": "goal", "goal": "nonsense"}) == (
-                409,
-                {"refused": "there is no predicate 'nonsense' here", "line": 1, "column": 1},
-            )
-            assert not controlled.tasks.wanted
-            status, reply = await controlled.send({"do": "pause", "task": str(uuid4())})
-            assert (status, "there is no task" in reply["refused"]) == (409, True)
-            task = await begun(controlled)
-            status, reply = await controlled.send({"do": "resume", "task": str(task)})
-            assert (status, "is not paused" in reply["refused"]) == (409, True)
-
-    asyncio.run(use())
-
-
-@pytest.mark.parametrize("given", ["", "Bearer ", "Bearer wrong", "Bearer {token}x", "Basic {token}", "bearer {token}", "Bearer \xe9"])
-def test_without_the_token_nothing_is_done_nor_told(given: str, delivery: Path) -> None:
-    async def use() -> None:
-        async with page_with(Controlled.NODE, delivery) as controlled:
-            for method in ("GET", "POST"):
-                status, reply = await controlled.send(
-                    {"do": "goal", "goal": "running"}, method, Authorization=given.format(token=controlled.token)
-                )
-                assert status == 403
-                assert "token" in reply["refused"]
-            assert not controlled.tasks.wanted
-
-    asyncio.run(use())
-
-
-def test_requests_of_other_pages_are_refused_even_with_the_token(delivery: Path) -> None:
-    async def use() -> None:
-        async with page_with(Controlled.NODE, delivery) as controlled:
-            command = {"do": "goal", "goal": "running"}
-            for header, value, expected in (
-                ("Origin", "http://evil.example", 403),
-                ("Host", "evil.example", 421),
-                ("Content-Type", "text/plain", 415),
-            ):
-                status, _, _ = await asyncio.to_thread(
-                    asked,
-                    controlled.page.url,
-                    "/control",
-                    "POST",
-                    json.dumps(command),
-                    **{"Authorization": f"Bearer {controlled.token}", "Content-Type": "application/json", header: value},
-                )
-                assert status == expected
-            assert not controlled.tasks.wanted
-
-    asyncio.run(use())
-
-
-def test_what_is_nested_deeper_than_any_command_is_refused_and_nothing_else_suffers(delivery: Path) -> None:
-    async def use() -> None:
-        async with page_with(Controlled.NODE, delivery) as controlled:
-            headers = {"Authorization": f"Bearer {controlled.token}", "Content-Type": "application/json"}
-            for depth in (10, 900, 940, *range(950, 1000, 5), 100_000):
-                body = f'{{"do": "check", "goal": {"[" * depth}{"]" * depth}}}'
-                assert (await asyncio.to_thread(asked, controlled.page.url, "/control", "POST", body, **headers))[0] == 400
-            await begun(controlled)
-
-    asyncio.run(use())
-
-
-def test_a_page_without_controls_has_no_token_and_says_how_to_get_one(delivery: Path) -> None:
-    async def use() -> None:
-        async with page_with(Controlled.NOTHING, delivery) as controlled:
-            assert urlsplit(controlled.page.url).fragment == ""
-            status, reply = await controlled.send({"do": "pause"}, Authorization="Bearer ")
-            assert (status, "--view-controls" in reply["refused"]) == (403, True)
-
-    asyncio.run(use())
-
-
-def test_a_run_takes_no_goals(delivery: Path) -> None:
-    async def use() -> None:
-        async with page_with(Controlled.RUN, delivery) as controlled:
-            assert await controlled.send(None, "GET") == (200, {"what": "run"})
-            status, reply = await controlled.send({"do": "goal", "goal": "running"})
-            assert (status, "`pnm serve`" in reply["refused"]) == (409, True)
-
-    asyncio.run(use())
-
-
-def test_when_the_tasks_are_over_that_is_said(delivery: Path) -> None:
-    page = PageProcess(0, Controlled.RUN)
-    with page:
-        page.follow(str(delivery))
-
-        async def send(command: object) -> tuple[int, dict[str, Any]]:
-            return await ControlledPage(page, FakeTasks(), FakeWorld(KnowledgeBase())).send(command)
-
-        assert "nothing yet" in asyncio.run(send({"do": "pause"}))[1]["refused"]
-
-        async def operate() -> None:
-            page.operate(Operator(FakeTasks(), FakeTasks()))
-
-        asyncio.run(operate())
-        assert "it is over" in asyncio.run(send({"do": "pause"}))[1]["refused"]
-
-
-class DeliveryWorld(FakeWorld):
-    """The world of the deliveries that the journal tells of."""
-
-    async def pack(self, goal: str, /) -> str:
-        problem = load(ROOT / "domains" / "delivery" / "domain.pddl", ROOT / "problems" / "delivery" / "p01.pddl")
-        return "x" * 100_000 if goal == "(large)" else packed(replace(problem, goal=Holds(parse_fluent(goal))))
-
-
-def test_why_a_goal_cannot_be_reached_is_a_tree_that_ends_at_the_closed_door(delivery: Path) -> None:
-    async def use() -> None:
-        async with page_with(Controlled.NODE, delivery, DeliveryWorld(KnowledgeBase())) as controlled:
-            status, told = await controlled.send({"do": "why", "goal": "(at parcel1 yard)"})
-            assert (status, [*told]) == (200, ["answers"])
-            reason, help_ = told["answers"]
-            assert reason["statement"] == "there is no plan: (at parcel1 yard) cannot be reached"
-            ends = [answer["statement"] for answer in every(reason) if not answer["reasons"]]
-            assert "(takes_parcels yard) is false, and no action changes that" in ends
-            assert any("(takes_parcels yard) were true: a plan with" in answer["statement"] for answer in every(help_))
-            status, told = await controlled.send({"do": "why", "goal": "(large)"})
-            assert (status, "too large to be explained here" in told["refused"]) == (409, True)
-            assert (await controlled.send({"do": "why", "goal": ""}, Authorization="Bearer wrong"))[0] == 403
-
-    asyncio.run(use())
-
-
-def test_what_is_explained_counts_on_what_is_under_way(delivery: Path, growing: GrowingJournal) -> None:
-    """While a robot moves it is nowhere, so that it could never be anywhere again."""
-    moving = next(
-        step.number
-        for step in steps(delivery)
-        if isinstance(step.record, Happened) and isinstance(step.record.event, Feedback | Accepted) and step.time > 4.0
+def test_what_a_person_says_reaches_the_tasks_and_the_world() -> None:
+    tasks, world, id = FakeTasks(), FakeWorld(KnowledgeBase()), uuid4()
+    assert replies(tasks, world, {"do": "goal", "goal": "running"}) == [""]
+    (task,) = tasks.open
+    for word, state in (("pause", TaskState.PAUSED), ("resume", TaskState.RUNNING)):
+        assert replies(tasks, world, {"do": word, "task": str(task)}) == [""]
+        assert tasks.open[task].state is state
+    said = replies(
+        tasks,
+        world,
+        {"do": "step", "task": str(task)},
+        {"do": "settle", "request": id.hex, "is_done": True},
+        {"do": "settle", "request": id.hex, "is_done": False},
+        {"do": "answer", "question": id.hex, "text": "the kitchen"},
+        {"do": "tell", "add": ["(at r1 hall)"]},
+        {"do": "cancel", "task": task.hex},
     )
-    growing.grow(moving)
-
-    async def use() -> None:
-        async with page_with(Controlled.NODE, growing.place, DeliveryWorld(KnowledgeBase())) as controlled:
-            (plan,) = (await controlled.send({"do": "why", "goal": "(at r1 yard)"}))[1]["answers"]
-            assert plan["statement"].startswith("there is a plan with ")
-
-    asyncio.run(use())
+    assert (set(said), task in tasks.open) == ({""}, False)
+    assert tasks.said == [("step", task), ("settle", id, True), ("settle", id, False), ("answer", id, "the kitchen")]
+    assert world.knowledge.facts() == {("at", "r1", "hall"): True}
 
 
-def every(answer: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    yield answer
-    for reason in answer["reasons"]:
-        yield from every(reason)
+def test_what_is_refused_is_said_in_a_sentence() -> None:
+    tasks, task = FakeTasks(), {"task": str(uuid4())}
+    refused = replies(
+        tasks, FakeWorld(KnowledgeBase()), {"do": "pause"} | task, {"do": "answer", "question": uuid4().hex, "text": "[1"}, {"do": "why"}
+    )
+    for said, sentence in zip(refused, ("there is no task", "is not JSON", "there is no problem here"), strict=True):
+        assert sentence in said
 
 
 def test_a_refusal_that_takes_its_time_is_no_consent(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -266,10 +114,147 @@ def test_a_refusal_that_takes_its_time_is_no_consent(monkeypatch: pytest.MonkeyP
             await asyncio.sleep(0.01)
             raise InputError(f"there is no {text}")
 
-    async def course() -> Reply:
-        tasks = FakeTasks()
-        return await Operator(tasks, tasks, SlowWorld(KnowledgeBase())).reply({"do": "goal", "goal": "x" * 2000})
+    (refused,) = replies(FakeTasks(), SlowWorld(KnowledgeBase()), {"do": "goal", "goal": "x" * 2000})
+    assert refused.startswith("there is no xxx")
+    assert len(json.dumps(Reply(refused).as_json())) < 1500, "many of them fit into a pipe"
 
-    reply = asyncio.run(course())
-    assert reply.refused.startswith("there is no xxx")
-    assert len(json.dumps(reply.as_json())) < 1500, "many of them fit into a pipe"
+
+# --- the way from a browser ----------------------------------------------------------------------
+
+
+class DeliveryWorld(FakeWorld):
+    """The world of the deliveries that the journal tells of."""
+
+    async def pack(self, goal: str, /) -> str:
+        problem = load(ROOT / "domains" / "delivery" / "domain.pddl", ROOT / "problems" / "delivery" / "p01.pddl")
+        return "x" * 100_000 if goal == "(large)" else packed(replace(problem, goal=Holds(parse_fluent(goal))))
+
+
+@dataclass
+class ControlledPage:
+    """A page in a process of its own, and the tasks that it controls."""
+
+    page: PageProcess
+    tasks: FakeTasks
+
+    @property
+    def token(self) -> str:
+        return urlsplit(self.page.url).fragment.removeprefix("token=")
+
+    def send(self, command: object, method: str = "POST", **headers: str) -> tuple[int, dict[str, Any]]:
+        """Send a command, or the text of one, as the page does; headers come before its own."""
+        own = {"Authorization": f"Bearer {self.token}", "Content-Type": "application/json"}
+        body = None if method == "GET" else command if isinstance(command, str) else json.dumps(command)
+        status, _, text = asked(self.page.url, "/control", method, body, **{**own, **headers})
+        return status, json.loads(text)
+
+
+@pytest.fixture(scope="module")
+def loop() -> Iterator[asyncio.AbstractEventLoop]:
+    """The event loop of the tasks, on a thread of its own."""
+    loop = asyncio.new_event_loop()
+    thread = threading.Thread(target=loop.run_forever)
+    thread.start()
+    yield loop
+    loop.call_soon_threadsafe(loop.stop)
+    thread.join()
+    loop.close()
+
+
+async def operate(page: PageProcess, tasks: FakeTasks, world: FakeWorld | None = None) -> None:
+    """Have an operator carry out what people want on the page."""
+    page.operate(Operator(tasks, tasks, world))
+
+
+@pytest.fixture(scope="module")
+def served(delivery: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[PageProcess]:
+    """The page of a node whose robots are on their ways."""
+    happened = ((step.number, step.record, step.time) for step in steps(delivery) if isinstance(step.record, Happened))
+    moving = next(number for number, record, time in happened if isinstance(record.event, Feedback | Accepted) and time > 4.0)
+    with closing(GrowingJournal(delivery, tmp_path_factory.mktemp("node") / "journal")) as journal:
+        journal.grow(moving)
+    with PageProcess(0, Controlled.NODE) as page:
+        page.follow(str(journal.place))
+        yield page
+
+
+@pytest.fixture
+def controlled(served: PageProcess, loop: asyncio.AbstractEventLoop) -> ControlledPage:
+    """The page of a node, whose tasks are new ones."""
+    tasks = FakeTasks()
+    asyncio.run_coroutine_threadsafe(operate(served, tasks, DeliveryWorld(KnowledgeBase())), loop).result()
+    return ControlledPage(served, tasks)
+
+
+def test_a_goal_that_is_sent_is_pursued_and_one_that_is_wrong_is_refused_with_its_place(controlled: ControlledPage) -> None:
+    assert controlled.send({"do": "goal", "goal": "running"}) == (200, {"refused": "", "line": 0, "column": 0})
+    refused = {"refused": "there is no predicate 'nonsense' here", "line": 1, "column": 1}
+    assert controlled.send({"do": "goal", "goal": "nonsense"}) == (409, refused)
+    assert [wanted.text for wanted in controlled.tasks.wanted] == ["running"]
+
+
+@pytest.mark.parametrize("given", ["", "Bearer ", "Bearer wrong", "Bearer {token}x", "Basic {token}", "bearer {token}", "Bearer \xe9"])
+def test_without_the_token_nothing_is_done_nor_told(given: str, controlled: ControlledPage) -> None:
+    goal = {"do": "goal", "goal": "running"}
+    for command, method in ((goal, "GET"), (goal, "POST"), ({"do": "why", "goal": "(at r1 yard)"}, "POST")):
+        status, reply = controlled.send(command, method, Authorization=given.format(token=controlled.token))
+        assert (status, "token" in reply["refused"]) == (403, True)
+    assert not controlled.tasks.wanted
+
+
+@pytest.mark.parametrize(
+    ("header", "value", "status"),
+    [("Origin", "http://evil.example", 403), ("Host", "evil.example", 421), ("Content-Type", "text/plain", 415)],
+)
+def test_requests_of_other_pages_are_refused_even_with_the_token(header: str, value: str, status: int, controlled: ControlledPage) -> None:
+    assert controlled.send({"do": "goal", "goal": "running"}, **{header: value})[0] == status
+    assert not controlled.tasks.wanted
+
+
+def test_what_is_nested_deeper_than_any_command_is_refused_and_nothing_else_suffers(controlled: ControlledPage) -> None:
+    for depth in (10, 900, 940, *range(950, 1000, 5), 100_000):
+        assert controlled.send(f'{{"do": "check", "goal": {"[" * depth}{"]" * depth}}}')[0] == 400
+    assert controlled.send({"do": "goal", "goal": "running"})[0] == 200
+
+
+def test_a_page_without_controls_says_how_to_get_them(delivery: Path) -> None:
+    with page_of(delivery) as url:
+        status, _, text = asked(url, "/control", "POST", "{}", **{"Authorization": "Bearer ", "Content-Type": "application/json"})
+    assert (status, "--view-controls" in text) == (403, True)
+
+
+def test_a_run_takes_no_goals_and_says_when_it_has_not_begun_and_when_it_is_over(loop: asyncio.AbstractEventLoop, delivery: Path) -> None:
+    with PageProcess(0, Controlled.RUN) as page:
+        page.follow(str(delivery))
+        run = ControlledPage(page, FakeTasks())
+        assert "nothing yet" in run.send({"do": "pause"})[1]["refused"]
+        asyncio.run_coroutine_threadsafe(operate(page, run.tasks), loop).result()
+        assert run.send(None, "GET") == (200, {"what": "run"})
+        status, reply = run.send({"do": "goal", "goal": "running"})
+        assert (status, "`pnm serve`" in reply["refused"]) == (409, True)
+        asyncio.run(operate(page, run.tasks))
+        assert "it is over" in run.send({"do": "pause"})[1]["refused"]
+
+
+def every(answer: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    yield answer
+    for reason in answer["reasons"]:
+        yield from every(reason)
+
+
+def test_why_a_goal_cannot_be_reached_is_a_tree_that_ends_at_the_closed_door(controlled: ControlledPage) -> None:
+    status, told = controlled.send({"do": "why", "goal": "(at parcel1 yard)"})
+    assert (status, [*told]) == (200, ["answers"])
+    reason, help_ = told["answers"]
+    assert reason["statement"] == "there is no plan: (at parcel1 yard) cannot be reached"
+    ends = [answer["statement"] for answer in every(reason) if not answer["reasons"]]
+    assert "(takes_parcels yard) is false, and no action changes that" in ends
+    assert help_["statement"] == "no change of facts was found that would help", "nobody knows where the robot is that has it"
+    status, told = controlled.send({"do": "why", "goal": "(large)"})
+    assert (status, "too large to be explained here" in told["refused"]) == (409, True)
+
+
+def test_what_is_explained_counts_on_what_is_under_way(controlled: ControlledPage) -> None:
+    """While a robot moves it is nowhere, so that it could never be anywhere again."""
+    (plan,) = controlled.send({"do": "why", "goal": "(at r1 yard)"})[1]["answers"]
+    assert plan["statement"].startswith("there is a plan with ")

@@ -17,6 +17,9 @@ from tests.support.tasks.simulation import TaskSimulation
 @simulated()
 async def test_a_step_lets_one_request_leave_and_the_task_is_paused_again(simulation: TaskSimulation):
     task = await simulation.begun("(at r0 a2)")
+    for id, why in ((task, "not paused on request"), (uuid4(), "there is no task")):
+        with pytest.raises(TaskRefused, match=why):
+            await simulation.master.step(id)
     await simulation.master.pause(task, at_once=True)
     stepping = asyncio.ensure_future(simulation.master.step(task))
     await asyncio.sleep(0.5)
@@ -28,25 +31,7 @@ async def test_a_step_lets_one_request_leave_and_the_task_is_paused_again(simula
     assert simulation.state(task) is TaskState.PAUSED
     await asyncio.sleep(100.0)
     assert len(simulation.sent(task)) == 2
-    await simulation.master.resume(task)
-    await simulation.reaches(task)
-
-
-@simulated()
-async def test_the_last_step_reaches_the_goal(simulation: TaskSimulation):
-    task = await simulation.begun("(at r0 a1)")
-    await simulation.master.pause(task, at_once=True)
-    await simulation.master.step(task)
-    await simulation.reaches(task)
-
-
-@simulated()
-async def test_what_is_not_paused_makes_no_step(simulation: TaskSimulation):
-    task = await simulation.begun("(at r0 a2)")
-    with pytest.raises(TaskRefused, match="not paused on request"):
-        await simulation.master.step(task)
-    with pytest.raises(TaskRefused, match="there is no task"):
-        await simulation.master.step(uuid4())
+    await simulation.master.step(task)  # the last one
     await simulation.reaches(task)
 
 
