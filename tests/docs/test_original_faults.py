@@ -73,13 +73,6 @@ def test_b14_a_chain_without_a_command_is_refused(run: RunOriginal) -> None:
     assert "expected a command at the end of the chain" in run.wrong("[{a: {}, recoveries: {during: {aborted: [{b: {}}]}}}]")
 
 
-def test_b15_runs_do_not_inherit_what_others_knew(tmp_path: Path) -> None:
-    plan = read_original(
-        tmp_path, "[{kb: {operation: {LocalUpdate: [list, {Operation: [concat, [LocalQuery: list, [1]]]}]}}}]", "{list: []}"
-    )
-    assert [variables(run_original(plan)) for _ in range(2)] == [{"list": [1]}] * 2
-
-
 def test_b17_an_expression_with_two_words_is_refused(run: RunOriginal) -> None:
     assert "stands beside other keys" in run.wrong("[{if: {Exists: [Query: a], not: {Query: b}}, then: []}]")
 
@@ -95,13 +88,6 @@ def test_b18_names_are_names(run: RunOriginal) -> None:
 def test_c1_what_is_entered_again_goes_on(run: RunOriginal) -> None:
     trace = run(COUNTING.replace("10]]", "500]]"), counted, knowledge="{value: 0}")
     assert (trace.result.goal, len(trace.sent)) == (True, 501)
-
-
-def test_c2_a_person_is_asked_once_for_one_check(run: RunOriginal) -> None:
-    plan = "[{if: {Comparison: [eq, [PersonQuery: go, true]]}, then: [{a: {}}], else: [{b: {}}]}]"
-    for answer, done in ((True, ["a"]), (False, ["b"])):
-        trace = run(plan, known={"go": answer})
-        assert (trace.actions, len(trace.asked)) == (done, 1)
 
 
 def test_c4_what_is_updated_beside_an_action_is_there_for_the_next(run: RunOriginal) -> None:

@@ -27,6 +27,8 @@ from pnm.core.message_fields import value_in
 from pnm.core.readiness import ReadyState
 from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import instances, read
+from pnm.language.plan import read_world
+from pnm.language.runner import Program
 from pnm.ros.node.messages import fitted, fitted_binding
 from pnm.tasks import Code
 from tests.support.docs.page import DOCS, blocks_of, files_of
@@ -146,3 +148,10 @@ def test_the_words_of_the_glossary_are_in_order() -> None:
     (table,) = tables("start/glossary.md")
     names = [re.sub(r"[^a-z ]", "", row[0].lower()) for row in table]
     assert all(one < two for one, two in pairwise(names))
+
+
+def test_the_proof_that_is_shown_is_that_of_the_plan() -> None:
+    shown = re.search(r"^plan +round_trip: proved (.*)$", text("guides/serving.md"), re.MULTILINE)
+    plans = read_world(ROOT / "domains/delivery/plans/world.yaml").plans
+    assert shown
+    assert shown[1] == str(Program.of(plans["round_trip"]).proof)
