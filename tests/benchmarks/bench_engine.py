@@ -1,18 +1,18 @@
-"""How long firings and machines take, as ratios within one run. Not a test: `python tests/benchmarks/bench_engine.py`.
+"""What the table of `tests.benchmarks` leaves out of machines and runs, as ratios within one run. Not a test.
 
-The unit is one turn of a plain Python loop over integers, measured in the same process.
+usage: python -m tests.benchmarks.bench_engine
+
+The parts of the way from a plan to its end, proofs of wide plans and of many recoveries, runs side by side, and changes of facts among
+many conditions and constraints. The unit is one turn of a plain Python loop over integers, measured in the same process.
 """
 
 from __future__ import annotations
 
 import gc
-import sys
 import tracemalloc
-from pathlib import Path
 from uuid import UUID
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
+from planner_bridge.tasks.settings import OnChange
 from pnm.core.execution.events import Begin, Command, Send
 from pnm.core.execution.machine_index import prepare
 from pnm.core.execution.run import Run
@@ -34,51 +34,13 @@ from pnm.core.machine.plan_graph import (
 )
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.core.machine.verification.verify import forget_proofs, verify
-from pnm.core.net.block_net import block_net
-from tests.support.benchmarks.executives.plans import machine as from_plan
-from tests.support.benchmarks.workloads import chain_net, checked, firings, fork_join, in_a_row, inline, loop, side_by_side
+from tests.support.benchmarks.waiting import CHARGE, constrained, fact, heard
+from tests.support.benchmarks.workloads import checked, in_a_row, inline, loop, side_by_side
 from tests.support.runs.timing import seconds
 
 
-def no_ops(calls: int) -> PlanGraph:
-    """Calls that need nothing and change nothing; each waits for one of the twenty before it."""
-    action = GroundAction("no_op")
-    found = tuple(ActionCall(index, action) for index in range(calls))
-    before = (index - 1 - (index * 7) % min(index, 20) for index in range(1, calls))
-    orderings = tuple(Ordering(PlanEvent(one, Moment.END), PlanEvent(index, Moment.START)) for index, one in enumerate(before, 1))
-    return PlanGraph(found, orderings)
-
-
-def recovering(count: int) -> PlanGraph:
-    """One call with so many recoveries, each of which may be used three times."""
-    causes = [cause for cause in Cause if cause not in (Cause.INVARIANT_FALSE, Cause.TOO_LATE, Cause.DEADLINE_MISSED, Cause.LOOP_LIMIT)]
-    chains = (Flow((ActionCall(index + 1, GroundAction("wait")),)) for index in range(count))
-    recoveries = (Recovery(frozenset({cause}), Then.RETRY, chain, 3, TRUE) for cause, chain in zip(causes, chains, strict=False))
-    return PlanGraph((ActionCall(0, GroundAction("no_op"), recoveries=tuple(recoveries)),))
-
-
-def proof_seconds(machine: PetriNetMachine) -> float:
-    """The time of a proof that knows no shape yet."""
-
-    def prove() -> None:
-        forget_proofs()
-        verify(machine)
-
-    return seconds(prove)
-
-
-def main() -> None:
-    unit = seconds(loop) / 1_000_000
-    print(f"unit: one turn of a plain loop, {unit * 1e9:.0f} ns")
-    for make in (chain_net, fork_join):
-        costs = {}
-        for size in (100, 1_000, 10_000, 100_000):
-            net = block_net(make(size))
-            rounds = max(1, 100_000 // size)
-            fired = firings(net) * rounds
-            costs[size] = seconds(lambda: [firings(net) for _ in range(rounds)]) / fired
-        row = ", ".join(f"{size}: {cost / unit:.0f} units" for size, cost in costs.items())
-        print(f"{make.__name__}: a firing at {row}; ratio 100000 / 100 = {costs[100_000] / costs[100]:.2f} (at most 4)")
+def parts(unit: float) -> None:
+    """From a plan to the end of its run, part by part."""
     for calls in (100, 1_000, 10_000):
         plan = no_ops(calls)
         machine = generate(plan)
@@ -93,16 +55,14 @@ def main() -> None:
             f"{kept(plan) / calls:.0f} bytes"
         )
 
-    checked_calls(unit)
-    proofs()
-    whole()
 
-
-def whole() -> None:
-    """From a plan of a planner to a machine that is proved and compiled."""
-    costs = {calls: from_plan(calls) for calls in (1_000, 10_000, 100_000)}
-    row = ", ".join(f"{calls}: {cost:.0f} us" for calls, cost in costs.items())
-    print(f"from a plan to its machine, a call: {row}; ratio 100000 / 1000 = {costs[100_000] / costs[1_000]:.2f} (at most 1.5)")
+def no_ops(calls: int) -> PlanGraph:
+    """Calls that need nothing and change nothing; each waits for one of the twenty before it."""
+    action = GroundAction("no_op")
+    found = tuple(ActionCall(index, action) for index in range(calls))
+    before = (index - 1 - (index * 7) % min(index, 20) for index in range(1, calls))
+    orderings = tuple(Ordering(PlanEvent(one, Moment.END), PlanEvent(index, Moment.START)) for index, one in enumerate(before, 1))
+    return PlanGraph(found, orderings)
 
 
 def kept(plan: PlanGraph) -> int:
@@ -118,30 +78,15 @@ def kept(plan: PlanGraph) -> int:
     return found
 
 
-def checked_calls(unit: float) -> None:
-    """A checked call that is answered at once, with a machine that is executed for the first time, and again; alone and among others."""
-    for calls in (100, 1_000, 10_000):
-        plan, known = checked(calls)
-        took: list[list[float]] = [[], []]
-        for _ in range(max(1, 3_000 // calls)):
-            machine = generate(plan)
-            prepare(machine)
-            for times in took:
-                run = Run(machine, Layered(KnowledgeBase(known)), id=UUID(int=1))
-                times.append(seconds(lambda run=run: inline(run), 1))  # type: ignore[misc]
-        first, again = (min(times) / calls for times in took)
-        print(
-            f"{calls} checked calls in a row, inline: "
-            f"{first / unit:.0f} units a call for a new machine, {again / unit:.0f} for one that is known; "
-            f"{first * 1e6:.0f}, {again * 1e6:.0f} us"
-        )
+def beside() -> None:
+    """Runs side by side, and one alone."""
     plan, known = checked(100)
     machine = generate(plan)
     inline(Run(machine, Layered(KnowledgeBase(known)), id=UUID(int=1)))
     alone = seconds(lambda: inline(Run(machine, Layered(KnowledgeBase(known)), id=UUID(int=1))))
     others = [Run(machine, Layered(KnowledgeBase(known)), id=UUID(int=number << 96)) for number in range(1, 1_001)]
-    beside = seconds(lambda: side_by_side_inline(others), 1) / len(others)
-    print(f"1000 runs of 100 calls side by side / one alone, a call = {beside / alone:.2f} (at most 1.5)")
+    took = seconds(lambda: side_by_side_inline(others), 1) / len(others)
+    print(f"1000 runs of 100 calls side by side / one alone, a call = {took / alone:.2f} (at most 1.5)")
 
 
 def side_by_side_inline(runs: list[Run]) -> None:
@@ -167,8 +112,46 @@ def proofs() -> None:
     print(f"recoveries of one call: 11 / 2 = {ratio:.1f} (at most 11); 11 take {proof_seconds(many) * 1000:.0f} ms")
 
 
+def recovering(count: int) -> PlanGraph:
+    """One call with so many recoveries, each of which may be used three times."""
+    causes = [cause for cause in Cause if cause not in (Cause.INVARIANT_FALSE, Cause.TOO_LATE, Cause.DEADLINE_MISSED, Cause.LOOP_LIMIT)]
+    chains = (Flow((ActionCall(index + 1, GroundAction("wait")),)) for index in range(count))
+    recoveries = (Recovery(frozenset({cause}), Then.RETRY, chain, 3, TRUE) for cause, chain in zip(causes, chains, strict=False))
+    return PlanGraph((ActionCall(0, GroundAction("no_op"), recoveries=tuple(recoveries)),))
+
+
+def proof_seconds(machine: PetriNetMachine) -> float:
+    """The time of a proof that knows no shape yet."""
+
+    def prove() -> None:
+        forget_proofs()
+        verify(machine)
+
+    return seconds(prove)
+
+
 def nodes(machine: PetriNetMachine) -> int:
     return len(machine.net.places) + len(machine.net.transitions)
+
+
+def changes() -> None:
+    """A fact changes: one that nothing mentions, and one that one of many conditions over all, or constraints, does."""
+    for count in (100, 1_000):
+        for on_change in OnChange:
+            of_none, of_one = (fact(count, on_change, fluent) for fluent in (("other",), CHARGE))
+            print(f"a change among {count} calls, {on_change.value}: {of_none:.1f} us if none reads it, {of_one:.1f} us if one does")
+        world, look = constrained(10 * count)
+        of_none, of_one = (heard(world, look, fluent) for fluent in (("other",), ("fit", "r5")))
+        print(f"a change among {10 * count} constraints: {of_none:.1f} us if none reads it (at most 5), {of_one:.1f} us if one does (50)")
+
+
+def main() -> None:
+    unit = seconds(loop) / 1_000_000
+    print(f"unit: one turn of a plain loop, {unit * 1e9:.0f} ns")
+    parts(unit)
+    beside()
+    proofs()
+    changes()
 
 
 if __name__ == "__main__":

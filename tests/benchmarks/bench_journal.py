@@ -1,11 +1,11 @@
 """What the journal costs, as ratios to the same without one, in one process. Not a test.
 
-usage: python tests/benchmarks/bench_journal.py [engine] [failures] [replays] [recoveries]
+usage: python -m tests.benchmarks.bench_journal [engine] [failures] [replays] [recoveries]
 
 The engine: a run whose requests are answered at once, with every event committed to a file, and without; in turn, several times: as an
-executor carries it out, and with its events alone, without an event loop. A failure: from knowing of it to the begin of the next plan,
-as in `bench_replanning`. A replay: of runs with 100000 firings, beside what is read of them without
-executing them. A recovery: 100 tasks, each with a machine and a request that is out, from opening the file until every one of them goes on.
+executor carries it out, and with its events alone, without an event loop. A failure: from knowing of it to the begin of the next plan.
+A replay: of runs with 100000 firings, beside what is read of them without executing them. A recovery: 100 tasks, each with a machine and
+a request that is out, from opening the file until every one of them goes on.
 """
 
 from __future__ import annotations
@@ -23,9 +23,6 @@ from functools import partial
 from pathlib import Path
 from statistics import median
 from uuid import UUID
-
-ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT))
 
 from planner_bridge.explanations.history import JournalHistory
 from planner_bridge.model.grounding import initial_knowledge
@@ -55,6 +52,7 @@ from pnm.journal.store import JournalFile
 from pnm.language.runner import PlanRunner
 from pnm.tasks import Wanted
 from tests.support.e2e.page.busy_run import answered, executed, kept, rounds, with_journal, without_journal
+from tests.support.files import ROOT
 from tests.support.pddl.problems import fleet
 from tests.support.runs.timing import FailureClock, seconds
 

@@ -1,28 +1,24 @@
 """How long hand-written plans take to be read, translated, proved and run, per step, as ratios within one run.
 
 Reading is compared with PyYAML's own loading of the same text, everything else with a plain Python loop; exporting and
-importing with reading the PDDL files they start from. Run with ``python tests/benchmarks/bench_language.py``.
+importing with reading the PDDL files they start from. Run with ``python -m tests.benchmarks.bench_language``.
 """
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from pathlib import Path
 
 import yaml
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from planner_bridge.pipeline.loading import load
 from planner_bridge.yaml.convert import exported, imported
 from pnm.core.machine.generate import generate
 from pnm.core.machine.verification.verify import verify
 from pnm.language.plan import read_plans
+from tests.support.files import ROOT
 from tests.support.runs.direct import drive
 from tests.support.runs.timing import seconds
-
-ROOT = Path(__file__).parents[2]
 
 HEAD = "actions:\n  go: {params: [place]}\n  set: {type: kb_action}\nplan:\n"
 STEP = (

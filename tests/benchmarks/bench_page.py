@@ -1,6 +1,6 @@
 """What the page costs: the browser's time at 1000 calls, and what an executor has left while somebody watches. Not a test.
 
-usage: python tests/benchmarks/bench_page.py
+usage: python -m tests.benchmarks.bench_page
 
 The first paint: from the moment when the page has the state until all calls are drawn. A frame: all scripts of the page between two
 paints, while a journal with 1000 calls grows as one of busy robots does. The throughput: a run whose requests are answered at once,
@@ -9,7 +9,6 @@ with every event committed, alone and with a browser that watches it; in turn, s
 
 from __future__ import annotations
 
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -18,9 +17,6 @@ from pathlib import Path
 from statistics import median
 from typing import Final
 from uuid import UUID
-
-ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT))
 
 from playwright.sync_api import Browser, Page
 

@@ -1,6 +1,6 @@
 """Goals over ROS 2: ours beside a bare `rclpy.action.ActionClient`, as ratios. Not a test.
 
-usage: python tests/benchmarks/bench_ros.py [rounds] [goals]
+usage: python -m tests.benchmarks.bench_ros [rounds] [goals]
 
 In turn, several times: a fresh server in a process of its own, a bare one of `rclpy` that succeeds at once; a client in another process
 that keeps 1, 10 or 100 goals in flight. Goals a second, and CPU time of the client's process for each goal. The machine may be shared:
@@ -15,13 +15,9 @@ import os
 import subprocess
 import sys
 import time
-from pathlib import Path
 from statistics import median
 from typing import Any
 from uuid import uuid4
-
-ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT))
 
 import rclpy
 from pnm_interfaces.action import GroundAction as Action
@@ -35,7 +31,9 @@ from pnm.core.machine.requests import Ended, OutcomeKind, Report, Request
 from pnm.ros.action_client.client import Ros2ActionClient
 from pnm.ros.action_client.other_goals import OtherGoals
 from pnm.ros.node.ros_thread import RosThread
+from tests.support.files import ROOT
 
+RUN = (sys.executable, "-m", "tests.benchmarks.bench_ros")
 IN_FLIGHT = (1, 10, 100)
 WARM = 50
 """Goals before the clock starts: first contact, discovery."""
@@ -148,12 +146,12 @@ def serve(name: str) -> None:
 def measured(who: str, in_flight: int, goals: int) -> tuple[float, float]:
     """Return what one client of a fresh server achieves."""
     name = f"server{uuid4().hex[:8]}"
-    server = subprocess.Popen([sys.executable, __file__, "serve", name], stdout=subprocess.PIPE, text=True)
+    server = subprocess.Popen([*RUN, "serve", name], cwd=ROOT, stdout=subprocess.PIPE, text=True)
     try:
         assert server.stdout is not None
         assert server.stdout.readline() == "ready\n"
-        client = [sys.executable, __file__, who, name, str(in_flight), str(goals)]
-        rate, cpu = json.loads(subprocess.run(client, stdout=subprocess.PIPE, text=True, check=True, timeout=300).stdout)
+        client = [*RUN, who, name, str(in_flight), str(goals)]
+        rate, cpu = json.loads(subprocess.run(client, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True, timeout=300).stdout)
         return rate, cpu
     finally:
         server.kill()

@@ -1,6 +1,6 @@
 """How long PDDL takes to read, against unified-planning's reader, and a whole `pnm plan` against `kairos`.
 
-usage: python tests/benchmarks/bench_pddl.py [FOLDER ...]      (not a test: times are this machine's)
+usage: python -m tests.benchmarks.planning.bench_pddl [FOLDER ...]      (not a test: times are this machine's)
 
 Every file of the folders is read; what is allowed is 20 ms + 1.5 ms per kB for a pair.
 """
@@ -15,14 +15,12 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-ROOT = Path(__file__).parents[3]
-sys.path.insert(0, str(ROOT))
-
 from planner_bridge.pipeline.loading import load
 from pnm.errors import InputError
+from tests.support.files import SHARED
 from tests.support.runs.timing import seconds
 
-KNOWN = ROOT.parent / "shared" / "pddl"
+KNOWN = SHARED / "pddl"
 LIMIT = 60.0
 
 

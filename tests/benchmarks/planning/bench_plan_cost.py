@@ -1,6 +1,6 @@
 """What plans cost: the first, those of the default, and the best that Kairos finds in a long time. A table, not a test.
 
-usage: python tests/benchmarks/bench_plan_cost.py [FOLDER ...] [--seconds N]      (N for the long search, by default 30)
+usage: python -m tests.benchmarks.planning.bench_plan_cost [FOLDER ...] [--seconds N]      (N for the long search, by default 30)
 
 A folder has a manifest.json with the names of its pairs, each a folder with domain.pddl and problem.pddl. "Tenth" is what the default
 finds in a tenth of its time. Gaps are to what Kairos finds by itself in the long time: below 0
@@ -18,9 +18,6 @@ from pathlib import Path
 from statistics import median
 from time import perf_counter
 
-ROOT = Path(__file__).parents[3]
-sys.path.insert(0, str(ROOT))
-
 import kairos
 
 from planner_bridge.model.plan import Plan, plan_text
@@ -29,8 +26,9 @@ from planner_bridge.pipeline.loading import load
 from planner_bridge.planning.kairos import IMPROVE, parse_for_kairos
 from planner_bridge.planning.solve import solve
 from pnm.errors import InputError
+from tests.support.files import SHARED
 
-KNOWN = ROOT.parent / "shared" / "pddl"
+KNOWN = SHARED / "pddl"
 WORST = 6
 """Problems in the list of the worst."""
 

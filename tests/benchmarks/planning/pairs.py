@@ -14,10 +14,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from tests.support.files import ROOT
+from tests.support.files import ROOT, SHARED
 
 LIMIT = 60.0
-KNOWN = ROOT.parent / "shared" / "pddl"
+KNOWN = SHARED / "pddl"
 HEAD = "| problem | read | planner | calls | planned | executed | goal |\n|---|---|---|---:|---:|---:|---|\n"
 
 

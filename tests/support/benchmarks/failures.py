@@ -1,9 +1,6 @@
-"""Simulated robots that fail by chance, and the time from each failure to the begin of the next plan."""
+"""Simulated robots that fail, and the time from each failure to the begin of the next plan."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
-from dataclasses import replace
 
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.world import robots_of
@@ -18,7 +15,6 @@ from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import OnFailure
 from tests.support.runs.timing import FailureClock
 
-SEEDS = range(8)
 SPEED = 50.0
 
 
@@ -41,29 +37,18 @@ def tour(calls: int) -> Problem:
     return parse_problem(text, parse_domain(_TOUR))
 
 
-def by_chance(problem: Problem, seed: int) -> Faults:
-    """One request in five is aborted."""
-    return Faults(tuple(Fault(name, FaultKind.ABORT, chance=0.2) for name in problem.domain.actions), seed=seed)
-
-
-def at_first(problem: Problem, seed: int) -> Faults:
+def faults(seed: int) -> Faults:
     """Two cameras are broken, so that nearly all of a tour is planned anew, twice."""
     return Faults((Fault("inspect", FaultKind.ABORT, times=2),), seed=seed)
 
 
-def measured(
-    problem: Problem, bindings: Bindings, seeds: range = SEEDS, faults_of: Callable[[Problem, int], Faults] = by_chance
-) -> list[tuple[float, float]]:
+def measured(problem: Problem, seeds: range) -> list[tuple[float, float]]:
     """Pursue the goal once for every seed; for every failure the seconds until a request follows, and those of the planner in them."""
     found: list[tuple[float, float]] = []
-    bindings = replace(bindings, actions={name: replace(one, retries=0) for name, one in bindings.actions.items()})
     for seed in seeds:
-        clock = FailureClock()
-        backend = SimulatedBackend(robots_of(problem, bindings, faults_of(problem, seed), speed=SPEED), bindings.assumed)
+        clock, backend = FailureClock(), SimulatedBackend(robots_of(problem, Bindings(), faults(seed), speed=SPEED))
         limits = Limits(replans=30, seconds=60.0, forbid_after=1, backoff=0.0)
-        settings = Settings(
-            improve=0.0, bindings=bindings, limits=limits, on_failure=OnFailure.CONTINUE_OTHERS, on_change=OnChange.EAGER
-        )  # which is measured by itself
+        settings = Settings(improve=0.0, limits=limits, on_failure=OnFailure.CONTINUE_OTHERS, on_change=OnChange.EAGER)
         run_async(achieve_at(backend, problem, settings, clock), virtual=False)
         found += clock.found
     return found

@@ -13,6 +13,7 @@ from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Orderi
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.core.net.block_net import BlockNet, Engine, Placed
 from pnm.core.net.net import NetBuilder, PetriNet
+from tests.support.benchmarks.peers.nets import Arcs, places_of
 
 
 def loop(turns: int = 1_000_000) -> None:
@@ -21,27 +22,12 @@ def loop(turns: int = 1_000_000) -> None:
         total += turn & 1
 
 
-def chain_net(length: int) -> PetriNet:
-    """p0 -> t0 -> p1 -> … of so many transitions."""
+def net_of(arcs: Arcs) -> PetriNet:
+    """The net of these arcs."""
     net = NetBuilder()
-    places = [net.place(f"p{index}") for index in range(length + 1)]
-    for index in range(length):
-        net.transition(f"t{index}", [places[index]], [places[index + 1]])
-    return net.build()
-
-
-def fork_join(length: int, width: int = 8) -> PetriNet:
-    """Forks into `width` branches that join again, one after the other, until there are so many transitions."""
-    net = NetBuilder()
-    last = net.place("p")
-    for stage in range(max(1, length // (width + 2))):
-        before = [net.place(f"a{stage}.{branch}") for branch in range(width)]
-        after = [net.place(f"b{stage}.{branch}") for branch in range(width)]
-        net.transition(f"fork{stage}", [last], before)
-        for branch in range(width):
-            net.transition(f"t{stage}.{branch}", [before[branch]], [after[branch]])
-        last = net.place(f"p{stage}")
-        net.transition(f"join{stage}", after, [last])
+    places = [net.place(f"p{place}") for place in places_of(arcs)]
+    for number, (before, after) in enumerate(arcs):
+        net.transition(f"t{number}", [places[place] for place in before], [places[place] for place in after])
     return net.build()
 
 

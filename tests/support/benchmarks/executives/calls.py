@@ -14,12 +14,11 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
 from pnm.core.net.block_net import block_net
-from pnm.core.net.net import PetriNet
 from pnm.executor import Executor
 from pnm.journal.journal import NO_JOURNAL
-from tests.support.benchmarks.peers import nets
+from tests.support.benchmarks.peers import nets, worker
 from tests.support.benchmarks.peers.worker import Measure, each
-from tests.support.benchmarks.workloads import chain_net, checked, firings, fork_join, in_a_row, inline, loop
+from tests.support.benchmarks.workloads import checked, firings, in_a_row, inline, loop, net_of
 from tests.support.e2e.page.busy_run import AtOnce, answered
 
 _TURNS = 1_000_000
@@ -62,11 +61,11 @@ def counted(make: Callable[[int], nets.Arcs]) -> Measure:
     return measure
 
 
-def engine(make: Callable[[int], PetriNet]) -> Measure:
+def engine(make: Callable[[int], nets.Arcs]) -> Measure:
     """Return the measure of a firing of the engine."""
 
     def measure(size: int) -> float:
-        net = block_net(make(size))
+        net = block_net(net_of(make(size)))
         firings(net)  # what is known of a transition is worked out when it fires for the first time
         return each(lambda: firings(net), net.count_transitions)
 
@@ -149,7 +148,7 @@ async def _task(robot: str, known: dict[str, bool]) -> None:
 
 
 def tasks_in_a_row(size: int) -> float:
-    known = _known(size)
+    known = worker.known(size)
 
     async def execute() -> None:
         for number in range(size):
@@ -159,16 +158,12 @@ def tasks_in_a_row(size: int) -> float:
 
 
 def tasks_in_parallel(size: int) -> float:
-    known = _known(size)
+    known = worker.known(size)
 
     async def execute() -> None:
         await asyncio.gather(*(_task(f"r{number}", known) for number in range(size)))
 
     return each(lambda: asyncio.run(execute()), size)
-
-
-def _known(size: int) -> dict[str, bool]:
-    return {"free kitchen": True, **{f"ready r{number}": True for number in range(size)}}
 
 
 def locked(size: int) -> float:
@@ -189,8 +184,8 @@ MEASURES: dict[str, Measure] = {
     "loop": plain_loop,
     "counters-chain": counted(nets.chain),
     "counters-fork": counted(nets.fork_join),
-    "engine-chain": engine(chain_net),
-    "engine-fork": engine(fork_join),
+    "engine-chain": engine(nets.chain),
+    "engine-fork": engine(nets.fork_join),
     "run-chain": through_run(in_a_row),
     "run-fork": through_run(forks),
     "call-inline": call_inline,

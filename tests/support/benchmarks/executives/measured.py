@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
@@ -62,25 +62,15 @@ class MeasuredRow:
         return {"what": self.row.what, "unit": self.row.unit, "size": self.size, "item": self.row.item, "subjects": subjects}
 
 
-@dataclass(slots=True)
-class _Turns:
-    """The turns of one subject so far."""
-
-    values: list[float] = field(default_factory=list)
-    absent: str = ""
-
-
 def measure(row: Row, size: int, ask: Ask, rounds: int) -> MeasuredRow:
     """Measure all subjects of a row at a size in turn, round by round; one that cannot take part is not asked again."""
-    turns = {subject: _Turns() for subject in row.subjects}
+    values: dict[Subject, list[float]] = {subject: [] for subject in row.subjects}
+    absent = {subject: "not at this size" for subject in row.subjects if size > subject.largest}
     for _ in range(1 if size >= LARGE else min(rounds, row.rounds)):
-        for subject, so_far in turns.items():
-            if size > subject.largest:
-                so_far.absent = "not at this size"
-            elif not so_far.absent:
-                answer = ask(subject, size)
-                if "value" in answer:
-                    so_far.values.append(answer["value"])
-                else:
-                    so_far.absent = str(answer.get("missing") or answer["error"])
-    return MeasuredRow(row, size, tuple(Taken(subject, tuple(done.values), done.absent) for subject, done in turns.items()))
+        for subject in (subject for subject in row.subjects if subject not in absent):
+            answer = ask(subject, size)
+            if "value" in answer:
+                values[subject].append(answer["value"])
+            else:
+                absent[subject] = str(answer.get("missing") or answer["error"])
+    return MeasuredRow(row, size, tuple(Taken(subject, tuple(values[subject]), absent.get(subject, "")) for subject in row.subjects))

@@ -18,10 +18,9 @@ from pnm.core.execution.machine_index import prepare
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Compare, evaluate
 from pnm.core.logic.expressions import Constant, ValueOf
-from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.verification.verify import verify
-from tests.support.benchmarks.failures import at_first, measured, tour
+from tests.support.benchmarks.failures import measured, tour
 from tests.support.benchmarks.peers.worker import Measure, NotHere, each
 from tests.support.benchmarks.waiting import CHARGE, fact, taking_turns
 from tests.support.files import ROOT
@@ -70,8 +69,8 @@ def change_unindexed(size: int) -> float:
 def _failures(calls: int) -> list[tuple[float, float]]:
     """Milliseconds from a failure to the next request, and of the planner in them, in a tour of so many calls."""
     problem = tour(calls)
-    measured(problem, Bindings(), range(1), at_first)  # which shapes of blocks are good is known from then on
-    found = measured(problem, Bindings(), range(1, 5), at_first)
+    measured(problem, range(1))  # which shapes of blocks are good is known from then on
+    found = measured(problem, range(1, 5))
     return [(1000 * whole, 1000 * planner) for whole, planner in found]
 
 

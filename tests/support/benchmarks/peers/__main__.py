@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from tests.support.benchmarks.peers import bridge, nets, state_machines, trees
 from tests.support.benchmarks.peers.worker import Measure, serve
 
 MEASURES: dict[str, Measure] = {
-    "snakes-chain": nets.snakes_chain,
-    "snakes-fork": nets.snakes_fork,
-    "pm4py-chain": nets.pm4py_chain,
-    "pm4py-fork": nets.pm4py_fork,
+    "snakes-chain": partial(nets.snakes, nets.chain),
+    "snakes-fork": partial(nets.snakes, nets.fork_join),
+    "pm4py-chain": partial(nets.pm4py, nets.chain),
+    "pm4py-fork": partial(nets.pm4py, nets.fork_join),
     "esb-row": bridge.in_a_row,
     "esb-graph": bridge.graph,
     "up-partial-order": bridge.partial_order,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from tests.support.benchmarks.peers.worker import each
@@ -36,18 +37,11 @@ def places_of(arcs: Arcs) -> range:
     return range(1 + max(place for before, after in arcs for place in (*before, *after)))
 
 
-def snakes_chain(size: int) -> float:
-    return _snakes(chain(size))
-
-
-def snakes_fork(size: int) -> float:
-    return _snakes(fork_join(size))
-
-
-def _snakes(arcs: Arcs) -> float:
+def snakes(make: Callable[[int], Arcs], size: int) -> float:
+    """Firing by SNAKES."""
     from snakes.nets import PetriNet, Place, Transition, Value
 
-    net = PetriNet("net")
+    arcs, net = make(size), PetriNet("net")
     for place in places_of(arcs):
         net.add_place(Place(f"p{place}", [1] if place == 0 else []))
     consumers: dict[int, list[int]] = {}
@@ -76,20 +70,13 @@ def _snakes(arcs: Arcs) -> float:
     return took
 
 
-def pm4py_chain(size: int) -> float:
-    return _pm4py(chain(size))
-
-
-def pm4py_fork(size: int) -> float:
-    return _pm4py(fork_join(size))
-
-
-def _pm4py(arcs: Arcs) -> float:
+def pm4py(make: Callable[[int], Arcs], size: int) -> float:
+    """Firing by pm4py."""
     from pm4py.objects.petri_net import semantics
     from pm4py.objects.petri_net.obj import Marking, PetriNet
     from pm4py.objects.petri_net.utils.petri_utils import add_arc_from_to
 
-    net = PetriNet("net")
+    arcs, net = make(size), PetriNet("net")
     places = [PetriNet.Place(f"p{place}") for place in places_of(arcs)]
     net.places.update(places)
     for number, (before, after) in enumerate(arcs):

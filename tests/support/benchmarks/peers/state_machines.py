@@ -5,14 +5,14 @@ from __future__ import annotations
 import logging
 from typing import Any
 
-from tests.support.benchmarks.peers.worker import each
+from tests.support.benchmarks.peers import worker
 
 
 def _states(count: int) -> tuple[list[Any], dict[str, bool]]:
     import smach
 
     smach.set_loggers(*(lambda _: None for _ in range(3)), logging.getLogger("smach").error)
-    known = {"free kitchen": True, **{f"ready r{number}": True for number in range(count)}}
+    known = worker.known(count)
 
     class Clean(smach.State):  # type: ignore[misc, name-defined]
         def __init__(self, robot: str) -> None:
@@ -36,9 +36,7 @@ def in_a_row(size: int) -> float:
     with machine:
         for number, state in enumerate(states):
             smach.StateMachine.add(f"r{number}", state, {"done": f"r{number + 1}" if number + 1 < size else "done", "failed": "failed"})
-    took = each(lambda: machine.execute(), size)
-    assert sum(name.startswith("done") for name in known) == size
-    return took
+    return worker.each_done(lambda: machine.execute(), size, known)
 
 
 def parallel(size: int) -> float:
@@ -51,6 +49,4 @@ def parallel(size: int) -> float:
     with together:
         for number, state in enumerate(states):
             smach.Concurrence.add(f"r{number}", state)
-    took = each(lambda: together.execute(), size)
-    assert sum(name.startswith("done") for name in known) == size
-    return took
+    return worker.each_done(lambda: together.execute(), size, known)

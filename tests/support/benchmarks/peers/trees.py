@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from tests.support.benchmarks.peers.worker import each
+from tests.support.benchmarks.peers import worker
 
 
 def _leaves(count: int, ticks: int) -> tuple[list[Any], dict[str, bool]]:
     """Return leaves that are running for so many ticks before they succeed, and what they know."""
     import py_trees
 
-    known = {"free kitchen": True, **{f"ready r{number}": True for number in range(count)}}
+    known = worker.known(count)
 
     class Clean(py_trees.behaviour.Behaviour):  # type: ignore[misc, name-defined]
         def __init__(self, robot: str) -> None:
@@ -44,9 +44,7 @@ def _sequence(size: int, ticks: int) -> float:
 
     leaves, known = _leaves(size, ticks)
     root = py_trees.composites.Sequence("root", memory=True, children=leaves)
-    took = each(lambda: _tick(root), size)
-    assert sum(name.startswith("done") for name in known) == size
-    return took
+    return worker.each_done(lambda: _tick(root), size, known)
 
 
 def parallel(size: int) -> float:
@@ -54,9 +52,7 @@ def parallel(size: int) -> float:
 
     leaves, known = _leaves(size, 1)
     root = py_trees.composites.Parallel("root", policy=py_trees.common.ParallelPolicy.SuccessOnAll(), children=leaves)
-    took = each(lambda: _tick(root), size)
-    assert sum(name.startswith("done") for name in known) == size
-    return took
+    return worker.each_done(lambda: _tick(root), size, known)
 
 
 def _tick(root: Any) -> None:
