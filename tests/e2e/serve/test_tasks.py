@@ -28,6 +28,7 @@ WRONG_VALUE = {"robot.yaml": f"pnm:\n  ros__parameters:\n    domain: {DOMAIN}\n 
         ({}, [DOMAIN], 2, "a domain and a problem belong together"),
         ({}, [DOMAIN, "nowhere.pddl"], 2, "nowhere.pddl: there is no such file"),
         ({}, [DOMAIN, PROBLEM, "--ros-args", "-p", "on_failure:=canzel"], 2, "did you mean 'cancel'?"),
+        ({}, [DOMAIN, PROBLEM, "--ros-args", "-p", "planner:=kairoos"], 2, "did you mean 'kairos'?"),
         ({}, ["--world", "w.yaml", "--goals", "g.yaml"], 2, "named goals need a domain and a problem; expected both, or no goals"),
         ({}, [DOMAIN, PROBLEM, "--ros-args", "--spam"], 1, "--spam"),
         ({}, [DOMAIN, PROBLEM, "--spam", "--ros-args"], 2, "No such option"),

@@ -1,4 +1,4 @@
-"""Servers in processes of their own, and a client whose reports can be awaited.
+"""Scripts in processes of their own, clients whose reports can be awaited, sensors that listen, and nodes.
 
 Everything runs in a ROS domain that belongs to this test process. A killed server stays in its graph for
 20 s, so servers never share a name.
@@ -6,24 +6,23 @@ Everything runs in a ROS domain that belongs to this test process. A killed serv
 
 from __future__ import annotations
 
-import asyncio
+import json
 import os
-import select
-import subprocess
-import sys
-from collections.abc import Awaitable, Callable, Coroutine, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from itertools import count
+from pathlib import Path
 from typing import Any
-from uuid import UUID
 
 import pytest
 
-from pnm.core.machine.bindings import Binding
+from pnm.knowledge.sensor_file import read_sensing
+from pnm.knowledge.sensor_model import Sensing
 from pnm.ros.node.ros_thread import RosThread
-from tests.support.files import ROOT
-from tests.support.processes import LIMIT, ros_domain
-from tests.support.ros.child_process import ORDERLY, ChildProcess
+from tests.support.files import ROOT, written
+from tests.support.pddl.sensed_world import PROBLEM
+from tests.support.processes import ros_domain
+from tests.support.ros.child_process import OURS, ChildProcess
 from tests.support.ros.recording_client import RecordingClient
 
 # Fast DDS 2.14 may block for ever when one of two participants of a process is destroyed while it delivers directly to the other.
@@ -37,31 +36,6 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
 
 
-class ServerProcess:
-    """An action server in another process."""
-
-    def __init__(self, *arguments: str, **environment: str) -> None:
-        command = [sys.executable, "-m", "tests.support.ros.server", *arguments]
-        self.process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, env={**os.environ, **environment})
-        assert self.process.stdout is not None
-        ready, _, _ = select.select([self.process.stdout], [], [], LIMIT)
-        assert ready, "the server did not start"
-        assert self.process.stdout.readline() == "ready\n"
-
-    def kill(self) -> None:
-        """End the process at once, as a crash would."""
-        self.process.kill()
-        self.process.communicate(timeout=LIMIT)
-
-    def stop(self) -> None:
-        """End the process in order; it is killed if the middleware in it does not come to its end, as happens once in a hundred times."""
-        self.process.terminate()
-        try:
-            self.process.communicate(timeout=ORDERLY)
-        except subprocess.TimeoutExpired:
-            self.kill()
-
-
 @pytest.fixture(scope="session")
 def ros() -> Iterator[RosThread]:
     thread = RosThread("test")
@@ -71,32 +45,27 @@ def ros() -> Iterator[RosThread]:
 
 @pytest.fixture(scope="session")
 def names() -> Callable[[], str]:
-    """Return new names for servers."""
+    """Return new names for servers, topics and namespaces."""
     numbers = count()
     return lambda: f"server{next(numbers)}"
 
 
 @pytest.fixture
-def start() -> Iterator[Callable[..., ServerProcess]]:
-    """Start servers that end with the test."""
-    servers: list[ServerProcess] = []
-
-    def begin(*arguments: str, **environment: str) -> ServerProcess:
-        servers.append(ServerProcess(*arguments, **environment))
-        return servers[-1]
-
-    yield begin
-    for server in servers:
-        server.kill()
+def two(names: Callable[[], str]) -> Iterator[tuple[RosThread, RosThread]]:
+    """A node and another for its client, in a namespace that nobody else has: what was there before is remembered for a while."""
+    namespace = names()
+    threads = RosThread("pnm", namespace=namespace), RosThread("client", namespace=namespace)
+    yield threads
+    assert all(thread.close() for thread in threads)
 
 
 @pytest.fixture
 def begin() -> Iterator[Callable[..., ChildProcess]]:
-    """Start scripts of this folder that end with the test."""
+    """Start scripts of `tests.support.ros` that end with the test."""
     scripts: list[ChildProcess] = []
 
-    def start_script(*arguments: str) -> ChildProcess:
-        scripts.append(ChildProcess(*arguments))
+    def start_script(*arguments: str, **environment: str) -> ChildProcess:
+        scripts.append(ChildProcess(*arguments, **environment))
         return scripts[-1]
 
     yield start_script
@@ -104,32 +73,49 @@ def begin() -> Iterator[Callable[..., ChildProcess]]:
         process.kill()
 
 
-@pytest.fixture(scope="session")
-def shared(names: Callable[[], str]) -> Iterator[str]:
-    """Return the name of a server for all tests that do it no harm."""
-    name = names()
-    server = ServerProcess(name)
-    yield name
-    server.kill()
-
-
-Scenario = Callable[[RecordingClient], Coroutine[Any, Any, None]]
+@pytest.fixture
+def start(begin: Callable[..., ChildProcess], names: Callable[[], str]) -> Callable[..., ChildProcess]:
+    """Start action servers that end with the test, by default with new names."""
+    return lambda *options, name="", **environment: begin("server", name or names(), *options, **environment)
 
 
 @pytest.fixture
-def with_client(ros: RosThread) -> Callable[..., None]:
-    """Run a test's coroutine with a client that has the given bindings."""
+def sensors(begin: Callable[..., ChildProcess]) -> Callable[..., ChildProcess]:
+    """Start publishers and services that sensors hear of."""
+    return lambda *which: begin("sensors", *map(json.dumps, which))
 
-    def run(
-        scenario: Scenario, limit: float = LIMIT, ended: Callable[[UUID], Awaitable[object]] | None = None, **bindings: Binding
-    ) -> None:
-        async def whole() -> None:
-            client = RecordingClient(ros, ended, **bindings)
-            try:
-                await asyncio.wait_for(scenario(client), limit)
-            finally:
-                client.ros2.close()
 
-        asyncio.run(whole())
+@pytest.fixture(scope="session")
+def shared(names: Callable[[], str]) -> Iterator[str]:
+    """Return the name of an action server for all tests that do it no harm."""
+    server = ChildProcess("server", names())
+    yield server.name
+    server.kill()
 
-    return run
+
+@pytest.fixture(scope="session")
+def server(names: Callable[[], str]) -> Iterator[str]:
+    """Return the name of a server that asks as its goals say, in one process with its like; one thread spins it."""
+    process = ChildProcess("asking_server", names())
+    yield process.name
+    assert OURS not in process.stop()
+
+
+@pytest.fixture
+def connect(ros: RosThread) -> Iterator[Callable[..., RecordingClient]]:
+    """Make clients of action servers, with a binding for each name of an action; they end with the test."""
+    clients: list[RecordingClient] = []
+
+    def make(thread: RosThread = ros, **options: Any) -> RecordingClient:
+        clients.append(RecordingClient(thread, **options))
+        return clients[-1]
+
+    yield make
+    for client in clients:
+        client.ros2.close()
+
+
+@pytest.fixture
+def sensing(tmp_path: Path) -> Callable[[str], Sensing]:
+    """Read sensors of the sensed world."""
+    return lambda text: read_sensing(written(tmp_path / "sensing.yaml", text), PROBLEM.vocabulary)

@@ -1,4 +1,7 @@
-"""An action server that asks for knowledge as its goals tell it to. Run as a module.
+"""Action servers that ask for knowledge as their goals tell them to. Run as a module: NAME [THREADS]
+
+The execute callback is a function for the server NAME, a coroutine for NAME_coroutine, a coroutine that waits for NAME_wrong; the server
+NAME_simple executes one goal at a time. The example of `pnm.ros.action_server.python_server` is there as well.
 
 Of a GroundAction goal the action says what to do, and the arguments, each a JSON text, with what:
 
@@ -7,25 +10,26 @@ Of a GroundAction goal the action says what to do, and the arguments, each a JSO
     raise, return (something that is no result)
 
 The message of the result is what came of it as JSON: the value in a list, an empty list, or the text of an error. It is
-printed, too. Prints "ready" once it serves.
+printed, too.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
-from contextlib import suppress
+import sys
+import textwrap
 from typing import Any
 
 import rclpy
 from pnm_interfaces.action import GroundAction
 from rclpy.action import CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.node import Node
 
 from pnm.core.logic.computed_values import MISSING, Layer
-from pnm.ros.action_server import LIMIT, KnowledgeError, PnmActionServer, PnmSimpleActionServer
+from pnm.ros.action_server import LIMIT, KnowledgeError, PnmActionServer, PnmSimpleActionServer, python_server
 from tests.support.processes import say
+from tests.support.ros.child_process import spin
 
 
 class ExecuteCallbacks:
@@ -82,32 +86,36 @@ class ExecuteCallbacks:
         return GroundAction.Result(message=message)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("name")
-    parser.add_argument("--kind", choices=("function", "coroutine", "simple", "wrong"), default="function")
-    parser.add_argument("--threads", type=int, default=1)
-    options = parser.parse_args()
-
-    rclpy.init()
-    node = rclpy.create_node(f"knowing_{options.name}")
-    knowing = ExecuteCallbacks(options.kind)
-    kind = PnmSimpleActionServer if options.kind == "simple" else PnmActionServer
-    knowing.server = kind(
+def serve(node: Any, name: str, kind: str) -> None:
+    """Offer a server of a kind."""
+    callbacks = ExecuteCallbacks(kind)
+    make = PnmSimpleActionServer if kind == "simple" else PnmActionServer
+    callbacks.server = make(
         node,
         GroundAction,
-        options.name,
-        knowing.callback,
+        name,
+        callbacks.callback,
         cancel_callback=lambda _: CancelResponse.ACCEPT,
         callback_group=ReentrantCallbackGroup(),
     )
-    executor = SingleThreadedExecutor() if options.threads == 1 else MultiThreadedExecutor(options.threads)
-    executor.add_node(node)
-    say("ready")
-    with suppress(KeyboardInterrupt, ExternalShutdownException):
-        while rclpy.ok():
-            executor.spin_once(0.5)  # `spin` sometimes sleeps through the signal that is to end it
+
+
+def example() -> Any:
+    """The node of the documentation."""
+    paragraphs = (python_server.__doc__ or "").split("\n\n")
+    names: dict[str, Any] = {"Node": Node, "GroundAction": GroundAction, "PnmActionServer": PnmActionServer}
+    exec(textwrap.dedent("\n\n".join(part for part in paragraphs if part.startswith("    "))), names)
+    return names["Guide"]()
+
+
+def main(name: str, threads: str = "1") -> None:
+    rclpy.init()
+    node = rclpy.create_node(f"knowing_{name}")
+    serve(node, name, "function")
+    for kind in ("coroutine", "simple", "wrong"):
+        serve(node, f"{name}_{kind}", kind)
+    spin(node, example(), threads=int(threads))
 
 
 if __name__ == "__main__":
-    main()
+    main(*sys.argv[1:])

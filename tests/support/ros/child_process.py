@@ -1,22 +1,35 @@
-"""The scripts of this folder as processes whose lines are read one by one."""
+"""The scripts of this folder as processes whose lines are read one by one; and tests that are coroutines, and may not hang."""
 
 from __future__ import annotations
 
 import asyncio
-import select
 import subprocess
-import sys
 from collections.abc import Callable, Coroutine
+from contextlib import suppress
 from functools import wraps
 from typing import Any, Final
 
 import pytest
+import rclpy
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
 
-from tests.support.files import ROOT
-from tests.support.processes import LIMIT
+from tests.support.processes import LIMIT, Program, say
 
-ORDERLY: Final = 15.0
+_ORDERLY: Final = 15.0
 """Seconds for a process to end in order."""
+OURS: Final = "/pnm/ros/"
+"""Stands in every traceback of what is tested; rclpy itself may fail with one while its context ends."""
+
+
+def spin(*nodes: Any, threads: int = 1) -> None:
+    """Say that a script is ready, and spin its nodes until the process is told to end."""
+    executor = SingleThreadedExecutor() if threads == 1 else MultiThreadedExecutor(threads)
+    for node in nodes:
+        executor.add_node(node)
+    say("ready")
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
+        while rclpy.ok():
+            executor.spin_once(0.5)  # `spin` sometimes sleeps through the signal that is to end it
 
 
 async def until_logged(caplog: pytest.LogCaptureFixture, text: str) -> None:
@@ -26,32 +39,26 @@ async def until_logged(caplog: pytest.LogCaptureFixture, text: str) -> None:
             await asyncio.sleep(0.02)
 
 
-class ChildProcess:
-    """One of the scripts, once it is ready; `said` is for tests to note what they have heard last."""
+class ChildProcess(Program):
+    """One of the scripts, once it is ready; `name` is its first argument, and `said` is for tests to note what they have heard last."""
 
-    def __init__(self, name: str, *arguments: str) -> None:
-        command = [sys.executable, "-m", f"tests.support.ros.{name}", *arguments]
-        self.process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-        self._read = b""
+    def __init__(self, script: str, *arguments: str, **environment: str) -> None:
+        super().__init__(["-m", f"tests.support.ros.{script}", *arguments], environment)
+        self.name = arguments[0] if arguments else ""
         self.said = ""
+        self._read = 0
         assert self.line() == "ready"
 
-    def line(self, limit: float = LIMIT) -> str:
+    def line(self) -> str:
         """Wait for the next line of its standard output."""
-        assert self.process.stdout is not None
-        while b"\n" not in self._read:
-            ready, _, _ = select.select([self.process.stdout], [], [], limit)
-            assert ready, "it says nothing"
-            read = self.process.stdout.read1(65536)
-            assert read, self.process.communicate()[1].decode()
-            self._read += read
-        line, _, self._read = self._read.partition(b"\n")
-        return line.decode()
+        self._read += 1
+        self.until(lambda: len(self.out) >= self._read)
+        return self.out[self._read - 1]
 
     def kill(self) -> None:
         """End it as a crash would."""
         self.process.kill()
-        self.process.communicate(timeout=LIMIT)
+        self.process.wait(LIMIT)
 
     def stop(self) -> str:
         """End it in order and return what it has said on the standard error.
@@ -59,18 +66,19 @@ class ChildProcess:
         Once in a hundred times the middleware does not come to its end in a process that is told to; then it is killed.
         """
         self.process.terminate()
-        try:
-            return self.process.communicate(timeout=ORDERLY)[1].decode()
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            return self.process.communicate(timeout=LIMIT)[1].decode()
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(_ORDERLY)
+        self.kill()
+        for reader in self._readers:
+            reader.join(LIMIT)
+        return "\n".join(self.err)
 
 
-def run_bounded(main: Coroutine[Any, Any, Any], limit: float = LIMIT) -> Any:
+def run_bounded(main: Coroutine[Any, Any, Any]) -> Any:
     """Run a test's coroutine, which may not hang."""
 
     async def bounded() -> Any:
-        return await asyncio.wait_for(main, limit)
+        return await asyncio.wait_for(main, LIMIT)
 
     return asyncio.run(bounded())
 

@@ -15,16 +15,23 @@ from tests.support.processes import LIMIT
 
 
 @asynccontextmanager
-async def listening(ros, sensing):
+async def opened(ros, sensing):
+    """What is known, and the sensors, whether they fit or not."""
     world = KnowledgeBase(objects=PROBLEM.objects_by_type)
     listener = Sensors(ros, sensing, world, 1.0)
     try:
         await listener.open()
-        graph = await ros.ask(lambda: snapshot(ros.node))
-        refuse_unfit(sensor_readiness(listener.uses(), graph))
-        yield world
+        yield world, listener
     finally:
         await listener.close()
+
+
+@asynccontextmanager
+async def listening(ros, sensing):
+    """What is known from sensors; those that can never work are refused."""
+    async with opened(ros, sensing) as (world, listener):
+        refuse_unfit(sensor_readiness(listener.uses(), await ros.ask(lambda: snapshot(ros.node))))
+        yield world
 
 
 async def becomes(world: KnowledgeBase, fluent, value) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 from uuid import UUID, uuid4
 
 from pnm.core.machine.bindings import Binding, Bindings
@@ -14,6 +14,8 @@ from pnm.core.machine.requests import Accepted, Ended, Outcome, Postponed, Repor
 from pnm.ros.action_client.client import Ros2ActionClient
 from pnm.ros.node.ros_thread import RosThread
 from tests.support.processes import LIMIT
+
+GROUND: Final = "pnm_interfaces/action/GroundAction"
 
 
 @dataclass

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -19,11 +18,11 @@ import rclpy
 from pnm_interfaces.msg import Answer, Question
 from pnm_interfaces.srv import QueryKnowledge, UpdateKnowledge
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import ExternalShutdownException
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
 
-from tests.support.processes import say, say_json
+from tests.support.processes import say_json
+from tests.support.ros.child_process import spin
 
 
 class RemoteKnowledge:
@@ -116,9 +115,7 @@ def main(kind: str, name: str, *rest: str) -> None:
     rclpy.init()
     node = rclpy.create_node(f"somewhere_{name}")
     kept = RemoteKnowledge(node, name, *rest) if kind == "knowledge" else RemotePerson(node, name, *rest)
-    say("ready")
-    with suppress(KeyboardInterrupt, ExternalShutdownException):
-        rclpy.spin(node)
+    spin(node)
     del kept
 
 

@@ -9,17 +9,16 @@ from __future__ import annotations
 
 import json
 import sys
-from contextlib import suppress
 from typing import Any
 
 import rclpy
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import ExternalShutdownException
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
 from pnm.ros.node.messages import import_type, to_data, to_message
-from tests.support.processes import say, say_json
+from tests.support.processes import say_json
+from tests.support.ros.child_process import spin
 
 
 def publish(
@@ -55,9 +54,7 @@ def main(*sensors: str) -> None:
     node = rclpy.create_node("sensors")
     for sensor in map(json.loads, sensors):
         (publish if "topic" in sensor else offer)(node, **sensor)
-    say("ready")
-    with suppress(KeyboardInterrupt, ExternalShutdownException):
-        rclpy.spin(node)
+    spin(node)
 
 
 if __name__ == "__main__":

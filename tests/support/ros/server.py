@@ -18,26 +18,22 @@ Of a Fibonacci goal the order is the length of the sequence. Prints "ready" once
 from __future__ import annotations
 
 import argparse
-import json
 import threading
 import traceback
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Any
 
 import rclpy
 from action_msgs.msg import GoalInfo
 from pnm_interfaces.action import GroundAction
-from pnm_interfaces.msg import State
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor, await_or_execute
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.executors import await_or_execute
 from rclpy.task import Future
 from test_msgs.action import Fibonacci
 
-from tests.support.processes import say
+from tests.support.ros.child_process import spin
 
 NEVER = 3600.0
 
@@ -157,7 +153,6 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="names of the servers")
     parser.add_argument("--fibonacci", action="store_true", help="serve Fibonacci instead of GroundAction")
     parser.add_argument("--threads", type=int, default=40)
-    parser.add_argument("--report", type=json.loads, help="fields of a State to report, once")
     options = parser.parse_args()
 
     rclpy.init()
@@ -177,14 +172,7 @@ def main() -> None:
                 cancel_callback=behaviour.cancel,
                 callback_group=group,
             )
-    if options.report:
-        latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        node.create_publisher(State, "knowledge/sensed", latched).publish(State(**options.report))
-    executor = SingleThreadedExecutor() if options.threads == 1 else MultiThreadedExecutor(options.threads)
-    executor.add_node(node)
-    say("ready")
-    with suppress(KeyboardInterrupt, ExternalShutdownException):
-        executor.spin()
+    spin(node, threads=options.threads)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
-from itertools import count
 from typing import Any
 
 import pytest
@@ -16,8 +15,6 @@ from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.tasks.task_node import TaskNode
 from tests.support.ros.task_client import SentGoal, TaskClient
 from tests.support.tasks.fake_tasks import FakeTasks, FakeWorld, fake_search
-
-NUMBERS = count()
 
 
 @dataclass

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 from uuid import UUID, uuid4
 
 from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from unique_identifier_msgs import msg
 
 from pnm.ros.node.messages import import_type, to_data, to_message
-from pnm.ros.node.ros_thread import RosThread
+from pnm.ros.node.ros_thread import RosThread, call_on_loop, profile
 from pnm.ros.node.services import ServiceClient, until_true
 from tests.support.processes import LIMIT
 
@@ -43,19 +42,21 @@ TOPICS = {
 LATCHED = ("executor/status", "executor/plan", "executor/net")
 
 
-def uuid_data(uuid: UUID) -> dict[str, Any]:
-    return {"uuid": list(uuid.bytes)}
-
-
 @dataclass
 class SentGoal:
     """A goal, and what is heard of it."""
 
+    ros: RosThread
     id: UUID
-    accepted: asyncio.Future[bool]
-    over: asyncio.Future[tuple[int, dict[str, Any]]]
     feedback: asyncio.Queue[dict[str, Any]] = field(default_factory=asyncio.Queue)
     handle: Any = None
+    """That of `rclpy`, once the goal is accepted or rejected."""
+    over: asyncio.Future[tuple[int, dict[str, Any]]] = field(default_factory=lambda: asyncio.get_running_loop().create_future())
+    """Its status and result, once it is accepted."""
+
+    async def cancel(self) -> int:
+        """Ask for it to be cancelled; return how many goals are being cancelled."""
+        return len((await answer(self.ros, self.handle.cancel_goal_async)).goals_canceling)
 
     async def result(self) -> tuple[int, dict[str, Any]]:
         return await asyncio.wait_for(self.over, LIMIT)
@@ -72,29 +73,77 @@ class SentGoal:
         return await self.hears(lambda told: told["status"]["state"] == state)
 
 
+async def answer(ros: RosThread, ask: Callable[[], Any], limit: float | None = LIMIT) -> Any:
+    """Have the ROS thread ask for something, and await the future of `rclpy` that this returns."""
+    loop = asyncio.get_running_loop()
+    answered: asyncio.Future[Any] = loop.create_future()
+
+    def take(found: Any) -> None:
+        if not answered.done():
+            answered.set_result(found)
+
+    await ros.ask(lambda: ask().add_done_callback(lambda future: call_on_loop(loop, take, future.result())))
+    return await asyncio.wait_for(answered, limit)
+
+
+class StockClient:
+    """The action client of `rclpy`; nothing is sent before the server has answered something harmless."""
+
+    def __init__(self, ros: RosThread, kind: Any, name: str) -> None:
+        self._ros = ros
+        self._kind = kind
+        deep = {f"{service}_service_qos_profile": QoSProfile(depth=1000) for service in ("goal", "result", "cancel")}
+        self._client: Any = ros.wait(lambda: ActionClient(ros.node, kind, name, **deep))
+
+    async def met(self) -> None:
+        """Ask for the result of a goal that nobody has, until that is answered."""
+        await until_true(self._ros, self._client.server_is_ready)
+        nobody = ClientGoalHandle(self._client, msg.UUID(uuid=list(uuid4().bytes)), None)
+        while True:
+            with suppress(TimeoutError):
+                return await answer(self._ros, nobody.get_result_async, 1.0)
+
+    async def send(self, goal: Mapping[str, Any], id: UUID | None = None) -> SentGoal:
+        """Send a goal, and wait until it is accepted or rejected."""
+        sent, loop = SentGoal(self._ros, id or uuid4()), asyncio.get_running_loop()
+        message = to_message(self._kind.Goal, goal)
+        heard = {
+            "feedback_callback": lambda told: call_on_loop(loop, sent.feedback.put_nowait, to_data(told.feedback)),
+            "goal_uuid": msg.UUID(uuid=list(sent.id.bytes)),
+        }
+        sent.handle = await answer(self._ros, lambda: self._client.send_goal_async(message, **heard))
+        if sent.handle.accepted:
+            sent.over = asyncio.ensure_future(self._over(sent))
+        return sent
+
+    async def _over(self, sent: SentGoal) -> tuple[int, dict[str, Any]]:
+        response = await answer(self._ros, sent.handle.get_result_async, None)
+        return response.status, to_data(response.result)
+
+    def destroy(self) -> None:
+        self._ros.wait(self._client.destroy)
+
+
 class TaskClient:
-    """Its goals, requests and subscriptions; nothing is sent before the servers have answered something harmless."""
+    """Goals, requests and subscriptions of a client."""
 
     def __init__(self, ros: RosThread) -> None:
         self._ros = ros
-        self._loop = asyncio.get_running_loop()
-        self._actions: dict[str, Any] = {}
+        self._actions: dict[str, StockClient] = {}
         self._services: dict[str, ServiceClient] = {}
         self._subscriptions: list[Any] = []
 
     async def send(self, action: str, id: UUID | None = None, **goal: object) -> SentGoal:
         """Send a goal; an action whose type is not known is that of a plan."""
         await self.meet(action)
-        sent = SentGoal(id or uuid4(), self._loop.create_future(), self._loop.create_future())
-        kind = _type(action)
-        await self._ros.ask(partial(self._send, action, to_message(kind.Goal, goal), sent))
-        assert await asyncio.wait_for(asyncio.shield(sent.accepted), LIMIT) in (True, False)
-        return sent
+        return await self._actions[action].send(goal, id)
 
-    async def cancel(self, sent: SentGoal) -> int:
-        """Ask for a goal to be cancelled; return how many goals are being cancelled."""
-        answer = await self._future(lambda: sent.handle.cancel_goal_async())
-        return len(answer.goals_canceling)
+    async def meet(self, action: str) -> None:
+        """Connect to an action server."""
+        if action not in self._actions:
+            kind = import_type(f"pnm_interfaces/action/{TYPES.get(action.rpartition('/')[2], 'RunPlan')}")
+            self._actions[action] = StockClient(self._ros, kind, action)
+            await asyncio.wait_for(self._actions[action].met(), LIMIT)
 
     async def call(self, name: str, type_name: str = "", **request: object) -> dict[str, Any]:
         if name not in self._services:
@@ -102,87 +151,18 @@ class TaskClient:
         return to_data(await self._services[name].call(request, LIMIT))
 
     async def subscribe(self, topic: str) -> asyncio.Queue[dict[str, Any]]:
-        heard: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
-        kind = import_type(f"pnm_interfaces/msg/{TOPICS[topic]}")
-        durability = DurabilityPolicy.TRANSIENT_LOCAL if topic in LATCHED else DurabilityPolicy.VOLATILE
-        qos = QoSProfile(depth=100, durability=durability)
-        receive = partial(self._receive, heard)
+        heard, loop = asyncio.Queue[dict[str, Any]](), asyncio.get_running_loop()
+        kind, qos = import_type(f"pnm_interfaces/msg/{TOPICS[topic]}"), profile(100, latched=topic in LATCHED)
+
+        def receive(message: Any) -> None:
+            call_on_loop(loop, heard.put_nowait, to_data(message))
+
         self._subscriptions.append(await self._ros.ask(lambda: self._ros.node.create_subscription(kind, topic, receive, qos)))
         return heard
 
     async def close(self) -> None:
         for service in self._services.values():
             await service.close()
-        await self._ros.ask(self._destroy)
-
-    async def meet(self, action: str) -> None:
-        """Ask for the result of a goal that nobody has, until that is answered."""
-        if action in self._actions:
-            return
-        await self._ros.ask(partial(self._connect, action))
-        client = self._actions[action]
-        async with asyncio.timeout(LIMIT):
-            await until_true(self._ros, client.server_is_ready)
-            while True:
-                with suppress(TimeoutError):
-                    await self._future(partial(_ask_for_nothing, client), 1.0)
-                    return
-
-    async def _future(self, start: Callable[[], Any], limit: float = LIMIT) -> Any:
-        answered: asyncio.Future[Any] = self._loop.create_future()
-        await self._ros.ask(lambda: self._hand_over(start(), answered))
-        return await asyncio.wait_for(answered, limit)
-
-    # on the ROS thread
-
-    def _connect(self, action: str) -> None:
-        kind, deep = _type(action), QoSProfile(depth=1000)
-        self._actions[action] = ActionClient(
-            self._ros.node, kind, action, goal_service_qos_profile=deep, result_service_qos_profile=deep, cancel_service_qos_profile=deep
-        )
-
-    def _send(self, action: str, goal: Any, sent: SentGoal) -> None:
-        def feed(message: Any) -> None:
-            self._loop.call_soon_threadsafe(sent.feedback.put_nowait, to_data(message.feedback))
-
-        def answered(future: Any) -> None:
-            sent.handle = future.result()
-            self._loop.call_soon_threadsafe(sent.accepted.set_result, sent.handle.accepted)
-            if sent.handle.accepted:
-                sent.handle.get_result_async().add_done_callback(ended)
-
-        def ended(future: Any) -> None:
-            answer = future.result()
-            self._loop.call_soon_threadsafe(self._over, sent, (answer.status, to_data(answer.result)))
-
-        uuid = msg.UUID(uuid=list(sent.id.bytes))
-        self._actions[action].send_goal_async(goal, feedback_callback=feed, goal_uuid=uuid).add_done_callback(answered)
-
-    def _hand_over(self, future: Any, answered: asyncio.Future[Any]) -> None:
-        def take(found: Any) -> None:
-            if not answered.done():
-                answered.set_result(found)
-
-        future.add_done_callback(lambda future: self._loop.call_soon_threadsafe(take, future.result()))
-
-    def _over(self, sent: SentGoal, answer: tuple[int, dict[str, Any]]) -> None:
-        if not sent.over.done():
-            sent.over.set_result(answer)
-
-    def _receive(self, heard: asyncio.Queue[dict[str, Any]], message: Any) -> None:
-        with suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(heard.put_nowait, to_data(message))
-
-    def _destroy(self) -> None:
         for client in self._actions.values():
             client.destroy()
-        for subscription in self._subscriptions:
-            self._ros.node.destroy_subscription(subscription)
-
-
-def _type(action: str) -> Any:
-    return import_type(f"pnm_interfaces/action/{TYPES.get(action.rpartition('/')[2], 'RunPlan')}")
-
-
-def _ask_for_nothing(client: Any) -> Any:
-    return ClientGoalHandle(client, msg.UUID(uuid=list(uuid4().bytes)), None).get_result_async()
+        await self._ros.ask(lambda: [self._ros.node.destroy_subscription(subscription) for subscription in self._subscriptions])

@@ -14,6 +14,7 @@ from test_msgs.msg import Arrays, BasicTypes, Nested
 from pnm.core.machine.bindings import Binding
 from pnm.core.machine.requests import Feedback
 from pnm.ros.action_client.goal import LENGTH, feedback_line
+from tests.support.ros.child_process import bounded
 
 
 def pose(x: float) -> PoseStamped:
@@ -55,31 +56,19 @@ def test_the_longest_line_ends_where_it_is_too_long():
     assert feedback_line(RunPlan.Feedback(running=["x" * 1000])) == f"running [{'x' * (LENGTH - 10)}…"
 
 
-def test_a_server_that_reports_without_a_pause_is_heard_a_few_times(with_client, shared):
-    async def scenario(client):
-        sent = client.send("act", action="chatter", arguments=["2000"])
-        await sent.accepted()
-        heard = []
-        while not heard or heard[-1] != Feedback(sent.id, "progress 1"):
-            heard.append(await sent.reports.get())
-        assert len(heard) < 200, "of two thousand"
-        shares = [float(report.text.removeprefix("progress ")) for report in heard]
-        assert shares == sorted(shares)
-        client.cancel(sent)
-        await sent.ended()
-
-    with_client(scenario, act=Binding(server=shared))
-
-
-def test_feedback_belongs_to_its_goal(with_client, shared):
-    async def scenario(client):
-        other, sent = client.send("act", action="slow"), client.send("act", action="hang")
-        await asyncio.gather(other.accepted(), sent.accepted())
-        for goal in (other, sent):
-            report = await goal.reports.get()
-            assert isinstance(report, Feedback)
-            assert report.request == goal.id
-        client.cancel(sent)
-        await asyncio.gather(other.ended(), sent.ended())
-
-    with_client(scenario, act=Binding(server=shared))
+@bounded
+async def test_a_server_that_reports_without_a_pause_is_heard_a_few_times_about_the_goal_it_means(connect, shared):
+    client = connect(act=Binding(server=shared))
+    other, sent = client.send("act", action="hang"), client.send("act", action="chatter", arguments=["2000"])
+    await asyncio.gather(other.accepted(), sent.accepted())
+    heard = []
+    while not heard or heard[-1] != Feedback(sent.id, "progress 1"):
+        heard.append(await sent.reports.get())
+    assert len(heard) < 200, "of two thousand"
+    shares = [float(report.text.removeprefix("progress ")) for report in heard]
+    assert shares == sorted(shares)
+    assert {report.request for report in heard} == {sent.id}
+    assert await other.reports.get() == Feedback(other.id, "progress 0")
+    for goal in (other, sent):
+        client.cancel(goal)
+        await goal.ended()

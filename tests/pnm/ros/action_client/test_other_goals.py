@@ -15,7 +15,7 @@ from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Request
 from pnm.ros.action_client.action_services import ros_uuid
 from pnm.ros.action_client.other_goals import OtherGoals, statuses
-from tests.support.processes import LIMIT
+from pnm.ros.node.services import until_true
 from tests.support.ros.child_process import bounded, until_logged
 from tests.support.ros.recording_client import RecordingClient, Sent
 
@@ -31,12 +31,6 @@ def test_the_status_of_goals_is_read_as_rclpy_does(known, padding):
     assert statuses(serialize_message(GoalStatusArray(status_list=listed)) + bytes(padding)) == known
 
 
-async def until_busy(ros, others: OtherGoals, server: str, *, busy: bool = True) -> None:
-    async with asyncio.timeout(LIMIT):
-        while bool(await ros.ask(lambda: others.others(server))) is not busy:  # noqa: ASYNC110 - what is heard has no event
-            await asyncio.sleep(0.02)
-
-
 def sent_by_another_process(client: RecordingClient, action: str) -> Sent:
     """Send a goal with an id such as those of the node's processes."""
     sent = Sent(Request(UUID(bytes=PREFIX + uuid4().bytes[4:]), GroundAction("act"), {"action": action}))
@@ -45,11 +39,10 @@ def sent_by_another_process(client: RecordingClient, action: str) -> Sent:
 
 
 @bounded
-async def test_what_another_program_has_sent_is_waited_for(ros, start, names, caplog):
-    name = names()
-    start(name)
-    other = RecordingClient(ros, act=Binding(server=name))
-    client = RecordingClient(ros, act=Binding(server=name, resources=("arm",)), look=Binding(server=name))
+async def test_what_another_program_has_sent_is_waited_for(connect, start, caplog):
+    name = start().name
+    other = connect(act=Binding(server=name))
+    client = connect(act=Binding(server=name, resources=("arm",)), look=Binding(server=name))
     drive = other.send("act", action="hang")
     await drive.accepted()
     assert (await client.send("look", action="succeed").ended()).kind is OutcomeKind.SUCCEEDED
@@ -59,46 +52,30 @@ async def test_what_another_program_has_sent_is_waited_for(ros, start, names, ca
     other.cancel(drive)
     assert (await drive.ended()).kind is OutcomeKind.CANCELED
     assert (await mine.ended()).kind is OutcomeKind.SUCCEEDED
-    other.ros2.close()
-    client.ros2.close()
 
 
 @bounded
-async def test_the_wait_for_others_has_a_limit(ros, start, names):
-    name = names()
-    start(name)
-    other = RecordingClient(ros, act=Binding(server=name))
-    client = RecordingClient(ros, act=Binding(server=name, foreign=Foreign.WAIT, timeout=0.5))
-    await other.send("act", action="hang").accepted()
-    outcome = await client.send("act", action="succeed").ended()
-    assert (outcome.kind, outcome.message) == (OutcomeKind.UNAVAILABLE, f"/{name} was at work on goals of other programs for 0.5 s")
-    other.ros2.close()
-    client.ros2.close()
-
-
-@bounded
-async def test_what_another_program_has_sent_is_cancelled_if_the_binding_says_so(ros, start, names):
-    name = names()
-    start(name)
-    other = RecordingClient(ros, act=Binding(server=name))
-    client = RecordingClient(ros, act=Binding(server=name, foreign=Foreign.CANCEL))
+async def test_the_wait_for_others_has_a_limit_and_they_are_cancelled_if_the_binding_says_so(connect, start):
+    name = start().name
+    other = connect(act=Binding(server=name))
+    client = connect(
+        wait=Binding(server=name, foreign=Foreign.WAIT, timeout=0.5), cancel=Binding(server=name, foreign=Foreign.CANCEL)
+    )  # fmt: skip
     drive = other.send("act", action="hang")
     await drive.accepted()
-    mine = client.send("act", action="succeed")
+    outcome = await client.send("wait", action="succeed").ended()
+    assert (outcome.kind, outcome.message) == (OutcomeKind.UNAVAILABLE, f"/{name} was at work on goals of other programs for 0.5 s")
+    mine = client.send("cancel", action="succeed")
     assert (await drive.ended()).kind is OutcomeKind.CANCELED
     assert (await mine.ended()).kind is OutcomeKind.SUCCEEDED
-    other.ros2.close()
-    client.ros2.close()
 
 
 @bounded
-async def test_what_this_node_has_forgotten_is_cancelled_and_what_it_goes_on_with_is_not(ros, start, names, caplog):
-    name = names()
-    start(name)
-    before = RecordingClient(ros, act=Binding(server=name))
-    kept, forgotten, foreign = (
-        sent_by_another_process(before, "hang"), sent_by_another_process(before, "hang"), before.send("act", action="hang"),
-    )  # fmt: skip
+async def test_what_this_node_has_forgotten_is_cancelled_and_what_it_goes_on_with_is_not(ros, connect, start, caplog):
+    name = start().name
+    before = connect(act=Binding(server=name))
+    kept, forgotten = (sent_by_another_process(before, "hang") for _ in range(2))
+    foreign = before.send("act", action="hang")
     for sent in (kept, forgotten, foreign):
         await sent.accepted()
     others = OtherGoals(ros, PREFIX, [kept.id])
@@ -108,24 +85,22 @@ async def test_what_this_node_has_forgotten_is_cancelled_and_what_it_goes_on_wit
     assert await ros.ask(lambda: others.others(f"/{name}")) == {foreign.id}
     assert await ros.ask(others.busy_servers) == (f"/{name}",)
     before.cancel(foreign)
-    await until_busy(ros, others, f"/{name}", busy=False)
+    await until_true(ros, lambda: not others.others(f"/{name}"))
     assert not any(isinstance(report, Ended) for report in [*kept.reports._queue])
     await ros.ask(others.close)
-    before.ros2.close()
 
 
 @bounded
-async def test_a_node_without_its_lease_cancels_nothing_of_the_one_that_has_taken_over(ros, start, names, caplog):
-    name, lease = names(), []
-    start(name)
-    successor = RecordingClient(ros, act=Binding(server=name))
+async def test_a_node_without_its_lease_cancels_nothing_of_the_one_that_has_taken_over(ros, connect, start, caplog):
+    name, lease = start().name, []
+    successor = connect(act=Binding(server=name))
     sent = sent_by_another_process(successor, "hang")
     await sent.accepted()
-    others = OtherGoals(ros, PREFIX, may_act=lambda: bool(lease))
-    await until_busy(ros, others, f"/{name}")
-    foreign, free = successor.send("act", action="hang"), OtherGoals(ros)
+    others, free = OtherGoals(ros, PREFIX, may_act=lambda: bool(lease)), OtherGoals(ros)
+    await until_true(ros, lambda: others.others(f"/{name}"))
+    foreign = successor.send("act", action="hang")
     await foreign.accepted()
-    await until_busy(ros, free, f"/{name}")
+    await until_true(ros, lambda: foreign.id in free.others(f"/{name}"))
     await ros.ask(lambda: free.cancel(f"/{name}", [foreign.id]))  # later than the other one had reason to cancel
     assert (await foreign.ended()).kind is OutcomeKind.CANCELED
     assert "it is cancelled" not in caplog.text
@@ -134,29 +109,23 @@ async def test_a_node_without_its_lease_cancels_nothing_of_the_one_that_has_take
     assert (await sent.ended()).kind is OutcomeKind.CANCELED
     await ros.ask(free.close)
     await ros.ask(others.close)
-    successor.ros2.close()
 
 
 @bounded
-async def test_a_server_that_died_is_at_work_on_nothing(ros, start, names):
-    name = names()
-    server = start(name)
-    before = RecordingClient(ros, act=Binding(server=name))
-    await before.send("act", action="hang").accepted()
+async def test_a_server_that_died_is_at_work_on_nothing(ros, connect, start):
+    server = start()
+    await connect(act=Binding(server=server.name)).send("act", action="hang").accepted()
     others = OtherGoals(ros)
-    await until_busy(ros, others, f"/{name}")
+    await until_true(ros, lambda: others.others(f"/{server.name}"))
     server.kill()
-    await asyncio.to_thread(start, name)
-    await until_busy(ros, others, f"/{name}", busy=False)
+    await asyncio.to_thread(start, name=server.name)
+    await until_true(ros, lambda: not others.others(f"/{server.name}"))
     await ros.ask(others.close)
-    before.ros2.close()
 
 
 @bounded
-async def test_a_kept_goal_that_is_cancelled_at_once_ends_when_its_server_says_so(ros, start, names):
-    name = names()
-    start(name)
-    before, after = RecordingClient(ros, act=Binding(server=name)), RecordingClient(ros, act=Binding(server=name))
+async def test_a_kept_goal_that_is_cancelled_at_once_ends_when_its_server_says_so(connect, shared):
+    before, after = (connect(act=Binding(server=shared)) for _ in range(2))
     stubborn = before.send("act", action="stubborn", arguments=["0.5"])
     await stubborn.accepted()
     again, unknown = Sent(stubborn.request), Sent(Request(uuid4(), GroundAction("act"), {"action": "succeed"}))
@@ -166,18 +135,14 @@ async def test_a_kept_goal_that_is_cancelled_at_once_ends_when_its_server_says_s
     after.cancel(unknown)
     assert (await again.ended()).kind is OutcomeKind.SUCCEEDED
     assert await unknown.ended() == Outcome(OutcomeKind.CANCELED, message="cancelled before it was sent")
-    before.ros2.close()
-    after.ros2.close()
 
 
 @bounded
-async def test_a_goal_that_may_be_sent_twice_is_sent_to_the_server_that_has_come_back(ros, start, names):
-    name = names()
-    server = start(name)
-    client = RecordingClient(ros, act=Binding(server=name, when_lost=WhenLost.RESEND))
+async def test_a_goal_that_may_be_sent_twice_is_sent_to_the_server_that_has_come_back(connect, start):
+    server = start()
+    client = connect(act=Binding(server=server.name, when_lost=WhenLost.RESEND))
     sent = client.send("act", action="slow", arguments=["1"])
     await sent.accepted()
     server.kill()
-    await asyncio.to_thread(start, name)
+    await asyncio.to_thread(start, name=server.name)
     assert (await sent.ended()).kind is OutcomeKind.SUCCEEDED
-    client.ros2.close()

@@ -18,11 +18,8 @@ from pnm.knowledge.sources import Sources
 from pnm.ros.node.services import until_true
 from tests.support.logic.people import Person
 from tests.support.processes import LIMIT
-from tests.support.ros.child_process import bounded, run_bounded
+from tests.support.ros.child_process import OURS, bounded
 from tests.support.ros.fake_executor import FakeExecutor, fake_executor
-
-OURS = "/pnm/ros/"
-"""Stands in every traceback of what is tested; rclpy itself may fail with one while its context ends."""
 
 
 @bounded
@@ -40,24 +37,19 @@ async def test_local_and_global_and_both(ros, server):
         assert [await one.said(server, "query", layer, "both") for layer in ("local", "global")] == [[0], [0]]
 
 
-@pytest.mark.parametrize(
-    "options", [["--threads", "8"], ["--kind", "coroutine"], ["--kind", "coroutine", "--threads", "4"], ["--kind", "simple"]]
-)
 @bounded
-async def test_every_kind_of_server_may_ask(ros, names, begin, options):
-    name = names()
-
-    await asyncio.to_thread(begin, "asking_server", name, *options)
+async def test_every_kind_of_server_may_ask_whatever_spins_it(ros, names, begin, server):
+    many = await asyncio.to_thread(begin, "asking_server", names(), "8")
     async with fake_executor(ros) as one:
-        ended = [one.send(name, "update", "all", f"v{number}", number) for number in range(20)]
-        assert {outcome.message for outcome in await asyncio.gather(*ended)} == {"[null]"}
-        assert one.local.variables() == {f"v{number}": number for number in range(20)}
-        assert await one.said(name, "query", "all", "v7") == [7]
+        for name in (server, f"{server}_coroutine", f"{server}_simple", many.name, f"{many.name}_coroutine"):
+            ended = [one.send(name, "update", "all", f"v{number}", [name, number]) for number in range(20)]
+            assert {outcome.message for outcome in await asyncio.gather(*ended)} == {"[null]"}
+            assert one.local.variables() == {f"v{number}": [name, number] for number in range(20)}
+            assert await one.said(name, "query", "all", "v7") == [[name, 7]]
 
 
 @bounded
-async def test_the_example_of_the_documentation(ros, begin):
-    await asyncio.to_thread(begin, "example_server")
+async def test_the_example_of_the_documentation(ros, server):
     async with fake_executor(ros) as one:
         await one.sources.update(Question("shop", Layer.GLOBAL, "null"), "bakery", Asker(one.run))
         assert (await one.send("guide", "lead")).kind is OutcomeKind.SUCCEEDED
@@ -65,13 +57,10 @@ async def test_the_example_of_the_documentation(ros, begin):
 
 
 @bounded
-async def test_waiting_on_the_thread_that_spins_is_refused_at_once(ros, names, begin):
-    name = names()
-
-    await asyncio.to_thread(begin, "asking_server", name, "--kind", "wrong")
+async def test_waiting_on_the_thread_that_spins_is_refused_at_once(ros, server):
     async with fake_executor(ros) as one:
-        assert "in a coroutine, await the ..._async method" in await one.said(name, "query", "all", "a")
-        assert "in a coroutine, await the ..._async method" in await one.said(name, "update", "all", "a", 1)
+        for wanted in (("query", "all", "a"), ("update", "all", "a", 1)):
+            assert "in a coroutine, await the ..._async method" in await one.said(f"{server}_wrong", *wanted)
 
 
 @bounded
@@ -91,7 +80,8 @@ async def test_an_executive_without_services_is_missed_by_name(ros, server):
     await one.close()
 
 
-def test_an_executive_is_asked_again_until_it_has_answered_once_but_told_once(ros, server):
+@bounded
+async def test_an_executive_is_asked_again_until_it_has_answered_once_but_told_once(ros, server):
     def deaf(heard):
         async def answer(request, response):
             heard.append(request.name)
@@ -102,30 +92,26 @@ def test_an_executive_is_asked_again_until_it_has_answered_once_but_told_once(ro
 
         return answer
 
-    async def main():
-        one = FakeExecutor(ros, Sources())
-        heard = {kind: [] for kind in (QueryKnowledge, UpdateKnowledge)}
-        names = {QueryKnowledge: f"{one.name}/query", UpdateKnowledge: f"{one.name}/update"}
+    one = FakeExecutor(ros, Sources())
+    heard = {kind: [] for kind in (QueryKnowledge, UpdateKnowledge)}
+    names = {QueryKnowledge: f"{one.name}/query", UpdateKnowledge: f"{one.name}/update"}
 
-        def offer():
-            group = ReentrantCallbackGroup()
-            return [ros.node.create_service(kind, names[kind], deaf(heard[kind]), callback_group=group) for kind in heard]
+    def offer():
+        group = ReentrantCallbackGroup()
+        return [ros.node.create_service(kind, names[kind], deaf(heard[kind]), callback_group=group) for kind in heard]
 
-        services = await ros.ask(offer)
-        assert await one.said(server, "query", "all", "spam", None, LIMIT) == []
-        assert await one.said(server, "update", "person", "spam", 1, None, 1.5) == f"{one.name}/update did not answer within 1.5 s"
-        assert len(heard[QueryKnowledge]) >= 2
-        assert len(heard[UpdateKnowledge]) == 1
-        await ros.ask(lambda: [ros.node.destroy_service(service) for service in services])
-        await one.close()
-
-    run_bounded(main())
+    services = await ros.ask(offer)
+    assert await one.said(server, "query", "all", "spam", None, LIMIT) == []
+    assert await one.said(server, "update", "person", "spam", 1, None, 1.5) == f"{one.name}/update did not answer within 1.5 s"
+    assert len(heard[QueryKnowledge]) >= 2
+    assert len(heard[UpdateKnowledge]) == 1
+    await ros.ask(lambda: [ros.node.destroy_service(service) for service in services])
+    await one.close()
 
 
 def test_an_executive_that_is_killed_is_not_waited_for(names, begin):
-    name = names()
-    server = begin("asking_server", name)
-    killed = begin("fake_executor", name)
+    server = begin("asking_server", names())
+    killed = begin("fake_executor", server.name)
     assert killed.line() == "asked"
     killed.kill()
     said = json.loads(server.line())
@@ -155,13 +141,10 @@ async def test_what_a_source_refuses_is_said_to_the_server_and_changes_nothing(r
         assert one.local.variable("spam") is MISSING
 
 
-@pytest.mark.parametrize("kind", ["function", "coroutine", "simple"])
+@pytest.mark.parametrize("kind", ["", "_coroutine", "_simple"])
 @bounded
-async def test_cancelling_a_goal_that_asks_ends_it_and_withdraws_the_question(ros, names, begin, kind):
-    name = names()
-
-    server = await asyncio.to_thread(begin, "asking_server", name, "--kind", kind)
-    person = Person()
+async def test_cancelling_a_goal_that_asks_ends_it_and_withdraws_the_question(ros, server, kind):
+    person, name = Person(), f"{server}{kind}"
     async with fake_executor(ros, person=person) as one:
         await one.meet(name)
         goal = one.new_id()
@@ -171,15 +154,11 @@ async def test_cancelling_a_goal_that_asks_ends_it_and_withdraws_the_question(ro
         outcome = await ended
         assert (outcome.kind, outcome.message) == (OutcomeKind.CANCELED, '"the goal is being cancelled"')
         assert await person.withdrawn.get() == "shop"
-    assert OURS not in await asyncio.to_thread(server.stop)
 
 
 @bounded
-async def test_a_simple_server_carries_out_one_goal_at_a_time_and_none_that_was_cancelled_before(ros, names, begin):
-    name = names()
-
-    await asyncio.to_thread(begin, "asking_server", name, "--kind", "simple")
-    person = Person()
+async def test_a_simple_server_carries_out_one_goal_at_a_time_and_none_that_was_cancelled_before(ros, server):
+    person, name = Person(), f"{server}_simple"
     async with fake_executor(ros, person=person) as one:
         await one.meet(name)
         first = one.send(name, "query", "person", "a", None, LIMIT)
@@ -196,6 +175,24 @@ async def test_a_simple_server_carries_out_one_goal_at_a_time_and_none_that_was_
         assert await person.asked.get() == "c"
         person.answer("c", 3)
         assert (await third).message == "[3]"
+
+
+@bounded
+async def test_a_person_is_asked_while_others_go_on(ros, server):
+    person = Person()
+    async with fake_executor(ros, person=person) as one:
+        first = one.send(server, "query", "person", "shop", "Which shop?", LIMIT)
+        second = one.send(server, "query", "global", "USER", None, LIMIT)
+        assert {await person.asked.get(), await person.asked.get()} == {"shop", "USER"}
+        assert {asker.plan for asker in person.askers} == {"tour"}
+        assert await one.said(server, "update", "local", "spam", 1) == [None], "a question that is open holds up no other request"
+        person.answer("USER", "later")
+        assert json.loads((await second).message) == ["later"]
+        assert not first.done()
+        person.answer("shop", "bakery")
+        assert json.loads((await first).message) == ["bakery"]
+        assert await one.said(server, "update", "person", "shop", "thanks", {"mood": 1}) == [None]
+        assert await person.asked.get() == 'shop: thanks {"mood": 1}'
 
 
 @bounded
@@ -218,7 +215,6 @@ async def test_a_callback_that_fails_aborts_its_goal_and_nothing_more(ros, serve
     ("arguments", "said"),
     [
         (("query", 2, "spam"), "2 is not one of Layer.LOCAL, Layer.GLOBAL, Layer.ALL, Layer.PERSON"),
-        (("query", "local", ""), "the request names no variable"),
         (("update", "local", "spam", float("nan")), "JSON cannot say nan: Out of range float values are not JSON compliant"),
         (("query", "local", "spam", [float("inf")]), "JSON cannot say [inf]"),
     ],
@@ -231,13 +227,11 @@ async def test_a_server_that_asks_nonsense_is_told_so(ros, server, arguments, sa
 
 @bounded
 async def test_a_server_that_ends_while_it_asks_leaves_no_traceback_of_ours(ros, names, begin):
-    name = names()
-
-    server = await asyncio.to_thread(begin, "asking_server", name)
+    server = await asyncio.to_thread(begin, "asking_server", names())
     person = Person()
     async with fake_executor(ros, person=person) as one:
-        await one.meet(name)
-        ended = one.send(name, "query", "person", "a", None, LIMIT)
+        await one.meet(server.name)
+        ended = one.send(server.name, "query", "person", "a", None, LIMIT)
         await person.asked.get()
         assert OURS not in await asyncio.to_thread(server.stop)
         assert (await ended).kind in (OutcomeKind.LOST, OutcomeKind.UNAVAILABLE)

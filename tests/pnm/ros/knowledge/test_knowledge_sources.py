@@ -35,7 +35,6 @@ async def next_line(process: ChildProcess) -> list[object]:
 @bounded
 async def test_knowledge_elsewhere(ros, names, begin):
     name = names()
-
     process = await asyncio.to_thread(begin, "remote_sources", "knowledge", name)
     knowledge = Ros2Knowledge(ros, name, limit=LIMIT)
     assert await knowledge.query(about("a", meta={"x": 1}), ME) is MISSING
@@ -57,13 +56,16 @@ async def test_knowledge_elsewhere(ros, names, begin):
     values = [knowledge.update(about(f"v{number}"), number, ME) for number in range(50)]
     await asyncio.gather(*values)
     assert await asyncio.gather(*(knowledge.query(about(f"v{number}"), ME) for number in range(50))) == list(range(50))
+    missing = Ros2Knowledge(ros, f"{name}x", limit=0.5)
+    with pytest.raises(SourceError, match=f"there is no service /{name}x/query; similar are .*/{name}/query"):
+        await missing.query(about("a"), ME)
+    await missing.close()
     await knowledge.close()
 
 
 @bounded
 async def test_a_service_is_asked_again_until_it_has_answered_once(ros, names, begin):
     name = names()
-
     process = await asyncio.to_thread(begin, "remote_sources", "knowledge", name, "deaf")
     knowledge = Ros2Knowledge(ros, name, limit=LIMIT)
     await knowledge.update(about("a"), 1, ME)
@@ -85,46 +87,16 @@ async def test_a_service_is_asked_again_until_it_has_answered_once(ros, names, b
 
 
 @bounded
-async def test_a_service_that_is_missing_is_named_with_similar_ones(ros, names, begin):
+async def test_a_service_that_comes_late_is_waited_for_and_one_that_is_killed_is_not(ros, names, begin):
     name = names()
-
-    await asyncio.to_thread(begin, "remote_sources", "knowledge", name)
-    there = Ros2Knowledge(ros, name, limit=LIMIT)
-    await there.query(about("a"), ME)
-    knowledge = Ros2Knowledge(ros, f"{name}x", limit=0.5)
-    with pytest.raises(SourceError, match=f"there is no service /{name}x/query; similar are .*/{name}/query"):
-        await knowledge.query(about("a"), ME)
-    with pytest.raises(SourceError, match=f"there is no service /{name}x/update"):
-        await knowledge.update(about("a"), 1, ME)
-    await knowledge.close()
-    await there.close()
-
-
-@bounded
-async def test_a_service_that_does_not_answer_or_is_killed_is_not_waited_for(ros, names, begin):
-    name = names()
-
-    process = await asyncio.to_thread(begin, "remote_sources", "knowledge", name)
     patient, knowledge = Ros2Knowledge(ros, name, limit=LIMIT), Ros2Knowledge(ros, name, limit=1.0)
-    await patient.query(about("a"), ME)
-    await next_line(process)
-    with pytest.raises(SourceError, match=f"the service {name}/query did not answer within 1 s"):
-        await knowledge.query(about("slow"), ME)
+    asking = asyncio.ensure_future(patient.query(about("a"), ME))
+    process = await asyncio.to_thread(begin, "remote_sources", "knowledge", name)
+    assert await asking is MISSING
     await asyncio.to_thread(process.kill)
     with pytest.raises(SourceError, match=f"the service {name}/update did not answer within 1 s"):
         await knowledge.update(about("a"), 1, ME)  # the graph does not know yet that it is dead
     await patient.close()
-    await knowledge.close()
-
-
-@bounded
-async def test_knowledge_that_comes_late_is_waited_for(ros, names, begin):
-    name = names()
-
-    knowledge = Ros2Knowledge(ros, name, limit=LIMIT)
-    asking = asyncio.ensure_future(knowledge.query(about("a"), ME))
-    await asyncio.to_thread(begin, "remote_sources", "knowledge", name)
-    assert await asking is MISSING
     await knowledge.close()
 
 
@@ -134,7 +106,6 @@ async def test_knowledge_that_comes_late_is_waited_for(ros, names, begin):
 @bounded
 async def test_answers_reach_who_asked_in_whatever_order_they_come(ros, names, begin):
     name = names()
-
     person = Ros2Person(ros, name, limit=LIMIT)
     first = asyncio.ensure_future(person.query(about("shop", Layer.PERSON, "Which shop?"), ME))
     second = asyncio.ensure_future(person.query(about("USER"), Asker(UUID(int=8), "talk\x1b")))
@@ -153,7 +124,6 @@ async def test_answers_reach_who_asked_in_whatever_order_they_come(ros, names, b
 @bounded
 async def test_a_question_is_repeated_for_somebody_who_has_just_been_discovered(ros, names, begin):
     name = names()
-
     person = Ros2Person(ros, name, limit=LIMIT)
     process = await asyncio.to_thread(begin, "remote_sources", "person", name, "deaf")
     assert await person.query(about("shop", Layer.PERSON, "Which shop?"), ME) == 1, "what it had answered at once may have been lost"
@@ -162,23 +132,29 @@ async def test_a_question_is_repeated_for_somebody_who_has_just_been_discovered(
 
 
 @bounded
-async def test_a_message(ros, names, begin):
+async def test_a_message_is_told_and_closing_ends_open_questions(ros, names, begin):
     name = names()
-
-    person = Ros2Person(ros, name)
     process = await asyncio.to_thread(begin, "remote_sources", "person", name, "never")
+    person = Ros2Person(ros, name, limit=LIMIT)
     await person.update(about("CONTROLLER", meta={"status": 1}), {"at": "hall"}, ME)
     assert await next_line(process) == ["tell", "CONTROLLER", '{"at": "hall"}', "tour", '{"status": 1}', '{"at": "hall"}']
+    asking = asyncio.ensure_future(person.query(about("shop", Layer.PERSON), ME))
+    assert (await next_line(process))[:2] == ["ask", "shop"]
     await person.close()
+    with pytest.raises(SourceError, match="the question was not answered before the end"):
+        await asking
+    assert (await next_line(process))[:2] == ["withdraw", "shop"]
     with pytest.raises(SourceError, match="nobody can be asked or told anything any more"):
         await person.update(about("USER"), 1, ME)
 
 
 @bounded
-async def test_a_question_that_nobody_answers_is_withdrawn(ros, names, begin):
+async def test_a_question_that_nobody_answers_is_withdrawn_and_telling_nobody_is_an_error(ros, names, begin, monkeypatch):
     name = names()
-
     person = Ros2Person(ros, name, limit=0.3)
+    monkeypatch.setattr("pnm.ros.knowledge.LISTENER", 0.3)
+    with pytest.raises(SourceError, match=f"nobody listens on {name}/questions to be told 'Bye!'"):
+        await person.update(about("USER"), "Bye!", ME)
     with pytest.raises(SourceError, match=f"nobody has answered 'Which shop\\?' within 0.3 s; nobody listens on {name}/questions"):
         await person.query(about("shop", Layer.PERSON, "Which shop?"), ME)
     process = await asyncio.to_thread(begin, "remote_sources", "person", name, "never")
@@ -192,7 +168,6 @@ async def test_a_question_that_nobody_answers_is_withdrawn(ros, names, begin):
 async def test_a_question_that_is_cancelled_is_withdrawn_and_its_late_answer_ignored(ros, names, begin, caplog):
     caplog.set_level("INFO")
     name = names()
-
     process = await asyncio.to_thread(begin, "remote_sources", "person", name, "late")
     person = Ros2Person(ros, name, limit=LIMIT)
     asking = asyncio.ensure_future(person.query(about("shop", Layer.PERSON), ME))
@@ -207,36 +182,11 @@ async def test_a_question_that_is_cancelled_is_withdrawn_and_its_late_answer_ign
 @bounded
 async def test_answers_that_are_none_leave_the_question_open(ros, names, begin, caplog):
     name = names()
-
     await asyncio.to_thread(begin, "remote_sources", "person", name, "wrong")
     person = Ros2Person(ros, name, limit=LIMIT)
     assert await person.query(about("shop", Layer.PERSON), ME) is MISSING, "the first that says something counts"
     await person.close()
     assert f"ignored an answer on {name}/answers: '[1' is not JSON" in caplog.text
-
-
-@bounded
-async def test_telling_nobody_is_an_error(ros, names, monkeypatch):
-    monkeypatch.setattr("pnm.ros.knowledge.LISTENER", 0.3)
-
-    person = Ros2Person(ros, name := names())
-    with pytest.raises(SourceError, match=f"nobody listens on {name}/questions to be told 'Bye!'"):
-        await person.update(about("USER"), "Bye!", ME)
-    await person.close()
-
-
-@bounded
-async def test_closing_ends_open_questions(ros, names, begin):
-    name = names()
-
-    process = await asyncio.to_thread(begin, "remote_sources", "person", name, "never")
-    person = Ros2Person(ros, name, limit=LIMIT)
-    asking = asyncio.ensure_future(person.query(about("shop", Layer.PERSON), ME))
-    await next_line(process)
-    await person.close()
-    with pytest.raises(SourceError, match="the question was not answered before the end"):
-        await asking
-    assert (await next_line(process))[:2] == ["withdraw", "shop"]
 
 
 @bounded

@@ -9,7 +9,8 @@ import threading
 
 import pytest
 
-from pnm.errors import RosError
+from pnm.errors import InputError, RosError
+from pnm.ros.node.graph import server_name
 from pnm.ros.node.ros_thread import RosThread
 from tests.support.processes import LIMIT
 
@@ -87,9 +88,16 @@ def test_close_runs_what_waits_and_may_be_repeated():
     assert seen == [1]
 
 
-def test_a_node_that_cannot_be_made_says_why():
-    with pytest.raises(RosError, match="the ROS 2 node 'two words' cannot be made"):
-        RosThread("two words")
+@pytest.mark.parametrize(("name", "args", "said"), [("two words", [], ""), ("pnm", ["--ros-args", "--spam"], ".*spam")])
+def test_a_node_that_cannot_be_made_says_why(name, args, said):
+    with pytest.raises(RosError, match=f"the ROS 2 node '{name}' cannot be made: {said}"):
+        RosThread(name, args=args)
+
+
+@pytest.mark.parametrize("argument", ["\0", "r1\0", "\0r1", "a\0/b"])
+def test_a_zero_character_in_an_argument_makes_no_name_of_another_server(ros, argument):
+    with pytest.raises(InputError, match=r"not a name for an action server: .* \(it contains a zero character"):
+        ros.wait(lambda: server_name(ros.node, f"/secret/{argument}/go"))
 
 
 WITHOUT = """

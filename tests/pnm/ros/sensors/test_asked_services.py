@@ -4,23 +4,15 @@ from __future__ import annotations
 
 import asyncio
 
-from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.expressions import UNKNOWN
-from pnm.ros.sensors import Sensors
-from tests.support.pddl.sensed_world import PROBLEM
 from tests.support.ros.child_process import bounded
-from tests.support.ros.listening import becomes
+from tests.support.ros.listening import becomes, opened
 
 KIND = "test_msgs/srv/BasicTypes"
 
 
 def offered(name: str, **options: object) -> dict[str, object]:
     return {"service": name, "type": KIND, "fields": {"bool_value": True, "float64_value": 0.5}, **options}
-
-
-def asking(ros, file) -> tuple[KnowledgeBase, Sensors]:
-    world = KnowledgeBase(objects=PROBLEM.objects_by_type)
-    return world, Sensors(ros, file, world, 1.0)
 
 
 @bounded
@@ -32,9 +24,7 @@ async def test_a_service_that_is_never_polled_is_asked_for_every_reason_and_no_m
           - {{service: {name}, every: never, limit: 5, facts: [{{number: (battery r1), field: float64_value}}]}}
           - {{service: {polled}, every: 0.01, facts: [{{number: (battery a1), field: float64_value}}]}}""")
     assert file.lags(1.0) == {"battery": 10.0}
-    world, listener = asking(ros, file)
-    try:
-        await listener.open()
+    async with opened(ros, file) as (world, listener):
         await becomes(world, ("battery", "r1"), 0.5)
         for _ in range(3):
             world.update({("battery", "r1"): 9.0})
@@ -45,8 +35,6 @@ async def test_a_service_that_is_never_polled_is_asked_for_every_reason_and_no_m
                 world.update({("battery", "a1"): 9.0})
                 await becomes(world, ("battery", "a1"), 0.5)
             assert world.value(("battery", "r1")) == 9.0
-    finally:
-        await listener.close()
 
 
 @bounded
@@ -57,9 +45,7 @@ async def test_a_dead_service_makes_unknown_what_it_reports_once_it_is_asked(ros
         sensors:
           - {{service: {name}, every: never, limit: 0.5, stale: 0.3, facts: [{{fact: (dark), field: bool_value}}]}}
           - {{topic: {names()}, type: test_msgs/msg/BasicTypes, stale: 3, facts: [{{number: (battery r1), field: float64_value}}]}}""")
-    world, listener = asking(ros, file)
-    try:
-        await listener.open()
+    async with opened(ros, file) as (world, listener):
         await becomes(world, ("dark",), True)
         await asyncio.to_thread(process.kill)
         await becomes(world, ("battery", "r1"), UNKNOWN)
@@ -68,24 +54,21 @@ async def test_a_dead_service_makes_unknown_what_it_reports_once_it_is_asked(ros
         await becomes(world, ("dark",), UNKNOWN)
         await asyncio.to_thread(sensors, offered(name))
         await becomes(world, ("dark",), True)
-    finally:
-        await listener.close()
     assert f"nothing was heard on {name} for 0.3 s; its facts are unknown" in caplog.text
 
 
 @bounded
-async def test_a_refresh_ends_although_a_service_is_not_there_or_does_not_answer(ros, names, sensing, sensors):
+async def test_a_refresh_ends_although_a_service_is_not_there_does_not_answer_or_does_not_fit(ros, names, sensing, sensors):
     name = names()
     await asyncio.to_thread(sensors, offered(name, deaf=True))
     file = sensing(f"""
         sensors:
           - {{service: {name}, every: never, limit: 0.2, facts: [{{fact: (dark), field: bool_value}}]}}
           - {{service: {names()}, every: never, limit: 0.2, facts: [{{number: (battery r1), field: float64_value}}]}}
-          - {{service: {names()}, type: {KIND}, limit: 0.2, facts: [{{number: (battery a1), field: flaot64_value}}]}}""")
-    _, listener = asking(ros, file)
-    try:
-        await listener.open()
+          - {{service: {name}, limit: 0.2, facts: [{{number: (battery a1), field: flaot64_value}}]}}""")
+    async with opened(ros, file) as (_, listener):
         await listener.refresh()
-    finally:
-        await listener.close()
+        *fitting, unfit = (use.refused for use in listener.uses())
+        assert fitting == [None, None]
+        assert "BasicTypes_Response has no field 'flaot64_value'" in str(unfit)
     await listener.refresh()

@@ -17,55 +17,10 @@ from pnm.ros.node.messages import find_field, fitted, import_type, to_message, v
 from pnm.ros.node.services import until_true
 from pnm.ros.sensors import Sensors
 from tests.support.pddl.sensed_world import DOMAIN
-from tests.support.ros.child_process import bounded, run_bounded
+from tests.support.ros.child_process import bounded
 from tests.support.ros.listening import becomes, listening
 
 BASIC = "test_msgs/msg/BasicTypes"
-
-
-@pytest.mark.parametrize(
-    ("facts", "said"),
-    [
-        ("{number: (battery r1), field: percentage}", "BasicTypes has no field 'percentage'; it has bool_value, byte_value"),
-        ("{number: (battery r1), field: flaot64_value}", "has no field 'flaot64_value'; did you mean 'float64_value'? it has bool_value"),
-        ("{number: (battery r1), field: bool_value}", "bool_value is a boolean; expected a number, or a table"),
-        ("{object: (location r1), field: int8_value}", "int8_value is a int8; expected a text, or a table"),
-        ("{fact: (dark), field: int8_value}", "int8_value is a int8; expected a boolean, or 'when' and how it compares"),
-        ("{fact: (dark), when: {field: int8_value, eq: low}}", "int8_value is a int8, which cannot be compared with 'low'"),
-        ("{fact: (dark), when: {not: {field: bool_value, eq: 1}}}", "bool_value is a boolean, which cannot be compared with 1"),
-        ("{fact: (dark), when: {field: bool_value, contains: 1}}", "bool_value is a boolean, which contains nothing"),
-        ("{number: (battery r1), field: 'float64_value[0]'}", "float64_value is a double; only a list has an item 0"),
-        ("{number: (battery r1), field: float64_value.x}", "double has no field 'x'; it has none"),
-    ],
-    ids=lambda value: value[:50],
-)
-@bounded
-async def test_a_field_that_the_type_does_not_have_is_refused(ros, sensing, facts, said):
-    file = sensing(f"sensors:\n  - topic: nobody\n    type: {BASIC}\n    facts: [{facts}]")
-
-    with pytest.raises(InputError) as caught:
-        async with listening(ros, file):
-            pass
-    assert said in str(caught.value)
-    assert "sensing.yaml:4:" in str(caught.value)
-
-
-def test_types_found_in_the_graph_are_checked_as_well(ros, names, sensing, sensors):
-    topic, service = names(), names()
-    sensors({"topic": topic, "type": BASIC, "fields": {}}, {"service": service, "type": "test_msgs/srv/BasicTypes", "fields": {}})
-
-    async def main(text, said):
-        await until_true(ros, lambda: ros.node.count_services(service))
-        with pytest.raises(InputError, match=said):
-            async with listening(ros, sensing(text)):
-                pass
-
-    run_bounded(main(f"sensors: [{{topic: {topic}, facts: [{{fact: (dark), field: open}}]}}]", "BasicTypes has no field 'open'"))
-    run_bounded(
-        main(f"sensors: [{{service: {service}, facts: [{{fact: (dark), field: open}}]}}]", "BasicTypes_Response has no field 'open'")
-    )
-    refused = f"sensors: [{{service: {service}, request: {{level: 1}}, facts: [{{fact: (dark), field: bool_value}}]}}]"
-    run_bounded(main(refused, "a field that BasicTypes_Request does not have"))
 
 
 @bounded

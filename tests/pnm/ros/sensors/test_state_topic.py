@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from itertools import pairwise
 from time import monotonic
 
 import pytest
 from pnm_interfaces.msg import State
-from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from pnm.actions.simulated_robots import SimulatedWorld
 from pnm.core.knowledge_base import KnowledgeBase
@@ -17,10 +15,11 @@ from pnm.core.logic.expressions import UNDEFINED, UNKNOWN
 from pnm.errors import InputError
 from pnm.ros.action_server.simulated_servers import publish_state
 from pnm.ros.node.messages import to_message
-from pnm.ros.sensors import SensedReports, read_state, write_state
+from pnm.ros.node.ros_thread import profile
+from pnm.ros.sensors import TOPIC, SensedReports, read_state, write_state
 from tests.support.processes import LIMIT
+from tests.support.ros.child_process import bounded
 
-LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 FACTS = {
     ("at", "r1", "hall"): True,
     ("battery", "r1"): 80.0,
@@ -34,7 +33,8 @@ def ignore(*_):
     pass
 
 
-def test_a_report_is_handed_on_and_recorded(ros, start):
+@bounded
+async def test_a_report_is_handed_on_and_recorded(ros, sensors):
     report = {"names": ["at", "battery"], "facts": ["(at r1 hall)"], "fluents": ["(battery r1)"], "values": [80.0], "sequence": 7}
     world = KnowledgeBase({("at", "r1", "kitchen"): True})
     sequences = []
@@ -43,68 +43,56 @@ def test_a_report_is_handed_on_and_recorded(ros, start):
         world.replace(names, facts)
         sequences.append(sequence)
 
-    async def scenario():
-        sensing = SensedReports(ros, asyncio.get_running_loop(), record, ignore)
-        await asyncio.to_thread(start, "--report", json.dumps(report))
-        async with asyncio.timeout(LIMIT):
-            while not await sensing.first(5.0):
-                pass
-        sensing.close()
-
-    asyncio.run(scenario())
+    sensing = SensedReports(ros, asyncio.get_running_loop(), record, ignore)
+    await asyncio.to_thread(sensors, {"topic": TOPIC, "type": "pnm_interfaces/msg/State", "fields": report, "once": True})
+    while not await sensing.first(5.0):
+        pass
+    sensing.close()
     assert sequences == [7]
     assert world.facts() == {("at", "r1", "hall"): True, ("battery", "r1"): 80.0}
 
 
-def test_who_comes_late_hears_the_last_report_of_a_simulation_and_no_earlier_one(ros):
+@bounded
+async def test_who_comes_late_hears_the_last_report_of_a_simulation_and_no_earlier_one(ros):
     heard = []
-
-    async def scenario():
-        world = SimulatedWorld(KnowledgeBase({("at", "r1", "a"): True}), ["at"])
-        joined = asyncio.Event()
-        await publish_state(ros, world, world.dynamic, joined.set)
-        for before, after in pairwise("abc"):
-            world.change({("at", "r1", before): False, ("at", "r1", after): True})
-            await ros.ask(lambda: None)  # the report is published
-        sensing = SensedReports(ros, asyncio.get_running_loop(), lambda _, facts, __: heard.append(set(facts)), ignore)
-        async with asyncio.timeout(LIMIT):
-            await joined.wait()
-            assert await sensing.first(LIMIT)
-            world.change({("at", "r1", "c"): False, ("at", "r1", "d"): True})
-            while heard[-1] != {("at", "r1", "d")}:
-                await ros.ask(lambda: None)
-        sensing.close()
-
-    asyncio.run(scenario())
+    world = SimulatedWorld(KnowledgeBase({("at", "r1", "a"): True}), ["at"])
+    joined = asyncio.Event()
+    await publish_state(ros, world, world.dynamic, joined.set)
+    for before, after in pairwise("abc"):
+        world.change({("at", "r1", before): False, ("at", "r1", after): True})
+        await ros.ask(lambda: None)  # the report is published
+    sensing = SensedReports(ros, asyncio.get_running_loop(), lambda _, facts, __: heard.append(set(facts)), ignore)
+    await joined.wait()
+    assert await sensing.first(LIMIT)
+    world.change({("at", "r1", "c"): False, ("at", "r1", "d"): True})
+    while heard[-1] != {("at", "r1", "d")}:
+        await ros.ask(lambda: None)
+    sensing.close()
     assert heard == [{("at", "r1", "c")}, {("at", "r1", "d")}]
 
 
-def test_nobody_who_reports_is_not_waited_for(ros):
-    async def scenario():
-        sensing = SensedReports(ros, asyncio.get_running_loop(), ignore, ignore, topic="nobody/reports")
-        await ros.settled()
-        since = monotonic()
-        assert not await sensing.first(LIMIT)
-        sensing.close()
-        return monotonic() - since
-
-    assert asyncio.run(scenario()) < LIMIT / 2
+@bounded
+async def test_nobody_who_reports_is_not_waited_for(ros):
+    sensing = SensedReports(ros, asyncio.get_running_loop(), ignore, ignore, topic="nobody/reports")
+    await ros.settled()
+    since = monotonic()
+    assert not await sensing.first(LIMIT)
+    assert monotonic() - since < LIMIT / 2
+    sensing.close()
 
 
-def test_a_malformed_report_is_refused_with_its_names_and_the_reason(ros):
-    heard, refused = [], []
-
-    async def scenario():
-        loop, topic = asyncio.get_running_loop(), "knowledge/malformed"
-        sensing = SensedReports(ros, loop, lambda *report: heard.append(report), lambda *report: refused.append(report), topic)
-        publisher = await ros.ask(lambda: ros.node.create_publisher(State, "knowledge/malformed", LATCHED))
-        await ros.ask(lambda: publisher.publish(State(names=["at"], facts=["at r1 hall"])))
-        await ros.ask(lambda: publisher.publish(State(names=["at"], sequence=2)))
-        await sensing.first(LIMIT)
-        sensing.close()
-        await ros.ask(lambda: ros.node.destroy_publisher(publisher))
-
-    asyncio.run(scenario())
+@bounded
+async def test_a_malformed_report_is_refused_with_its_names_and_the_reason(ros):
+    heard, refused, topic = [], [], "knowledge/malformed"
+    sensing = SensedReports(
+        ros, asyncio.get_running_loop(), lambda *report: heard.append(report), lambda *report: refused.append(report), topic
+    )
+    publisher = await ros.ask(lambda: ros.node.create_publisher(State, topic, profile(10, latched=True)))
+    await ros.ask(lambda: publisher.publish(State(names=["at"], facts=["at r1 hall"])))
+    await ros.ask(lambda: publisher.publish(State(names=["at"], sequence=2)))
+    await sensing.first(LIMIT)
+    sensing.close()
+    await ros.ask(lambda: ros.node.destroy_publisher(publisher))
     assert heard == [(frozenset({"at"}), {}, 2)]
     ((names, reason),) = refused
     assert names == {"at"}

@@ -5,51 +5,50 @@ from __future__ import annotations
 import asyncio
 from uuid import UUID, uuid4
 
-import pytest
-
+from pnm.ros.knowledge import uuid_field
 from pnm.tasks import Code
 from tests.support.ros.child_process import bounded
 from tests.support.ros.serving_node import serving_node
-from tests.support.ros.task_client import ABORTED, SUCCEEDED, TaskClient, uuid_data
+from tests.support.ros.task_client import ABORTED, SUCCEEDED, TaskClient
 
 
 @bounded
 async def test_a_goal_while_the_node_is_inactive_is_rejected_and_a_later_one_is_not(two):
     async with serving_node(two, is_active=False) as one:
         for action in ("achieve_goal", "execute_plan", "plan"):
-            assert not await (await one.client.send(action)).accepted
+            assert not (await one.client.send(action)).handle.accepted
         assert not one.tasks.wanted
         await one.node.activate()
         assert (await one.ended("goal_reached"))[0] == SUCCEEDED
 
 
-@pytest.mark.parametrize(
-    ("action", "goal", "said"),
-    [
-        ("achieve_goal", {"goal": "fly"}, "there is no predicate 'fly' here"),
-        ("achieve_goal", {"goal": "running", "deadline": -1.0}, "deadline is -1; expected a number of seconds"),
-        ("achieve_goal", {"goal": "running", "deadline": float("nan")}, "deadline is nan; expected a number of seconds"),
-        ("achieve_goal", {"goal": "running", "policy": 4}, "there is no policy 4; expected one of 0 (default)"),
-        ("execute_plan", {"plan": " "}, "the plan is empty; expected the name of a plan"),
-        ("execute_plan", {"plan": "running", "parameters": "[1"}, "parameters:1:3: "),
-        ("execute_plan", {"plan": "running", "deadline": float("inf")}, "deadline is inf; expected a number of seconds"),
-        ("achieve_goal", {"goal": "x" * 100_001}, "the goal has 100001 characters; expected 100000 at most"),
-        ("execute_plan", {"plan": "x" * 100_001}, "the plan has 100001 characters; expected 100000 at most"),
-        (
-            "execute_plan",
-            {"plan": "running", "parameters": "x" * 100_001},
-            "the text of the parameters has 100001 characters; expected 100000 at most",
-        ),
-        ("plan", {"goal": "wrong"}, "goal:1:1: expected a condition"),
-        ("plan", {"goal": "running", "timeout": -3.0}, "timeout is -3; expected a number of seconds"),
-    ],
+WRONG = (
+    ("achieve_goal", {"goal": "fly"}, "there is no predicate 'fly' here"),
+    ("achieve_goal", {"goal": "running", "deadline": -1.0}, "deadline is -1; expected a number of seconds"),
+    ("achieve_goal", {"goal": "running", "deadline": float("nan")}, "deadline is nan; expected a number of seconds"),
+    ("achieve_goal", {"goal": "running", "policy": 4}, "there is no policy 4; expected one of 0 (default)"),
+    ("execute_plan", {"plan": " "}, "the plan is empty; expected the name of a plan"),
+    ("execute_plan", {"plan": "running", "parameters": "[1"}, "parameters:1:3: "),
+    ("execute_plan", {"plan": "running", "deadline": float("inf")}, "deadline is inf; expected a number of seconds"),
+    ("achieve_goal", {"goal": "x" * 100_001}, "the goal has 100001 characters; expected 100000 at most"),
+    ("execute_plan", {"plan": "x" * 100_001}, "the plan has 100001 characters; expected 100000 at most"),
+    (
+        "execute_plan",
+        {"plan": "running", "parameters": "x" * 100_001},
+        "the text of the parameters has 100001 characters; expected 100000 at most",
+    ),
+    ("plan", {"goal": "wrong"}, "goal:1:1: expected a condition"),
+    ("plan", {"goal": "running", "timeout": -3.0}, "timeout is -3; expected a number of seconds"),
 )
+
+
 @bounded
-async def test_what_is_wrong_with_a_goal_is_in_its_result(two, action, goal, said):
+async def test_what_is_wrong_with_a_goal_is_in_its_result(two):
     async with serving_node(two) as one:
-        status, result = await (await one.client.send(action, **goal)).result()
-        assert (status, result["code"], result["reason"]) == (ABORTED, Code.INVALID_GOAL, "invalid_goal")
-        assert said in result["message"]
+        for action, goal, said in WRONG:
+            status, result = await (await one.client.send(action, **goal)).result()
+            assert (status, result["code"], result["reason"]) == (ABORTED, Code.INVALID_GOAL, "invalid_goal")
+            assert said in result["message"]
         assert not one.tasks.open
 
 
@@ -107,21 +106,15 @@ async def test_a_failure_inside_is_a_result_too(two, caplog):
     assert "a task cannot begin" in caplog.text
 
 
-@pytest.mark.parametrize("service", ["pause", "resume", "cancel"])
 @bounded
-async def test_requests_about_unknown_tasks_are_refused(two, service):
+async def test_requests_about_tasks_that_are_unknown_or_not_paused_are_refused(two):
     async with serving_node(two) as one:
-        id = uuid4()
-        answer = await one.client.call(f"executor/{service}", task=uuid_data(id))
-        assert answer == {"success": False, "message": f"there is no task {id}"}
-
-
-@bounded
-async def test_a_task_that_is_not_paused_is_not_resumed(two):
-    async with serving_node(two) as one:
-        goal = await one.goal("running")
-        answer = await one.client.call("executor/resume", task=uuid_data(goal.id))
-        assert answer == {"success": False, "message": f"the task {goal.id} is not paused"}
+        for service, id, said in (
+            *((service, uuid4(), "there is no task {}") for service in ("pause", "resume", "cancel")),
+            ("resume", (await one.goal("running")).id, "the task {} is not paused"),
+        ):
+            answer = await one.client.call(f"executor/{service}", task=uuid_field(id))
+            assert answer == {"success": False, "message": said.format(id)}
 
 
 @bounded

@@ -7,19 +7,23 @@ from typing import Any
 from uuid import UUID
 
 import pytest
+from pnm_interfaces.action import AchieveGoal
+from pnm_interfaces.msg import PlanStep, TaskStatus, TraceEvent
+from pnm_interfaces.srv import QueryKnowledge, UpdateKnowledge
 
 from pnm.errors import InputError
 from pnm.ros.action_server.goal_server import GoalServer
+from pnm.ros.knowledge import LAYERS, uuid_field
 from pnm.ros.tasks import executor_topics as task_topics
 from pnm.ros.tasks.executor_topics import TaskTopics
-from pnm.ros.tasks.task_messages import TRACE, run_ending_fields
+from pnm.ros.tasks.task_messages import CAUSES, TRACE, run_ending_fields
 from pnm.ros.tasks.task_node import action_names
-from pnm.tasks import Code, OnConflict, TaskEnding, TaskState, TraceKind, Wanted
+from pnm.tasks import Code, OnConflict, StepState, TaskEnding, TaskState, TraceKind, Wanted
 from tests.support.ros.child_process import bounded, run_bounded
 from tests.support.ros.serving_node import serving_node
-from tests.support.ros.task_client import ABORTED, CANCELED, LIMIT, SUCCEEDED, uuid_data
+from tests.support.ros.task_client import ABORTED, CANCELED, LIMIT, SUCCEEDED
 
-ALL = uuid_data(UUID(int=0))
+ALL = uuid_field(UUID(int=0))
 
 
 async def message_where(queue: asyncio.Queue[dict[str, Any]], found: Any) -> dict[str, Any]:
@@ -41,9 +45,9 @@ async def test_a_plan_with_an_action_of_its_own_is_a_task_like_others(two):
             "running": ["move(r1, hall)"], "feedback": [""], "ended": 1, "restarts": 0,
         }  # fmt: skip
         assert one.tasks.wanted == [Wanted(goal.id, "running", parameters={"shop": "bakery"}, is_plan=True, server="running_tour")]
-        assert (await one.client.call("executor/pause", task=uuid_data(goal.id)))["success"]
+        assert (await one.client.call("executor/pause", task=uuid_field(goal.id)))["success"]
         assert one.tasks.open[goal.id].state is TaskState.PAUSED
-        assert (await one.client.call("executor/cancel", task=uuid_data(goal.id)))["success"]
+        assert (await one.client.call("executor/cancel", task=uuid_field(goal.id)))["success"]
         status, result = await goal.result()
         assert (status, result["success"], result["reason"]) == (CANCELED, False, "cancelled")
 
@@ -96,7 +100,7 @@ async def test_feedback_tells_how_the_task_is_doing(two):
         told = await goal.is_in(TaskState.RUNNING)
         assert told["plan"] == ["move(r1, hall)", "pick(r1, cup)"]
         assert told["status"] == {
-            "id": uuid_data(goal.id), "goal": "running", "priority": 2, "state": 2, "code": 0, "reason": "", "running": ["move(r1, hall)"],
+            "id": uuid_field(goal.id), "goal": "running", "priority": 2, "state": 2, "code": 0, "reason": "", "running": ["move(r1, hall)"],
             "feedback": [""], "ended": 1, "replans": 0,
         }  # fmt: skip
 
@@ -244,3 +248,29 @@ async def test_what_is_known_and_the_problem_may_be_asked_for(two):
         assert (await one.client.call("problem/save", file="p.pddl"))["path"] == "/problems/p.pddl"
         assert (await one.client.call("problem/save", file="/p.pddl"))["message"] == "/p.pddl is outside of the folder for problems"
         assert (await one.client.call("problem/load", problem="(")) == {"success": False, "message": "problem:1:1: expected (define"}
+
+
+# --- numbers ---
+
+
+def constants(message: Any) -> dict[str, int]:
+    """Return the constants of a message by name, which are properties of the class of its class."""
+    return {name: getattr(message, name) for name, kind in vars(type(message)).items() if isinstance(kind, property)}
+
+
+@pytest.mark.parametrize(
+    ("message", "named"),
+    [
+        (AchieveGoal.Goal, {policy.name: policy.value for policy in OnConflict}),
+        (AchieveGoal.Result, {code.name: code.value for code in Code}),
+        (TaskStatus, {state.name: state.value for state in TaskState}),
+        (TraceEvent, {kind.name: kind.value for kind in TraceKind}),
+        (PlanStep, {s.name: s.value for s in StepState} | {cause.name if cause else "NONE": CAUSES.index(cause) for cause in CAUSES}),
+        *(
+            (request, {layer.name: LAYERS.index(layer) for layer in LAYERS})
+            for request in (QueryKnowledge.Request, UpdateKnowledge.Request)
+        ),
+    ],
+)
+def test_the_constants_of_a_message_are_those_of_the_enum(message, named):
+    assert constants(message) == named

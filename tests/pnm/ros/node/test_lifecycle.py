@@ -1,11 +1,11 @@
-"""A managed node as the services of its life cycle see it, and its parameters."""
+"""A managed node as the services of its life cycle see it, nodes of the same name, and parameters."""
 
 from __future__ import annotations
 
 import asyncio
 import threading
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import ExitStack, asynccontextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import count
@@ -15,7 +15,7 @@ import pytest
 
 from pnm.errors import InputError, RosError
 from pnm.ros.node import services as request_services
-from pnm.ros.node.lifecycle import Lifecycle
+from pnm.ros.node.lifecycle import Lifecycle, check_alone
 from pnm.ros.node.parameters import NodeParameter, declare
 from pnm.ros.node.ros_thread import RosThread
 from tests.support.processes import LIMIT
@@ -62,12 +62,9 @@ class ManagedNode:
     lifecycle: Lifecycle
     client: TaskClient
 
-    async def ask(self, label: str) -> bool:
-        answer = await self.client.call("pnm/change_state", "lifecycle_msgs/srv/ChangeState", transition={"label": label})
-        return bool(answer["success"])
-
-    async def ask_number(self, number: int) -> bool:
-        answer = await self.client.call("pnm/change_state", "lifecycle_msgs/srv/ChangeState", transition={"id": number})
+    async def ask(self, wanted: str | int) -> bool:
+        transition = {"label" if isinstance(wanted, str) else "id": wanted}
+        answer = await self.client.call("pnm/change_state", "lifecycle_msgs/srv/ChangeState", transition=transition)
         return bool(answer["success"])
 
     async def state(self) -> str:
@@ -75,30 +72,36 @@ class ManagedNode:
 
 
 @asynccontextmanager
-async def managed_node() -> AsyncIterator[ManagedNode]:
+async def node_and_client(**options: Any) -> AsyncIterator[tuple[RosThread, TaskClient]]:
+    """A node with the name `pnm`, and a client of it, in a namespace that nobody else has."""
     namespace = f"managed{next(NUMBERS)}"
-    ros, other = RosThread("pnm", namespace=namespace, managed=True), RosThread("client", namespace=namespace)
-    work = Work()
-    one = ManagedNode(ros, work, Lifecycle(ros, work), TaskClient(other))
-    try:
+    async with RosThread("pnm", namespace=namespace, **options) as ros, RosThread("client", namespace=namespace) as other:
+        client = TaskClient(other)
+        try:
+            yield ros, client
+        finally:
+            await client.close()
+
+
+@asynccontextmanager
+async def managed_node() -> AsyncIterator[ManagedNode]:
+    async with node_and_client(managed=True) as (ros, client):
+        work = Work()
+        one = ManagedNode(ros, work, Lifecycle(ros, work), client)
         await one.lifecycle.open()
         await one.state()  # the first answer may get lost, so a transition is not the first that is asked for
         yield one
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(request_services, "ARRIVAL", 0.0)  # nobody waits for an answer any more
             await one.lifecycle.close()
-    finally:
-        await one.client.close()
-        for thread in (ros, other):
-            assert await asyncio.to_thread(thread.close)
 
 
 @bounded
 async def test_a_node_goes_through_its_states_and_ends():
     async with managed_node() as one:
         states = [await one.state()]
-        for label in ("configure", "activate", "deactivate", "activate", "deactivate", "cleanup", "configure", "shutdown"):
-            assert await one.ask(label), label
+        for wanted in ("configure", "activate", "deactivate", 3, 4, "cleanup", 1, "shutdown"):
+            assert await one.ask(wanted), wanted
             states.append(await one.state())
         assert states == [
             "unconfigured", "inactive", "active", "inactive", "active", "inactive", "unconfigured", "inactive", "finalized",
@@ -108,21 +111,13 @@ async def test_a_node_goes_through_its_states_and_ends():
 
 
 @bounded
-async def test_transitions_are_known_by_their_numbers_too():
+async def test_what_cannot_be_done_in_a_state_is_refused(caplog):
     async with managed_node() as one:
-        for number, state in ((1, "inactive"), (3, "active"), (7, "finalized")):
-            assert await one.ask_number(number)
-            assert await one.state() == state
-
-
-@pytest.mark.parametrize("label", ["activate", "deactivate", "cleanup", "on_configure_success", "transition_success", "spam", ""])
-@bounded
-async def test_what_cannot_be_done_in_a_state_is_refused(label, caplog):
-    async with managed_node() as one:
-        assert not await one.ask(label)
+        for label in ("activate", "deactivate", "cleanup", "on_configure_success", "transition_success", "spam", ""):
+            assert not await one.ask(label), label
         assert await one.state() == "unconfigured"
         assert one.work.done == []
-    assert "cannot be made: the node is unconfigured; expected one of configure, shutdown" in caplog.text
+    assert caplog.text.count("cannot be made: the node is unconfigured; expected one of configure, shutdown") == 7
 
 
 @bounded
@@ -176,13 +171,6 @@ async def test_closing_in_the_middle_of_a_transition_cleans_up():
         await one.lifecycle.close()
         assert not await asked
         assert one.work.done[-1] == "cleanup"
-
-
-@bounded
-async def test_the_node_is_finalized_when_it_is_closed():
-    async with managed_node() as one:
-        assert await one.ask("configure")
-        await one.lifecycle.close()
         assert await one.state() == "finalized"
 
 
@@ -204,6 +192,19 @@ async def test_a_transition_that_is_cancelled_when_it_is_done_comes_to_its_end()
         await one.lifecycle.change("deactivate")
 
 
+@pytest.mark.parametrize("count", [2, 3])
+@bounded
+async def test_of_nodes_of_a_name_that_start_at_the_same_time_the_first_goes_on(count):
+    with ExitStack() as cleanup:
+        nodes = [RosThread("twin", namespace=f"twins{count}", managed=True) for _ in range(count)]
+        for node in nodes:
+            cleanup.callback(node.close)
+        first, *others = await asyncio.gather(*(check_alone(node, ()) for node in nodes), return_exceptions=True)
+    assert first is None
+    assert [type(other) for other in others] == [RosError] * (count - 1)
+    assert f"there is a node /twins{count}/twin already" in str(others[0])
+
+
 # --- parameters ------------------------------------------------------------------------------
 
 PARAMETERS = (
@@ -219,20 +220,13 @@ def declared(given: dict[str, Any], *overrides: str) -> tuple[dict[str, Any], di
     """Return the values, and what the parameter services say about some."""
 
     async def main():
-        namespace = f"managed{next(NUMBERS)}"
         arguments = ["--ros-args", *(part for one in overrides for part in ("-p", one))]
-        ros, other = RosThread("pnm", namespace=namespace, args=arguments), RosThread("client", namespace=namespace)
-        client = TaskClient(other)
-        try:
+        async with node_and_client(args=arguments) as (ros, client):
             values = await ros.ask(partial(declare, ros.node, PARAMETERS, given))
             found = await client.call("pnm/describe_parameters", "rcl_interfaces/srv/DescribeParameters", names=["limit", "on_failure"])
             change = {"name": "limit", "value": {"type": 3, "double_value": 9.0}}
             answer = await client.call("pnm/set_parameters", "rcl_interfaces/srv/SetParameters", parameters=[change])
             return values, found, answer["results"][0]
-        finally:
-            await client.close()
-            for thread in (ros, other):
-                await asyncio.to_thread(thread.close)
 
     return run_bounded(main())
 
@@ -250,7 +244,6 @@ def test_options_come_before_what_ros_says_and_this_before_defaults():
     ("override", "said"),
     [
         ("limit:=5", "the parameter limit is wrong: Trying to set parameter 'limit' to '5' of type 'INTEGER', expecting type 'DOUBLE'"),
-        ("limit:=5", "; expected a number such as 10.0"),
         ("limit:=0.1", "the parameter limit is wrong: "),
         ("tasks:=0", "the parameter tasks is wrong: "),
         ("tasks:=many", "the parameter tasks is wrong: "),
@@ -270,6 +263,11 @@ def test_a_parameter_that_is_not_there_is_warned_about_with_the_nearest_name(cap
     assert said[1:] == ["there is no parameter planer; it is ignored; did you mean 'planner'?"]
 
 
-def test_arguments_that_ros_does_not_understand():
-    with pytest.raises(RosError, match=r"the ROS 2 node 'pnm' cannot be made: .*spam"):
-        RosThread("pnm", args=["--ros-args", "--spam"])
+@pytest.mark.parametrize("is_option", [True, False])
+@bounded
+async def test_a_password_is_used_and_not_shown_to_the_nodes_of_the_domain(is_option):
+    url = "postgresql://ada:sekret@database/fleet"
+    async with RosThread("secretive", args=() if is_option else ["--ros-args", "-p", f"journal:={url}"]) as ros:
+        given, journal = {"journal": url} if is_option else {}, NodeParameter("journal", "", "where tasks are kept")
+        assert await ros.ask(lambda: declare(ros.node, [journal], given)) == {"journal": url}
+        assert ros.node.get_parameter("journal").value == "postgresql://ada@database/fleet"
