@@ -10,10 +10,9 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-from collections.abc import Awaitable, Callable, Iterable, Mapping
+from collections.abc import Awaitable, Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
-from enum import Enum
 from functools import partial
 from typing import Any, Final
 from uuid import UUID
@@ -25,10 +24,11 @@ from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from unique_identifier_msgs import msg as identifiers
 
+from pnm.core.machine.requests import OutcomeKind
 from pnm.errors import PnmError
 from pnm.ros.node.messages import import_type, to_message
 from pnm.ros.node.ros_thread import RosThread, call_on_loop
-from pnm.ros.node.services import arrived, until_true
+from pnm.ros.node.services import Fields, arrived, until_true
 
 DEPTH: Final = 1000
 """Requests that may wait unread; beyond the default of 10 goals are lost silently."""
@@ -39,22 +39,6 @@ FEEDBACK: Final = 0.1
 _FAREWELL: Final = 2.0
 """Seconds to send the last results."""
 _log = logging.getLogger(__name__)
-
-
-class GoalStatus(Enum):
-    """The end of a goal, in the words of ROS 2."""
-
-    SUCCEEDED = "succeeded"
-    CANCELED = "canceled"
-    ABORTED = "aborted"
-
-
-@dataclass(frozen=True, slots=True)
-class GoalResult:
-    """The end of a goal, and the fields of its result message."""
-
-    status: GoalStatus
-    fields: Mapping[str, object]
 
 
 class _PatientServer(ActionServer):  # type: ignore[misc]
@@ -103,8 +87,8 @@ class GoalServer:
     """The handles of goals that are open."""
     _ending: dict[UUID, Any] = field(default_factory=dict)
     """Those of goals whose results are being sent."""
-    _undecided: dict[UUID, Callable[[], GoalResult] | None] = field(default_factory=dict)
-    """Goals that are being decided about, with the results of those that are over already."""
+    _undecided: dict[UUID, Callable[[], None] | None] = field(default_factory=dict)
+    """Goals that are being decided about, with what ends those that are over already."""
     # on the event loop's thread
     _decisions: set[asyncio.Task[None]] = field(default_factory=set)
     _ended: float = -math.inf
@@ -120,7 +104,7 @@ class GoalServer:
         """Bring the server up, with goals that another process of this name has accepted: their clients are still waiting."""
         await self.ros.ask(partial(self._bring_up, tuple(kept)))
 
-    def feed(self, goal: UUID, fields: Mapping[str, object]) -> None:
+    def feed(self, goal: UUID, fields: Fields) -> None:
         """Send feedback about a goal, if it is open."""
 
         def publish() -> None:
@@ -129,10 +113,13 @@ class GoalServer:
 
         self.ros.call(publish)
 
-    def end(self, goal: UUID, result: Callable[[], GoalResult]) -> None:
-        """End a goal, if it is open; the function is called on the ROS thread."""
+    def end(self, goal: UUID, kind: OutcomeKind, result: Callable[[], Fields], *, is_cancel_asked: bool = False) -> None:
+        """End a goal, if it is open: it succeeds, or is cancelled if its client or somebody else has asked for that, or it is aborted.
+
+        The function is called on the ROS thread, and returns the fields of the result.
+        """
         self._ended = self._loop.time()
-        self.ros.call(partial(self._end, goal, result))
+        self.ros.call(partial(self._end, goal, kind, result, is_cancel_asked))
 
     async def close(self, limit: float = _FAREWELL) -> None:
         """Take the server down, once the results of ended goals have arrived."""
@@ -195,7 +182,7 @@ class GoalServer:
         call_on_loop(self._loop, self._decide, goal, request, answer)
 
     def _answer(self, goal: UUID, answer: Callable[[bool], None], reason: str) -> None:
-        result = self._undecided.pop(goal)
+        end = self._undecided.pop(goal)
         if self._server is None:
             return
         if reason:
@@ -203,37 +190,35 @@ class GoalServer:
         answer(not reason)
         if self._server.handle(goal) is not None:  # also if its client went away while it was answered
             self._execute(goal)
-            if result is not None:
-                self._end(goal, result)
+            if end is not None:
+                end()
 
     def _execute(self, goal: UUID) -> None:
         handle = self._open[goal] = self._server.handle(goal)
         handle._update_state(GoalEvent.EXECUTE)  # what `execute` does, except for calling back
 
-    def _end(self, goal: UUID, result: Callable[[], GoalResult]) -> None:
+    def _end(self, goal: UUID, kind: OutcomeKind, result: Callable[[], Fields], is_cancel_asked: bool) -> None:
         if goal in self._undecided:  # its client hears first that it is accepted
-            self._undecided[goal] = result
+            self._undecided[goal] = partial(self._end, goal, kind, result, is_cancel_asked)
         if goal not in self._open:
             return
         try:
-            ended = result()
-            status, message = ended.status, to_message(self.type.Result, ended.fields)
+            message = to_message(self.type.Result, result())
         except PnmError as error:
             _log.error("the result of a goal for %s cannot be sent: %s", self.name, error)
-            status, message = GoalStatus.ABORTED, self.type.Result()
+            kind, message = OutcomeKind.ABORTED, self.type.Result()
         handle = self._ending[goal] = self._open.pop(goal)
-        self._server.notify_execute(handle, partial(self._finish, status=status, result=message))
+        self._server.notify_execute(handle, partial(self._finish, kind=kind, result=message, is_cancel_asked=is_cancel_asked))
 
-    def _finish(self, handle: Any, status: GoalStatus = GoalStatus.ABORTED, result: Any = None) -> Any:
-        match status:
-            case GoalStatus.SUCCEEDED:
-                handle.succeed()
-            case GoalStatus.CANCELED:
-                if not handle.is_cancel_requested:  # not by the client of the goal, but by a service of the node
-                    handle._update_state(GoalEvent.CANCEL_GOAL)
-                handle.canceled()
-            case GoalStatus.ABORTED:
-                handle.abort()
+    def _finish(self, handle: Any, kind: OutcomeKind = OutcomeKind.ABORTED, result: Any = None, is_cancel_asked: bool = False) -> Any:
+        if kind is OutcomeKind.SUCCEEDED:
+            handle.succeed()
+        elif kind is OutcomeKind.CANCELED and (is_cancel_asked or handle.is_cancel_requested):
+            if not handle.is_cancel_requested:  # not by the client of the goal, but by a service of the node
+                handle._update_state(GoalEvent.CANCEL_GOAL)
+            handle.canceled()
+        else:
+            handle.abort()
         self._ending.pop(_id(handle), None)
         return result or self.type.Result()
 

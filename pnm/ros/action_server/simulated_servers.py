@@ -20,7 +20,7 @@ from pnm.actions.simulated_robots import SimulatedWorld
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Report, Request
 from pnm.errors import InputError
-from pnm.ros.action_server.goal_server import GoalResult, GoalServer, GoalStatus
+from pnm.ros.action_server.goal_server import GoalServer
 from pnm.ros.node.messages import FieldError, fields, to_data, to_message
 from pnm.ros.node.publisher import Publisher, Throttle
 from pnm.ros.node.ros_thread import RosThread
@@ -47,13 +47,12 @@ class Offer:
 
 @dataclass(eq=False)
 class _SimulatedGoal:
-    """A goal, whose id is that of the request that it becomes. The last field changes."""
+    """A goal, whose id is that of the request that it becomes."""
 
     server: GoalServer
     answer: Callable[[Outcome], Mapping[str, object]]
     decision: asyncio.Future[str] = field(default_factory=lambda: asyncio.get_running_loop().create_future())
     """The reason why the request was rejected; nothing once it was accepted."""
-    is_cancel_asked: bool = False
 
 
 class SimulatedServers:
@@ -100,8 +99,7 @@ class SimulatedServers:
         return reason
 
     def _cancel(self, id: UUID) -> None:
-        if goal := self._goals.get(id):
-            goal.is_cancel_asked = True
+        if id in self._goals:
             self._client.cancel(id)
 
     def _report(self, goal: _SimulatedGoal, report: Report) -> None:
@@ -111,20 +109,10 @@ class SimulatedServers:
             case Ended(_, outcome) if not goal.decision.done():
                 goal.decision.set_result(outcome.message or outcome.kind.value)
             case Ended(id, outcome) if self._goals.pop(id, None):
-                self._end(id, goal, outcome)
-
-    def _end(self, id: UUID, goal: _SimulatedGoal, outcome: Outcome) -> None:
-        match outcome.kind:
-            case OutcomeKind.LOST:
-                goal.server.vanish()
-                return
-            case OutcomeKind.SUCCEEDED:
-                status = GoalStatus.SUCCEEDED
-            case OutcomeKind.CANCELED if goal.is_cancel_asked:
-                status = GoalStatus.CANCELED
-            case _:
-                status = GoalStatus.ABORTED
-        goal.server.end(id, lambda: GoalResult(status, _result_fields(goal, outcome)))
+                if outcome.kind is OutcomeKind.LOST:
+                    goal.server.vanish()
+                else:
+                    goal.server.end(id, outcome.kind, lambda: _result_fields(goal, outcome))
 
     def _feed_later(self) -> None:
         if not self._is_feeding:

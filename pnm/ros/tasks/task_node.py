@@ -10,8 +10,9 @@ from functools import partial
 from typing import Any, Final
 from uuid import UUID
 
+from pnm.core.machine.requests import OutcomeKind
 from pnm.errors import InputError
-from pnm.ros.action_server.goal_server import FEEDBACK, GoalResult, GoalServer, GoalStatus
+from pnm.ros.action_server.goal_server import FEEDBACK, GoalServer
 from pnm.ros.node.graph import server_name
 from pnm.ros.node.publisher import Throttle
 from pnm.ros.node.ros_thread import RosThread
@@ -348,8 +349,10 @@ class TaskServers(TaskListener):
             self._end(self._open.pop(task), task, ending, is_cancel_asked)
 
     def _end(self, name: str, goal: UUID, ending: TaskEnding, is_cancel_asked: bool) -> None:
-        status = status_of(ending.code, is_cancel_asked)
-        self._servers[name].end(goal, lambda: GoalResult(status, self._actions[name].write(ending, clock_offset(self._ros, self._loop))))
+        def fields() -> Fields:
+            return self._actions[name].write(ending, clock_offset(self._ros, self._loop))
+
+        self._servers[name].end(goal, outcome_of(ending.code), fields, is_cancel_asked=is_cancel_asked)
 
     def _feed(self, _: None) -> None:
         due, self._feedback_due = self._feedback_due, set()
@@ -359,11 +362,9 @@ class TaskServers(TaskListener):
                 self._servers[name].feed(status.id, self._actions[name].feedback(status, self._tasks.plan(status.id)[1]))
 
 
-def status_of(code: Code, is_cancel_asked: bool) -> GoalStatus:
-    """Return the status of a goal whose task ended with this code."""
-    if code is Code.GOAL_REACHED:
-        return GoalStatus.SUCCEEDED
-    return GoalStatus.CANCELED if code is Code.CANCELLED and is_cancel_asked else GoalStatus.ABORTED
+def outcome_of(code: Code) -> OutcomeKind:
+    """Return the end of a goal whose task ended with this code."""
+    return {Code.GOAL_REACHED: OutcomeKind.SUCCEEDED, Code.CANCELLED: OutcomeKind.CANCELED}.get(code, OutcomeKind.ABORTED)
 
 
 # --- plans without execution -----------------------------------------------------------
@@ -378,14 +379,13 @@ SECOND: Final = 1.0
 class PlanningServer:
     """The action server for plan requests, which are rejected while `closed` returns a reason.
 
-    The mutable state is the searches by goal, and those whose clients have cancelled them.
+    The mutable state is the searches by goal.
     """
 
     def __init__(self, ros: RosThread, make: Make, closed: Callable[[], str]) -> None:
         self._make = make
         self._loop = asyncio.get_running_loop()
         self._searches: dict[UUID, asyncio.Task[MadePlan]] = {}
-        self._cancel_asked: set[UUID] = set()
         self._closed = closed
         self._server = GoalServer(ros, "pnm_interfaces/action/MakePlan", PLAN, self._accept, self._cancel)
 
@@ -412,7 +412,6 @@ class PlanningServer:
 
     def _cancel(self, goal: UUID) -> None:
         if goal in self._searches:
-            self._cancel_asked.add(goal)
             self._searches[goal].cancel()
 
     async def _search(self, request: Any) -> MadePlan:
@@ -428,9 +427,7 @@ class PlanningServer:
         feeding.cancel()
         del self._searches[goal]
         made = MadePlan(Code.CANCELLED, "the search was given up") if search.cancelled() else search.result()
-        status = status_of(made.code, goal in self._cancel_asked)
-        self._cancel_asked.discard(goal)
-        self._server.end(goal, lambda: GoalResult(status, messages.made_fields(made)))
+        self._server.end(goal, outcome_of(made.code), lambda: messages.made_fields(made))
 
     async def _feed(self, goal: UUID) -> None:
         began = self._loop.time()

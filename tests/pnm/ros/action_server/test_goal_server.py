@@ -10,13 +10,13 @@ from uuid import UUID
 
 from pnm.core.machine.bindings import Binding
 from pnm.core.machine.requests import OutcomeKind
-from pnm.ros.action_server.goal_server import GoalResult, GoalServer, GoalStatus
+from pnm.ros.action_server.goal_server import GoalServer
 from pnm.ros.node.ros_thread import RosThread
 from tests.support.ros.child_process import bounded
 from tests.support.ros.recording_client import RecordingClient
 
 TYPE = "pnm_interfaces/action/AchieveGoal"
-DONE = GoalResult(GoalStatus.SUCCEEDED, {"message": "done"})
+DONE = OutcomeKind.SUCCEEDED, lambda: {"message": "done"}
 
 Accept = Callable[[GoalServer, UUID, str], Awaitable[str]]
 
@@ -37,7 +37,7 @@ async def serving(ros: RosThread, name: str, accept: Accept) -> AsyncIterator[Se
         return await accept(server, goal, request.goal)
 
     own = RosThread(f"{name}_node")
-    server = GoalServer(own, TYPE, name, decide, lambda goal: server.end(goal, lambda: DONE))
+    server = GoalServer(own, TYPE, name, decide, lambda goal: server.end(goal, *DONE))
     await server.open()
     client = ServedClient(ros, server, reach=Binding(server=name, type=TYPE))
     yield client
@@ -68,7 +68,7 @@ async def test_a_goal_is_accepted_when_its_server_has_decided_and_others_meanwhi
 @bounded
 async def test_what_is_over_while_it_is_decided_about_is_accepted_first(ros, names):
     async def accept(server: GoalServer, goal: UUID, text: str) -> str:
-        server.end(goal, lambda: DONE)
+        server.end(goal, *DONE)
         await asyncio.sleep(0.1)
         return ""
 
@@ -94,7 +94,7 @@ async def test_a_goal_whose_server_died_before_it_answered_goes_on_in_the_next_p
         successor = GoalServer(next_node, TYPE, name, lambda *_: accept(successor, *_), lambda _: None)
         await successor.open([sent.id])
         await sent.accepted()
-        successor.end(sent.id, lambda: DONE)
+        successor.end(sent.id, *DONE)
         assert (await sent.ended()).kind is OutcomeKind.SUCCEEDED
         await successor.close()
         await asyncio.to_thread(next_node.close)
