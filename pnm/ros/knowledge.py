@@ -167,7 +167,7 @@ class Ros2Knowledge:
 
     def _request(self, question: Question, asker: Asker) -> dict[str, object]:
         return {
-            "goal_id": uuid_field(asker.run),
+            "goal_id": asker.run,
             "layer": LAYERS.index(Layer.GLOBAL),
             "name": question.name,
             "meta": "" if question.meta == "null" else question.meta,
@@ -177,11 +177,6 @@ class Ros2Knowledge:
     def _check(self, answer: Any) -> None:
         if not answer.success:
             raise SourceError(f"the knowledge behind {self._name} refuses: {answer.message or 'it does not say why'}")
-
-
-def uuid_field(uuid: UUID) -> dict[str, object]:
-    """Return the fields of a ``unique_identifier_msgs/UUID``."""
-    return {"uuid": list(uuid.bytes)}
 
 
 def ros2(options: Mapping[str, object], surroundings: Surroundings) -> Source:
@@ -292,7 +287,7 @@ class Ros2Person:
         await self._ros.ask(partial(self._subscribe, loop))
 
     def _message(self, kind: int, id: str, question: Question, asker: Asker, **fields: object) -> Any:
-        about = {"run": uuid_field(asker.run), "plan": printable(asker.plan), "name": question.name, "meta": question.meta}
+        about = {"run": asker.run, "plan": printable(asker.plan), "name": question.name, "meta": question.meta}
         return to_message(self._types[0], {"kind": kind, "id": id, **about, **fields})
 
     def _send(self, message: Any) -> None:

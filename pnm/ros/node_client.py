@@ -16,7 +16,6 @@ from pnm.core.machine.requests import Ended, Outcome, Report, Request
 from pnm.errors import InputError, RosError
 from pnm.knowledge.source import SourceError
 from pnm.ros.action_client.client import Ros2ActionClient
-from pnm.ros.knowledge import uuid_field
 from pnm.ros.node.messages import import_type
 from pnm.ros.node.ros_thread import RosThread, call_on_loop, profile
 from pnm.ros.node.services import ServiceClient
@@ -63,7 +62,7 @@ class NodeClient:
     async def command(self, command: str, task: UUID | None, **fields: object) -> None:
         """Pause, resume or cancel a task, or all; raise a `RosError` with the node's reason if it does not."""
         kind = f"pnm_interfaces/srv/{command.capitalize()}Task"
-        await self.ask(kind, f"executor/{command}", {"task": uuid_field(task or _NOBODY), **fields}, ENDING)
+        await self.ask(kind, f"executor/{command}", {"task": task or _NOBODY, **fields}, ENDING)
 
     async def ask(self, kind: str, service: str, request: Mapping[str, object], limit: float = LIMIT) -> Any:
         """Call a service of the node and return its response; raise a `RosError` if it is not there, or refuses."""

@@ -108,6 +108,7 @@ from pnm import signals
 from pnm.clock import run_async
 
 signals._ONE_REQUEST = 0.0
+signals.LEAVING = 0.2
 signals.LAST_WORDS.belong_to_program(lambda: print("last words", flush=True))
 
 

@@ -17,6 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from typing import Any, Final, assert_never
+from uuid import UUID
 
 from pnm.core.logic.computed_values import MISSING
 from pnm.core.machine.bindings import Binding, Table
@@ -73,7 +74,7 @@ def to_message(message_type: Any, data: Mapping[str, object], path: str = "") ->
     """Make a message from values by field name; fields without a value keep their defaults. The path is for errors.
 
     Whole numbers are accepted for float fields and the other way round (80.0 for an int32), a number of seconds for a Time
-    or a Duration. Nothing else is converted: text is never read as a number.
+    or a Duration, and a `UUID`. Nothing else is converted: text is never read as a number.
     """
     message = message_type()
     kinds = message_type.get_fields_and_field_types()
@@ -156,6 +157,8 @@ def _nested(kind: str, value: object, path: str) -> object:
         seconds = math.floor(value)
         nanoseconds = round((value - seconds) * 1e9)
         value = {"sec": seconds + nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}
+    if isinstance(value, UUID):
+        value = {"uuid": [*value.bytes]}
     if not isinstance(value, Mapping):
         raise FieldError(path, f"the fields of a {kind}", _show(value), _ADVICE if isinstance(value, str) else "")
     return to_message(_class_of(kind), value, path)

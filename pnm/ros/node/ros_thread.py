@@ -117,7 +117,7 @@ class RosThread:
 
     The mutable state is the queue of functions, those for the end, and `_closing`, which the lock guards: a function that
     `call` has accepted is run, even if the thread is closed at the same time. The node belongs to the thread: use `node`
-    only in functions given to `call`, `wait` or `ask`.
+    only in functions given to `call`, `submit` or `ask`.
 
     With ``async with`` it is closed at the end of the block. Raises `RosError` if ROS 2 is not installed, or the node cannot be made.
 
@@ -182,15 +182,6 @@ class RosThread:
         if not self.call(run):
             raise RosError("the ROS 2 node is closed")
         return future
-
-    def wait(self, function: Callable[[], T], limit: float = 10.0) -> T:
-        """Run the function on the thread and return its result; blocks for `limit` seconds at most."""
-        if threading.current_thread() is self._thread:  # it would wait for itself
-            return function()
-        try:
-            return self.submit(function).result(limit)
-        except TimeoutError as error:
-            raise RosError(f"the ROS 2 thread did not answer within {limit:g} s") from error
 
     async def ask(self, function: Callable[[], T]) -> T:
         """Run the function on the thread and await its result."""

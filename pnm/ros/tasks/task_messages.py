@@ -15,7 +15,6 @@ from pnm.core.pictures.export import as_data
 from pnm.errors import InputError, printable
 from pnm.files.yaml_nodes import parse_value
 from pnm.knowledge.source import SourceError, read_value, write_value
-from pnm.ros.knowledge import uuid_field
 from pnm.tasks import Code, MadePlan, OnConflict, StepState, TaskEnding, TaskStatus, TaskStep, TraceEvent, Wanted
 
 TRACE: Final = 200
@@ -93,7 +92,7 @@ def _text(name: str, text: str) -> str:
 def status_fields(status: TaskStatus) -> Fields:
     """Return the fields of a ``TaskStatus``."""
     return {
-        "id": uuid_field(status.id),
+        "id": status.id,
         "goal": printable(status.goal),
         "priority": status.priority,
         "state": int(status.state),
@@ -138,7 +137,7 @@ def plan_fields(task: UUID, goal: str, number: int, steps: Iterable[TaskStep], o
         }
         for step in steps
     ]
-    return {"task": uuid_field(task), "goal": printable(goal), "number": number, "steps": step_fields}
+    return {"task": task, "goal": printable(goal), "number": number, "steps": step_fields}
 
 
 def remaining(steps: Iterable[TaskStep]) -> list[str]:
@@ -148,19 +147,19 @@ def remaining(steps: Iterable[TaskStep]) -> list[str]:
 
 def net_fields(task: UUID, number: int, machine: PetriNetMachine) -> Fields:
     """Return the fields of a ``Net``."""
-    return {"task": uuid_field(task), "number": number, "machine": json.dumps(as_data(machine), ensure_ascii=False)}
+    return {"task": task, "number": number, "machine": json.dumps(as_data(machine), ensure_ascii=False)}
 
 
 def marking_fields(task: UUID, number: int, marking: Marking) -> Fields:
     """Return the fields of a ``Marking``."""
-    return {"task": uuid_field(task), "number": number, "places": list(marking), "tokens": list(marking.values())}
+    return {"task": task, "number": number, "places": list(marking), "tokens": list(marking.values())}
 
 
 def moment_fields(moment: TraceEvent, offset: float) -> Fields:
     """Return the fields of a ``TraceEvent``; the offset is that from the event loop's clock to the node's."""
     return {
         "stamp": moment.time + offset,
-        "task": uuid_field(moment.task),
+        "task": moment.task,
         "kind": int(moment.kind),
         "word": moment.kind.word,
         "subject": printable(moment.subject),

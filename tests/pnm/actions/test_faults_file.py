@@ -8,7 +8,6 @@ import pytest
 
 from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange, ground_name, read_faults
-from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import Position
 from pnm.files.yaml_nodes import Mapped
 from tests.support.files import refused, written
@@ -81,14 +80,6 @@ def test_faults_of_what_the_domain_does_not_have_are_refused(tmp_path: Path, con
 )
 def test_calls_may_be_written_in_several_ways(text: str, name: str) -> None:
     assert ground_name(text) == name
-
-
-def test_a_fault_concerns_an_action_or_one_call_of_it() -> None:
-    move, other = GroundAction("move", ("r1",)), GroundAction("move", ("r2",))
-    assert [Fault("move", FaultKind.HANG).concerns(one) for one in (move, other)] == [True, True]
-    assert [Fault("move(r1)", FaultKind.HANG).concerns(one) for one in (move, other)] == [True, False]
-    change = HiddenChange({("p",): True}, moment="end", what="move(r1)")
-    assert [change.follows("end", move), change.follows("start", move), change.follows("end", other)] == [True, False, False]
 
 
 # --- the examples of the project ---

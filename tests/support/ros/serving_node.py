@@ -32,8 +32,8 @@ class ServingNode:
 
 
 @asynccontextmanager
-async def serving_node(two: tuple[RosThread, RosThread], *, is_active: bool = True, max_queue: int = 1000) -> AsyncIterator[ServingNode]:
-    knowledge, tasks = KnowledgeBase(), FakeTasks(max_queue)
+async def serving_node(two: tuple[RosThread, RosThread], *, is_active: bool = True) -> AsyncIterator[ServingNode]:
+    knowledge, tasks = KnowledgeBase(), FakeTasks()
     node = TaskNode(two[0], tasks, fake_search, FakeWorld(knowledge), {"running": "running_tour"})
     await node.open()
     if is_active:

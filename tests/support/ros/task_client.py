@@ -93,7 +93,7 @@ class StockClient:
         self._ros = ros
         self._kind = kind
         deep = {f"{service}_service_qos_profile": QoSProfile(depth=1000) for service in ("goal", "result", "cancel")}
-        self._client: Any = ros.wait(lambda: ActionClient(ros.node, kind, name, **deep))
+        self._client: Any = ros.submit(lambda: ActionClient(ros.node, kind, name, **deep)).result(LIMIT)
 
     async def met(self) -> None:
         """Ask for the result of a goal that nobody has, until that is answered."""
@@ -121,7 +121,7 @@ class StockClient:
         return response.status, to_data(response.result)
 
     def destroy(self) -> None:
-        self._ros.wait(self._client.destroy)
+        self._ros.submit(self._client.destroy).result(LIMIT)
 
 
 class TaskClient:

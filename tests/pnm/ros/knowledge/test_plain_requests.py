@@ -12,7 +12,7 @@ import pytest
 
 from pnm.knowledge.source import MemoryKnowledge
 from pnm.knowledge.sources import Sources
-from pnm.ros.knowledge import KnowledgeServices, may_be_ours, service_prefix, uuid_field
+from pnm.ros.knowledge import KnowledgeServices, may_be_ours, service_prefix
 from pnm.ros.node.services import ServiceClient
 from tests.support.logic.people import Person
 from tests.support.processes import LIMIT
@@ -26,7 +26,7 @@ async def requests(one: FakeExecutor, goals: int = 1, service: str = "query") ->
     ids = [one.new_id() for _ in range(goals)]
     one.goals |= dict.fromkeys(ids)
     client = ServiceClient(one.ros, f"pnm_interfaces/srv/{service.capitalize()}Knowledge", f"{one.name}/{service}")
-    usual = {"goal_id": uuid_field(ids[0]), "layer": 0, "name": "spam"}
+    usual = {"goal_id": ids[0], "layer": 0, "name": "spam"}
     yield ids, lambda **fields: asyncio.ensure_future(client.call({**usual, **fields}, LIMIT))
     await client.close()
 
@@ -34,7 +34,7 @@ async def requests(one: FakeExecutor, goals: int = 1, service: str = "query") ->
 @pytest.mark.parametrize(
     ("fields", "said"),
     [
-        ({"goal_id": uuid_field(UUID(int=5))}, "no goal 00000000-0000-0000-0000-000000000005 is being carried out for this executive"),
+        ({"goal_id": UUID(int=5)}, "no goal 00000000-0000-0000-0000-000000000005 is being carried out for this executive"),
         ({"layer": 9}, "there is no layer 9; expected one of {0: 'local', 1: 'global', 2: 'all', 3: 'person'}"),
         ({"name": ""}, "the request names no variable"),
         ({"meta": "{"}, "'{' is not JSON"),
@@ -65,7 +65,7 @@ async def test_who_repeats_a_question_to_a_person_gets_the_same_answer(ros):
     async with fake_executor(ros, person=person) as one, requests(one, 2) as (goals, ask):
         await ask()
         same = [ask(layer=3, name="shop") for _ in range(2)]
-        others = [ask(goal_id=uuid_field(goals[1]), layer=3, name="shop"), ask(layer=3, name="stop")]
+        others = [ask(goal_id=goals[1], layer=3, name="shop"), ask(layer=3, name="stop")]
         questions = [await person.asked.get() for _ in range(3)]
         await ask()  # whatever was sent before has come
         assert sorted(questions) == ["shop", "shop", "stop"]

@@ -18,9 +18,8 @@ from tests.support.processes import LIMIT
 def test_functions_run_on_the_thread_in_order(ros):
     seen = []
     ros.call(lambda: seen.append("first"))
-    assert ros.wait(lambda: seen.append("second") or threading.current_thread().name) == "ros"
+    assert ros.submit(lambda: seen.append("second") or threading.current_thread().name).result(LIMIT) == "ros"
     assert seen == ["first", "second"]
-    assert ros.wait(lambda: ros.wait(lambda: 3)) == 3
 
 
 def test_the_thread_is_woken_for_every_function_that_it_has_not_seen(ros):
@@ -29,7 +28,7 @@ def test_the_thread_is_woken_for_every_function_that_it_has_not_seen(ros):
 
     def call_on(name):
         for number in range(200):
-            ros.wait(lambda number=number: seen.append((name, number)))
+            ros.submit(lambda number=number: seen.append((name, number))).result(LIMIT)
 
     threads = [threading.Thread(target=call_on, args=(name,)) for name in "abc"]
     for thread in threads:
@@ -41,20 +40,12 @@ def test_the_thread_is_woken_for_every_function_that_it_has_not_seen(ros):
 
 def test_errors_come_back_and_do_not_end_the_thread(ros, caplog):
     with pytest.raises(ZeroDivisionError):
-        ros.wait(lambda: 1 / 0)
+        ros.submit(lambda: 1 / 0).result(LIMIT)
     with pytest.raises(ZeroDivisionError):
         asyncio.run(ros.ask(lambda: 1 / 0))
     ros.call(lambda: 1 / 0)
-    assert ros.wait(lambda: True)
+    assert ros.submit(lambda: True).result(LIMIT)
     assert "a function on the ROS 2 thread failed" in caplog.text
-
-
-def test_waiting_has_a_limit(ros):
-    release = threading.Event()
-    ros.call(lambda: release.wait(LIMIT))
-    with pytest.raises(RosError, match=r"did not answer within 0\.1 s"):
-        ros.wait(lambda: None, limit=0.1)
-    release.set()
 
 
 def test_a_callback_that_fails_does_not_end_the_thread(ros, caplog):
@@ -64,15 +55,15 @@ def test_a_callback_that_fails_does_not_end_the_thread(ros, caplog):
         fired.set()
         raise RuntimeError("a bug")
 
-    timer = ros.wait(lambda: ros.timer(0.01, fail))
+    timer = ros.submit(lambda: ros.timer(0.01, fail)).result(LIMIT)
     assert fired.wait(LIMIT)
-    ros.wait(timer.destroy)
+    ros.submit(timer.destroy).result(LIMIT)
     assert "a ROS 2 callback failed" in caplog.text
 
 
 def test_namespace_and_remapping():
     thread = RosThread("one", namespace="r1", args=["--ros-args", "-r", "move:=drive"])
-    assert thread.wait(lambda: thread.node.resolve_topic_name("move")) == "/r1/drive"
+    assert thread.submit(lambda: thread.node.resolve_topic_name("move")).result(LIMIT) == "/r1/drive"
     assert thread.close()
 
 
@@ -84,7 +75,7 @@ def test_close_runs_what_waits_and_may_be_repeated():
     assert thread.close()
     thread.call(lambda: seen.append(2))
     with pytest.raises(RosError, match="is closed"):
-        thread.wait(lambda: None)
+        thread.submit(lambda: None).result(LIMIT)
     assert seen == [1]
 
 
@@ -97,7 +88,7 @@ def test_a_node_that_cannot_be_made_says_why(name, args, said):
 @pytest.mark.parametrize("argument", ["\0", "r1\0", "\0r1", "a\0/b"])
 def test_a_zero_character_in_an_argument_makes_no_name_of_another_server(ros, argument):
     with pytest.raises(InputError, match=r"not a name for an action server: .* \(it contains a zero character"):
-        ros.wait(lambda: server_name(ros.node, f"/secret/{argument}/go"))
+        ros.submit(lambda: server_name(ros.node, f"/secret/{argument}/go")).result(LIMIT)
 
 
 WITHOUT = """

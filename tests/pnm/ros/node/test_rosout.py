@@ -24,12 +24,12 @@ def test_warnings_and_events_are_published_with_their_level_and_time(ros):
     logging.getLogger("planner_bridge.else").error("wrong")
     logging.getLogger("pnm.somewhere").info("nobody wants to know")
     EVENTS.info("a task has begun")
-    late = ros.wait(lambda: ros.node.create_subscription(Log, "/rosout", heard.put, latched))
+    late = ros.submit(lambda: ros.node.create_subscription(Log, "/rosout", heard.put, latched)).result(LIMIT)
     published: dict[str, Log] = {}
     while "a task has begun" not in published:
         message = heard.get(timeout=LIMIT)
         published[message.msg] = message
-    ros.wait(lambda: ros.node.destroy_subscription(late))
+    ros.submit(lambda: ros.node.destroy_subscription(late)).result(LIMIT)
     assert "nobody wants to know" not in published
     levels = {text: published[text].level for text in ("the first word of 2", "wrong", "a task has begun")}
     assert levels == {"the first word of 2": 30, "wrong": 40, "a task has begun": 20}

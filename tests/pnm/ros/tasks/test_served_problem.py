@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from uuid import UUID
 
-from pnm.ros.knowledge import uuid_field
 from tests.support.files import ROOT
 from tests.support.processes import Program
 from tests.support.ros.child_process import run_bounded
@@ -19,7 +18,7 @@ def test_a_node_with_plans_only_pauses_and_cancels_them_and_says_what_it_has_not
 
     async def main():
         client = TaskClient(ros)
-        everything = uuid_field(UUID(int=0))
+        everything = UUID(int=0)
 
         async def refused(action, **goal):
             status, result = await (await client.send(f"/plans/{action}", **goal)).result()
@@ -40,7 +39,7 @@ def test_a_node_with_plans_only_pauses_and_cancels_them_and_says_what_it_has_not
         assert (await call("knowledge/query"))["success"]
         assert (await call("executor/pause", task=everything))["success"]
         goal = await client.send("/plans/round_trip", parameters="{robot: r1}")
-        assert (await call("executor/cancel", task=uuid_field(goal.id)))["success"]
+        assert (await call("executor/cancel", task=goal.id))["success"]
         status, result = await goal.result()
         assert (status, result["reason"], result["message"]) == (CANCELED, "cancelled", "cancelled on request")
         texts = (file.read_text(encoding="utf-8") for file in (DOMAIN, PROBLEM))

@@ -6,13 +6,12 @@ from uuid import UUID
 
 import pytest
 
-from pnm.ros.knowledge import uuid_field
 from pnm.tasks import Code, TaskState
 from tests.support.ros.child_process import bounded
 from tests.support.ros.serving_node import serving_node
 from tests.support.ros.task_client import ABORTED, CANCELED, LIMIT, SUCCEEDED
 
-ALL = uuid_field(UUID(int=0))
+ALL = UUID(int=0)
 
 
 @pytest.mark.parametrize(
@@ -24,12 +23,12 @@ async def test_a_goal_is_cancelled_in_every_state(two, text, by):
     async with serving_node(two) as one:
         goal = await one.goal("running" if text == "paused" else text)
         if text == "paused":
-            assert (await one.client.call("executor/pause", task=uuid_field(goal.id)))["success"]
+            assert (await one.client.call("executor/pause", task=goal.id))["success"]
         await goal.is_in(TaskState[text.upper()])
         if by == "client":
             assert await goal.cancel() == 1
         else:
-            assert (await one.client.call("executor/cancel", task=uuid_field(goal.id) if by == "service" else ALL))["success"]
+            assert (await one.client.call("executor/cancel", task=goal.id if by == "service" else ALL))["success"]
         status, result = await goal.result()
         assert (status, result["code"], result["message"]) == (CANCELED, Code.CANCELLED, "cancelled")
 
@@ -72,7 +71,7 @@ async def test_tasks_are_paused_while_the_node_is_inactive(two):
         await one.node.deactivate()
         assert one.tasks.open[goal.id].state is TaskState.PAUSED
         for service in ("pause", "resume"):
-            answer = await one.client.call(f"executor/{service}", task=uuid_field(goal.id))
+            answer = await one.client.call(f"executor/{service}", task=goal.id)
             assert not answer["success"]
             assert "the node is inactive" in answer["message"]
         await one.node.activate()
@@ -101,9 +100,9 @@ async def test_what_is_paused_by_itself_does_not_go_on_with_the_others(two):
     async with serving_node(two) as one:
         paused, resumed, other = await one.goal("running"), await one.goal("running"), await one.goal("running")
         for goal in (paused, resumed):
-            assert (await one.client.call("executor/pause", task=uuid_field(goal.id), at_once=True))["success"]
+            assert (await one.client.call("executor/pause", task=goal.id, at_once=True))["success"]
         assert [status.state for status in one.tasks.status()] == [TaskState.PAUSED, TaskState.PAUSED, TaskState.RUNNING]
-        assert (await one.client.call("executor/resume", task=uuid_field(resumed.id)))["success"]
+        assert (await one.client.call("executor/resume", task=resumed.id))["success"]
         for _ in range(2):
             await one.node.deactivate()
             assert all(status.state is TaskState.PAUSED for status in one.tasks.open.values())

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from uuid import UUID, uuid4
 
-from pnm.ros.knowledge import uuid_field
 from pnm.tasks import Code
 from tests.support.ros.child_process import bounded
 from tests.support.ros.serving_node import serving_node
@@ -76,15 +75,6 @@ async def test_every_code_arrives_and_only_one_is_a_success(two):
 
 
 @bounded
-async def test_a_full_queue_says_so(two):
-    async with serving_node(two, max_queue=2) as one:
-        for _ in range(2):
-            await one.goal("queued")
-        status, result = await one.ended("queued")
-        assert (status, result["code"], result["message"]) == (ABORTED, Code.QUEUE_FULL, "2 tasks are waiting already")
-
-
-@bounded
 async def test_an_id_is_that_of_one_task_only(two):
     async with serving_node(two) as one:
         first = await one.goal("running")
@@ -113,7 +103,7 @@ async def test_requests_about_tasks_that_are_unknown_or_not_paused_are_refused(t
             *((service, uuid4(), "there is no task {}") for service in ("pause", "resume", "cancel")),
             ("resume", (await one.goal("running")).id, "the task {} is not paused"),
         ):
-            answer = await one.client.call(f"executor/{service}", task=uuid_field(id))
+            answer = await one.client.call(f"executor/{service}", task=id)
             assert answer == {"success": False, "message": said.format(id)}
 
 
