@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import threading
@@ -35,22 +35,28 @@ WORKS = {"fast-downward": "downward/builds", "aries": "up-aries_", "enhsp": "jav
 # --- what they find ------------------------------------------------------------------------
 
 
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where children get their folders, and where we are."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
 @pytest.mark.parametrize(
     ("engine", "problem"),
     [
-        pytest.param("fast-downward", rooms(), id="fast-downward-facts"),
-        pytest.param("aries", rooms(), id="aries-facts"),
-        pytest.param("enhsp", rooms(), marks=needs_java, id="enhsp-facts"),
-        pytest.param("aries", tanks(), id="aries-whole-numbers"),
-        pytest.param("enhsp", tanks("4.5"), marks=needs_java, id="enhsp-numbers"),
-        pytest.param("aries", matches(2), id="aries-time"),
+        pytest.param("fast-downward", rooms(), id="facts"),
+        pytest.param("enhsp", tanks("4.5"), marks=needs_java, id="numbers"),
+        pytest.param("aries", matches(2), id="time"),
     ],
 )
-def test_an_engine_finds_a_valid_plan(engine: str, problem: Problem) -> None:
+def test_an_engine_finds_a_valid_plan_and_leaves_nothing_behind(engine: str, problem: Problem, folder: Path) -> None:
     found = solve(problem, planner=engine, timeout=60)
     assert found.plan is not None, found.reason
     assert found.planner == engine
     assert validate(problem, found.plan) == ""
+    assert os.listdir(folder) == []
 
 
 def test_fast_downward_proves_that_there_is_no_plan() -> None:
@@ -76,10 +82,10 @@ def test_a_metric_that_an_engine_cannot_consider_is_left_out_and_that_is_said() 
 
 
 def test_two_at_once_do_not_disturb_each_other() -> None:
-    problems = [rooms(goal="(at r1 b)"), rooms()] * 2
+    problems = [rooms(goal="(at r1 b)"), rooms()]
     with ThreadPoolExecutor(len(problems)) as pool:
         found = list(pool.map(lambda problem: solve(problem, planner="fast-downward", timeout=60), problems))
-    assert [len(one.plan.steps) if one.plan else one.reason for one in found] == [1, 4, 1, 4]
+    assert [len(one.plan.steps) if one.plan else one.reason for one in found] == [1, 4]
 
 
 def test_kairos_names_who_plans_for_tasks() -> None:
@@ -90,14 +96,10 @@ def test_kairos_names_who_plans_for_tasks() -> None:
 # --- what they need ------------------------------------------------------------------------
 
 
-def test_an_unknown_engine_is_an_input_error() -> None:
-    with pytest.raises(InputError, match=r"there is no planner 'nobody'; installed: kairos, .*aries.*fast-downward"):
-        solve(rooms(), planner="nobody")
-
-
 @pytest.mark.parametrize(
     ("planner", "said"),
     [
+        ("nobody", r"there is no planner 'nobody'; installed: kairos, .*aries.*fast-downward"),
         ("kairoos", r"there is no planner 'kairoos'; installed: kairos, .*; did you mean 'kairos'\?$"),
         ("tamer", r"^the planner tamer is not installed: pip install up-tamer$"),
         ("race:kairos,areis", r"'areis' cannot take part in a race; these can: kairos, .*; did you mean 'aries'\?"),
@@ -137,13 +139,6 @@ def test_a_program_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch, tmp
 # --- how they are stopped ------------------------------------------------------------------
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where children get their folders."""
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    return tmp_path
-
-
 def started_engine(folder: Path, engine: str, cancel: threading.Event | None = None, timeout: float = 60) -> Future[PlanningResult]:
     """Start on a hard problem, and wait until the engine itself is at work."""
     pool = ThreadPoolExecutor(1)
@@ -156,12 +151,6 @@ def started_engine(folder: Path, engine: str, cancel: threading.Event | None = N
     return found
 
 
-def test_an_engine_leaves_nothing_behind(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(folder)
-    solve(rooms(), planner="aries", timeout=60)
-    assert os.listdir(folder) == []
-
-
 @needs_java
 def test_at_its_limit_an_engine_is_stopped(folder: Path) -> None:
     found = started_engine(folder, "enhsp", timeout=2.0).result(LIMIT)
@@ -170,10 +159,9 @@ def test_at_its_limit_an_engine_is_stopped(folder: Path) -> None:
     assert os.listdir(folder) == []
 
 
-@pytest.mark.parametrize("engine", ["fast-downward", pytest.param("enhsp", marks=needs_java)])
-def test_a_search_that_is_cancelled_ends_at_once(folder: Path, engine: str) -> None:
+def test_a_search_that_is_cancelled_ends_at_once(folder: Path) -> None:
     cancel = threading.Event()
-    searching = started_engine(folder, engine, cancel)
+    searching = started_engine(folder, "fast-downward", cancel)
     cancel.set()
     assert searching.result(LIMIT).status is PlanningStatus.CANCELLED
     assert not working_in(folder)
@@ -193,16 +181,13 @@ def test_an_engine_that_runs_out_of_memory_says_so(monkeypatch: pytest.MonkeyPat
     assert solve(hard(), planner="enhsp", timeout=60).status is PlanningStatus.OUT_OF_MEMORY
 
 
-def test_when_we_are_killed_the_engine_goes_with_us(folder: Path, root: Path) -> None:
-    code = (
-        "from planner_bridge import solve; "
-        "from tests.support.pddl.problems import hard; solve(hard(), planner='fast-downward', timeout=600)"
-    )
-    us = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "TMPDIR": str(folder)}, cwd=root)
-    until(lambda: working_in(folder, WORKS["fast-downward"]))
-    us.kill()
-    us.wait()
-    until(lambda: not working_in(folder))
+def test_a_limit_that_is_over_is_said_by_kairos_without_advice_about_options_that_are_not_ours() -> None:
+    found = solve(hard(), timeout=0.5)
+    assert found.status is PlanningStatus.TIMED_OUT
+    assert found.message.startswith("no plan within the time limit of 0.5 s")
+    assert found.message.endswith("; a longer limit (--planner-timeout) or another planner (--planner race) may find one")
+    assert set(re.findall(r"--[\w-]+", found.message)) == {"--planner-timeout", "--planner"}
+    assert "SolveOptions" not in found.message
 
 
 def test_kairos_can_be_cancelled() -> None:

@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import count
+from unittest.mock import patch
 
 import pytest
 from hypothesis import given, strategies as st
 
+from planner_bridge.model.grounding import ground_action, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
 from planner_bridge.model.problem import Problem
+from planner_bridge.model.progression import NotApplicable, Progression
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.planning.solve import MAX_STEPS, reduced, solve
+from planner_bridge.planning import solve as module
+from planner_bridge.planning.solve import MAX_STEPS, indispensable, reduced, solve
 from planner_bridge.planning.validate import why_invalid
+from pnm.core.logic.conditions import evaluate
+from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
 from tests.support.pddl.problems import rooms
+from tests.support.pddl.random_plans import ground_calls
+from tests.support.pddl.vans import vans
 
 SHOP = """
 (define (domain shop)
@@ -24,27 +33,12 @@ SHOP = """
   (:action buy :parameters () :effect (and (bought) (increase (total-cost) 1000)))
   {more})
 """
-TEMPORAL = """
-(define (domain walk)
-  (:requirements :typing :durative-actions)
-  (:types robot place)
-  (:predicates (at ?r - robot ?p - place))
-  (:durative-action move :parameters (?r - robot ?from ?to - place) :duration (= ?duration 4)
-    :condition (at start (at ?r ?from)) :effect (and (at start (not (at ?r ?from))) (at end (at ?r ?to)))))
-"""
-
-
 RETURN = "(:action return_bottles :parameters () :precondition (bought) :effect (and (paid) (decrease (total-cost) 5)))"
 
 
 def shop(metric: str = "(:metric minimize (total-cost))", rest: str = "", more: str = "") -> Problem:
     text = f"(define (problem p) (:domain shop) (:init (= (total-cost) 0)) (:goal (bought)) {rest} {metric})"
     return parse_problem(text, parse_domain(SHOP.format(more=more)))
-
-
-def walk(goal: str) -> Problem:
-    text = f"(define (problem p) (:domain walk) (:objects r1 r2 - robot a b c - place) (:init (at r1 a) (at r2 a)) (:goal {goal}))"
-    return parse_problem(text, parse_domain(TEMPORAL))
 
 
 def plan_of(*calls: str, cost: float | None = None) -> Plan:
@@ -86,21 +80,6 @@ def test_nothing_is_called_best_while_facts_are_unknown() -> None:
 # --- needless calls ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("goal", "calls", "needed"),
-    [
-        ("(clean a)", ["move r1 a b", "sweep r2 a"], ["sweep r2 a"]),
-        ("(clean a)", ["move r1 a b", "move r1 b a", "sweep r1 a"], ["sweep r1 a"]),
-        ("(clean a)", ["sweep r1 a", "move r1 a b", "sweep r1 b", "move r1 b a"], ["sweep r1 a"]),
-        ("(and (clean a) (at r1 b))", ["move r1 a b", "move r1 b a", "sweep r1 a", "move r1 a b"], ["sweep r1 a", "move r1 a b"]),
-        ("(at r1 c)", ["move r1 a b", "move r1 b c"], ["move r1 a b", "move r1 b c"]),
-        ("(at r1 a)", ["move r1 a b", "move r1 b a"], []),
-    ],
-)
-def test_calls_that_are_not_needed_are_left_out_with_those_that_rest_on_them(goal: str, calls: list[str], needed: list[str]) -> None:
-    assert left(rooms(goal=goal, ways="ab ba bc"), plan_of(*calls)) == needed
-
-
 def test_a_call_that_makes_the_plan_cheaper_stays() -> None:
     plan = plan_of("ask", "buy_asked", "return_bottles", cost=-3.0)
     assert left(shop(more=RETURN), plan) == ["ask", "buy_asked", "return_bottles"]
@@ -119,15 +98,97 @@ def test_plans_with_preferences_and_long_ones_stay_as_they_are() -> None:
 
 
 def test_of_plans_with_times_needless_calls_are_left_out_as_well() -> None:
-    steps = (PlanStep("move", ("r1", "a", "b"), 0.0, 4.0), PlanStep("move", ("r2", "a", "c"), 0.0, 4.0))
-    assert left(walk("(at r2 c)"), Plan(steps, temporal=True)) == ["move r2 a c"]
+    steps = (PlanStep("drive", ("v1", "home", "shop"), 0.0, 4.0), PlanStep("drive", ("v2", "home", "far"), 0.0, 4.0))
+    problem = vans("v1 home v2 home", "home shop 4", "home far 4", goal="(at v2 far)")
+    assert left(problem, Plan(steps, temporal=True)) == ["drive v2 home far"]
 
 
-@given(goals=st.sets(st.sampled_from(["(at r1 c)", "(at r2 d)", "(clean a)", "(clean b)", "(clean d)"]), min_size=1))
-def test_no_call_of_a_plan_can_be_left_out(goals: set[str]) -> None:
-    problem = rooms(goal=f"(and {' '.join(sorted(goals))})", ways="ab ba bc cb ad da dc")
-    plan = solve(problem, improve=0.0).plan
-    assert plan is not None
-    for number in range(len(plan.steps)):
-        shorter = replace(plan, steps=(*plan.steps[:number], *plan.steps[number + 1 :]))
-        assert why_invalid(problem, shorter), f"{plan.steps[number]} of {plan} can be left out"
+# --- the definition --------------------------------------------------------------------------------
+
+FACTS = ["(at r1 a)", "(at r1 c)", "(at r2 d)", "(clean a)", "(clean b)", "(clean d)", "(not (at r2 a))"]
+
+
+def world(*goals: str) -> Problem:
+    return rooms(goal=f"(and {' '.join(goals)})", ways="ab ba bc cb ad da dc")
+
+
+def carried_out(problem: Problem, actions: list[GroundAction]) -> tuple[list[GroundAction], bool]:
+    """The actions that can be carried out, one after the other, and whether the goal holds then."""
+    simulation, done = Progression(initial_knowledge(problem)), list[GroundAction]()
+    for action in actions:
+        try:
+            simulation.advance([(PlanEvent(0, moment), action) for moment in Moment])
+        except NotApplicable:
+            continue
+        done.append(action)
+    return done, evaluate(problem.goal, simulation.state) is True
+
+
+def eliminated(problem: Problem, actions: list[GroundAction]) -> list[GroundAction]:
+    """The definition: an action is left out, and with it all that cannot be carried out then, if the goal is reached all the same."""
+    number = 0
+    while number < len(actions):
+        left, is_reached = carried_out(problem, [*actions[:number], *actions[number + 1 :]])
+        actions, number = (left, number) if is_reached else (actions, number + 1)
+    return actions
+
+
+def walk(choices: list[int]) -> list[GroundAction]:
+    """Actions that can be carried out one after the other: of those that can be next, which one each choice says."""
+    problem, walked = world(), list[GroundAction]()
+    every = [ground_action(problem.domain.actions[name], arguments) for name, arguments in ground_calls(problem)]
+    simulation = Progression(initial_knowledge(problem))
+    for choice in choices:
+        possible = [action for action in every if evaluate(action.precondition, simulation.state) is True]
+        walked.append(possible[choice % len(possible)])
+        simulation.advance([(PlanEvent(0, moment), walked[-1]) for moment in Moment])
+    return walked
+
+
+@given(st.sets(st.sampled_from(FACTS)), st.lists(st.integers(0, 20), max_size=12))
+def test_what_is_left_of_a_plan_is_what_elimination_by_trying_every_step_leaves(facts: set[str], choices: list[int]) -> None:
+    walked = walk(choices)
+    problem = world(*(goal for goal in sorted(facts) if carried_out(world(goal), walked)[1]))
+    plan = Plan(tuple(PlanStep(action.name, action.arguments) for action in walked))
+    result = reduced(problem, PlanningResult(PlanningStatus.SOLVED, plan)).plan
+    assert result is not None
+    left = [(step.action, step.arguments) for step in result.steps]
+    assert left == [(action.name, action.arguments) for action in eliminated(problem, walked)]
+    for number in indispensable(problem, walked):
+        assert not carried_out(problem, [*walked[:number], *walked[number + 1 :]])[1]
+
+
+def test_the_only_step_that_makes_a_goal_true_is_indispensable_and_so_is_what_it_rests_on() -> None:
+    problem = world("(clean b)")
+    steps = [("move", "r1", "a", "b"), ("sweep", "r1", "b"), ("move", "r2", "a", "b"), ("move", "r1", "b", "a")]
+    actions = [ground_action(problem.domain.actions[name], tuple(arguments)) for name, *arguments in steps]
+    assert indispensable(problem, actions) == {0, 1}
+
+
+TO_AND_FRO = [("move", "r1", "a", "b"), ("move", "r1", "b", "a")] * 4
+
+
+@given(st.integers(0, 9))
+def test_when_the_time_is_over_the_plan_stays_as_it_is_by_then(looks: int) -> None:
+    """What is left solves the problem; what was not looked at is kept."""
+    problem = world("(clean b)")
+    steps = [*TO_AND_FRO, ("move", "r1", "a", "b"), ("sweep", "r1", "b")]
+    plan = Plan(tuple(PlanStep(name, tuple(arguments)) for name, *arguments in steps))
+    with patch.object(module.time, "monotonic", side_effect=count().__next__):
+        result = reduced(problem, PlanningResult(PlanningStatus.SOLVED, plan), until=looks).plan
+    assert result is not None
+    left = [ground_action(problem.domain.actions[step.action], step.arguments) for step in result.steps]
+    assert carried_out(problem, left) == (left, True)
+    assert len(left) == max(2, len(steps) - 2 * looks)
+
+
+def test_the_limit_of_a_search_counts_for_that_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    ends, now = list[float](), module.time.monotonic()
+
+    def note(problem: Problem, result: PlanningResult, parsed: object, *, until: float) -> PlanningResult:
+        ends.append(until)
+        return result
+
+    monkeypatch.setattr(module, "reduced", note)
+    assert solve(world("(clean b)"), timeout=20.0, improve=0.0).plan
+    assert now + 20.0 <= ends[0] <= module.time.monotonic() + 20.0

@@ -87,20 +87,11 @@ def test_by_default_every_planner_has_a_process_which_is_gone_afterwards(folder:
     assert os.listdir(folder) == []
 
 
-def test_threads_will_do(folder: Path) -> None:
-    with ThreadPoolExecutor(2) as threads:
-        found = solve(rooms(), planner="race:fast-downward,aries", timeout=60, executor=threads)
-        assert found.plan is not None, found.reason
-        assert found.planner in ("fast-downward", "aries")
-    assert not working_in(folder)
-    assert os.listdir(folder) == []
-
-
 def test_a_cluster_will_do(folder: Path) -> None:
     from distributed import Client, LocalCluster
 
     with (
-        LocalCluster(n_workers=2, processes=True, threads_per_worker=1, dashboard_address=None) as cluster,
+        LocalCluster(n_workers=1, processes=True, threads_per_worker=1, dashboard_address=None) as cluster,
         Client(cluster) as client,
         client.get_executor() as executor,
     ):

@@ -1,4 +1,4 @@
-"""Our problems in unified-planning mean there what they mean here; as its simulator shows."""
+"""What unified-planning has other words for than PDDL, or none; that our problems mean the same there is in `test_semantics`."""
 
 from __future__ import annotations
 
@@ -7,82 +7,16 @@ from typing import Any as Anything
 
 import pytest
 import unified_planning.shortcuts as up
-from hypothesis import given, strategies as st
 
-from planner_bridge.model.problem import Domain, Problem
+from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.planning.solve import solve
 from planner_bridge.planning.unified_planning.problems import to_unified_planning
-from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, evaluate
-from pnm.core.logic.domain import ActionSchema, Declaration, Preference
-from pnm.core.logic.effects import Effect, ForEach, Set, When, changes
-from pnm.core.logic.expressions import Constant, Fluent, Value, ValueOf, Variable
+from pnm.core.logic.conditions import TRUE, Holds
+from pnm.core.logic.domain import Preference
+from pnm.core.logic.expressions import Variable
 from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError
-
-THINGS = ("a", "b")
-X, Y = Variable("?x", ("thing",)), Variable("?y", ("thing",))
-FACTS: tuple[Fluent, ...] = (*((name, thing) for name in "pq" for thing in THINGS), ("r",))
-
-
-def facts(scope: tuple[Variable, ...]) -> st.SearchStrategy[Fluent]:
-    terms = st.sampled_from((*THINGS, *(variable.name for variable in scope)))
-    return st.one_of(st.just(("r",)), st.tuples(st.sampled_from("pq"), terms))
-
-
-def conditions_over(scope: tuple[Variable, ...], depth: int = 2) -> st.SearchStrategy[Condition]:
-    terms = st.sampled_from((*THINGS, *(variable.name for variable in scope))).map(Constant)
-    leaf = st.one_of(st.builds(Holds, facts(scope)), st.builds(lambda one, other: Compare("=", one, other), terms, terms))
-    if not depth:
-        return leaf
-    inner = conditions_over(scope, depth - 1)
-    quantified = [
-        st.builds(lambda body, kind=kind, variable=variable: kind((variable,), body), conditions_over((*scope, variable), depth - 1))
-        for kind in (ForAll, Exists)
-        for variable in (X, Y)
-    ]
-    many = st.lists(inner, max_size=2).map(tuple)
-    return st.one_of(leaf, inner.map(Not), many.map(All), many.map(Any), st.builds(Implies, inner, inner), *quantified)
-
-
-def effects_over(scope: tuple[Variable, ...] = (), depth: int = 2) -> st.SearchStrategy[tuple[Effect, ...]]:
-    one: list[st.SearchStrategy[Effect]] = [st.builds(lambda fact, value: Set(fact, Constant(value)), facts(scope), st.booleans())]
-    if depth:
-        one.append(st.builds(When, conditions_over(scope, 1), effects_over(scope, depth - 1)))
-        one += [st.builds(ForEach, st.just((variable,)), effects_over((*scope, variable), depth - 1)) for variable in (X, Y)]
-    return st.lists(st.one_of(one), min_size=1, max_size=3).map(tuple)
-
-
-def problem_with_action(schema: ActionSchema, init: dict[Fluent, Value], goal: Condition = TRUE) -> Problem:
-    declared = {name: Declaration(name, (X,)) for name in "pq"} | {"r": Declaration("r")}
-    domain = Domain("d", types={"thing": ("object",)}, predicates=declared, actions={schema.name: schema})
-    return Problem("d", domain, dict.fromkeys(THINGS, ("thing",)), init, goal=goal)
-
-
-@given(effects_over(), st.sets(st.sampled_from(FACTS)))
-def test_effects_do_there_what_they_do_here(done: tuple[Effect, ...], true: set[Fluent]) -> None:
-    here = problem_with_action(ActionSchema("act", end_effects=done), dict.fromkeys(true, True))
-    knowledge = KnowledgeBase(here.init, objects=here.objects_by_type)
-    expected = {fact: fact in true for fact in FACTS} | changes(done, knowledge)
-    there = to_unified_planning(here)
-    with up.SequentialSimulator(there) as simulator:
-        after = simulator.apply(simulator.get_initial_state(), there.action("act"))
-        assert after is not None
-        found = {fact: after.get_value(there.fluent(fact[0])(*map(there.object, fact[1:]))).bool_constant_value() for fact in FACTS}
-    assert found == expected
-
-
-@given(conditions_over((), 3), st.sets(st.sampled_from(FACTS)))
-def test_conditions_hold_there_where_they_hold_here(goal: Condition, true: set[Fluent]) -> None:
-    here = problem_with_action(ActionSchema("act"), dict.fromkeys(true, True), goal)
-    knowledge = KnowledgeBase(here.init, objects=here.objects_by_type)
-    there = to_unified_planning(here)
-    with up.SequentialSimulator(there) as simulator:
-        assert simulator.is_goal(simulator.get_initial_state()) == evaluate(goal, knowledge)
-
-
-# --- what is said in other words -----------------------------------------------------------
 
 
 def apply(simulator: Anything, state: Anything, *calls: Anything) -> Anything:
@@ -140,16 +74,14 @@ def test_a_thing_of_two_types_is_both() -> None:
 
 
 def test_functions_may_have_objects_for_values() -> None:
-    room, robot = Variable("?b", ("room",)), Variable("?r", ("robot",))
-    move = ActionSchema(
-        "move",
-        (robot, room),
-        precondition=Not(Compare("=", ValueOf(("in", "?r")), Constant("?b"))),
-        end_effects=(Set(("in", "?r"), Constant("?b")),),
+    here = problem_of(
+        """(:types robot room) (:functions (in ?r - robot) - room)
+        (:action move :parameters (?r - robot ?b - room) :precondition (not (= (in ?r) ?b)) :effect (assign (in ?r) ?b))""",
+        "r - robot a b - room",
+        "(= (in r) a)",
+        "(= (in r) b)",
     )
-    domain = Domain("d", types={"robot": (), "room": ()}, functions={"in": Declaration("in", (robot,), ("room",))}, actions={"move": move})
-    things = {"r": ("robot",), "a": ("room",), "b": ("room",)}
-    there = to_unified_planning(Problem("p", domain, things, {("in", "r"): "a"}, goal=Compare("=", ValueOf(("in", "r")), Constant("b"))))
+    there = to_unified_planning(here)
     with up.SequentialSimulator(there) as simulator:
         state = simulator.get_initial_state()
         calls = [there.action("move")(there.object("r"), there.object(name)) for name in "ab"]

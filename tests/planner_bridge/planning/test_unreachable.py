@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 from hypothesis import HealthCheck, given, settings
 
@@ -10,7 +12,8 @@ from planner_bridge.model.grounding import initial_knowledge, problem_now
 from planner_bridge.model.plan import PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.planning.reachability import why_unreachable
+from planner_bridge.planning import reachability
+from planner_bridge.planning.reachability import GoalLiteral, Reachability, TooLarge, literal_of, why_unreachable
 from planner_bridge.planning.solve import solve
 from pnm.core.logic.expressions import UNKNOWN
 from tests.support.pddl.problems import fleet, hard, matches, rooms, tanks
@@ -110,9 +113,6 @@ TURTLE = """
       (at end (decrease (battery ?v) (distance ?from ?to)))))
   (:durative-action charge :parameters (?v - robot ?wp - waypoint) :duration (= ?duration 3)
     :condition (and (over all (charger ?wp)) (over all (robot_at ?v ?wp))) :effect (at end (assign (battery ?v) 10)))
-  (:durative-action dock :parameters (?v - robot ?wp - waypoint) :duration (= ?duration 3)
-    :condition (and (over all (dock_at ?wp)) (at start (robot_at ?v ?wp)) (at start (undocked ?v)))
-    :effect (and (at end (docked ?v)) (at start (not (undocked ?v)))))
   (:durative-action undock :parameters (?v - robot ?wp - waypoint) :duration (= ?duration 2)
     :condition (and (over all (dock_at ?wp)) (at start (docked ?v)))
     :effect (and (at start (not (docked ?v))) (at end (undocked ?v)))))
@@ -133,11 +133,8 @@ def test_a_tour_that_is_possible_has_a_plan() -> None:
     ("gone", "instead", "why"),
     [
         ("(docked t)", "", "undock(t, a) needs (docked t), which is never true"),
-        ("(dock_at a)", "", "undock(t, a) needs (dock_at a), which is never true"),
         ("(robot_at t a)", "", "(robot_at t b) is never true"),
-        ("(way a b)", "", "go(t, a, b) needs (way a b), which is never true"),
         ("(= (speed t) 0.5)", "", "(speed t) has no value"),
-        ("(= (distance b c) 2)", "", "(distance b c) has no value"),
         (
             "(= (battery t) 3)",
             "(= (battery t) 1)",
@@ -147,11 +144,6 @@ def test_a_tour_that_is_possible_has_a_plan() -> None:
             "(= (distance b c) 2)",
             "(= (distance b c) 12)",
             "(>= (battery t) (distance b c)) [now (battery t) is 3, (distance b c) is 12] is never true",
-        ),
-        (
-            "(= (distance a b) 2)",
-            "(= (distance a b) 12)",
-            "go(t, a, b) needs (>= (battery t) (distance a b)) [now (battery t) is 3, (distance a b) is 12], which is never true",
         ),
     ],
 )
@@ -215,7 +207,8 @@ def test_what_only_a_search_rules_out_is_proved_with_whole_numbers_alone(init: s
     assert solve(small("(and (p) (q))", init, actions=EITHER + actions)).status is status
 
 
-def test_what_takes_too_long_to_explain_is_not_explained() -> None:
+def test_what_takes_too_long_to_explain_is_not_explained(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reachability, "_STEPS", 50_000)
     # every room needs every tool, every tool all others, and each way to them leads through all rooms
     domain = parse_domain(
         """(define (domain d) (:requirements :typing :adl) (:types room tool)
@@ -235,3 +228,31 @@ def test_what_takes_too_long_to_explain_is_not_explained() -> None:
 
     assert reason(4, 3).startswith("(at r3) cannot be reached: go(r0, r3) would do it")
     assert reason(60, 12) == ""
+
+
+# --- laws ----------------------------------------------------------------------------------
+
+
+@given(random_problems())
+@settings(suppress_health_check=list(HealthCheck))
+def test_no_achiever_has_a_cheaper_lack_than_what_it_achieves(problem: Problem) -> None:
+    reached = Reachability(problem, problem.unknown)
+    reached.settle(problem.goal)
+    seen = set[GoalLiteral]()
+    waiting = [literal for lack in reached.of(problem.goal) if (literal := literal_of(lack))]
+    while waiting:
+        literal = waiting.pop()
+        if literal in seen:
+            continue
+        seen.add(literal)
+        way = reached.way(literal)
+        for achiever in way.achievers if way.lack else ():
+            lack = reached.of(achiever.condition, achiever.env)
+            assert reached.cost(lack) >= reached.cost(way.lack)
+            waiting += [literal for condition in lack if (literal := literal_of(condition))]
+
+
+def test_a_time_that_is_over_ends_the_search() -> None:
+    problem = rooms(ways="ab")
+    with pytest.raises(TooLarge):
+        Reachability(problem, problem.unknown).settle(problem.goal, time.monotonic() - 1.0)

@@ -271,6 +271,3 @@ def states(draw: Draw, problem: Problem) -> dict[Fluent, Value]:
 def conditions_on(draw: Draw, problem: Problem, features: Features = Features()) -> Condition:
     """Draw a condition on the problem's states."""
     return _Maker(draw, problem.domain, features, {name: types[0] for name, types in problem.objects.items()}).condition(3)
-
-
-# --- plans ---------------------------------------------------------------------------------
