@@ -10,45 +10,53 @@ from planner_bridge.pddl import parse_domain, parse_problem, read_domain
 from planner_bridge.pddl.expressions import MAX_DEPTH
 from pnm.errors import InputError
 from tests.support.files import refused
-from tests.support.pddl.text import SMALL
-
-domain_with, problem_with = SMALL.domain_with, SMALL.problem_with
+from tests.support.pddl.text import EXTENDED, SMALL, Texts
 
 BAD_INPUT = Path(__file__).with_name("refused")
-WHOLE = [
+DOMAINS = [
     *refused(BAD_INPUT / "whole.pddl"),
     ("", "1:1: the file is empty; expected (define (domain NAME) ...)"),
     ("(" * 20_000, f"1:{MAX_DEPTH + 1}: nested deeper than {MAX_DEPTH} lists"),
 ]
 
 
-@pytest.mark.parametrize(("text", "message"), WHOLE)
+@pytest.mark.parametrize(("text", "message"), DOMAINS)
 def test_a_text_that_is_no_domain_is_refused(text: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
         parse_domain(text)
     assert str(caught.value) == f"domain.pddl:{message}"
 
 
-BAD_DOMAINS = refused(*(BAD_INPUT / name for name in ("not_supported.pddl", "declarations.pddl", "actions.pddl")))
+ADDED = {"not_supported": SMALL, "declarations": SMALL, "actions": SMALL, "extensions": EXTENDED}
+"""To what the cases of each file are added."""
 
 
-@pytest.mark.parametrize(("text", "message"), BAD_DOMAINS)
-def test_a_bad_domain_is_refused(text: str, message: str) -> None:
+@pytest.mark.parametrize(
+    ("file", "text", "message"), [(name, *case.values) for name in ADDED for case in refused(BAD_INPUT / f"{name}.pddl")]
+)
+def test_a_bad_domain_is_refused(file: str, text: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
-        domain_with(text)
+        parse_domain(f"{ADDED[file].domain}\n{text})")
     assert str(caught.value) == f"domain.pddl:{message}"
 
 
-@pytest.mark.parametrize(("text", "message"), refused(BAD_INPUT / "problems.pddl"))
-def test_a_bad_problem_is_refused(text: str, message: str) -> None:
+@pytest.mark.parametrize(
+    ("texts", "text", "message"),
+    [
+        (texts, *case.values)
+        for file, texts in (("problems", SMALL), ("extensions_in_problems", EXTENDED))
+        for case in refused(BAD_INPUT / f"{file}.pddl")
+    ],
+)
+def test_a_bad_problem_is_refused(texts: Texts, text: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
-        problem_with(text)
+        parse_problem(f"{texts.problem}\n{text})", parse_domain(f"{texts.domain})"))
     assert str(caught.value) == f"problem.pddl:{message}"
 
 
 def test_a_domain_is_no_problem() -> None:
     with pytest.raises(InputError, match=r"1:9: expected \(problem NAME\), found \(domain \.\.\.\); this file is not a problem"):
-        parse_problem("(define (domain d))", domain_with(""))
+        parse_problem("(define (domain d))", SMALL.domain_with(""))
 
 
 def test_files_that_cannot_be_read_are_refused_at_their_beginning(tmp_path: Path) -> None:

@@ -27,27 +27,11 @@ def test_refusals_say_where(text: str, message: str) -> None:
     assert str(caught.value) == message
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", []),
-        ("; nothing (\n", []),
-        ("a b;c\nd", ["a", "b", "d"]),
-        ("?c1 - aircraft?a", ["?c1", "-", "aircraft", "?a"]),
-        ("?x -t", ["?x", "-t"]),
-        ("?x-y ?z", ["?x-y", "?z"]),
-        ("-5.2e3\t3d", ["-5.2e3", "3d"]),
-    ],
-)
-def test_words(text: str, words: list[str]) -> None:
-    assert [node.text for node in parse(text, "f") if isinstance(node, Atom)] == words
-
-
-def test_lists_are_nested() -> None:
-    (whole,) = parse("(A (b) () c)", "f")
+def test_words_and_lists() -> None:
+    (whole,) = parse("(A ?c1 - aircraft?a; nothing (\n?x -t () -5.2e3\t3d)", "f")
     assert isinstance(whole, Group)
     assert whole.head == "a"
-    assert [str(part) for part in whole.rest] == ["(b)", "()", "'c'"]
+    assert [str(part) for part in whole.rest] == ["'?c1'", "'-'", "'aircraft'", "'?a'", "'?x'", "'-t'", "()", "'-5.2e3'", "'3d'"]
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
@@ -56,14 +40,6 @@ def test_positions_count_from_one_whatever_ends_a_line(end: str) -> None:
     assert [str(where(node)) for node in nodes] == ["f:1:1", "f:2:3"]
     assert isinstance(nodes[1], Group)
     assert [str(where(node)) for node in nodes[1].items] == ["f:2:4", "f:3:1"]
-
-
-def test_the_deepest_nesting_is_read() -> None:
-    node: Node = parse("(" * MAX_DEPTH + ")" * MAX_DEPTH, "f")[0]
-    depth = 1
-    while isinstance(node, Group) and node.items:
-        node, depth = node.items[0], depth + 1
-    assert depth == MAX_DEPTH
 
 
 WORDS = st.text(alphabet="ab1-_:=?", min_size=1, max_size=5).filter(lambda word: "?" not in word[1:] and word != "?")

@@ -1,99 +1,47 @@
-"""The law of writing and reading back: what is written is read as an equal model."""
+"""The law of writing and reading back: what is written, as PDDL or as YAML, is read as an equal model."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import kairos
-from hypothesis import assume, given, settings, strategies as st
+from hypothesis import given, settings, strategies as st
 
-from planner_bridge.model.problem import Metric, Problem
+from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pddl.expressions import number_text
 from planner_bridge.pddl.writer import write_domain, write_problem
-from pnm.core.logic.conditions import All, Any, Compare, ForAll, Holds, Implies, Not
-from pnm.core.logic.domain import MAX_CHOICES, ActionSchema, DurationConstraint, Preference
+from planner_bridge.yaml.reader import parse
+from planner_bridge.yaml.writer import write_domain as domain_as_yaml, write_problem as problem_as_yaml
+from pnm.core.logic.conditions import All, Any, Compare, ForAll, Implies, Not
+from pnm.core.logic.domain import ActionSchema, DurationConstraint, Preference
 from pnm.core.logic.effects import ForEach, Set, TimedChange, When
 from pnm.core.logic.expressions import DURATION, UNDEFINED, Arithmetic, Constant, Fluent, ValueOf, Variable
 from pnm.core.logic.rules import DerivationRule, Rules
 from pnm.core.logic.trajectory import Constraint
 from tests.support.files import input_error
-from tests.support.pddl.models import (
-    DURATIVE,
-    INSTANTANEOUS,
-    NUMBERS,
-    OWN,
-    PREFERENCES,
-    RULES,
-    TIMED,
-    WISHES,
-    constraints,
-    domain_of,
-    over,
-    values,
-)
+from tests.support.pddl.models import DOMAINS, NUMBERS, OWN, PROBLEMS, domain_of
 from tests.support.pddl.text import CHARGE, IDLE, NOT_IDLE, SET_IDLE, SMALL
 
 domain_with = SMALL.domain_with
 
 
-@settings(max_examples=25)
-@given(st.tuples(INSTANTANEOUS, DURATIVE), st.lists(RULES, max_size=2), st.lists(constraints(), max_size=2), st.lists(WISHES, max_size=2))
-def test_a_written_domain_reads_as_an_equal_one(
-    actions: tuple[ActionSchema, ActionSchema], rules: list[DerivationRule], kept: list[Constraint], wished: list[Preference]
-) -> None:
-    domain = replace(
-        domain_of(list(actions)),
-        rules=Rules(tuple(rules)),
-        constraints=tuple(map(over, kept)),
-        preferences=tuple(wished),
-        hierarchy=("(:task t)",),
-    )
-    text = write_domain(domain)
-    again = parse_domain(text)
-    assert again == domain
-    assert [list(part) for part in (again.types, again.actions)] == [list(part) for part in (domain.types, domain.actions)]
+@settings(max_examples=15)
+@given(DOMAINS)
+def test_a_written_domain_reads_as_an_equal_one(domain: Domain) -> None:
+    in_yaml = parse(domain_as_yaml(domain), "x.yaml")
+    assert in_yaml.problem is None
+    for again in (parse_domain(write_domain(domain)), in_yaml.domain):
+        assert again == domain
+        assert [list(part) for part in (again.types, again.actions)] == [list(part) for part in (domain.types, domain.actions)]
     kairos.parse_domain(write_domain(replace(domain, hierarchy=())))
 
 
-@settings(max_examples=25)
-@given(
-    values(st.just(True)),
-    TIMED,
-    NUMBERS,
-    st.lists(PREFERENCES, max_size=2),
-    st.lists(constraints(), max_size=2),
-    st.lists(WISHES, max_size=2),
-)
-def test_a_written_problem_reads_as_an_equal_one(
-    init: dict[Fluent, bool | float | str],
-    timed: tuple[TimedChange, ...],
-    number: float,
-    goals: list[Preference],
-    kept: list[Constraint],
-    wished: list[Preference],
-) -> None:
-    goal = All((Holds(("idle",)), Compare(">", ValueOf(("charge", "r2")), Constant(number))))
-    soft = (*(replace(one, variables=(*OWN, *one.variables)) for one in goals), *wished, Preference("p", IDLE))
-    metric = Metric("minimize", Arithmetic("*", (ValueOf(("is-violated", "p")), ValueOf(("total-time",)))))
-    problem = Problem(
-        "p",
-        domain_of([]),
-        {"r2": ("robot",), "x": ("object",), "y": ("robot", "place")},
-        init,
-        timed,
-        goal,
-        metric,
-        tuple(map(over, kept)),
-        tuple(sorted(soft, key=lambda one: isinstance(one.wanted, tuple))),
-        requirements=(":typing",),
-    )
-    assume(all(choices <= MAX_CHOICES for _, choices in problem.ranges()))  # more are refused
-    text = write_problem(problem)
-    assert parse_problem(text, problem.domain) == problem
-    kairos.parse_problem(text, kairos.parse_domain(write_domain(problem.domain)))
-    network = replace(problem, network="(:htn :subtasks (and))\n(:tasks)")
-    assert parse_problem(write_problem(network), problem.domain) == network
+@settings(max_examples=15)
+@given(PROBLEMS)
+def test_a_written_problem_reads_as_an_equal_one(problem: Problem) -> None:
+    assert parse_problem(write_problem(problem), problem.domain) == problem == parse(problem_as_yaml(problem), "x.yaml").problem
+    kairos.parse_problem(write_problem(replace(problem, network="")), kairos.parse_domain(write_domain(problem.domain)))
 
 
 @given(NUMBERS)
@@ -132,45 +80,8 @@ def test_the_layout_is_for_people() -> None:
     )
 
 
-WORDS = [
-    *(
-        "(",
-        ")",
-        "?",
-        "?x",
-        "-",
-        ":",
-        ":effect",
-        "and",
-        "at",
-        "start",
-        "end",
-        "not",
-        "=",
-        "3",
-        "?duration",
-        "when",
-        "forall",
-        "either",
-        "é",
-        ";",
-    ),
-    *(
-        "preference",
-        "always",
-        "within",
-        ":derived",
-        ":constraints",
-        "home",
-        "undefined",
-        "is-violated",
-        "assign",
-        "over",
-        "all",
-        ":vars",
-        ":htn",
-    ),
-]
+WORDS = """( ) ? ?x - : :effect and at start end not = 3 ?duration when forall either é ; preference always within :derived
+    :constraints home undefined is-violated assign over all :vars :htn"""
 
 
 @given(st.data())
@@ -188,7 +99,7 @@ def test_a_damaged_text_is_read_or_refused_with_a_position(data: st.DataObject) 
     words = texts[which].replace("(", " ( ").replace(")", " ) ").split()
     for _ in range(data.draw(st.integers(1, 3))):
         at = data.draw(st.integers(0, len(words) - 1))
-        words[at : at + data.draw(st.integers(0, 2))] = data.draw(st.lists(st.sampled_from([*WORDS, *words[:40]]), max_size=2))
+        words[at : at + data.draw(st.integers(0, 2))] = data.draw(st.lists(st.sampled_from([*WORDS.split(), *words[:40]]), max_size=2))
     text = " ".join(words)
     error = input_error(lambda: parse_problem(text, domain) if which else parse_domain(text))
     assert error is None or error.position is not None

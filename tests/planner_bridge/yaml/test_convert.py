@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import yaml
 from hypothesis import given, settings, strategies as st
 
-from planner_bridge.model.problem import Domain, Problem
+from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pddl.comments import CommentTable
 from planner_bridge.pddl.reader import comments
 from planner_bridge.yaml.convert import exported, imported
 from planner_bridge.yaml.emitter import Entry, YamlList, YamlMapping, document, scalar
 from planner_bridge.yaml.reader import parse
-from planner_bridge.yaml.writer import write_domain as domain_as_yaml, write_problem as problem_as_yaml
-from pnm.core.logic.conditions import All, Compare, Holds
-from pnm.core.logic.domain import ActionSchema, Preference
-from pnm.core.logic.effects import TimedChange
-from pnm.core.logic.expressions import Constant, Fluent, ValueOf
-from pnm.core.logic.rules import DerivationRule, Rules
-from pnm.core.logic.trajectory import Constraint
+from planner_bridge.yaml.writer import write_problem as problem_as_yaml
 from pnm.files.yaml_nodes import Mapped
 from tests.support.files import ROOT, SHARED
-from tests.support.pddl import models as pddl, random_problems as generated
+from tests.support.pddl import random_problems as generated
 from tests.support.pddl.files import REFUSED
 from tests.support.yaml.conversion import comments_in, notes
 
@@ -90,70 +83,7 @@ def test_a_domain_alone() -> None:
     assert parse(text, "x.yaml").domain == parse_domain(PATROL[0].read_text(encoding="utf-8"))
 
 
-def whole(domain: Domain) -> Domain:
-    found = parse(domain_as_yaml(domain), "x.yaml")
-    assert found.problem is None
-    return found.domain
-
-
 # --- laws ---
-
-
-@settings(max_examples=8)
-@given(
-    st.tuples(pddl.INSTANTANEOUS, pddl.DURATIVE),
-    st.lists(pddl.RULES, max_size=2),
-    st.lists(pddl.constraints(), max_size=2),
-    st.lists(pddl.WISHES, max_size=2),
-)
-def test_a_domain_comes_back(
-    actions: tuple[ActionSchema, ActionSchema], rules: list[DerivationRule], kept: list[Constraint], wished: list[Preference]
-) -> None:
-    domain = replace(
-        pddl.domain_of(list(actions)),
-        rules=Rules(tuple(rules)),
-        constraints=tuple(map(pddl.over, kept)),
-        preferences=tuple(wished),
-        hierarchy=("(:task t)", "(:method m\n    :parameters () ; why\n\t:task (t))"),
-    )
-    found = whole(domain)
-    assert found == domain
-    assert [list(part) for part in (found.types, found.actions)] == [list(part) for part in (domain.types, domain.actions)]
-
-
-@settings(max_examples=8)
-@given(
-    pddl.values(st.just(True)),
-    pddl.TIMED,
-    pddl.NUMBERS,
-    st.lists(pddl.PREFERENCES, max_size=2),
-    st.lists(pddl.constraints(), max_size=2),
-    st.lists(pddl.WISHES, max_size=2),
-)
-def test_a_problem_comes_back(
-    init: dict[Fluent, bool | float | str],
-    timed: tuple[TimedChange, ...],
-    number: float,
-    goals: list[Preference],
-    kept: list[Constraint],
-    wished: list[Preference],
-) -> None:
-    goal = All((Holds(("idle",)), Compare(">", ValueOf(("charge", "r2")), Constant(number))))
-    soft = (*(replace(one, variables=(*pddl.OWN, *one.variables)) for one in goals), *wished)
-    problem = Problem(
-        "p",
-        pddl.domain_of([]),
-        {"r2": ("robot",), "x": ("object",), "y": ("robot", "place")},
-        init,
-        timed,
-        goal,
-        None,
-        tuple(map(pddl.over, kept)),
-        tuple(sorted(soft, key=lambda one: isinstance(one.wanted, tuple))),
-        network="(:htn :subtasks (and))\n(:tasks)",
-        requirements=(":typing",),
-    )
-    there_and_back(problem, {})
 
 
 @settings(max_examples=20)

@@ -6,31 +6,21 @@ from dataclasses import replace
 
 from hypothesis import strategies as st
 
-from planner_bridge.model.problem import Domain
+from planner_bridge.model.problem import Domain, Metric, Problem
 from planner_bridge.pddl.expressions import TIME_SPECIFIERS
 from planner_bridge.pddl.symbols import CONSTRAINTS
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
-from pnm.core.logic.domain import ActionSchema, Declaration, DurationConstraint, Preference
+from pnm.core.logic.domain import MAX_CHOICES, ActionSchema, Declaration, DurationConstraint, Preference
 from pnm.core.logic.effects import OPERATIONS, Effect, ForEach, Set, TimedChange, When
 from pnm.core.logic.expressions import DURATION, UNDEFINED, Arithmetic, Constant, Expression, Fluent, ValueOf, Variable
-from pnm.core.logic.rules import DerivationRule
+from pnm.core.logic.rules import DerivationRule, Rules
 from pnm.core.logic.trajectory import Constraint
 
 TYPES = {"thing": (), "robot": ("thing",), "room": ("thing",), "dock": ("room", "place"), "place": ()}
-
-
 KINDS = st.sampled_from([("object",), ("thing",), ("robot",), ("dock",), ("robot", "place")])
-
-
 NUMBERS = st.one_of(st.integers(-1000, 1000).map(float), st.floats(allow_nan=False, allow_infinity=False))
-
-
 FUNCTIONS: list[Fluent] = [("charge", "?r"), ("charge", "R1"), ("total-cost",)]
-
-
 FACTS: list[Fluent] = [("at", "?r", "hall"), ("at", "R1", "hall"), ("idle",)]
-
-
 OWN = (Variable("?r", ("robot",)), Variable("?Other", ("object",)))
 
 
@@ -111,14 +101,8 @@ def over(constraint: Constraint) -> Constraint:
 
 
 PREFERENCES = st.builds(Preference, st.sampled_from(["p", "Q-2", ""]), conditions(), VARIABLES)
-
-
 WISHES = st.builds(Preference, st.sampled_from(["p", "c", ""]), st.lists(constraints(), max_size=2).map(tuple), st.just(OWN))
-
-
 RULES = st.builds(DerivationRule, st.sampled_from(["calm", "near"]), st.just(OWN), conditions())
-
-
 INSTANTANEOUS = st.builds(
     ActionSchema,
     st.just("now"),
@@ -127,8 +111,6 @@ INSTANTANEOUS = st.builds(
     end_effects=effects(),
     preferences=st.lists(PREFERENCES, max_size=2).map(tuple),
 )
-
-
 DURATIVE = st.builds(
     ActionSchema,
     st.just("later"),
@@ -170,9 +152,22 @@ def domain_of(actions: list[ActionSchema]) -> Domain:
     )
 
 
+KEPT = st.lists(constraints(), max_size=2).map(lambda found: tuple(map(over, found)))
+SOFT = st.lists(WISHES, max_size=2).map(tuple)
+DOMAINS = st.builds(
+    lambda actions, rules, kept, soft: replace(
+        domain_of(list(actions)),
+        rules=Rules(tuple(rules)),
+        constraints=kept,
+        preferences=soft,
+        hierarchy=("(:task t)", "(:method m\n    :parameters () ; why\n\t:task (t))"),
+    ),
+    st.tuples(INSTANTANEOUS, DURATIVE),
+    st.lists(RULES, max_size=2),
+    KEPT,
+    SOFT,
+)
 GROUND_FACTS = st.sampled_from([("at", "R1", "hall"), ("at", "r2", "hall"), ("idle",)])
-
-
 GROUND_FUNCTIONS = st.sampled_from([("charge", "R1"), ("charge", "r2"), ("total-cost",)])
 
 
@@ -185,3 +180,24 @@ def values(truth: st.SearchStrategy[bool]) -> st.SearchStrategy[dict[Fluent, boo
 TIMED = st.dictionaries(st.floats(0, 1e9), values(st.booleans()).filter(bool), max_size=3).map(
     lambda found: tuple(TimedChange(time, found[time]) for time in sorted(found))
 )
+PROBLEMS = st.builds(
+    lambda init, timed, number, goals, kept, soft: Problem(
+        "p",
+        domain_of([]),
+        {"r2": ("robot",), "x": ("object",), "y": ("robot", "place")},
+        init,
+        timed,
+        All((Holds(("idle",)), Compare(">", ValueOf(("charge", "r2")), Constant(number)))),
+        Metric("minimize", Arithmetic("*", (ValueOf(("is-violated", "p")), ValueOf(("total-time",))))),
+        kept,
+        (*(replace(one, variables=(*OWN, *one.variables)) for one in goals), Preference("p", Holds(("idle",))), *soft),
+        network="(:htn :subtasks (and))\n(:tasks)",
+        requirements=(":typing",),
+    ),
+    values(st.just(True)),
+    TIMED,
+    NUMBERS,
+    st.lists(PREFERENCES, max_size=2),
+    KEPT,
+    SOFT,
+).filter(lambda problem: all(choices <= MAX_CHOICES for _, choices in problem.ranges()))  # more are refused
