@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 
 from planner_bridge.model.grounding import initial_knowledge
@@ -12,38 +10,23 @@ from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.tasks.replanning import Progress, why_not
 from pnm.actions.faults import Fault, FaultKind, Faults
-from pnm.core.logic.conditions import Holds
-from pnm.core.logic.effects import Set, When
-from pnm.core.logic.expressions import Constant
 from pnm.core.machine.bindings import Binding, Bindings
 from tests.support.runs.plan_graphs import shown
 from tests.support.tasks.planned_runs import SimulatedSite, timed, with_site
 
-MOPS = """
+MOPS = parse_domain("""
 (define (domain mops) (:requirements :durative-actions :conditional-effects)
-  (:predicates (wet) (clean) (streaked) (seen) (ready))
-  (:durative-action mop :parameters () :duration (= ?duration 5) :condition () :effect (at start (not (wet))))
+  (:predicates (wet) (clean) (streaked) (seen))
+  (:durative-action mop :parameters () :duration (= ?duration 5) :condition ()
+    :effect (and (at start (not (wet))) (when (at start (wet)) (at end (clean))) (at end (when (wet) (streaked)))))
+  (:durative-action wipe :parameters () :duration (= ?duration 5) :condition () :effect (when (at start (wet)) (at end (clean))))
   (:durative-action hose :parameters () :duration (= ?duration 2) :condition () :effect (at end (wet)))
-  (:durative-action look :parameters () :duration (= ?duration 1) :condition () :effect (at end (seen))))
-"""
-MOP = parse_domain(MOPS)
-MOP = replace(
-    MOP,
-    actions={
-        **MOP.actions,
-        "mop": replace(
-            MOP.actions["mop"],
-            end_effects=(
-                When(Holds(("wet",)), (Set(("clean",), Constant(True)),), early=True),
-                When(Holds(("wet",)), (Set(("streaked",), Constant(True)),)),
-            ),
-        ),
-    },
-)
+  (:durative-action look :parameters () :duration (= ?duration 1) :condition (at start (clean)) :effect (at end (seen))))
+""")
 
 
 def mops(init: str, goal: str) -> Problem:
-    return parse_problem(f"(define (problem p) (:domain mops) (:init {init}) (:goal {goal}))", MOP)
+    return parse_problem(f"(define (problem p) (:domain mops) (:init {init}) (:goal {goal}))", MOPS)
 
 
 @pytest.mark.parametrize("assumed", [frozenset[str](), frozenset({"wet", "clean", "streaked"})])
@@ -84,12 +67,8 @@ def test_an_effect_decided_at_the_start_is_missed_at_the_end() -> None:
 
 
 def test_the_start_reads_an_early_condition_and_the_end_writes() -> None:
-    schema = MOP.actions["mop"]
-    early = replace(schema, start_effects=(), end_effects=schema.end_effects[:1])
-    look = replace(MOP.actions["look"], precondition=Holds(("clean",)))
-    domain = replace(MOP, actions={**MOP.actions, "mop": early, "look": look})
-    problem = replace(mops("", "(seen)"), domain=domain)
-    graph = plan_graph(problem, timed("0 2 hose", "2.001 5 mop", "7.002 1 look"))
+    problem = mops("", "(seen)")
+    graph = plan_graph(problem, timed("0 2 hose", "2.001 5 wipe", "7.002 1 look"))
     assert shown(graph) == ["end of #0 < start of #1 ((wet))", "end of #1 < start of #2 ((clean))"]
-    later = plan_graph(problem, timed("0 5 mop", "1 2 hose"))
+    later = plan_graph(problem, timed("0 5 wipe", "1 2 hose"))
     assert "start of #0 < end of #1 ((wet))" in shown(later)

@@ -9,7 +9,7 @@ import kairos
 import pytest
 
 from planner_bridge.model.grounding import initial_knowledge, problem_now
-from planner_bridge.model.problem import Domain, Problem
+from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.tasks.replanning import PlanAgain, ResumePlan
@@ -17,85 +17,51 @@ from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Compare, Condition, Not, evaluate
-from pnm.core.logic.domain import Declaration
-from pnm.core.logic.effects import Set
-from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Value, ValueOf, Variable
+from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Value, ValueOf
 from pnm.core.machine.bindings import Binding, Bindings, goal_data
 from tests.support.runs.plan_graphs import shown
 from tests.support.tasks.planned_runs import SimulatedSite, change_at, timed, with_site
 
-TRAYS = """
-(define (domain trays) (:requirements :durative-actions :typing :numeric-fluents)
+TRAYS = parse_domain("""
+(define (domain trays) (:requirements :durative-actions :typing :adl :fluents)
   (:types robot room thing - object)
+  (:constants hall - room)
   (:predicates (greeted ?r - robot))
-  (:functions (battery))
-  (:durative-action move :parameters (?r - robot ?a ?b - room) :duration (= ?duration 4) :condition () :effect ())
-  (:durative-action fetch :parameters (?r - robot) :duration (= ?duration 3) :condition () :effect ())
-  (:action greet :parameters (?r - robot) :precondition () :effect (greeted ?r)))
-"""
+  (:functions (battery) - number (place ?r - robot) (wanted ?r - robot) - room)
+  (:durative-action move :parameters (?r - robot ?a ?b - room) :duration (= ?duration 4)
+    :condition (at start (= (place ?r) ?a)) :effect (and (at start (assign (place ?r) undefined)) (at end (assign (place ?r) ?b))))
+  (:durative-action fetch :parameters (?r - robot) :duration (= ?duration 3)
+    :condition (at start (not (= (place ?r) (wanted ?r)))) :effect (at end (assign (place ?r) (wanted ?r))))
+  (:action greet :parameters (?r - robot) :precondition (= (place ?r) hall) :effect (greeted ?r)))
+""")
+"""Where a robot is, is a value: ``(place r1)``; on its way it is nowhere. It fetches things from where they are wanted."""
 
 
-def at(robot: str, room: str) -> Condition:
-    return Compare("=", ValueOf(("place", robot)), Constant(room))
-
-
-def put(fluent: Fluent, room: str) -> Set:
-    return Set(fluent, Constant(room))
-
-
-def trays() -> Domain:
-    """Where a robot is, is a value: ``(place r1)``; on its way it is nowhere. It fetches things from where they are wanted."""
-    domain = parse_domain(TRAYS)
-    robot, room = Variable("?r", ("robot",)), ("room",)
-    functions = {**domain.functions, "place": Declaration("place", (robot,), room), "wanted": Declaration("wanted", (robot,), room)}
-    move = replace(
-        domain.actions["move"],
-        precondition=at("?r", "?a"),
-        start_effects=(put(("place", "?r"), UNDEFINED),),
-        end_effects=(put(("place", "?r"), "?b"),),
-    )
-    fetch = replace(
-        domain.actions["fetch"],
-        precondition=Not(Compare("=", ValueOf(("place", "?r")), ValueOf(("wanted", "?r")))),
-        end_effects=(Set(("place", "?r"), ValueOf(("wanted", "?r"))),),
-    )
-    greet = replace(domain.actions["greet"], precondition=at("?r", "hall"))
-    return replace(domain, functions=functions, actions={"move": move, "fetch": fetch, "greet": greet})
-
-
-def tray_problem(init: dict[Fluent, Value], goal: Condition) -> Problem:
-    things = "(:objects r1 r2 - robot hall lab yard - room cup - thing)"
-    problem = parse_problem(f"(define (problem p) (:domain trays) {things} (:init) (:goal (and)))", trays())
-    return replace(problem, init=init, goal=goal)
+def tray_problem(init: str, goal: str) -> Problem:
+    things = "(:objects r1 r2 - robot lab yard - room cup - thing)"
+    return parse_problem(f"(define (problem p) (:domain trays) {things} (:init {init}) (:goal {goal}))", TRAYS)
 
 
 R1, R2 = ("place", "r1"), ("place", "r2")
-IN_LAB = tray_problem({R1: "hall"}, at("r1", "lab"))
+IN_LAB = tray_problem("(= (place r1) hall)", "(= (place r1) lab)")
 TO_LAB = timed("0 4 move r1 hall lab")
 
 
 def test_objects_order_calls_like_facts() -> None:
     plan = timed("0 4 move r1 hall lab", "4.001 4 move r1 lab yard", "0 4 move r2 hall lab", "8.002 0 greet r1")
-    graph = plan_graph(tray_problem({R1: "hall", R2: "hall"}, at("r1", "yard")), plan)
+    graph = plan_graph(tray_problem("(= (place r1) hall) (= (place r2) hall)", "(= (place r1) yard)"), plan)
     assert shown(graph)[0] == "end of #0 < start of #1 ((place r1))"
     assert not any(2 in (one.before.call, one.after.call) for one in graph.orderings)
 
 
-def test_a_robot_whose_place_is_a_value_arrives() -> None:
-    async def scenario(simulation: SimulatedSite) -> None:
-        result = await simulation.run(plan_graph(IN_LAB, TO_LAB))
-        assert result.goal, result.reason
-        assert (simulation.truth(R1), simulation.knowledge.value(R1)) == ("lab", "lab")
-
-    with_site(IN_LAB, scenario)
-
-
-def test_on_the_way_it_is_nowhere() -> None:
+def test_a_robot_whose_place_is_a_value_is_nowhere_on_its_way_and_arrives() -> None:
     places: list[object] = []
 
     async def scenario(simulation: SimulatedSite) -> None:
         asyncio.get_running_loop().call_later(2.0, lambda: places.append(simulation.knowledge.value(R1)))
-        assert (await simulation.run(plan_graph(IN_LAB, TO_LAB))).goal
+        result = await simulation.run(plan_graph(IN_LAB, TO_LAB))
+        assert result.goal, result.reason
+        assert (simulation.truth(R1), simulation.knowledge.value(R1)) == ("lab", "lab")
 
     with_site(IN_LAB, scenario)
     assert places == [UNDEFINED]
@@ -157,7 +123,7 @@ def test_a_robot_that_is_there_does_not_move() -> None:
 
 
 def test_a_value_read_at_the_end_is_the_one_it_has_then() -> None:
-    problem = tray_problem({R1: "hall", ("wanted", "r1"): "lab"}, at("r1", "yard"))
+    problem = tray_problem("(= (place r1) hall) (= (wanted r1) lab)", "(= (place r1) yard)")
 
     async def scenario(simulation: SimulatedSite) -> None:
         result = await simulation.run(plan_graph(problem, timed("0 3 fetch r1")))
@@ -168,7 +134,7 @@ def test_a_value_read_at_the_end_is_the_one_it_has_then() -> None:
 
 def test_a_goal_field_may_be_an_object_that_is_known() -> None:
     bindings = Bindings({"fetch": Binding(goal={"robot": "?r", "to": "(wanted ?r)"})})
-    wanted = tray_problem({R1: "hall", ("wanted", "r1"): "lab"}, at("r1", "lab"))
+    wanted = tray_problem("(= (place r1) hall) (= (wanted r1) lab)", "(= (place r1) lab)")
 
     async def scenario(simulation: SimulatedSite) -> None:
         graph = plan_graph(wanted, timed("0 3 fetch r1"))

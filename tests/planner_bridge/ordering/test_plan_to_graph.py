@@ -24,29 +24,24 @@ from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.plan_graph import Moment
 from tests.support.pddl.problems import matches, rooms
 from tests.support.runs.plan_graphs import any_order, shown
+from tests.support.tasks.planned_runs import timed
 
 
 def sequence(*steps: str) -> Plan:
     return Plan(tuple(PlanStep(step.split()[0], tuple(step.split()[1:]), float(index)) for index, step in enumerate(steps)))
 
 
-def test_independent_calls_are_not_ordered() -> None:
-    assert shown(plan_graph(rooms(), sequence("move r1 a b", "move r2 a d"))) == []
-
-
-def test_an_ordering_names_the_fact_it_protects() -> None:
-    graph = plan_graph(rooms(), sequence("move r1 a b", "move r1 b c"))
-    assert shown(graph) == ["end of #0 < start of #1 ((at r1 b))"]
-
-
-def test_a_reader_comes_before_the_next_writer() -> None:
-    graph = plan_graph(rooms(), sequence("sweep r1 a", "move r1 a b"))
-    assert shown(graph) == ["end of #0 < start of #1 ((at r1 a))"]
-
-
-def test_a_counter_that_only_a_metric_reads_orders_nothing() -> None:
-    graph = plan_graph(rooms(), sequence(*(f"move {robot} a b" for robot in ("r1", "r2"))))
-    assert graph.orderings == ()
+@pytest.mark.parametrize(
+    ("steps", "orderings"),
+    [
+        (["move r1 a b", "move r2 a d"], []),
+        (["move r1 a b", "move r2 a b"], []),  # of a counter that only a metric reads nothing follows
+        (["move r1 a b", "move r1 b c"], ["end of #0 < start of #1 ((at r1 b))"]),
+        (["sweep r1 a", "move r1 a b"], ["end of #0 < start of #1 ((at r1 a))"]),  # a reader before the next writer
+    ],
+)
+def test_an_ordering_names_the_fact_it_protects(steps: list[str], orderings: list[str]) -> None:
+    assert shown(plan_graph(rooms(), sequence(*steps))) == orderings
 
 
 def never_both(room: str) -> Constraint:
@@ -78,12 +73,6 @@ def test_what_a_constraint_with_times_speaks_of_does_not_change_before_its_time(
     assert [call.release for call in graph.calls] == [6.0, 0.0]
 
 
-def test_a_call_inside_another_starts_after_its_start_and_ends_before_its_end() -> None:
-    problem = matches(1)
-    plan = Plan((PlanStep("strike", ("m0",), 0.0, 8.0), PlanStep("mend", ("f0", "m0"), 0.0, 5.0)), temporal=True)
-    assert shown(plan_graph(problem, plan)) == ["start of #0 < start of #1 ((light m0))", "end of #1 < end of #0 ((light m0))"]
-
-
 TWO_MATCHES = (
     PlanStep("strike", ("m0",), 0.0, 8.0),
     PlanStep("mend", ("f0", "m0"), 0.0, 5.0),
@@ -92,22 +81,38 @@ TWO_MATCHES = (
 )
 
 
+def test_a_call_inside_another_starts_after_its_start_and_ends_before_its_end() -> None:
+    graph = plan_graph(matches(1), Plan(TWO_MATCHES[:2], temporal=True))
+    assert shown(graph) == ["start of #0 < start of #1 ((light m0))", "end of #1 < end of #0 ((light m0))"]
+
+
 def test_an_enveloping_call_keeps_the_plans_distance_from_what_its_insides_wait_for() -> None:
     graph = plan_graph(matches(2), Plan(TWO_MATCHES, temporal=True))
     assert "start of #1 + 3.08 s < start of #2 ((light m1))" in shown(graph)  # 1 % of its 8 s later than the plan
 
 
-def test_calls_that_fill_another_to_the_last_moment_are_carried_out() -> None:
-    problem = parse_problem(
-        "(define (problem p) (:domain d) (:init) (:goal (last)))",
-        parse_domain("""(define (domain d) (:requirements :durative-actions) (:predicates (fresh) (on) (first) (seen) (last))
-          (:durative-action cover :parameters () :duration (= ?duration 219.04) :condition ()
-            :effect (and (at start (on)) (at end (not (on)))))
-          (:durative-action one :parameters () :duration (= ?duration 139) :condition (over all (on)) :effect (at end (first)))
-          (:durative-action look :parameters () :duration (= ?duration 2) :condition (at start (first)) :effect (at end (seen)))
-          (:durative-action two :parameters () :duration (= ?duration 80.04)
-            :condition (and (over all (first)) (over all (on)) (at end (seen))) :effect (at end (last))))"""),
+def lasting(actions: str, init: str = "", goal: str = "(done)") -> Problem:
+    """A problem about p, q, w, open, done, and more; each action is a name, its duration, its condition and its effect."""
+    schemas = (line.split(";") for line in filter(str.strip, actions.splitlines()))
+    text = " ".join(
+        f"(:durative-action {name} :parameters () :duration (= ?duration {seconds}) :condition {condition} :effect {effect})"
+        for name, seconds, condition, effect in schemas
     )
+    domain = parse_domain(
+        f"(define (domain d) (:requirements :durative-actions :adl :timed-initial-literals) (:predicates {FACTS}) {text})"
+    )
+    return parse_problem(f"(define (problem p) (:domain d) (:init {init}) (:goal {goal}))", domain)
+
+
+FACTS = " (:predicates (p) (q) (w) (on) (open) (first) (seen) (done) (gone))"
+
+
+def test_calls_that_fill_another_to_the_last_moment_are_carried_out() -> None:
+    problem = lasting("""
+        cover; 219.04; (); (and (at start (on)) (at end (not (on))))
+        one; 139; (over all (on)); (at end (first))
+        look; 2; (at start (first)); (at end (seen))
+        two; 80.04; (and (over all (first)) (over all (on)) (at end (seen))); (at end (done))""")
     result = achieve(None, problem)
     assert result.goal_reached
     assert [call.outcome for call in result.calls] == ["succeeded"] * 4
@@ -154,90 +159,65 @@ def test_calls_inside_others_end_when_the_plan_says(fuses: int) -> None:
 
 
 def test_an_enveloping_call_is_not_earlier_than_what_its_insides_are_released_for() -> None:
-    text = """(define (domain d) (:requirements :durative-actions :timed-initial-literals) (:predicates (on) (open) (done))
-      (:durative-action light :parameters () :duration (= ?duration 8) :condition ()
-        :effect (and (at start (on)) (at end (not (on)))))
-      (:durative-action pass :parameters () :duration (= ?duration 2)
-        :condition (and (at start (open)) (over all (on))) :effect (at end (done))))"""
-    problem = parse_problem("(define (problem p) (:domain d) (:init (at 70 (open))) (:goal (done)))", parse_domain(text))
-    steps = PlanStep("light", (), 65.0, 8.0), PlanStep("pass", (), 70.0, 2.0)
-    graph = plan_graph(problem, Plan(steps, temporal=True))
+    actions = """
+        light; 8; (); (and (at start (on)) (at end (not (on))))
+        pass; 2; (and (at start (open)) (over all (on))); (at end (done))"""
+    problem = lasting(actions, "(at 70 (open))")
+    graph = plan_graph(problem, timed("65 8 light", "70 2 pass"))
     assert [call.release for call in graph.calls] == [65.08, 70.0]
     assert achieve(None, problem).replans == 0
 
 
 def test_an_end_does_not_come_before_a_start_that_must_precede_it() -> None:
-    problem = parse_problem(
-        "(define (problem p) (:domain d) (:init (p)) (:goal (and (done) (w))))",
-        parse_domain("""(define (domain d) (:requirements :durative-actions) (:predicates (p) (w) (done))
-          (:durative-action a :parameters () :duration (= ?duration 8) :condition () :effect (at end (not (p))))
-          (:durative-action make-w :parameters () :duration (= ?duration 5) :condition () :effect (at end (w)))
-          (:durative-action b :parameters () :duration (= ?duration 1)
-            :condition (and (at start (p)) (at start (w))) :effect (at end (done))))"""),
-    )
-    plan = Plan((PlanStep("a", (), 0.0, 8.0), PlanStep("make-w", (), 0.0, 5.0), PlanStep("b", (), 5.001, 1.0)), temporal=True)
-    graph = plan_graph(problem, plan)
+    actions = """
+        a; 8; (); (at end (not (p)))
+        make-w; 5; (); (at end (w))
+        b; 1; (and (at start (p)) (at start (w))); (at end (done))"""
+    graph = plan_graph(lasting(actions, "(p)", "(and (done) (w))"), timed("0 8 a", "0 5 make-w", "5.001 1 b"))
     assert "start of #1 + 0.08 s < start of #0 ((p))" in shown(graph)
     assert "start of #2 < end of #0 ((p))" in shown(graph)
 
 
-TIMED = """(define (domain d) (:requirements :durative-actions :timed-initial-literals) (:predicates (p) (open) (done) (gone))
-  (:durative-action work :parameters () :duration (= ?duration 5) :condition (at end (open)) :effect (at end (done)))
-  (:durative-action hold :parameters () :duration (= ?duration 10) :condition (over all (p)) :effect (at end (done)))
-  (:durative-action remove :parameters () :duration (= ?duration 1) :condition () :effect (and (at start (not (p))) (at end (gone)))))"""
+TIMED = """
+    work; 5; (at end (open)); (at end (done))
+    begin; 5; (at start (p)); (at end (done))
+    hold; 10; (over all (p)); (at end (done))
+    hold-either; 10; (over all (or (p) (open))); (at end (done))
+    remove; 1; (); (and (at start (not (p))) (at end (gone)))"""
 
 
 def test_an_end_that_needs_a_timed_fact_is_not_reached_too_early() -> None:
-    problem = parse_problem("(define (problem p) (:domain d) (:init (at 70 (open))) (:goal (done)))", parse_domain(TIMED))
-    released = [plan_graph(problem, Plan((PlanStep("work", (), start, 5.0),), temporal=True)).calls[0].release for start in (70.0, 65.001)]
+    problem = lasting(TIMED, "(at 70 (open))")
+    released = [plan_graph(problem, timed(f"{start} 5 work")).calls[0].release for start in (70.0, 65.001)]
     assert released == [65.05, 65.001], "a little after it could, but no later than planned"
 
 
-def test_a_start_that_a_timed_change_would_make_impossible_is_not_later() -> None:
-    text = """(define (domain d) (:requirements :durative-actions :timed-initial-literals) (:predicates (p) (done) (seen))
-      (:durative-action begin :parameters () :duration (= ?duration 5) :condition (at start (p)) :effect (at end (done)))
-      (:action look :parameters () :precondition (p) :effect (seen)))"""
-    problem = parse_problem(
-        "(define (problem p) (:domain d) (:init (p) (at 12 (not (p)))) (:goal (and (done) (seen))))", parse_domain(text)
-    )
-    plan = Plan((PlanStep("begin", (), 0.0, 5.0), PlanStep("look", (), 6.0, 0.0)), temporal=True)
-    assert [(call.latest_start, call.deadline) for call in plan_graph(problem, plan).calls] == [(12.0, inf), (12.0, inf)]
-
-
-def test_what_a_timed_change_would_break_must_end_before() -> None:
-    problem = parse_problem("(define (problem p) (:domain d) (:init (p) (at 12 (not (p)))) (:goal (done)))", parse_domain(TIMED))
-    plan = Plan((PlanStep("hold", (), 0.0, 10.0),), temporal=True)
-    assert plan_graph(problem, plan).calls[0].deadline == 12.0
-
-
-def test_a_timed_change_that_leaves_a_condition_true_is_no_deadline() -> None:
-    problem = parse_problem("(define (problem p) (:domain d) (:init (p) (at 12 (p))) (:goal (done)))", parse_domain(TIMED))
-    plan = Plan((PlanStep("hold", (), 0.0, 10.0),), temporal=True)
-    assert plan_graph(problem, plan).calls[0].deadline == inf
-
-
-def test_a_timed_change_in_the_middle_that_leaves_a_condition_true_is_no_limit_either() -> None:
-    text = TIMED.replace("(over all (p))", "(over all (or (p) (open)))").replace(":timed", ":disjunctive-preconditions :timed")
-    init = "(:init (p) (open) (at 5 (not (p))))"
-    problem = parse_problem(f"(define (problem p) (:domain d) {init} (:goal (done)))", parse_domain(text))
-    (hold,) = plan_graph(problem, Plan((PlanStep("hold", (), 0.0, 10.0),), temporal=True)).calls
-    assert (hold.latest_start, hold.deadline) == (inf, inf)
+@pytest.mark.parametrize(
+    ("init", "step", "latest_start", "deadline"),
+    [
+        ("(p) (at 12 (not (p)))", "0 5 begin", 12.0, inf),  # a start that the change would make impossible
+        ("(p) (at 12 (not (p)))", "0 10 hold", inf, 12.0),  # what it would break must end before
+        ("(p) (at 12 (p))", "0 10 hold", inf, inf),
+        ("(p) (open) (at 5 (not (p)))", "0 10 hold-either", inf, inf),  # in the middle, it leaves the condition true
+    ],
+)
+def test_a_timed_change_is_a_limit_for_what_it_makes_false(init: str, step: str, latest_start: float, deadline: float) -> None:
+    (call,) = plan_graph(lasting(TIMED, init), timed(step)).calls
+    assert (call.latest_start, call.deadline) == (latest_start, deadline)
 
 
 def test_a_timed_change_does_not_hide_who_reads_the_fact() -> None:
-    problem = parse_problem("(define (problem p) (:domain d) (:init (p) (at 5 (p))) (:goal (and (done) (gone))))", parse_domain(TIMED))
-    plan = Plan((PlanStep("hold", (), 0.0, 10.0), PlanStep("remove", (), 10.001, 1.0)), temporal=True)
-    assert shown(plan_graph(problem, plan)) == ["end of #0 < start of #1 ((p))"]
+    problem = lasting(TIMED, "(p) (at 5 (p))", "(and (done) (gone))")
+    assert shown(plan_graph(problem, timed("0 10 hold", "10.001 1 remove"))) == ["end of #0 < start of #1 ((p))"]
 
 
 def test_writes_that_keep_an_over_all_condition_true_together_are_ordered() -> None:
-    text = """(define (domain d) (:requirements :durative-actions :disjunctive-preconditions) (:predicates (p) (q) (held) (r))
-      (:durative-action hold :parameters () :duration (= ?duration 10) :condition (over all (or (p) (q))) :effect (at end (held)))
-      (:durative-action add-p :parameters () :duration (= ?duration 3) :condition () :effect (at end (p)))
-      (:durative-action del-q :parameters () :duration (= ?duration 1) :condition () :effect (and (at end (not (q))) (at end (r)))))"""
-    problem = parse_problem("(define (problem p) (:domain d) (:init (q)) (:goal (and (held) (r))))", parse_domain(text))
-    steps = PlanStep("hold", (), 0.0, 10.0), PlanStep("add-p", (), 0.0, 3.0), PlanStep("del-q", (), 8.5, 1.0)
-    assert "end of #1 < end of #2 ((p), (q))" in shown(plan_graph(problem, Plan(steps, temporal=True)))
+    actions = """
+        hold; 10; (over all (or (p) (q))); (at end (seen))
+        add-p; 3; (); (at end (p))
+        del-q; 1; (); (and (at end (not (q))) (at end (done)))"""
+    graph = plan_graph(lasting(actions, "(q)", "(and (seen) (done))"), timed("0 10 hold", "0 3 add-p", "8.5 1 del-q"))
+    assert "end of #1 < end of #2 ((p), (q))" in shown(graph)
 
 
 @given(st.lists(st.sampled_from(["r1", "r2"]), min_size=1, max_size=10), st.randoms(use_true_random=False))
