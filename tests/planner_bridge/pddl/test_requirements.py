@@ -13,7 +13,7 @@ from pnm.core.logic.conditions import All, Compare
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.expressions import Constant, ValueOf
 from pnm.errors import Position, Tolerated
-from tests.support.files import ROOT
+from tests.support.pddl.files import OWN, Pair, name_of
 from tests.support.pddl.text import DECLARING, warnings
 
 domain_with = DECLARING.domain_with
@@ -92,9 +92,9 @@ def test_a_problem_has_the_requirements_of_its_domain_and_its_own() -> None:
 # --- what is plain PDDL has no warnings ---
 
 
-@pytest.mark.parametrize("path", sorted(ROOT.glob("problems/*/p*.pddl")), ids=lambda path: f"{path.parent.name}-{path.stem}")
-def test_our_own_files_have_no_warnings(path: Path) -> None:
-    assert load(ROOT / "domains" / path.parent.name / "domain.pddl", path).warnings == ()
+@pytest.mark.parametrize("pair", OWN, ids=name_of)
+def test_our_own_files_have_no_warnings(pair: Pair) -> None:
+    assert load(*pair).warnings == ()
 
 
 CORRECT = (

@@ -20,23 +20,17 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.language.plan import HandWrittenPlan, merge_bindings, parse_plans, read_plans
 from pnm.language.runner import PlanRunner, Program
-from tests.support.files import ROOT
+from tests.support.pddl.files import OWN, Pair, name_of, pairs
 
 Told = tuple[bool, list[tuple[str, ...]], dict[Fluent, Value | Unknown]]
 
-KNOWN = ROOT.parent / "shared" / "pddl"
 SMALLEST: Final = (
-    *("robots/rosplan_test", "robots/lights", "robots/match_cellar", "robots/simple_1", "robots/turtlebot", "robots/amazon"),
-    *("ipc/ipc2011-match-cellar-temporal_s", "ipc/blocks_m", "ipc/gripper_s", "ipc/miconic_s", "ipc/zenotravel_s", "ipc/satellite_s"),
-    *("ipc/ipc2008-openstacks-temporal-adl_s", "robots/test_2"),
+    *("rosplan_test", "lights", "match_cellar", "simple_1", "turtlebot", "amazon", "test_2", "ipc2011-match-cellar-temporal_s", "blocks_m"),
+    *("gripper_s", "miconic_s", "zenotravel_s", "satellite_s", "ipc2008-openstacks-temporal-adl_s"),
 )
 """Those of the smallest for which there is a plan."""
-OWN: Final = [
-    (ROOT / "domains" / name / "domain.pddl", ROOT / "problems" / name / f"{number}.pddl")
-    for name in ("delivery", "mall_guide", "patrol")
-    for number in ("p01", "p02")
-]
-PAIRS: Final = [*OWN, *((KNOWN / one / "domain.pddl", KNOWN / one / "problem.pddl") for one in SMALLEST if (KNOWN / one).is_dir())]
+BESIDE: Final = [(folder / "domain.pddl", folder / "problem.pddl") for folder in pairs() if folder.name in SMALLEST]
+FEW: Final = [pair for pair in OWN if pair[0].parent.name in ("delivery", "mall_guide", "patrol") and pair[1].stem in ("p01", "p02")]
 
 
 def calls_told(calls: tuple[CallResult, ...]) -> list[tuple[str, ...]]:
@@ -63,8 +57,8 @@ def run_exported(plan: HandWrittenPlan) -> Told:
     return run_async(performed(), virtual=True)
 
 
-@pytest.mark.parametrize("pair", PAIRS, ids=lambda pair: f"{pair[0].parent.name}-{pair[1].stem}")
-def test_the_exported_plan_does_the_same(pair: tuple[Path, Path], tmp_path: Path) -> None:
+@pytest.mark.parametrize("pair", [*FEW, *BESIDE], ids=name_of)
+def test_the_exported_plan_does_the_same(pair: Pair, tmp_path: Path) -> None:
     file = tmp_path / "exported.yaml"
     file.write_text(exported(*pair, with_plan=True, improve=0.0).text, encoding="utf-8")  # the same plan every time
     (plan,) = read_plans(file).values()

@@ -13,8 +13,7 @@ from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pipeline.loading import load
 from planner_bridge.planning.solve import solve
 from pnm.core.machine.plan_graph import PlanGraph
-from tests.support.files import ROOT
-from tests.support.pddl.files import REFUSED, pairs
+from tests.support.pddl.files import OWN, REFUSED, pairs
 
 UNSOLVED: Final = {
     "rosplan_test_no_solution": "proved unsolvable",
@@ -32,9 +31,7 @@ def solved(*, large: bool = True) -> list[object]:
     """Return the domain and the problem file of everything that has a plan, as parameters of a test."""
     left_out = {*REFUSED, *UNSOLVED, *(() if large else LARGE)}
     beside = [(folder / "domain.pddl", folder / "problem.pddl") for folder in pairs() if folder.name not in left_out]
-    domains = sorted((ROOT / "domains").glob("*/domain.pddl"))
-    own = [(domain, file) for domain in domains for file in sorted((ROOT / "problems" / domain.parent.name).glob("*.pddl"))]
-    return [pytest.param(domain, file, id=f"{domain.parent.name} {file.stem}") for domain, file in (*own, *beside)]
+    return [pytest.param(domain, file, id=f"{domain.parent.name} {file.stem}") for domain, file in (*OWN, *beside)]
 
 
 @cache
