@@ -99,7 +99,7 @@ def lasting(actions: str, init: str = "", goal: str = "(done)") -> Problem:
         for name, seconds, condition, effect in schemas
     )
     domain = parse_domain(
-        f"(define (domain d) (:requirements :durative-actions :adl :timed-initial-literals) (:predicates {FACTS}) {text})"
+        f"(define (domain d) (:requirements :adl :durative-actions :timed-initial-literals){FACTS} {text})"
     )
     return parse_problem(f"(define (problem p) (:domain d) (:init {init}) (:goal {goal}))", domain)
 

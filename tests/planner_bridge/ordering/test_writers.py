@@ -65,6 +65,24 @@ def orders(draw: Draw) -> Drawn:
     return Drawn(order, {number: closed(number) for number in range(last + 1)}, graph)
 
 
+@given(orders())
+def test_what_comes_before_what_is_all_that_orderings_lead_to(drawn: Drawn) -> None:
+    for first in drawn.before:
+        for second, before in drawn.before.items():
+            assert drawn.order.comes_before(first, second) is (first == second or first in before)
+
+
+@given(orders(), st.data())
+def test_what_may_come_between_is_neither_before_nor_after(drawn: Drawn, data: st.DataObject) -> None:
+    writers = Writers[None](drawn.order, None)
+    for number in sorted(data.draw(st.sets(st.sampled_from(range(1, len(drawn.before) - 1))))):
+        writers.add(number, None)
+    call = data.draw(st.sampled_from(drawn.graph.calls))
+    first, last = (drawn.order.number(call.index, moment) for moment in Moment)
+    outside = {first, last, *drawn.before[first], *(number for number, before in drawn.before.items() if last in before)}
+    assert sorted(writers.between(first, last)) == [number for number in writers.numbers if number not in outside]
+
+
 @given(orders(), st.data())
 def test_a_wrong_writer_is_one_that_some_order_has_last(drawn: Drawn, data: st.DataObject) -> None:
     order, before = drawn.order, drawn.before

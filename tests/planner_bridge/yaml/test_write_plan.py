@@ -10,33 +10,11 @@ from hypothesis import given, strategies as st
 
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.ordering.plan_to_graph import plan_graph
-from planner_bridge.yaml.write_plan import Block, Mesh, Parallel, Series, blocks, closure, plan_entries, reduced
+from planner_bridge.yaml.write_plan import Block, Mesh, Parallel, Series, blocks, plan_entries, reduced
 from planner_bridge.yaml.writer import write_problem, written
 from pnm.core.machine.plan_graph import ActionCall, Junction, Moment, Ordering, PlanEvent, PlanGraph
 from pnm.language.plan import read_plans
 from tests.support.pddl.problems import matches, rooms
-
-EDGES = st.integers(1, 9).flatmap(
-    lambda size: st.tuples(
-        st.just(size), st.lists(st.tuples(st.integers(0, size - 1), st.integers(0, size - 1)).filter(lambda edge: edge[0] < edge[1]))
-    )
-)
-
-
-def pairs_of(block: Block) -> tuple[set[int], set[tuple[int, int]]]:
-    """The elements of a block, and which of them come before which."""
-    match block:
-        case int():
-            return {block}, set()
-        case Mesh(before):
-            edges = {(first, second) for second, others in before.items() for first in others}
-            return set(before), closed(edges)
-        case Series(parts) | Parallel(parts):
-            found = [pairs_of(part) for part in parts]
-            pairs = {pair for _, own in found for pair in own}
-            if isinstance(block, Series):
-                pairs |= {(a, b) for i, (first, _) in enumerate(found) for second, _ in found[i + 1 :] for a in first for b in second}
-            return {one for members, _ in found for one in members}, pairs
 
 
 def closed(edges: set[tuple[int, int]]) -> set[tuple[int, int]]:
@@ -44,17 +22,6 @@ def closed(edges: set[tuple[int, int]]) -> set[tuple[int, int]]:
     while more := {(a, d) for a, b in found for c, d in edges if b == c} - found:
         found |= more
     return found
-
-
-@given(EDGES)
-def test_blocks_say_the_same_order(drawn: tuple[int, list[tuple[int, int]]]) -> None:
-    size, edges = drawn
-    before = reduced(size, edges)
-    assert closed({(one, number) for number, others in enumerate(before) for one in others}) == closed(set(edges))
-    members, pairs = pairs_of(blocks(before))
-    assert members == set(range(size))
-    assert pairs == closed(set(edges))
-    assert closure(before) == [sum(1 << a for a, b in closed(set(edges)) if b == number) for number in range(size)]
 
 
 @pytest.mark.parametrize(
