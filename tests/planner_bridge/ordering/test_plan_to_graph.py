@@ -98,9 +98,7 @@ def lasting(actions: str, init: str = "", goal: str = "(done)") -> Problem:
         f"(:durative-action {name} :parameters () :duration (= ?duration {seconds}) :condition {condition} :effect {effect})"
         for name, seconds, condition, effect in schemas
     )
-    domain = parse_domain(
-        f"(define (domain d) (:requirements :adl :durative-actions :timed-initial-literals){FACTS} {text})"
-    )
+    domain = parse_domain(f"(define (domain d) (:requirements :adl :durative-actions :timed-initial-literals){FACTS} {text})")
     return parse_problem(f"(define (problem p) (:domain d) (:init {init}) (:goal {goal}))", domain)
 
 
