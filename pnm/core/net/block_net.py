@@ -300,20 +300,13 @@ class Engine:
         """Return the places of the transition's preset that do not hold enough tokens."""
         return {place for place, weight in self.net.inputs[transition] if self.tokens[place] < weight}
 
-    def fire(self, transition: int, times: int = 1) -> None:
-        """Fire the transition `times` at once; raise `NotEnabled`, and change nothing, if the marking does not cover the preset."""
-        net, tokens = self.net, self.tokens
-        only, taken, given = net.only_input[transition], net.inputs[transition], net.outputs[transition]
-        # Checked before any token moves, so that a refused firing leaves the marking as it was.
-        # `missing` counts places for a single firing only; several at once need the weights to be looked at.
-        if times > 1 or (self.missing[transition] if only is None else not tokens[only]):
-            name = net.place_name
-            short = {name(place): weight * times - tokens[place] for place, weight in taken if tokens[place] < weight * times}
-            if short:
-                raise NotEnabled(net.transition_name(transition), short)
-        if times > 1:
-            taken, given = ([(place, weight * times) for place, weight in arcs] for arcs in (taken, given))
-        self.move(taken, given)
+    def fire(self, transition: int) -> None:
+        """Fire the transition; raise `NotEnabled`, and change nothing, if the marking does not cover the preset."""
+        net, taken = self.net, self.net.inputs[transition]
+        if not self.is_enabled(transition):  # before any token moves, so that a refused firing leaves the marking as it was
+            short = {net.place_name(place): weight - self.tokens[place] for place, weight in taken if self.tokens[place] < weight}
+            raise NotEnabled(net.transition_name(transition), short)
+        self.move(taken, net.outputs[transition])
 
     def move(self, taken: Sequence[tuple[int, int]], given: Sequence[tuple[int, int]]) -> None:
         """Fire a transition that is known to be enabled, and of which all arcs are given."""

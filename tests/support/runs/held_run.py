@@ -26,7 +26,7 @@ from pnm.core.machine.plan_graph import ActionCall, Choice, Flow, Loop, Step
 from pnm.core.machine.requests import CallOutcome, Request
 from pnm.core.net.net import Marking
 from tests.support.runs.direct import RUN
-from tests.support.runs.mutation.machines import CONDITIONS, random_bindings, random_plan, with_calls_under_way
+from tests.support.runs.mutation.machines import CONDITIONS, random_bindings, random_plan, with_calls_under_way, written_out
 from tests.support.yaml.chaos import Chaos
 
 EFFECTS = (
@@ -94,6 +94,8 @@ class Unrest(Chaos):
     """A world that answers as it likes, in which facts change often, and people pause, step and resume."""
 
     pauses = 6
+    has_stepped = False
+    """Whether the last event was a step."""
 
     def adopt(self, taken: UnderWay) -> None:
         """Answer for a request that another run has sent."""
@@ -101,8 +103,10 @@ class Unrest(Chaos):
 
     def _next(self) -> Event:
         random, chance = self.random, self.random.random()
+        self.has_stepped = False
         if self.run.pausing and (chance < 0.3 or not (self.queues or self.wake)):
-            return random.choice([SingleStep(), Resume(), Resume()])
+            self.has_stepped = random.random() < 0.3
+            return SingleStep() if self.has_stepped else Resume()
         if self.pauses and chance < 0.05:
             self.pauses -= 1
             return Pause(at_once=random.random() < 0.6)
@@ -122,6 +126,7 @@ def hold_against_reference(number: int, times: int = 3) -> None:
         plan = replace(plan, steps=tuple(_with_effects(step, random) for step in plan.steps))
         bindings = random_bindings(random)
         machine = generate(plan, bindings, on_failure=random.choice([*OnFailure]))
+        machine = written_out(machine) if random.random() < 0.2 else machine
         sensed = {name: random.choice([0.0, 1.5]) for name in ("powered", "free") if random.random() < 0.5}
         knowledge = Layered(
             KnowledgeBase({("powered",): random.random() < 0.8, ("free",): random.random() < 0.5, ("count",): 0.0}, sensed=sensed)

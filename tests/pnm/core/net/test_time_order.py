@@ -23,10 +23,6 @@ def order(*arcs: str, aside: str = "") -> TimeOrder:
     return time_order(net_of(*arcs), "a", aside)
 
 
-def test_what_tokens_come_to_later_comes_later() -> None:
-    assert [*order("a>d", "d>c", "c>b").when] == ["a", "d", "c", "b"]
-
-
 def test_the_arc_that_closes_a_cycle_leads_back() -> None:
     assert order("a>b", "b>c", "c>b", "c>d").back == {("c>b", "b")}
 
