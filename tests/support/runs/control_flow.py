@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from pnm.core.logic.computed_values import Data, Layer, Literal, Operation, Query, Update
 from pnm.core.logic.conditions import Computed, Condition, Holds
 from pnm.core.machine.failure_causes import Cause
@@ -56,6 +58,7 @@ SHAPES = {
     "chain and retry": plan_of_steps(call_with(0, on(Cause.ABORTED, Then.RETRY, call_with(1), times=2))),
     "own check before": plan_of_steps(call_with(0, on(Cause.BEFORE, Then.SKIP, call_with(1)))),
     "own check after": plan_of_steps(call_with(0, on(Cause.AFTER, Then.RETRY))),
+    "under way": plan_of_steps(replace(call_with(0, resources=("arm",)), under_way=True)),
     "resource": plan_of_steps(call_with(0, resources=("arm",)), call_with(1, resources=("arm",))),
     "resource and an end that waits": plan_of_steps(call_with(0, resources=("arm",)), call_with(1, resources=("arm",)), orders=("1s<0e",)),
 }

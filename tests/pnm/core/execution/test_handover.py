@@ -25,7 +25,6 @@ from pnm.core.resources import Resources
 from pnm.errors import RunError
 from tests.support.runs.commands import cancelled, in_its_moment, sent
 from tests.support.runs.handover import ABORTED, CANCELED, SUCCEEDED, going, successor
-from tests.support.runs.mutation.mutants import check_proof_of_mutants
 from tests.support.runs.plan_graphs import plan_of_steps
 from tests.support.runs.simulated import move
 
@@ -175,10 +174,6 @@ def test_what_contradicts_the_plan_is_refused() -> None:
         Run(twice, old.knowledge, id=UUID(int=2), adopted={0: there, 1: there})
     with pytest.raises(PlanGraphError, match="is under way: it cannot wait for others"):
         plan_of_steps(ActionCall(0, LAST), ActionCall(1, ACT, under_way=True), orders=("0e<1s",))
-
-
-def test_the_block_proof_accepts_no_machine_that_the_state_space_refutes() -> None:
-    check_proof_of_mutants(generate(plan_of_steps(ActionCall(0, ACT, under_way=True)), Bindings({"act": Binding(retries=0)})))
 
 
 # --- what has begun and is not reported yet -------------------------------------------------------

@@ -86,15 +86,6 @@ def test_a_request_that_is_not_accepted_yet_is_cancelled_when_it_is() -> None:
     assert run.paused
 
 
-def test_a_request_that_is_never_accepted_is_withdrawn_and_tried_again_after_the_pause() -> None:
-    run, _ = begun(plan(1), Bindings({"a0": Binding(accept=5.0)}))
-    run.handle(Pause(at_once=True), 1.0)
-    run.handle(Tick(), 5.0)
-    assert sent(run.handle(Ended(run.open_requests[0], CANCELED), 6.0)) == []
-    assert run.paused
-    assert sent(run.handle(Resume(), 7.0)) == ["a0"]
-
-
 def test_success_in_spite_of_the_cancellation_is_success() -> None:
     run = accepted(plan(2, "0e<1s"))
     run.handle(Pause(at_once=True), 1.0)
@@ -150,20 +141,6 @@ def test_a_run_that_is_stopped_when_it_is_paused_ends_at_once() -> None:
     never.handle(Ended(never.open_requests[0], Outcome(OutcomeKind.ABORTED)), 1.0)
     never.handle(Stop(cancel=False), 2.0)
     assert never.over
-
-
-def test_a_failure_while_a_call_is_being_suspended_ends_the_run() -> None:
-    run = accepted(plan(2), Bindings({"a1": Binding(retries=0)}))
-    one, other = run.open_requests
-    run.handle(Pause(at_once=True), 1.0)
-    run.handle(Ended(one, CANCELED), 2.0)
-    run.handle(Ended(other, CANCELED), 2.0)
-    run.handle(Resume(), 3.0)
-    run.handle(Pause(), 3.5)
-    run.handle(Ended(run.open_requests[1], Outcome(OutcomeKind.REJECTED)), 4.0)
-    assert run.ending
-    run.handle(Ended(run.open_requests[0], SUCCEEDED), 4.0)
-    assert run.over
 
 
 def test_assumed_start_effects_are_taken_back_and_all_checks_are_made_anew() -> None:

@@ -8,7 +8,7 @@ from uuid import UUID
 import pytest
 from hypothesis import given, strategies as st
 
-from pnm.core.execution.events import Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tick, Wake
+from pnm.core.execution.events import Begin, Cancel, Command, KnowledgeChanged, Send, Stop, Tick, Wake
 from pnm.core.execution.guards import OPENS, Guards
 from pnm.core.execution.machine_index import Firing, Site
 from pnm.core.execution.run import Run
@@ -19,13 +19,12 @@ from pnm.core.logic.expressions import UNKNOWN, Constant, Unknown, Value
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.guards import After
-from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
+from pnm.core.machine.plan_graph import GroundAction, PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Postponed
-from pnm.core.net.net import fire
 from pnm.errors import RunError
-from tests.support.runs.commands import RUN, begun, cancelled, sent
+from tests.support.runs.commands import RUN, accepted, begun, cancelled, sent
 from tests.support.runs.mutation.changes import with_rule
-from tests.support.runs.plan_graphs import plan, plans
+from tests.support.runs.plan_graphs import plan, plan_of
 from tests.support.runs.simulated import FiringLog
 
 SUCCEEDED = Outcome(OutcomeKind.SUCCEEDED)
@@ -35,13 +34,11 @@ def ids_sent(commands: list[Command]) -> list[UUID]:
     return [command.request.id for command in commands if isinstance(command, Send)]
 
 
-def test_beginning_sends_what_waits_for_nothing() -> None:
-    _, commands = begun(plan(3, "0e<2s"))
+def test_a_run_begins_once_and_sends_what_waits_for_nothing() -> None:
+    run, commands = begun(plan(3, "0e<2s"))
     assert sent(commands) == ["a0", "a1"]
-
-
-def test_a_run_begins_once() -> None:
-    run, _ = begun(plan(1))
+    with pytest.raises(RunError, match="not over"):
+        run.result()
     with pytest.raises(RunError, match="begun already"):
         run.handle(Begin(), 1.0)
 
@@ -51,16 +48,6 @@ def test_a_wait_at_the_place_that_is_marked_at_first_counts_from_the_beginning()
     run = Run(machine, Layered(KnowledgeBase()), id=RUN)
     assert sent(run.handle(Begin(), 1.0)) == []
     assert sent(run.handle(Tick(), 3.0)) == ["a0"]
-
-
-def test_an_unfinished_run_has_no_result() -> None:
-    run, _ = begun(plan(1))
-    with pytest.raises(RunError, match="not over"):
-        run.result()
-
-
-def test_the_same_events_give_the_same_commands_and_identities() -> None:
-    assert begun(plan(2))[1] == begun(plan(2))[1]
 
 
 def test_reports_about_unknown_or_finished_requests_change_nothing() -> None:
@@ -120,36 +107,15 @@ def test_results_are_stored_by_name_and_fill_later_goals() -> None:
     assert run.knowledge.world.variables() == {}
 
 
-def test_a_goal_field_without_a_value_is_a_failure_by_name() -> None:
-    run, commands = begun(plan(1), Bindings({"a0": Binding(goal={"time": "$nobody_knows"})}))
-    assert ids_sent(commands) == []
-    assert run.result().failures[0].cause == "data_missing"
-    assert run.result().failures[0].expected == "values for time"
-
-
-def test_a_fact_that_comes_in_time_opens_a_waiting_check() -> None:
-    knowledge = KnowledgeBase(sensed={"ok": 2.0})
-    graph = plan(1)
-    action = replace(graph.calls[0].action, precondition=Holds(("ok",)))
-    run = Run(generate(PlanGraph((replace(graph.calls[0], action=action),))), Layered(knowledge), id=RUN)
-    assert run.handle(Begin(), 0.0) == [Wake(2.0)]
-    knowledge.update({("ok",): True})
-    assert len(ids_sent(run.handle(KnowledgeChanged(), 1.0))) == 1
-
-
-def test_a_fact_that_does_not_come_in_time_is_a_failure() -> None:
-    graph = plan(1)
-    action = replace(graph.calls[0].action, precondition=Holds(("ok",)))
-    run = Run(generate(PlanGraph((replace(graph.calls[0], action=action),))), Layered(KnowledgeBase(sensed={"ok": 2.0})), id=RUN)
-    run.handle(Begin(), 0.0)
-    run.handle(Tick(), 2.0)
-    assert [failure.cause for failure in run.result().failures] == ["precondition_false"]
-
-
-def test_an_end_that_implies_acceptance_needs_no_acceptance() -> None:
-    run, commands = begun(plan(1))
-    assert ids_sent(run.handle(Ended(ids_sent(commands)[0], SUCCEEDED), 1.0)) == []
-    assert run.result().goal
+def test_a_fact_that_comes_in_time_opens_a_waiting_check_and_one_that_does_not_is_a_failure() -> None:
+    graph = plan_of(GroundAction("act", precondition=Holds(("ok",))))
+    for comes in (True, False):
+        run, commands = begun(graph, world=KnowledgeBase(sensed={"ok": 2.0}))
+        assert commands == [Wake(2.0)]
+        run.knowledge.world.update({("ok",): comes})
+        assert len(ids_sent(run.handle(KnowledgeChanged(), 1.0))) == comes
+        run.handle(Tick(), 2.0)
+        assert [failure.cause for failure in run._results.failures] == ([] if comes else ["precondition_false"])
 
 
 def test_being_told_to_cancel_is_stronger_than_being_told_to_end() -> None:
@@ -160,17 +126,14 @@ def test_being_told_to_cancel_is_stronger_than_being_told_to_end() -> None:
 
 
 def test_releases_count_from_the_moment_that_was_planned_from() -> None:
-    graph = plan(1)
-    released = PlanGraph((replace(graph.calls[0], release=10.0),))
+    released = PlanGraph((replace(plan(1).calls[0], release=10.0),))
     run = Run(generate(released), Layered(KnowledgeBase()), id=RUN, origin=100.0)
     assert run.handle(Begin(), 105.0) == [Wake(110.0)]
 
 
 def acting(*effects: Effect, **options: object) -> tuple[Run, list[Command]]:
     """A run of one instantaneous action with these effects, in knowledge with these facts."""
-    action = GroundAction("act", end_effects=effects)
-    run = Run(generate(PlanGraph((ActionCall(0, action),))), Layered(KnowledgeBase(**options)), id=RUN)  # type: ignore[arg-type]
-    return run, run.handle(Begin(), 0.0)
+    return begun(plan_of(GroundAction("act", end_effects=effects)), world=KnowledgeBase(**options))  # type: ignore[arg-type]
 
 
 def test_assumed_effects_do_not_depend_on_what_the_sensors_show_meanwhile() -> None:
@@ -200,10 +163,8 @@ def test_a_toggle_that_the_sensors_show_early_is_not_taken_for_a_missing_effect(
 def test_a_number_changed_at_the_start_is_what_it_was_after_a_failure(before: Value | Unknown | None) -> None:
     action = GroundAction("act", start_effects=(Set(("fuel",), Constant(1.0), "increase"),), duration=1.0)
     facts = {} if before is None else {("fuel",): before}
-    run = Run(generate(PlanGraph((ActionCall(0, action),))), Layered(KnowledgeBase(facts)), id=RUN)
-    commands = run.handle(Begin(), 0.0)
-    run.handle(Accepted(ids_sent(commands)[0]), 0.0)
-    run.handle(Ended(ids_sent(commands)[0], Outcome(OutcomeKind.ABORTED)), 1.0)
+    run = accepted(plan_of(action), world=KnowledgeBase(facts))
+    run.handle(Ended(run.open_requests[0], Outcome(OutcomeKind.ABORTED)), 1.0)
     assert run.knowledge.value(("fuel",)) == (UNKNOWN if before is None else before)
 
 
@@ -212,61 +173,13 @@ def test_a_fact_that_is_unknown_is_not_already_true() -> None:
     assert len(ids_sent(commands)) == 1
 
 
-ANSWERS = st.lists(
-    st.tuples(st.sampled_from((*OutcomeKind, None, "accept", "stop", "cancel")), st.integers(0, 5), st.floats(0.0, 20.0)), max_size=40
-)
-
-
-@given(plans(most=4), ANSWERS)
-def test_whatever_the_world_answers_the_run_ends_and_every_marking_follows_from_the_firings(
-    graph: PlanGraph, answers: list[tuple[object, int, float]]
-) -> None:
-    log = FiringLog()
-    run, commands = begun(graph, Bindings({f"a{index}": Binding(accept=5.0, timeout=30.0, cancel=3.0) for index in range(4)}), observer=log)
-    now, open_requests, wake = 0.0, ids_sent(commands), _wake(commands, None)
-    for kind, which, pause in answers:
-        if run.over:
-            break
-        event: Event
-        request = open_requests[which % len(open_requests)] if open_requests else UUID(int=0)
-        if kind is None:
-            event = KnowledgeChanged()
-        elif kind == "accept":
-            event = Accepted(request)
-        elif kind in ("stop", "cancel"):
-            event = Stop(cancel=kind == "cancel")
-        else:
-            event = Ended(request, Outcome(kind))  # type: ignore[arg-type]
-        now += pause
-        commands = run.handle(event, now)
-        open_requests += ids_sent(commands)
-        wake = _wake(commands, wake)
-    for _ in range(1000):  # from now on nobody answers: limits alone must end it
-        if run.over:
-            break
-        assert wake is not None, "nothing is going to happen any more"
-        now = max(now, wake)
-        wake = _wake(run.handle(Tick(), now), None)
-    result = run.result()
-    assert result.goal != bool(result.failures or result.stopped)
-    marking = run.machine.initial
-    for _, transition in log.fired_at:
-        marking = fire(run.machine.net, marking, transition)
-    assert marking == run.marking
-
-
-def _wake(commands: list[Command], before: float | None) -> float | None:
-    return next((command.at for command in reversed(commands) if isinstance(command, Wake)), before)
-
-
 @given(st.data())
 def test_what_guards_answer_does_not_depend_on_the_order_in_which_they_are_asked(data: st.DataObject) -> None:
     done = (Set(("done", "a0"), Constant(True)), Set(("seen", "a0"), Constant(True)))
     action = GroundAction("a0", precondition=Holds(("ok",)), invariant=Holds(("ok",)), end_effects=done)
     known = {("ok",): data.draw(st.booleans()), ("done", "a0"): data.draw(st.booleans())}
-    knowledge = Layered(KnowledgeBase(known, sensed={"ok": 1.0, "done": 1.0, "seen": 2.0}))
-    run = Run(generate(PlanGraph((ActionCall(0, action),))), knowledge, id=RUN)
-    for request in ids_sent(run.handle(Begin(), 0.0)):
+    run, _ = begun(plan_of(action), world=KnowledgeBase(known, sensed={"ok": 1.0, "done": 1.0, "seen": 2.0}))
+    for request in run.open_requests:
         outcome = data.draw(st.sampled_from([None, OutcomeKind.SUCCEEDED, OutcomeKind.ABORTED]))
         run.handle(Accepted(request) if outcome is None else Ended(request, Outcome(outcome)), 1.0)
     index, marked = run._index, [place for place, tokens in enumerate(run._engine.tokens) if tokens]

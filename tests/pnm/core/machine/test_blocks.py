@@ -10,12 +10,10 @@ from random import Random
 import pytest
 from hypothesis import given, strategies as st
 
-from pnm.core.logic.conditions import Holds
 from pnm.core.machine.blocks import PlacedStep
 from pnm.core.machine.call_block import CallTerms
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.core.machine.step_block import Port
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import verify
@@ -50,18 +48,6 @@ def test_the_proof_of_a_sample_is_that_of_the_whole(number: int) -> None:
     machine = random_machine(number)
     assert written_out(machine).generated is None
     assert verify(machine) == verify(written_out(machine)) == verify(machine)  # and again, with what is known of its calls by then
-
-
-def test_calls_of_one_shape_share_a_template_whatever_they_ask() -> None:
-    calls = (
-        ActionCall(index, GroundAction(f"a{index}", precondition=Holds((f"p{index}",)), duration=6.0 + index), latest_start=9.0 + index)
-        for index in range(50)
-    )
-    machine = generate(PlanGraph(tuple(calls)))
-    blocks = blocks_of(machine)
-    assert len({id(block.template) for block in blocks.placed if block.step}) == 1
-    assert machine.rules["a7()#7 start"].guard != machine.rules["a8()#8 start"].guard
-    verify(machine)
 
 
 def exchanged(machine: PetriNetMachine, call: int, change: Callable[[PlacedStep], PlacedStep]) -> PetriNetMachine:

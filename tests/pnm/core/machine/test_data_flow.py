@@ -14,7 +14,7 @@ from pnm.core.machine.plan_graph import ActionCall, GroundAction, Loop
 from pnm.core.machine.requests import Outcome, OutcomeKind
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, verify
-from tests.support.runs.control_flow import LARGE, SHAPES, call_with, flow, local, ne, store
+from tests.support.runs.control_flow import SHAPES, call_with, flow, local, ne, store
 from tests.support.runs.direct import drive
 from tests.support.runs.plan_graphs import plan_of_steps
 
@@ -97,26 +97,3 @@ def test_what_is_expected_is_checked_after_and_spares_the_action_before() -> Non
     assert found.result.goal
     loop = plan_of_steps(Loop(1, ne("n", 1), flow(ActionCall(0, done)), 2))
     assert drive(loop, variables={"result": 1}, bindings=ONCE).actions == ["a0", "a0"]
-
-
-@pytest.mark.parametrize("name", [*SHAPES, *LARGE])
-def test_every_failure_and_every_call_that_is_passed_over_has_a_cause(name: str) -> None:
-    machine = generate({**SHAPES, **LARGE}[name], ONCE)
-    calls = {call.index for call in machine.plan.calls}
-    explained = {place for step in calls for place in machine.blocks[step] if not machine.initial[place]}
-
-    after_chains = {place for region in machine.regions if region.owner in calls for place in region.last}
-
-    def comes_from_an_explained_place(transition: str) -> bool:
-        return machine.rules[transition].cause is not None or not (explained | after_chains).isdisjoint(machine.net.inputs[transition])
-
-    while left := {place for place in explained if not all(map(comes_from_an_explained_place, machine.net.preset(place)))}:
-        explained -= left
-    for transition, outputs in machine.net.outputs.items():
-        rule = machine.rules[transition]
-        if rule.call not in calls or machine.net.inputs[transition].keys() & outputs.keys():
-            continue  # of a loop, or a counter that is refilled
-        if any(place in machine.failure_places for place in outputs):
-            assert comes_from_an_explained_place(transition), transition
-        elif f"{machine.plan.calls[rule.call or 0]} done" in outputs:
-            assert rule.outcome is not None or comes_from_an_explained_place(transition), transition

@@ -10,9 +10,9 @@ from hypothesis import given, settings, strategies as st
 from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
-from pnm.core.machine.guards import Accepts, After, Always, ConditionFalse, Due, EffectsMissing, Ends, Guard, PauseAsked, Withheld
+from pnm.core.machine.guards import Accepts, After, Always, ConditionFalse, Due, EffectsMissing, Guard, PauseAsked, Withheld
 from pnm.core.machine.machine import OnFailure
-from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph, PlanGraphError
+from pnm.core.machine.plan_graph import GroundAction, PlanGraph, PlanGraphError
 from pnm.core.machine.requests import TransitionAction
 from pnm.core.machine.verification.explore import explore_part
 from pnm.core.machine.verification.part import Part, PartStep, Unsound, shape_of
@@ -20,7 +20,7 @@ from pnm.core.machine.verification.verify import explore, verify
 from pnm.core.net.net import PetriNet
 from tests.support.runs.mutation.changes import with_input, with_rule, without_transition
 from tests.support.runs.mutation.mutants import check_proof_of_mutants
-from tests.support.runs.plan_graphs import ordering, plan, plans
+from tests.support.runs.plan_graphs import plan, plan_of, plans
 
 SHAPES = {
     "empty": plan(0),
@@ -36,6 +36,7 @@ SHAPES = {
     "inside": plan(2, "0s<1s", "1e<0e", invariants=True),
     "crossing": plan(2, "0s<1s", "0e<1e"),
     "chain inside": plan(3, "0s<1s", "1e<2s", "2e<0e"),
+    "like an N": plan(4, "0e<2s", "0e<3s", "1e<3s"),
 }
 
 
@@ -43,29 +44,25 @@ def bindings(retries: int) -> Bindings:
     return Bindings({f"a{index}": Binding(retries=retries) for index in range(10)})
 
 
-@pytest.mark.parametrize("on_failure", OnFailure)
-@pytest.mark.parametrize("retries", [0, 1, 2])
+@pytest.mark.parametrize(("retries", "on_failure"), [(2, OnFailure.DRAIN), (1, OnFailure.CANCEL)])
 @pytest.mark.parametrize("name", SHAPES)
 def test_every_answer_of_the_world_leads_to_goal_or_failed(name: str, retries: int, on_failure: OnFailure) -> None:
-    machine = generate(SHAPES[name], bindings(retries if len(SHAPES[name].calls) < 3 else min(retries, 1)), on_failure=on_failure)
+    possible = retries if len(SHAPES[name].calls) < 3 else 0  # with more, there would be too many states
+    machine = generate(SHAPES[name], bindings(possible), on_failure=on_failure)
     explore(machine)
     verify(machine)
-
-
-def test_an_n_shape_of_four_calls_is_sound() -> None:
-    explore(generate(plan(4, "0e<2s", "0e<3s", "1e<3s"), bindings(0)))
 
 
 @pytest.mark.timeout(900)
-@settings(max_examples=10)
-@given(plans(most=3), st.integers(0, 1), st.sampled_from(OnFailure))
+@settings(max_examples=15)
+@given(plans(most=2), st.integers(0, 1), st.sampled_from(OnFailure))
 def test_any_partial_order_of_events_is_sound(graph: PlanGraph, retries: int, on_failure: OnFailure) -> None:
-    machine = generate(graph, bindings(retries if len(graph.calls) < 3 else 0), on_failure=on_failure)
+    machine = generate(graph, bindings(retries), on_failure=on_failure)
     explore(machine)
     verify(machine)
 
 
-@pytest.mark.parametrize(("name", "retries"), [("one call with an over-all condition", 1), ("chain", 1)])
+@pytest.mark.parametrize(("name", "retries"), [("one call with an over-all condition", 1), ("chain", 0)])
 def test_the_block_proof_accepts_no_machine_that_the_state_space_refutes(name: str, retries: int) -> None:
     check_proof_of_mutants(generate(SHAPES[name], bindings(retries)))
 
@@ -113,8 +110,7 @@ def test_a_channel_that_closes_a_cycle_is_refuted() -> None:
 
 
 def test_who_waits_for_what_is_withheld_has_a_limit() -> None:
-    graph = PlanGraph((ActionCall(0, GroundAction("act", resources=("arm",))),))
-    machine = generate(graph)
+    machine = generate(plan_of(GroundAction("act", resources=("arm",))))
     verify(machine)
     name = "act()#0 withheld before start"
     for broken in (without_transition(machine, name), with_rule(machine, name, guard=Withheld(0, float("inf"), TransitionAction.SEND))):
@@ -143,51 +139,6 @@ def ending_in(*finals: str, guard: Guard = Always()) -> Part:
     return Part(places=("start", *finals), steps=(step,), initial={"start": 1}, finals=frozenset(finals))
 
 
-def test_a_missing_outcome_is_refuted_by_name() -> None:
-    machine = generate(SHAPES["one call"])
-    with pytest.raises(Unsound, match=r"a0\(\)#0 running has no exit for a request that has aborted"):
-        verify(without_transition(machine, "a0()#0 aborted"))
-
-
-def test_a_budget_is_spent_by_an_arc_of_its_weight() -> None:
-    machine = generate(SHAPES["one call"], bindings(3))
-    assert machine.initial["a0()#0 budget"] == 3
-    assert machine.net.inputs["a0()#0 give_up"] == {"a0()#0 recover": 1, "a0()#0 spent": 3}
-
-
-def test_every_outcome_has_a_transition() -> None:
-    machine = generate(SHAPES["one call"])
-    names = {rule.name for rule in machine.rules.values()}
-    assert {
-        "succeeded",
-        "aborted",
-        "canceled",
-        "rejected",
-        "timed_out",
-        "unavailable",
-        "lost",
-        "effects_missing",
-        "precondition_false",
-    } <= names
-    at_running = [
-        rule.guard for name, rule in machine.rules.items() if "a0()#0 running" in machine.net.inputs[name] and isinstance(rule.guard, Ends)
-    ]
-    assert len(at_running) == len({guard.kinds for guard in at_running})
-
-
 def test_orderings_that_contradict_each_other_are_refused() -> None:
     with pytest.raises(PlanGraphError, match="cycle"):
         plan(2, "0e<1s", "1e<0s")
-
-
-@given(plans())
-def test_the_order_of_events_keeps_every_ordering(graph: PlanGraph) -> None:
-    position = {event: number for number, event in enumerate(graph.order)}
-    assert len(position) == 2 * len(graph.calls)
-    assert all(position[one.before] < position[one.after] for one in graph.orderings)
-
-
-def test_an_ordering_place_knows_the_fact_it_protects() -> None:
-    graph = replace(plan(2), orderings=(ordering("0e<1s", (("at", "r1", "hall"),)),))
-    machine = generate(graph)
-    assert [one.protects for one in machine.orderings.values()] == [(("at", "r1", "hall"),)]

@@ -89,21 +89,3 @@ def test_one_place_stands_for_all_that_are_like_it(part: Part, data: st.DataObje
     twin = doubled(part, data.draw(st.sampled_from(part.places)))
     if shape_of(part) == shape_of(twin):
         assert is_sound(part) == is_sound(twin)
-
-
-@given(parts(), st.permutations(range(3)))
-def test_names_and_the_order_of_places_do_not_matter(part: Part, order: list[int]) -> None:
-    names = {place: f"q{order[number]}" for number, place in enumerate(part.places)}
-
-    def named(weights: Iterable[str]) -> dict[str, int]:
-        return dict.fromkeys((names[place] for place in weights), 1)
-
-    other = replace(
-        part,
-        places=tuple(names.values()) if part.records | part.finals else tuple(sorted(names.values())),
-        steps=tuple(PartStep(one.name, one.guard, named(one.inputs), named(one.outputs)) for one in part.steps),
-        initial=named(part.initial),
-        supplies=tuple(tuple(named(supply)) for supply in part.supplies),
-        **{role: frozenset(named(getattr(part, role))) for role in ROLES},
-    )
-    assert shape_of(part) == shape_of(other)

@@ -5,20 +5,11 @@ from typing import get_args
 import pytest
 
 from pnm.core.execution.guards import OPENS
-from pnm.core.logic.conditions import TRUE, Holds
 from pnm.core.machine.guards import (
-    After,
-    ConditionFalse,
-    ConditionTrue,
-    Due,
-    EffectsMissing,
-    EffectsSeen,
     Ends,
     Guard,
     GuardKind,
-    KnowledgeRead,
     OfCall,
-    Opener,
     Withheld,
 )
 from pnm.core.machine.requests import OutcomeKind
@@ -50,18 +41,3 @@ def test_about_another_call_a_guard_is_otherwise_the_same(guard: Guard) -> None:
     assert other.call == 3
     assert other.about(7) == guard
     assert other.proved == guard.proved
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_what_knowledge_opens_reads_some(kind: type[GuardKind]) -> None:
-    assert kind.opened_by is not Opener.KNOWLEDGE or kind.reads is not KnowledgeRead.NOTHING
-
-
-def test_times_count_for_the_proof_as_far_as_they_come() -> None:
-    assert After(1.0).proved == After(2.0).proved != After(float("inf")).proved
-    assert Due(1.0).proved == Due(2.0).proved != Due(1.0, (("p", float("inf")),)).proved
-
-
-def test_complements_are_about_the_same() -> None:
-    assert ConditionFalse(TRUE).complement == ConditionTrue(TRUE) != ConditionTrue(Holds(("f",)))
-    assert EffectsMissing(2).complement == EffectsSeen(2)
