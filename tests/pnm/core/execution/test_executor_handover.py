@@ -100,27 +100,19 @@ def refusing(match: str, change: Callable[[Executor, ManualClient], Run]) -> Cal
     return scenario
 
 
-def stopped(executor: Executor) -> Run:
+def then(executor: Executor, event: Stop | Pause) -> Run:
+    """A successor that was made before the run was told something."""
     new = successor(executor.run)
-    executor.run.handle(Stop(), 1.0)
-    return new
-
-
-def ended(executor: Executor) -> Run:
-    new = successor(executor.run)
-    executor.run.handle(Pause(at_once=True), 1.0)
+    executor.run.handle(event, 1.0)
     executor.resume()
     return new
-
-
-# --- what is refused ---
 
 
 def test_nothing_that_is_under_way_is_lost() -> None:
     act, two = GroundAction("act"), GroundAction("two")
     carried(refusing(r"does not take over two\(\)", lambda executor, _: successor(executor.run, taken=1)), act, two)
-    carried(refusing("was told to stop", lambda executor, _: stopped(executor)), act)
-    carried(refusing(r"act\(\)#0 cannot be taken over", lambda executor, _: ended(executor)), act)
+    carried(refusing("was told to stop", lambda executor, _: then(executor, Stop())), act)
+    carried(refusing(r"act\(\)#0 cannot be taken over", lambda executor, _: then(executor, Pause(at_once=True))), act)
     carried(refusing("an id of its own", lambda executor, _: executor.run), act)
 
 

@@ -18,14 +18,14 @@ from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import UNKNOWN, Constant, Fluent, same_value
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
-from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph, PlanGraphError
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraphError
 from pnm.core.machine.requests import Accepted, Ended
 from pnm.core.machine.verification.verify import explore
 from pnm.core.resources import Resources
 from pnm.errors import RunError
 from tests.support.runs.commands import cancelled, in_its_moment, sent
 from tests.support.runs.handover import ABORTED, CANCELED, SUCCEEDED, going, successor
-from tests.support.runs.plan_graphs import plan_of_steps
+from tests.support.runs.plan_graphs import ordering, plan_of_steps
 from tests.support.runs.simulated import move
 
 ACT = GroundAction("act", resources=("arm",), duration=5.0)
@@ -123,10 +123,7 @@ def test_what_waits_for_the_start_of_a_call_taken_over_goes_on() -> None:
     new = successor(old, GroundAction("next"), orders=("0s<1s",))
     explore(new.machine)
     assert sent(new.handle(Begin(), 2.0)) == ["next"]
-    delayed = PlanGraph(
-        (ActionCall(0, GroundAction("act", duration=5.0), under_way=True), ActionCall(1, GroundAction("next"))),
-        (Ordering(PlanEvent(0, Moment.START), PlanEvent(1, Moment.START), delay=4.0),),
-    )
+    delayed = replace(new.machine.plan, orderings=(replace(ordering("0s<1s"), delay=4.0),))
     later = Run(generate(delayed), old.knowledge, id=UUID(int=3), adopted=dict(enumerate(old.under_way())))
     assert later.handle(Begin(), 2.0)[-1] == Wake(5.0), "4 s after its acceptance"
 

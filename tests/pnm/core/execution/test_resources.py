@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import Callable
-from dataclasses import replace as changed
-from io import StringIO
 from pathlib import Path
 from uuid import UUID
 
 import pytest
 
 from planner_bridge.model.world import simulated_backend
-from planner_bridge.node.simulate import LoggedRobots
 from pnm.actions.simulated_robots import SimulatedRobots, SimulatedWorld
 from pnm.clock import run_async
 from pnm.core.execution.events import Answered, Ask, Begin, Command, KnowledgeChanged, ResourcesChanged, Send, Stop, Tick
@@ -24,15 +20,15 @@ from pnm.core.logic.conditions import Computed, Holds
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
-from pnm.core.machine.plan_graph import ActionCall, Flow, GroundAction, PlanGraph, Recovery, Then
-from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Request
+from pnm.core.machine.plan_graph import ActionCall, Flow, GroundAction, Recovery, Then
+from pnm.core.machine.requests import Ended, Outcome, OutcomeKind
 from pnm.core.resources import Resources
 from pnm.errors import InputError, RunError
 from pnm.executor import Executor
 from pnm.language.plan import merge_bindings, read_plans
 from pnm.language.runner import PlanRunner, Program
 from tests.support.runs.commands import begun, sent
-from tests.support.runs.plan_graphs import plan_of
+from tests.support.runs.plan_graphs import plan_of, plan_of_steps
 
 SUCCEEDED = Outcome(OutcomeKind.SUCCEEDED)
 
@@ -58,16 +54,6 @@ def test_a_call_that_waits_for_an_answer_has_nothing() -> None:
     assert sent(finish(run)) == ["asks"]
 
 
-def test_a_call_that_waits_for_a_fact_has_nothing_and_stands_in_nobody_s_way() -> None:
-    world = KnowledgeBase(sensed={"ready": 5.0})
-    run, commands = begun(plan_of(arm("waits", precondition=Holds(("ready",))), arm("first"), arm("second")), world=world)
-    assert sent(commands) == ["first"]
-    assert sent(finish(run)) == ["second"], "the fact that it needs is not there when the arm is"
-    world.update({("ready",): True})
-    assert sent(run.handle(KnowledgeChanged(), 2.0)) == []
-    assert sent(finish(run)) == ["waits"]
-
-
 def test_whoever_cannot_use_it_yet_leaves_the_line() -> None:
     world = KnowledgeBase(sensed={"ready": 5.0})
     asked = Computed(Operation("eq", (Query(Literal.of("word"), Layer.GLOBAL), Literal.of(1))))
@@ -76,7 +62,7 @@ def test_whoever_cannot_use_it_yet_leaves_the_line() -> None:
         run, commands = begun(plan_of(arm("first"), waits, arm("behind")), world=world, asks=True)
         assert sent(commands) == ["first"]
         assert len(run.resources.line) == 2
-        assert sent(finish(run)) == ["behind"]
+        assert sent(finish(run)) == ["behind"], "what the other needs is not known when the arm is free"
 
 
 def test_what_need_not_be_done_is_not_waited_for() -> None:
@@ -99,9 +85,7 @@ def test_a_precondition_is_looked_at_when_the_call_can_start() -> None:
 
 
 def test_a_deadline_counts_while_a_call_waits_for_resources() -> None:
-    graph = plan_of(arm("first"), arm("second"))
-    late = changed(graph, steps=(graph.calls[0], changed(graph.calls[1], deadline=9.0)))
-    run, _ = begun(late)
+    run, _ = begun(plan_of_steps(ActionCall(0, arm("first")), ActionCall(1, arm("second"), deadline=9.0)))
     run.handle(Tick(), 9.0)
     assert run.resources.line == ()
     finish(run)
@@ -111,7 +95,7 @@ def test_a_deadline_counts_while_a_call_waits_for_resources() -> None:
 def test_the_steps_of_a_recovery_take_their_own() -> None:
     mending = ActionCall(1, GroundAction("b", resources=("arm", "leg")))
     recovery = Recovery(frozenset({Cause.ABORTED}), Then.RETRY, Flow((mending,)))
-    run, commands = begun(PlanGraph((ActionCall(0, arm("a"), recoveries=(recovery,)),)))
+    run, commands = begun(plan_of_steps(ActionCall(0, arm("a"), recoveries=(recovery,))))
     assert sent(commands) == ["a"]
     commands = run.handle(Ended(run.open_requests[0], Outcome(OutcomeKind.ABORTED)), 1.0)
     assert sent(commands) == ["b"]
@@ -194,22 +178,6 @@ def test_robots_notice_when_a_resource_is_used_twice_at_once() -> None:
     assert clashes(Bindings(), lambda: None) == []
 
 
-def test_a_clash_is_written_down_by_simulated_servers() -> None:
-    bindings = Bindings({"move": Binding(resources=("{robot}/base",))})
-    log = StringIO()
-
-    async def main() -> None:
-        robots = LoggedRobots(SimulatedRobots(SimulatedWorld(KnowledgeBase(), frozenset()), bindings=bindings), log)
-        for number in range(2):
-            robots.send(Request(UUID(int=number), GroundAction("move", ("r1",), ("robot",), duration=5.0), {}, 1), lambda _: None)
-        await asyncio.sleep(10)
-
-    run_async(main(), virtual=True)
-    lines = [json.loads(line) for line in log.getvalue().splitlines()]
-    assert [line["event"] for line in lines] == ["start", "start", "clash", "end", "end"]
-    assert lines[2]["text"] == "r1/base is used by move(r1) and move(r1) at once"
-
-
 NESTED = """
 actions: {lift: {params: [what], duration: 2, resources: [arm]}}
 outer: {params: [what], plan: [{lift: {what: cup}}, {inner: {what: {LocalQuery: what}}}]}
@@ -217,19 +185,32 @@ inner: {params: [what], plan: [{lift: }, {lift: }]}
 """
 
 
-def test_all_plans_of_a_runner_share_resources(tmp_path: Path) -> None:
+TWO_ARMS = """
+actions: {lift: {params: [what], duration: 2, resources: [arm]}}
+one: {resources: {arm: 2}, plan: [{concurrent_actions: [{lift: {what: plate}}, {lift: {what: spoon}}]}]}
+other: {plan: [{concurrent_actions: [{lift: {what: plate}}, {lift: {what: spoon}}]}]}
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "runs", "seconds"),
+    [(NESTED, [("outer", {"what": what}) for what in ("plate", "spoon", "fork")], 18.0), (TWO_ARMS, [("other", {})], 2.0)],
+    ids=["they take turns", "what one of them says of a resource counts for all"],
+)
+def test_all_plans_of_a_runner_share_resources(
+    text: str, runs: list[tuple[str, dict[str, object]]], seconds: float, tmp_path: Path
+) -> None:
     file = tmp_path / "plan.yaml"
-    file.write_text(NESTED, encoding="utf-8")
+    file.write_text(text, encoding="utf-8")
     plans = read_plans(file)
-    backend = simulated_backend(plans["inner"], merge_bindings(plans.values()))
+    backend = simulated_backend(next(iter(plans.values())), merge_bindings(plans.values()))
     runner = PlanRunner({name: Program.of(plan) for name, plan in plans.items()}, backend, KnowledgeBase())
 
     async def main() -> None:
         await backend.open(runner.world)
-        plan_runs = [runner.prepare_run("outer", {"what": what}) for what in ("plate", "spoon", "fork")]
-        results = await asyncio.gather(*map(runner.execute, plan_runs))
+        results = await asyncio.gather(*(runner.execute(runner.prepare_run(*run)) for run in runs))
         assert all(result.goal for result in results)
-        assert asyncio.get_running_loop().time() == pytest.approx(18.0, abs=0.1)
+        assert asyncio.get_running_loop().time() == pytest.approx(seconds, abs=0.1)
         await backend.close()
 
     run_async(main(), virtual=True)
@@ -237,8 +218,7 @@ def test_all_plans_of_a_runner_share_resources(tmp_path: Path) -> None:
 
 
 def test_a_machine_made_for_other_capacities_is_refused() -> None:
-    graph = PlanGraph((ActionCall(0, GroundAction("act", resources=("arm",))),))
-    shared = Resources({"arm": 2})
+    graph, shared = plan_of(arm("act")), Resources({"arm": 2})
     with pytest.raises(RunError, match="generated for 1 call with arm; 2 may have it"):
         Run(generate(graph), Layered(KnowledgeBase()), id=UUID(int=1), resources=shared)
     machine = generate(graph, capacities=shared.capacities)
@@ -247,9 +227,9 @@ def test_a_machine_made_for_other_capacities_is_refused() -> None:
 
 def test_calls_with_open_parameters_need_different_resources_at_the_same_time() -> None:
     bindings = Bindings({"move": Binding(resources=("{robot}/base",))})
-    calls = tuple(ActionCall(number, GroundAction("move", (f"?{name}",), ("robot",))) for number, name in enumerate(("robot", "robot")))
     knowledge = Layered(KnowledgeBase(), KnowledgeBase(variables={"robot": "r1"}))
-    run = Run(generate(PlanGraph(calls), bindings), knowledge, id=UUID(int=1), bindings=bindings)
+    graph = plan_of(*[GroundAction("move", ("?robot",), ("robot",))] * 2)
+    run = Run(generate(graph, bindings), knowledge, id=UUID(int=1), bindings=bindings)
     (first,) = (one for one in run.handle(Begin(), 0.0) if isinstance(one, Send))
     knowledge.local.store({"robot": "r2"})
     (second,) = (one for one in run.handle(KnowledgeChanged(), 1.0) if isinstance(one, Send))
@@ -262,22 +242,3 @@ def test_a_plan_that_is_called_has_no_resources_itself(tmp_path: Path) -> None:
     file.write_text(NESTED.replace("{LocalQuery: what}}}]", "{LocalQuery: what}}, resources: [arm]}]"), encoding="utf-8")
     with pytest.raises(InputError, match=r"inner is a plan and has no resources \(arm\)"):
         Program.of(read_plans(file)["outer"])
-
-
-def test_every_plan_of_a_runner_shares_what_one_of_them_says_of_a_resource(tmp_path: Path) -> None:
-    file = tmp_path / "plan.yaml"
-    text = "actions: {lift: {params: [what], duration: 2, resources: [arm]}}\n"
-    branches = "plan: [{concurrent_actions: [{lift: {what: plate}}, {lift: {what: spoon}}]}]"
-    file.write_text(f"{text}one: {{resources: {{arm: 2}}, {branches}}}\nother: {{{branches}}}\n", encoding="utf-8")
-    plans = read_plans(file)
-    backend = simulated_backend(plans["one"], merge_bindings(plans.values()))
-    runner = PlanRunner({name: Program.of(plan) for name, plan in plans.items()}, backend, KnowledgeBase())
-
-    async def main() -> None:
-        await backend.open(runner.world)
-        assert (await runner.execute(runner.prepare_run("other"))).goal
-        assert asyncio.get_running_loop().time() == pytest.approx(2.0, abs=0.1)
-        await backend.close()
-
-    run_async(main(), virtual=True)
-    assert backend.robots.clashes == []

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from uuid import UUID
 
 from pnm.clock import run_async
-from pnm.core.execution.events import Begin, Pause, ResourcesChanged, Resume, Send, Tick
+from pnm.core.execution.events import Pause, ResourcesChanged, Resume, Tick
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
-from pnm.core.machine.plan_graph import ActionCall, Flow, GroundAction, PlanGraph, Recovery, Then
-from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
+from pnm.core.machine.plan_graph import ActionCall, Flow, GroundAction, Recovery, Then
+from pnm.core.machine.requests import Accepted
 from pnm.core.resources import Resources
 from pnm.executor import Executor
-from tests.support.runs.commands import claim
-
-SUCCEEDED = Outcome(OutcomeKind.SUCCEEDED)
+from tests.support.runs.commands import begun, claim, sent
+from tests.support.runs.handover import ManualClient
+from tests.support.runs.plan_graphs import plan_of, plan_of_steps
 
 
 def test_what_is_withheld_is_free_when_its_end_is_confirmed() -> None:
@@ -46,6 +47,7 @@ def test_nobody_is_outranked_for_what_it_cannot_give_back() -> None:
     assert not any(pool.outranking())
 
 
+ACT = GroundAction("act", resources=("arm",))
 LIMITS = Bindings({"act": Binding(timeout=10.0, cancel=5.0, retries=0), "next": Binding(accept=4.0)})
 
 
@@ -60,11 +62,9 @@ def given_up(pool: Resources) -> UUID:
     return request
 
 
-def resourceful(name: str, pool: Resources, number: int, **options: object) -> Run:
-    graph = PlanGraph((ActionCall(0, GroundAction(name, resources=("arm",)), **options),))  # type: ignore[arg-type]
-    run = Run(generate(graph, LIMITS), Layered(KnowledgeBase()), id=UUID(int=number), bindings=LIMITS, resources=pool)
-    run.handle(Begin(), 0.0)
-    return run
+def resourceful(name: str, pool: Resources, number: int, *recoveries: Recovery) -> Run:
+    call = ActionCall(0, replace(ACT, name=name), recoveries=recoveries)
+    return begun(plan_of_steps(call), LIMITS, id=UUID(int=number), resources=pool)[0]
 
 
 def test_a_request_that_was_given_up_keeps_what_it_has_and_who_waits_for_it_says_who_that_is() -> None:
@@ -86,7 +86,7 @@ def test_a_request_that_was_given_up_gives_back_what_it_has_when_its_server_repo
     request = given_up(pool)
     waiting = resourceful("next", pool, 2)
     pool.confirm(request)
-    assert [command.request.action.name for command in waiting.handle(ResourcesChanged(), 3.0) if isinstance(command, Send)] == ["next"]
+    assert sent(waiting.handle(ResourcesChanged(), 3.0)) == ["next"]
 
 
 def test_the_time_for_what_is_withheld_does_not_pass_during_a_pause() -> None:
@@ -119,35 +119,19 @@ def test_a_plan_says_what_to_do_about_what_is_withheld_as_about_a_server_that_is
     pool = Resources()
     given_up(pool)
     instead = Recovery(frozenset({Cause.UNAVAILABLE}), Then.SKIP, Flow((ActionCall(1, GroundAction("other")),)))
-    waiting = resourceful("next", pool, 2, recoveries=(instead,))
-    commands = waiting.handle(Tick(), 4.0)
-    assert [command.request.action.name for command in commands if isinstance(command, Send)] == ["other"]
+    waiting = resourceful("next", pool, 2, instead)
+    assert sent(waiting.handle(Tick(), 4.0)) == ["other"]
 
 
 def test_a_report_that_comes_after_the_end_of_a_run_frees_what_was_kept() -> None:
-    pool = Resources()
-    graph = PlanGraph((ActionCall(0, GroundAction("act", resources=("arm",))),))
-    run = Run(generate(graph, LIMITS), Layered(KnowledgeBase()), id=UUID(int=1), bindings=LIMITS, resources=pool)
-    reporters: list[tuple[UUID, Reporter]] = []
-
-    class Deaf:
-        """Accepts, and ends nothing by itself."""
-
-        def goal_fields(self, action: GroundAction, /) -> tuple[str, ...] | None:
-            return ()
-
-        def send(self, request: Request, report: Reporter, /) -> None:
-            reporters.append((request.id, report))
-            report(Accepted(request.id))
-
-        def cancel(self, request: UUID, /) -> None: ...
+    pool, server = Resources(), ManualClient()
+    run = Run(generate(plan_of(ACT), LIMITS), Layered(KnowledgeBase()), id=UUID(int=1), bindings=LIMITS, resources=pool)
 
     async def main() -> None:
-        result = await Executor(run, Deaf()).execute()
+        result = await Executor(run, server).execute()
         assert result.failures[0].unconfirmed
         assert [one.names for one in pool.held] == [("arm",)]
-        ((request, report),) = reporters
-        report(Ended(request, SUCCEEDED))
+        server.end("act")
         assert pool.held == ()
 
     run_async(main(), virtual=True)

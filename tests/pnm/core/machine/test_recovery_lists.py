@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from pnm.core.logic.conditions import Holds, Not
+from pnm.core.logic.conditions import TRUE, Condition, Holds, Not
 from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import Constant
 from pnm.core.machine.failure_causes import Cause
@@ -15,14 +15,15 @@ from pnm.core.machine.plan_graph import ActionCall, Flow, GroundAction, PlanGrap
 from pnm.core.machine.verification.verify import explore, verify
 from pnm.errors import InputError
 from tests.support.runs.direct import answering_with, drive
+from tests.support.runs.plan_graphs import plan_of_steps
 from tests.support.yaml.programs import only_plan
 
 ABORTED = frozenset({Cause.ABORTED})
 FIX, HELP = (Flow((ActionCall(number, GroundAction(name), retries=0),)) for number, name in ((1, "fix"), (2, "help")))
 
 
-def bad(*recoveries: Recovery) -> PlanGraph:
-    return PlanGraph((ActionCall(0, GroundAction("bad"), recoveries=recoveries, retries=0),))
+def bad(*recoveries: Recovery, action: GroundAction = GroundAction("bad"), goal: Condition = TRUE) -> PlanGraph:
+    return plan_of_steps(ActionCall(0, action, recoveries=recoveries, retries=0), goal=goal)
 
 
 def test_the_second_recovery_is_used_when_the_first_is_used_up() -> None:
@@ -54,16 +55,15 @@ def test_start_effects_stay_only_for_the_recovery_that_goes_on() -> None:
     lit = Holds(("lit",))
     light = GroundAction("light", start_effects=(Set(("lit",), Constant(True)),), duration=1.0)
     in_the_dark = Flow((ActionCall(1, GroundAction("fix", precondition=Not(lit)), retries=0),))
-    recoveries = (Recovery(ABORTED, Then.RETRY, in_the_dark), Recovery(ABORTED, Then.CONTINUE, Flow()))
-    graph = PlanGraph((ActionCall(0, light, recoveries=recoveries, retries=0),), goal=lit)
+    graph = bad(Recovery(ABORTED, Then.RETRY, in_the_dark), Recovery(ABORTED, Then.CONTINUE, Flow()), action=light, goal=lit)
     trace = drive(graph, answering_with(light=["aborted"] * 2))
     assert (trace.actions, trace.result.goal) == (["light", "fix", "light"], True), trace.result.reason
 
 
 def test_a_call_whose_resources_are_withheld_has_no_request_that_a_recovery_could_go_on_with() -> None:
     unavailable = frozenset({Cause.UNAVAILABLE})
-    recoveries = (Recovery(unavailable, Then.RETRY, FIX), Recovery(unavailable, Then.CONTINUE, Flow()))
-    machine = generate(PlanGraph((ActionCall(0, GroundAction("grasp", resources=("arm",)), recoveries=recoveries, retries=0),)))
+    lists = Recovery(unavailable, Then.RETRY, FIX), Recovery(unavailable, Then.CONTINUE, Flow())
+    machine = generate(bad(*lists, action=GroundAction("grasp", resources=("arm",))))
     verify(machine)
     explore(machine)
 
