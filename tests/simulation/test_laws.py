@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import pytest
 
@@ -97,21 +98,22 @@ BREAKING: dict[laws.Law, Callable[[Story], None]] = {
 }
 
 
-def plain_story() -> Story:
-    """A story with all that there is to tell otherwise."""
+@cache
+def plain() -> int:
+    """The seed of a story with all that there is to tell otherwise."""
     for seed in range(200):
         story = simulate(seed)
         reached = [record for record in story.records if isinstance(record, TaskOver) and record.ending.code is Code.GOAL_REACHED]
         seen = [fluent for fluent in story.truth.facts() if fluent[0] == SEEN]
         goals = {str(story.scenario.job(record.task).plan.goal) for record in reached}
         if len(reached) == len(story.scenario.jobs) and any(SEEN in goal for goal in goals) and seen and any(story.of(Began)):
-            return story
+            return seed
     raise AssertionError("no seed is like that")
 
 
 @pytest.mark.parametrize("law", laws.LAWS, ids=lambda law: law.__name__)
 def test_a_law_is_broken_by_a_story_that_is_told_otherwise(law: laws.Law) -> None:
-    story = plain_story()
+    story = simulate(plain())
     assert not [*law(story)]
     BREAKING[law](story)
     assert [*law(story)]

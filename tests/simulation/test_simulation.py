@@ -18,7 +18,7 @@ from tests.support.runs.simulation.laws import broken_laws
 from tests.support.runs.simulation.story import Heard, Lied, Sent, Started, Story, Suffered
 from tests.support.runs.simulation.sweep import judged
 
-SEEDS = range(120)
+SEEDS = range(80)
 
 
 @pytest.fixture(scope="module")
@@ -45,8 +45,8 @@ def test_everything_goes_wrong_that_can(stories: list[Story]) -> None:
 
 
 def test_a_seed_is_the_same_simulation_in_another_process() -> None:
-    code = f"from {judged.__module__} import judged; print(*(judged(seed).digest for seed in range(10)))"
+    code = f"from {judged.__module__} import judged; print(*(judged(seed).digest for seed in range(4)))"
     environment = {**os.environ, "PYTHONHASHSEED": "1"}
     there = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT, env=environment)
-    assert there.stdout.split() == [judged(seed).digest for seed in range(10)]
-    assert len(set(there.stdout.split())) == 10
+    assert there.stdout.split() == [judged(seed).digest for seed in range(4)]
+    assert len(set(there.stdout.split())) == 4

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable
+from functools import partial
+from typing import TypeVar
 from uuid import UUID
 
 import pytest
@@ -17,7 +19,7 @@ from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import GroundAction
-from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
+from pnm.core.machine.requests import Accepted, Ended
 from pnm.core.machine.verification.verify import verify
 from pnm.errors import InputError
 from pnm.executor import Executor
@@ -25,7 +27,7 @@ from pnm.knowledge.people import question_text
 from pnm.knowledge.sources import SourceChoice, Surroundings, open_sources
 from tests.support.logic.people import Person
 from tests.support.runs.direct import RUN
-from tests.support.runs.handover import ManualClient, carried, successor
+from tests.support.runs.handover import SUCCEEDED, ManualClient, carried, successor
 from tests.support.yaml.programs import only_plan
 
 TELLING = "actions: {tell: {params: [what], ask: {what: Which one}}}\nplan:\n  - tell:\n"
@@ -52,7 +54,10 @@ def wait(run: Run, commands: list[Command]) -> tuple[float, list[Command]]:
     return now, done
 
 
-def of_type(commands: Iterable[Command], kind: type[Command]) -> list[Command]:
+C = TypeVar("C")
+
+
+def of_type(commands: Iterable[Command], kind: type[C]) -> list[C]:
     return [command for command in commands if isinstance(command, kind)]
 
 
@@ -61,7 +66,7 @@ def test_a_deadline_passes_while_a_person_is_asked() -> None:
     now, commands = wait(run, commands)
     assert now == 5.0
     assert run.result().failures[0].cause is Cause.TOO_LATE
-    assert [ask.id for ask in of_type(commands, Ask)][-1:] == [withdrawn.id for withdrawn in of_type(commands, Withdraw)]  # type: ignore[union-attr]
+    assert [ask.id for ask in of_type(commands, Ask)][-1:] == [withdrawn.id for withdrawn in of_type(commands, Withdraw)]
 
 
 def test_a_question_has_a_limit_in_the_run() -> None:
@@ -81,12 +86,10 @@ def test_nothing_is_asked_while_resources_are_held() -> None:
     )
     asked = 0
     while sends := of_type(commands, Send):
-        assert len(sends) == 1
-        assert isinstance(sends[0], Send)
-        request = sends[0].request.id
+        (request,) = [one.request.id for one in sends]
         assert len(run.resources.held) == 1
         run.handle(Accepted(request), 1.0)
-        commands = run.handle(Ended(request, Outcome(OutcomeKind.SUCCEEDED)), 1.0)
+        commands = run.handle(Ended(request, SUCCEEDED), 1.0)
         asked += len(of_type(commands, Ask))
         assert all(claim.request != request for claim in run.resources.held)
     assert asked == 2
@@ -94,10 +97,8 @@ def test_nothing_is_asked_while_resources_are_held() -> None:
 
 
 def test_a_run_that_is_stopped_asks_nobody_any_more() -> None:
-    run, commands = started("actions:\n  look: {recoveries: {after: {when: {PersonQuery: wrong}, do: skip_action}}}\nplan: [look: ]\n")
-    request = next(command.request.id for command in commands if isinstance(command, Send))
-    run.handle(Accepted(request), 0.0)
-    assert of_type(run.handle(Ended(request, Outcome(OutcomeKind.SUCCEEDED)), 1.0), Ask)
+    run, _ = started("actions:\n  look: {recoveries: {after: {when: {PersonQuery: wrong}, do: skip_action}}}\nplan: [look: ]\n")
+    assert of_type(run.handle(Ended(run.open_requests[0], SUCCEEDED), 1.0), Ask)
     assert of_type(run.handle(Stop(), 2.0), Withdraw)
     assert run.over
 
@@ -131,36 +132,31 @@ def test_what_a_person_is_asked_is_asked_once_whichever_run_goes_on(moment: str)
         loops.append(asyncio.ensure_future(tell(executor, server)))
 
     async def tell(executor: Executor, server: ManualClient) -> None:
-        def succeed() -> None:
-            executor.succeed(successor(executor.run, GroundAction("first"), greet("ann"), orders=("1e<2s",), bindings=ASKING, asks=True))
+        async def answer_if(now: str) -> None:
+            if moment == now:
+                person.answer("What shall I say to ann?", "hello")
+                await (asyncio.sleep(0) if now == "in the inbox" else settle())
+
+        def succeed(number: int) -> None:
+            calls = GroundAction("first"), greet("ann")
+            executor.succeed(successor(executor.run, *calls, orders=("1e<2s",), bindings=ASKING, asks=True, id=UUID(int=number)))
 
         executor.pause()
         await settle()
-        if moment == "handled":
-            person.answer("What shall I say to ann?", "hello")
-            await settle()
-        elif moment == "in the inbox":
-            person.answer("What shall I say to ann?", "hello")
-            await asyncio.sleep(0)
-        succeed()
+        await answer_if("handled")
+        await answer_if("in the inbox")
+        succeed(2)
         await settle()
-        if moment == "later, while it is paused":
-            person.answer("What shall I say to ann?", "hello")
-            await settle()
-        executor.succeed(successor_of_successor(executor.run))
+        await answer_if("later, while it is paused")
+        succeed(3)
         executor.resume()
         await settle()
         server.end("act")
         server.end("first")
         await settle()
-        if moment == "later":
-            person.answer("What shall I say to ann?", "hello")
-            await settle()
+        await answer_if("later")
         assert server.reporters["greet"][0].goal["word"] == "hello"
         server.end("greet")
-
-    def successor_of_successor(run: Run) -> Run:
-        return successor(run, GroundAction("first"), greet("ann"), orders=("1e<2s",), bindings=ASKING, asks=True, id=UUID(int=3))
 
     assert carried(scenario, ACT, greet("ann"), bindings=ASKING, source=person).goal
     assert person.history == ["What shall I say to ann?"]
@@ -189,15 +185,18 @@ def test_an_answer_does_for_one_call() -> None:
 
     def scenario(executor: Executor, server: ManualClient) -> None:
         executor.pause()
-        loop = asyncio.get_running_loop()
-        loop.call_later(1, person.answer, "What shall I say to ann?", "hello")
-        loop.call_later(2, lambda: executor.succeed(two(executor.run)))
-        loop.call_later(3, executor.resume)
-        loop.call_later(4, lambda: server.end("greet"))
-        loop.call_later(5, person.answer, "What shall I say to ann?", "hello again")
-        loop.call_later(6, lambda: words.append(server.reporters["greet"][0].goal["word"]))
-        loop.call_later(7, lambda: server.end("greet"))
-        loop.call_later(8, lambda: server.end("act"))
+        deeds = (
+            partial(person.answer, "What shall I say to ann?", "hello"),
+            lambda: executor.succeed(two(executor.run)),
+            executor.resume,
+            partial(server.end, "greet"),
+            partial(person.answer, "What shall I say to ann?", "hello again"),
+            lambda: words.append(server.reporters["greet"][0].goal["word"]),
+            partial(server.end, "greet"),
+            partial(server.end, "act"),
+        )
+        for second, deed in enumerate(deeds, 1):
+            asyncio.get_running_loop().call_later(second, deed)
 
     def two(run: Run) -> Run:
         return successor(run, greet("ann"), greet("ann"), orders=("1e<2s",), bindings=ASKING, asks=True)

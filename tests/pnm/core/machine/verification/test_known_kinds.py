@@ -8,42 +8,30 @@ from dataclasses import replace
 import pytest
 
 from pnm.core.machine.bindings import Binding, Bindings
-from pnm.core.machine.blocks import PlacedStep
+from pnm.core.machine.blocks import MachineBlocks
 from pnm.core.machine.call_block import CallTerms
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import EMPTY, ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph, Recovery, Then
+from pnm.core.machine.plan_graph import EMPTY, ActionCall, GroundAction, PlanGraph, Recovery, Then
 from pnm.core.machine.verification import verify as verify_module
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import forget_proofs, verify
 from tests.support.runs.mutation.machines import blocks_of
-from tests.support.runs.plan_graphs import plan
+from tests.support.runs.plan_graphs import plan, plan_of_steps
 
 
 def calls(*resources: tuple[str, ...]) -> tuple[ActionCall, ...]:
     return tuple(ActionCall(number, GroundAction(f"a{number}", resources=names)) for number, names in enumerate(resources))
 
 
-AFTER = Ordering(PlanEvent(0, Moment.END), PlanEvent(1, Moment.START))
-PLAN = PlanGraph(calls(("arm",), ("arm",)), (AFTER,))
+PLAN = plan_of_steps(*calls(("arm",), ("arm",)), orders=("0e<1s",))
 
 
-def made_with(resources: Callable[[dict[int, str]], None], initial: Callable[[dict[int, int]], None]) -> PetriNetMachine:
-    """The machine of the plan, with other resources or another marking at first."""
+def changed(change: Callable[[MachineBlocks], None]) -> PetriNetMachine:
+    """The machine of the plan, with its blocks changed behind its back."""
     machine = generate(PLAN)
-    blocks = blocks_of(machine)
-    named, marked = dict(blocks.resources), dict(blocks.marked)
-    resources(named)
-    initial(marked)
-    blocks.resources, blocks.marked = named, marked
-    return machine
-
-
-def with_block(number: int, change: Callable[[PlacedStep], PlacedStep]) -> PetriNetMachine:
-    machine = generate(PLAN)
-    blocks = blocks_of(machine)
-    blocks.placed[number] = change(blocks.placed[number])
+    change(blocks_of(machine))
     return machine
 
 
@@ -54,32 +42,33 @@ INNER = 9
 """A place of the first call."""
 
 
-def in_the_frame(block: PlacedStep) -> PlacedStep:
-    return replace(block, ports=((*block.ports[0], INNER), *block.ports[1:]))
+def as_another_step(blocks: MachineBlocks) -> None:
+    terms = CallTerms(blocks.placed[CALL].terms.context, replace(PLAN.calls[1], index=0), ())
+    blocks.placed[CALL] = replace(blocks.placed[CALL], terms=terms)
+
+
+def in_the_frame(blocks: MachineBlocks) -> None:
+    first, *others = blocks.placed[FRAME].ports
+    blocks.placed[FRAME] = replace(blocks.placed[FRAME], ports=((*first, INNER), *others))
 
 
 @pytest.mark.parametrize(
-    ("broken", "why"),
+    ("change", "why"),
     [
-        (lambda: made_with(lambda named: None, lambda marked: marked.update({INNER: 1})), "other places are marked at first"),
-        (lambda: made_with(lambda named: None, lambda marked: marked.update({RESOURCE: 0})), "there is nothing of the resource arm"),
-        (lambda: made_with(lambda named: named.update({INNER: "leg"}), lambda marked: None), "there is nothing of the resource leg"),
-        (
-            lambda: with_block(
-                CALL, lambda block: replace(block, terms=CallTerms(block.terms.context, replace(PLAN.calls[1], index=0), ()))
-            ),
-            "is that of no step of the plan",
-        ),
-        (lambda: with_block(FRAME, in_the_frame), "makes a forbidden connection"),
+        (lambda blocks: blocks.marked.update({INNER: 1}), "other places are marked at first"),
+        (lambda blocks: blocks.marked.update({RESOURCE: 0}), "there is nothing of the resource arm"),
+        (lambda blocks: blocks.resources.update({INNER: "leg"}), "there is nothing of the resource leg"),
+        (as_another_step, "is that of no step of the plan"),
+        (in_the_frame, "makes a forbidden connection"),
     ],
 )
-def test_what_is_wrong_around_calls_that_are_known_is_found(broken: Callable[[], PetriNetMachine], why: str) -> None:
+def test_what_is_wrong_around_calls_that_are_known_is_found(change: Callable[[MachineBlocks], None], why: str) -> None:
     machine = generate(PLAN)
     assert blocks_of(machine).segment_of(INNER) is blocks_of(machine).placed[CALL]
     assert [*machine.placed.resources] == [RESOURCE]
     verify(machine)
     with pytest.raises(Unsound, match=why):
-        verify(broken())
+        verify(changed(change))
 
 
 def test_a_name_is_not_used_twice_by_a_call_that_is_known() -> None:
