@@ -13,7 +13,6 @@ from uuid import UUID
 from pnm.clock import collect_if_due, stop_then_cancel
 from pnm.core.execution import events
 from pnm.core.execution.call_results import RunResult
-from pnm.core.execution.handover import check_succession
 from pnm.core.execution.run import Run
 from pnm.core.logic.computed_values import MISSING, Question
 from pnm.core.logic.expressions import Fluent, Unknown, Value
@@ -114,7 +113,7 @@ class Executor:
         # Before `Begin` is handled the old run has sent nothing that could be taken over, and after the end nothing is listened to.
         if not self._leaving or not self.run.begun:
             raise RunError("the run that is to be succeeded is not being carried out")
-        check_succession(self.run.handover, run.handover)  # before anything changes: a refusal leaves the old run going on
+        self.run.check_successor(run)  # before anything changes: a refusal leaves the old run going on
         # From here on reports that wait in the inbox are handled by the new run; they name the request, not the run.
         old, self.run = self.run, run
         self.journal.succeeded(old, run)

@@ -237,7 +237,7 @@ class Progress:
 
     def without(self, call: int) -> Progress:
         """Return the same plan as if the call were done."""
-        done = replace(self.calls[call], kind=CallOutcome.ALREADY_TRUE)
+        done = self.calls[call]._replace(kind=CallOutcome.ALREADY_TRUE)
         return replace(self, calls=(*self.calls[:call], done, *self.calls[call + 1 :]))
 
 

@@ -105,7 +105,7 @@ def test_what_has_ended_is_not_settled_any_more() -> None:
 
 def test_a_run_that_takes_over_a_request_knows_what_a_person_has_said() -> None:
     run, request = settled_run(NO_JOURNAL)
-    (taken,) = run.handover.under_way
+    (taken,) = run.under_way()
     plan = PlanGraph((replace(LOOK.calls[0], under_way=True),), (), goal=TRUE)
     successor = Run(generate(plan, BINDINGS), run.knowledge, id=UUID(int=2), bindings=BINDINGS, adopted={0: taken})
     successor.take_the_place_of(run, 3.0)

@@ -51,8 +51,7 @@ class Failure:
         return f"{self.call}: {self.why}"
 
 
-@dataclass(frozen=True, slots=True)
-class CallResult:
+class CallResult(NamedTuple):
     """Result of a call so far; its times are None until it was sent, and until it was over."""
 
     call: ActionCall
@@ -153,25 +152,6 @@ def sent_with(call: ActionCall, arguments: tuple[str, ...] | None) -> ActionCall
     return call if arguments is None else replace(call, action=action_with(call.action, arguments))
 
 
-@dataclass(slots=True)
-class CallCourse:
-    """The course of a call since it was reached last: its result, as it changes."""
-
-    call: ActionCall
-    """As it was sent last."""
-    kind: CallOutcome = CallOutcome.WAITING
-    attempts: int = 0
-    """The number of its requests."""
-    started: float | None = None
-    ended: float | None = None
-    assumed: bool = False
-    cause: Cause | None = None
-
-    def result(self) -> CallResult:
-        """Return the result so far."""
-        return CallResult(self.call, self.kind, self.attempts, self.started, self.ended, self.assumed, self.cause)
-
-
 class CallResults:
     """Results of the calls of a run, and its failures.
 
@@ -181,7 +161,7 @@ class CallResults:
 
     def __init__(self, plan: PlanGraph) -> None:
         self._plan, self._calls = plan, plan.calls
-        self._courses: dict[int, CallCourse] = {}
+        self._current: dict[int, CallResult] = {}
         """Those of the calls that were reached."""
         self._rounds: list[CallResult] = []
         self.failures: list[Failure] = []
@@ -200,7 +180,7 @@ class CallResults:
             handed: the numbers of calls whose requests another run takes over.
         """
         current = map(self.current, range(len(self._calls)))
-        results = [replace(result, kind=CallOutcome.HANDED_OVER) if result.call.index in handed else result for result in current]
+        results = [result._replace(kind=CallOutcome.HANDED_OVER) if result.call.index in handed else result for result in current]
         plan = self._plan
         if len(plan.steps) == len(plan.every_step) == len(plan.calls) and not self._rounds:
             return tuple(results)
@@ -214,12 +194,11 @@ class CallResults:
 
     def current(self, call: int) -> CallResult:
         """Return the result of a call the last time it was reached."""
-        course = self._courses.get(call)
-        return CallResult(self._calls[call]) if course is None else course.result()
+        return self._current.get(call) or CallResult(self._calls[call])
 
-    def course(self, call: int) -> CallCourse:
-        """Return the course of a call that is reached."""
-        return self._courses[call]
+    def sent(self, call: ActionCall) -> None:
+        """Note a call with the arguments that it is sent with."""
+        self._current[call.index] = self._current[call.index]._replace(call=call)
 
     def answered(self, call: int, outcome: Outcome) -> None:
         """Keep how a request of the call has ended."""
@@ -227,26 +206,25 @@ class CallResults:
 
     def turned(self, outcome: CallOutcome, call: int, now: float, assumed: bool) -> None:
         """Record an outcome of a call, so far or for good; `assumed`: whether some of its effects are reported by nothing."""
-        course = self._courses.get(call)
-        if course is None:
-            course = self._courses[call] = CallCourse(self._calls[call])
+        before = self._current.get(call)
+        if before is None:
+            before = self._current[call] = CallResult(self._calls[call])
         if outcome is _RUNNING:
-            course.kind, course.attempts = outcome, course.attempts + 1
-            course.started = now if course.started is None else course.started
+            started = now if before.started is None else before.started
+            self._current[call] = before._replace(kind=outcome, attempts=before.attempts + 1, started=started)
         elif outcome is _WAITING:
-            if course.kind is not _WAITING:
-                self._rounds.append(course.result())
-                del self._courses[call]
+            if before.kind is not _WAITING:
+                self._rounds.append(self._current.pop(call))
                 self._causes.pop(call, None)
         elif outcome is _PASSED_OVER:
-            if course.ended is None:
-                course.kind, course.cause, course.ended = outcome, self._causes[call].cause, now
+            if before.ended is None:
+                self._current[call] = before._replace(kind=outcome, cause=self._causes[call].cause, ended=now)
         elif outcome is _SUSPENDED:
-            course.kind = outcome
-        elif outcome is _SKIPPED and course.kind is _SUSPENDED:
-            course.kind, course.ended = CallOutcome.CANCELED, now
-        elif outcome is not _CANCELED or course.kind is not CallOutcome.FAILED:  # how its request ended changes nothing then
-            course.kind, course.ended, course.assumed, course.cause = outcome, now, assumed, None
+            self._current[call] = before._replace(kind=outcome)
+        elif outcome is _SKIPPED and before.kind is _SUSPENDED:
+            self._current[call] = before._replace(kind=CallOutcome.CANCELED, ended=now)
+        elif outcome is not _CANCELED or before.kind is not CallOutcome.FAILED:  # how its request ended changes nothing then
+            self._current[call] = before._replace(kind=outcome, ended=now, assumed=assumed, cause=None)
 
     def hindered(self, rule: Rule, call: int, check: Explanation | None, unseen: tuple[str, str] | None) -> Explanation | None:
         """Record, and return, the cause of a recovery or failure of a call that the firing of a transition tells.
@@ -270,8 +248,7 @@ class CallResults:
 
     def adopted(self, call: ActionCall, before: CallResult) -> None:
         """Record the result so far of a call that another run has sent."""
-        kind, attempts, started, ended = before.kind, before.attempts, before.started, before.ended
-        self._courses[call.index] = CallCourse(call, kind, attempts, started, ended, before.assumed, before.cause)
+        self._current[call.index] = before._replace(call=call)
 
     def failed(self, step: int, now: float, check: Explanation | None, rule: Rule, lacking: tuple[str, ...]) -> Failure:
         """Record the failure of a step.
@@ -288,11 +265,10 @@ class CallResults:
             again = f"so it was not tried again after {before.cause}: expected {before.expected}, observed {before.observed}"
             check = check._replace(observed=f"{check.observed}; {again}")
         explanation = check or self._causes[step]
-        course = self._courses.get(step)
-        call = next(one for one in self._plan.every_step if one.index == step) if course is None else course.call
+        result = self._current.get(step)
+        call = next(one for one in self._plan.every_step if one.index == step) if result is None else result.call
         failure = Failure(call, *explanation, unconfirmed=rule.gives_up, replan=rule.replans, lacking=lacking)
         self.failures.append(failure)
         if isinstance(call, ActionCall):
-            course = course or self._courses.setdefault(step, CallCourse(call))
-            course.kind, course.cause, course.ended = CallOutcome.FAILED, failure.cause, now
+            self._current[step] = (result or CallResult(call))._replace(kind=CallOutcome.FAILED, cause=failure.cause, ended=now)
         return failure

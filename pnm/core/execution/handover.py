@@ -1,7 +1,7 @@
 """Requests that are out, and their handover: a run that is succeeded by another hands them over.
 
 The new run is made with the requests that its plan marks as under way (`check_adoption`); then it takes the place of the old one
-if nothing is lost or invented by that (`check_succession`). Both checks are made before anything changes.
+if nothing is lost or invented by that (`RunView.check_successor`). Both checks are made before anything changes.
 """
 
 from __future__ import annotations
@@ -127,21 +127,6 @@ class UnderWay:
     resources: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Handover:
-    """State of a run as far as it matters when one run succeeds another."""
-
-    run: UUID
-    is_ending: bool
-    """The run is over, or was stopped."""
-    settling: tuple[ActionCall, ...]
-    """Calls that have succeeded, and whose effects are still to be looked for: no other run can do that."""
-    open_calls: Mapping[UUID, ActionCall]
-    """The requests that are not over, as far as is known, and their calls as they were sent."""
-    under_way: tuple[UnderWay, ...]
-    """Those of the requests that another run can take over."""
-
-
 def check_adoption(machine: PetriNetMachine, adopted: Mapping[int, UnderWay], resources: Callable[[GroundAction], tuple[str, ...]]) -> None:
     """Refuse to make a run that takes over other requests than those that its plan marks as under way.
 
@@ -165,26 +150,3 @@ def check_adoption(machine: PetriNetMachine, adopted: Mapping[int, UnderWay], re
     for call, taken in adopted.items():
         if taken.resources != resources(plan.calls[call].action):
             raise RunError(f"{taken.call} has {', '.join(taken.resources) or 'nothing'} for itself; the plan says otherwise")
-
-
-def check_succession(old: Handover, new: Handover) -> None:
-    """Refuse a successor that loses a request under way, or has one that cannot be taken over.
-
-    Raises:
-        RunError: the old run cannot be succeeded by the new one.
-    """
-    if old.is_ending:
-        raise RunError("a run that is over, or was told to stop, is not succeeded by another")
-    if old.run == new.run:
-        raise RunError("the run that succeeds another has an id of its own")
-    if old.settling:  # the old run looks for effects that it computed when the call was sent; they are not handed over
-        raise RunError(f"the effects of {', '.join(map(str, old.settling))} are still to be looked for")
-    # A request that nobody takes over would go on unobserved, with its resources free for others.
-    left = [str(call) for request, call in old.open_calls.items() if request not in new.open_calls]
-    if left:
-        raise RunError(f"the other run does not take over {', '.join(left)}")
-    there = {running.request for running in old.under_way}
-    # The other way round, the new run would wait for an end that has already been reported, or is about to be.
-    gone = [str(call) for request, call in new.open_calls.items() if request not in there]
-    if gone:
-        raise RunError(f"{', '.join(gone)} cannot be taken over: it is over, or being cancelled")

@@ -346,9 +346,10 @@ class Run(RunView):
         """Carry out the action of a transition; `is_turn` if the run may begin to end with it."""
         calls = self._calls
         if action is _SEND:
-            course = self._results.course(call)
-            commands, reports, changes_knowledge = calls.send(call, course.attempts, self._questions.answers_at(place))
-            sent = course.call = calls.as_sent(call)
+            count = self._results.current(call).attempts
+            commands, reports, changes_knowledge = calls.send(call, count, self._questions.answers_at(place))
+            if (sent := calls.as_sent(call)) is not self._results.current(call).call:
+                self._results.sent(sent)
             self._state.is_stepping = False
             for command in commands:
                 if isinstance(command, events.Send):

@@ -12,7 +12,7 @@ from pnm.core.execution.call_requests import Calls
 from pnm.core.execution.call_results import CallResult, CallResults, RunResult, Told
 from pnm.core.execution.events import SILENT, Command, Observer, Pause
 from pnm.core.execution.guards import Guards
-from pnm.core.execution.handover import Handover, UnderWay, check_adoption
+from pnm.core.execution.handover import UnderWay, check_adoption
 from pnm.core.execution.machine_index import index_of
 from pnm.core.execution.questions import Questions
 from pnm.core.execution.run_state import Agenda, RunState
@@ -264,10 +264,27 @@ class RunView:
         """The marked places at which effects are still to be looked for, and their calls."""
         return [(place, call) for place, call in self._index.settling.items() if self._engine.tokens[place]]
 
-    @property
-    def handover(self) -> Handover:
-        """Its state as far as it matters when one run succeeds another."""
-        return Handover(self.id, self.over or self.stopped, self.settling, self.open_calls, self.under_way())
+    def check_successor(self, new: RunView) -> None:
+        """Refuse a successor that loses a request under way, or has one that cannot be taken over.
+
+        Raises:
+            RunError: this run cannot be succeeded by the new one.
+        """
+        if self.over or self.stopped:
+            raise RunError("a run that is over, or was told to stop, is not succeeded by another")
+        if self.id == new.id:
+            raise RunError("the run that succeeds another has an id of its own")
+        if self.settling:  # this run looks for effects that it computed when the call was sent; they are not handed over
+            raise RunError(f"the effects of {', '.join(map(str, self.settling))} are still to be looked for")
+        # A request that nobody takes over would go on unobserved, with its resources free for others.
+        left = [str(call) for request, call in self.open_calls.items() if request not in new.open_requests]
+        if left:
+            raise RunError(f"the other run does not take over {', '.join(left)}")
+        there = {running.request for running in self.under_way()}
+        # The other way round, the new run would wait for an end that has already been reported, or is about to be.
+        gone = [str(call) for request, call in new.open_calls.items() if request not in there]
+        if gone:
+            raise RunError(f"{', '.join(gone)} cannot be taken over: it is over, or being cancelled")
 
     def interim_result(self) -> RunResult:
         """Return the progress of the run, for one that may be succeeded by another."""

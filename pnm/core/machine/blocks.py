@@ -126,12 +126,6 @@ class MachineBlocks(BlockNet[PlacedStep]):
             found.append((guard, {self.place_name(place): weight for place, weight in inputs}))
         return found
 
-    def ordering(self, place: int) -> Ordering | None:
-        """Return the ordering that a place stands for."""
-        region = self.segment_of(place)
-        found = region.stands_for(place) if isinstance(region, PlacedRegion) else None
-        return found if isinstance(found, Ordering) else None
-
     # --- roles of places --------------------------------------------------------------------------
 
     @cached_property
