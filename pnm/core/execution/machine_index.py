@@ -56,8 +56,6 @@ class Firing:
     """Whether it takes more than one token, and is therefore enabled only if the engine misses none."""
     guarded: type
     """The kind of its guard."""
-    is_moment: bool
-    """Whether time alone opens it."""
     turns: bool
     """Whether the run may be ending after it, or not be ending any more."""
     action: TransitionAction | None
@@ -146,7 +144,6 @@ class Shape:
             gives=gives,
             counts=index.blocks.unmarked[block.transition + number] > 0,
             guarded=type(rule.guard),
-            is_moment=rule.guard.opened_by is Opener.TIME,
             turns=turns,
             action=rule.action,
             outcome=rule.outcome if is_call else None,

@@ -20,7 +20,7 @@ from pnm.core.execution.questions import subject_of
 from pnm.core.execution.run_view import RunView
 from pnm.core.logic.computed_values import Question, Unanswered
 from pnm.core.machine.failure_causes import Cause
-from pnm.core.machine.guards import EffectsMissing, Rule, Withheld
+from pnm.core.machine.guards import EffectsMissing, Opener, Rule, Withheld
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import BEFORE_ACCEPTANCE, Accepted, CallOutcome, Ended, Feedback, OutcomeKind, Postponed, TransitionAction
 from pnm.core.net.block_net import NumberedArcs
@@ -177,7 +177,7 @@ class Run(RunView):
             # a transition that lacks nothing but resources is asked all the same: its call has to stand in line for them
             if firing.counts and missing[first + firing.number] and not (firing.takes and guards.lacks_resources(first + firing.number)):
                 continue
-            if asking and not firing.is_moment:
+            if asking and firing.rule.guard.opened_by is not Opener.TIME:
                 continue
             try:
                 if (firing.takes or state.pause) and self._is_put_off(site, firing, place):

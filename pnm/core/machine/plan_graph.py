@@ -13,7 +13,7 @@ from enum import Enum
 from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
 from math import inf
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, NamedTuple, Self, TypeAlias
 
 from pnm.core import notebook
 from pnm.core.logic.computed_values import Data, KnowledgeOperation
@@ -246,46 +246,41 @@ class Choice:
 
 
 @dataclass(frozen=True, slots=True)
-class WaitUntil:
-    """Nothing is done until a condition holds."""
+class _Plain:
+    """A step that holds no others."""
 
     index: int
-    condition: Condition
-    limit: float
-    """Seconds after which the step fails if the condition does not hold."""
 
     @property
     def held(self) -> tuple[Held, ...]:
         """Nothing."""
         return ()
+
+    def renumbered(self, index: int, flows: Sequence[Flow]) -> Self:
+        """Return the same with another number."""
+        return replace(self, index=index)
+
+
+@dataclass(frozen=True, slots=True)
+class WaitUntil(_Plain):
+    """Nothing is done until a condition holds."""
+
+    condition: Condition
+    limit: float
+    """Seconds after which the step fails if the condition does not hold."""
 
     @property
     def ways(self) -> Mapping[bool, Flow]:
         """The steps that are entered for each truth of its condition."""
         return {True: EMPTY}
 
-    def renumbered(self, index: int, flows: Sequence[Flow]) -> WaitUntil:
-        """Return the same with another number."""
-        return replace(self, index=index)
-
     def __str__(self) -> str:
         return f"wait_until({self.condition})#{self.index}"
 
 
 @dataclass(frozen=True, slots=True)
-class Junction:
+class Junction(_Plain):
     """Nothing to do: where several branches meet before several others begin."""
-
-    index: int
-
-    @property
-    def held(self) -> tuple[Held, ...]:
-        """Nothing."""
-        return ()
-
-    def renumbered(self, index: int, flows: Sequence[Flow]) -> Junction:
-        """Return the same with another number."""
-        return replace(self, index=index)
 
     def __str__(self) -> str:
         return f"meet#{self.index}"

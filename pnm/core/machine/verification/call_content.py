@@ -39,22 +39,13 @@ _ASIDE: Final = (guards.Ending, guards.Failing, guards.Withheld)
 # --- what is asked ---------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Asked:
-    """All that is asked of one call."""
+class Asked(CallTerms):
+    """All that is asked of one call: its terms, and what the orderings of the plan make of it."""
 
-    terms: CallTerms
-    announces: bool
-    """Others wait for its start."""
-    awaited: bool
-    """Its end waits for others."""
-    delayed: bool
-    """Its start must come later than others, by some time."""
-
-    @property
-    def step(self) -> ActionCall:
-        """The call."""
-        return self.terms.step
+    def __init__(self, context: Context, call: ActionCall, *, announces: bool, awaited: bool, delayed: bool) -> None:
+        super().__init__(context, call, ())
+        self.announces, self.awaited, self.delayed = announces, awaited, delayed
+        """Whether others wait for its start, its end waits for others, and its start must come later than others, by some time."""
 
     @property
     def is_timed(self) -> bool:
@@ -62,25 +53,24 @@ class Asked:
         return self.delayed or self.step.earliest > 0
 
     @cached_property
-    def must_happen(self) -> bool:
+    def is_made(self) -> bool:
         """Whether it is made even if there is nothing to do."""
-        return self.terms.must_happen(relied_on=self.announces or self.awaited)
+        return self.must_happen(relied_on=self.announces or self.awaited)
 
     @cached_property
     def resources(self) -> tuple[str, ...]:
         """The resources that it has for itself."""
-        return self.terms.context.bindings.resources(self.step.action)
+        return self.context.bindings.resources(self.step.action)
 
     @property
     def kind(self) -> Hashable:
         """All of it but times, conditions and names: calls of one kind are asked the same, but for the guards of `WATCHES`."""
-        terms, context = self.terms, self.terms.context
-        step, binding = terms.step, terms.binding
+        step, binding = self.step, self.binding
         return (
-            *(self.announces, self.awaited, self.is_timed, self.must_happen, bool(self.resources)),
+            *(self.announces, self.awaited, self.is_timed, self.is_made, bool(self.resources)),
             *(step.under_way, step.latest_start < inf, step.deadline < inf, step.action.invariant != TRUE, step.recoveries),
-            *(terms.asks_at_its_end, terms.retries, binding.accept, binding.cancel, binding.when_lost),
-            *(context.repeated, context.starts_anew),
+            *(self.asks_at_its_end, self.retries, binding.accept, binding.cancel, binding.when_lost),
+            *(self.context.repeated, self.context.starts_anew),
         )
 
     @cached_property
@@ -125,8 +115,9 @@ class AskedOf:
     def __call__(self, call: ActionCall) -> Asked:
         """Return the requirements of a call."""
         number = call.index
-        terms = CallTerms(self._often if number in self._again else self._once, call, ())
-        return Asked(terms, number in self._announce, number in self._await, number in self._delay)
+        context = self._often if number in self._again else self._once
+        announces, awaited, delayed = (number in some for some in (self._announce, self._await, self._delay))
+        return Asked(context, call, announces=announces, awaited=awaited, delayed=delayed)
 
 
 def _reached_again(plan: PlanGraph) -> Iterator[int]:
@@ -361,11 +352,9 @@ _UNDER_WAY: Final = _at(lambda net: net.under_way)
 _IS_AFTER: Final = _is(guards.After)
 WATCHES: Final = (
     WatchedPlaces(CallRule.DATA, CallNet.before_sending, _is(guards.DataMissing), lambda call: guards.DataMissing(call.step.index)),
-    WatchedPlaces(CallRule.LATEST_START, CallNet.before_sending, _is(guards.Due), lambda call: _due(call.terms.latest)),
-    WatchedPlaces(CallRule.PRECONDITION, _at(lambda net: net.ready), _sends, lambda call: guards.ConditionTrue(call.terms.may_start)),
-    WatchedPlaces(
-        CallRule.ANSWER, _at(lambda net: net.unanswered), _IS_AFTER, lambda call: guards.After(call.terms.binding.accept), _cancels
-    ),
+    WatchedPlaces(CallRule.LATEST_START, CallNet.before_sending, _is(guards.Due), lambda call: _due(call.latest)),
+    WatchedPlaces(CallRule.PRECONDITION, _at(lambda net: net.ready), _sends, lambda call: guards.ConditionTrue(call.may_start)),
+    WatchedPlaces(CallRule.ANSWER, _at(lambda net: net.unanswered), _IS_AFTER, lambda call: guards.After(call.binding.accept), _cancels),
     WatchedPlaces(
         CallRule.OVER_ALL,
         _UNDER_WAY,
@@ -374,12 +363,12 @@ WATCHES: Final = (
         _cancels_and_fails,
     ),
     WatchedPlaces(CallRule.DEADLINE, _UNDER_WAY, _is(guards.Due), lambda call: _due(call.step.deadline), _cancels_and_fails),
-    WatchedPlaces(CallRule.TIME_LIMIT, _UNDER_WAY, _IS_AFTER, lambda call: guards.After(call.terms.timeout), _cancels),
+    WatchedPlaces(CallRule.TIME_LIMIT, _UNDER_WAY, _IS_AFTER, lambda call: guards.After(call.timeout), _cancels),
     WatchedPlaces(
         CallRule.CANCELLING,
         _at(lambda net: net.cancelled),
         _IS_AFTER,
-        lambda call: guards.After(call.terms.binding.cancel),
+        lambda call: guards.After(call.binding.cancel),
         lambda rule, fails: rule.gives_up,
     ),
 )
@@ -400,14 +389,14 @@ def _before_its_request(net: CallNet, call: Asked) -> Iterator[_Compared]:
     yield CallRule.ATTEMPTS, 2 if call.announces else 1, len(net.ready)
     yield CallRule.ADOPTED, call.step.under_way, bool(net.where(_is(guards.Adopted)))
     is_looked_at = {any(isinstance(net.rules[one].guard, guards.AlreadyTrue) for one in exits) for exits in net.before_sending()}
-    yield CallRule.ALREADY_TRUE, {not call.must_happen}, is_looked_at
+    yield CallRule.ALREADY_TRUE, {not call.is_made}, is_looked_at
 
 
 def _while_it_may_be_alive(net: CallNet, call: Asked) -> Iterator[_Compared]:
     watched = net.unanswered | net.under_way
     leaving = {number for place in watched for number in net.exits.get(place, ()) if not net.targets[number].isdisjoint(net.cancelled)}
     yield CallRule.CANCELLING, set(), {net.names[number] for number in leaving if net.rules[number].action is not TransitionAction.CANCEL}
-    held = net.alive if call.terms.asks_at_its_end else net.alive | (net.looking - net.late)
+    held = net.alive if call.asks_at_its_end else net.alive | (net.looking - net.late)
     yield CallRule.RESOURCES, held, net.alive_places
     every = dict.fromkeys(call.resources, 1)
     asked: dict[str, object] = {}
@@ -423,11 +412,11 @@ def _while_it_may_be_alive(net: CallNet, call: Asked) -> Iterator[_Compared]:
             asked[name], found[name] = moved, moves
     yield CallRule.RESOURCES, asked, found
     limits = {rule.guard.seconds for rule in net.rules if isinstance(rule.guard, guards.Withheld)}
-    yield CallRule.RESOURCES, {call.terms.binding.accept} if call.resources else set(), limits
+    yield CallRule.RESOURCES, {call.binding.accept} if call.resources else set(), limits
 
 
 def _after_its_request(net: CallNet, call: Asked) -> Iterator[_Compared]:
-    finish, terms = TransitionAction.FINISH, call.terms
+    finish = TransitionAction.FINISH
     # the effects of a call that was stopped are written where they are seen, all the same
     written: set[tuple[type, TransitionAction | None]] = {(guards.Accepts, TransitionAction.BEGIN), (guards.EffectsSeen, finish)}
     if call.awaited:
@@ -436,16 +425,16 @@ def _after_its_request(net: CallNet, call: Asked) -> Iterator[_Compared]:
     yield CallRule.EFFECTS, written, {(type(rule.guard), rule.action) for rule in writing}
     if Cause.LOST not in call.recoveries:
         lost = {net.course(net.outputs[number]) for exits in _UNDER_WAY(net) for number in exits if _ends_lost(net.rules[number])}
-        yield CallRule.LOST, {Then.FAIL if terms.binding.when_lost is WhenLost.ABORT else None}, lost
+        yield CallRule.LOST, {Then.FAIL if call.binding.when_lost is WhenLost.ABORT else None}, lost
     again = (number for number, places in enumerate(net.targets) if not places.isdisjoint(net.ready))
-    yield CallRule.RETRIES, {terms.retries} - {0}, {*map(net.counted, again)} - {0}
+    yield CallRule.RETRIES, {call.retries} - {0}, {*map(net.counted, again)} - {0}
     entering = [(number, chain) for number in range(len(net.names)) for chain in net.entered(number)]
     kept = {place for number, chain in entering if net.ends_of(chain) is Then.RESTART_PLAN for place in net.counts(number)}
     back = (number for number, places in enumerate(net.sources) if places and places == net.targets[number])
-    is_refilled = terms.context.repeated and not call.awaited
+    is_refilled = call.context.repeated and not call.awaited
     restored = {place for number in back for place in net.counts(number)}
     yield CallRule.COUNTERS, net.counters.keys() - kept if is_refilled else set(), restored
-    ways_out = {(guards.Failing, True), (guards.Ending, False)} if terms.context.starts_anew else {(guards.Ending, True)}
+    ways_out = {(guards.Failing, True), (guards.Ending, False)} if call.context.starts_anew else {(guards.Ending, True)}
     aside = ((number, rule.guard) for number, rule in enumerate(net.rules) if rule.outcome is None)
     leaving = {(type(guard), net.fails(number)) for number, guard in aside if isinstance(guard, guards.Ending | guards.Failing)}
     yield CallRule.RESTART, ways_out, leaving
@@ -463,7 +452,7 @@ def _recoveries(net: CallNet, call: Asked) -> Mapping[Cause, object]:
         course = net.course(net.outputs[number])
         # without recoveries a false check and an end for good lead to failure, and every other end to another attempt
         is_final = isinstance(guard, guards.Ends) and guard.kinds == {OutcomeKind.ABORTED_FOR_GOOD}
-        is_lost = _ends_lost(rule) and net.sources[number] <= net.under_way and call.terms.binding.when_lost is WhenLost.ABORT
+        is_lost = _ends_lost(rule) and net.sources[number] <= net.under_way and call.binding.when_lost is WhenLost.ABORT
         usual = Then.FAIL if is_final or is_lost or guard.is_check else None
         if cause in ASKED:
             found[cause] = [*found.get(cause, []), (guard, course)]  # type: ignore[misc]

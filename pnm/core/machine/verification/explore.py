@@ -218,9 +218,9 @@ _Trace: TypeAlias = "tuple[_Trace, str] | None"
 _Reached: TypeAlias = tuple[PartState, _Trace]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Exploration:
-    """The findings in all states of a part."""
+    """The findings in all states of a part, which are those of all parts of its shape."""
 
     states: int
     """The number of states."""

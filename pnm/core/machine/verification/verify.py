@@ -57,14 +57,7 @@ _MALFORMED: Final = (ArithmeticError, AssertionError, AttributeError, LookupErro
 """The errors of a machine that was tampered with: it may name anything, and have anything in the place of anything."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _Proved:
-    """A shape of blocks that was found good."""
-
-    explored: Exploration
-
-
-_FOUND_GOOD: Final = Remembered[object, _Proved]()
+_FOUND_GOOD: Final = Remembered[object, Exploration]()
 """The shapes of blocks that were explored, and the kinds of calls that were proved, in any machine."""
 
 
@@ -84,7 +77,7 @@ class Proof:
         """Transitions that can never fire; every other one fires for some answers of servers and of the world."""
         machine = self.machine
         blocks = map(Anatomy(machine).block, dict.fromkeys(rule.call for rule in machine.rules.values()))
-        return tuple(never for block in blocks for never in never_fire(block.part, _proved(block.part).explored))
+        return tuple(never for block in blocks for never in never_fire(block.part, _proved(block.part)))
 
     def __str__(self) -> str:
         return f"sound: {counted(self.calls, 'call')} of {counted(self.shapes, 'shape')}, {self.states} states explored"
@@ -105,7 +98,7 @@ def verify(machine: PetriNetMachine) -> Proof:
 
 
 def _verified(machine: PetriNetMachine) -> Proof:
-    proved, kinds = set[_Proved](), dict[Owner, object]()
+    proved, kinds = set[Exploration](), dict[Owner, object]()
     if (blocks := machine.generated) is None:
         check_flows(machine)
         anatomy = Anatomy(machine)
@@ -116,7 +109,7 @@ def _verified(machine: PetriNetMachine) -> Proof:
         kinds = sample.kinds
         anatomy = _anatomy_of(sample, machine, blocks)
     taken = anatomy.machine
-    waits, found = dict[Event, set[Event]](), dict[object, _Proved]()
+    waits, found = dict[Event, set[Event]](), dict[object, Exploration]()
     for owner in anatomy.writers[taken.goal_place]:
         for name in anatomy.transitions[owner]:
             if taken.goal_place in taken.net.outputs[name] and taken.rules[name].guard != ConditionTrue(taken.plan.goal):
@@ -135,7 +128,7 @@ def _verified(machine: PetriNetMachine) -> Proof:
         proved.add(shape)
         if owner in kinds:
             found[kinds[owner]] = shape
-        _check_reached(anatomy, block, shape.explored)
+        _check_reached(anatomy, block, shape)
     try:
         # Each block gives its outputs once it has its inputs; without a cycle all get them, by induction.
         TopologicalSorter(waits).prepare()
@@ -147,7 +140,7 @@ def _verified(machine: PetriNetMachine) -> Proof:
             check_content(net_of(taken, call.index, anatomy.transitions.get(call.index, ())), asked_of(call))
     for kind, shape in found.items():
         _FOUND_GOOD.keep(kind, shape)
-    return Proof(len(machine.plan.calls), len(proved), sum(shape.explored.states for shape in proved), machine)
+    return Proof(len(machine.plan.calls), len(proved), sum(shape.states for shape in proved), machine)
 
 
 _Watched: TypeAlias = tuple[tuple[int, WatchedPlaces], ...]
@@ -189,7 +182,7 @@ class _Sample(NamedTuple):
     chosen: list[PlacedStep]
     kinds: dict[Owner, object]
     """The kinds of the calls among them, which other machines may have as well."""
-    proved: set[_Proved]
+    proved: set[Exploration]
     """The knowledge of the kinds that are left out."""
     left_out: list[PlacedStep]
     """The first block of each of them."""
@@ -275,7 +268,7 @@ def _check_reached(anatomy: Anatomy, block: PlacedBlock, explored: Exploration) 
             raise Unsound(f"step {min(region.steps)} of the plan can never begin")
 
 
-def _proved(part: Part) -> _Proved:
+def _proved(part: Part) -> Exploration:
     """Prove a block, unless one of its shape was found good before: a task proves many machines of the same few shapes."""
     shape = shape_of(part)
     proved = _FOUND_GOOD.get(shape)
@@ -290,7 +283,7 @@ def _proved(part: Part) -> _Proved:
                     isinstance(way_out.guard, Withheld) and isfinite(way_out.guard.seconds) and way_out.inputs == rest for way_out in before
                 ):
                     raise Unsound(f"{step.name} has no way out for when resources that it needs are withheld")
-        proved = _FOUND_GOOD.keep(shape, _Proved(explore_part(part)))
+        proved = _FOUND_GOOD.keep(shape, explore_part(part))
     return proved
 
 
