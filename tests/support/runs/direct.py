@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from uuid import UUID
 
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.events import Answered, Ask, Begin, Cancel, Command, Event, Send, Store, Tick, Wake
@@ -17,9 +16,9 @@ from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Request
 from pnm.core.machine.verification.verify import verify
+from tests.support.runs.commands import RUN
 
 Answer = Callable[[Request], Outcome]
-RUN = UUID(int=1)
 
 
 def succeed(_request: Request) -> Outcome:
@@ -40,23 +39,7 @@ def answering_with(**kinds: list[str]) -> Answer:
 
 @dataclass
 class Trace:
-    """What happened in a run."""
-
-    result: RunResult
-    run: Run
-    sent: list[tuple[str, Mapping[str, object]]]
-    asked: list[Question]
-    told: list[tuple[Question, object]]
-
-    @property
-    def actions(self) -> list[str]:
-        """The names of the actions of all requests, in order."""
-        return [name for name, _ in self.sent]
-
-
-@dataclass
-class Driver:
-    """Answers everything a run asks for. The mutable state is the lists."""
+    """Answers everything a run asks for, and is what happened in it. The mutable state is all but the answers."""
 
     run: Run
     answer: Answer
@@ -64,16 +47,24 @@ class Driver:
     now: float = 0.0
     events: list[Event] = field(default_factory=lambda: [Begin()])
     wakes: list[float] = field(default_factory=list)
-    trace: list[tuple[str, Mapping[str, object]]] = field(default_factory=list)
+    sent: list[tuple[str, Mapping[str, object]]] = field(default_factory=list)
     asked: list[Question] = field(default_factory=list)
     told: list[tuple[Question, object]] = field(default_factory=list)
-    steps: int = 0
+
+    @property
+    def result(self) -> RunResult:
+        return self.run.result()
+
+    @property
+    def actions(self) -> list[str]:
+        """The names of the actions of all requests, in order."""
+        return [name for name, _ in self.sent]
 
     def drive(self) -> Trace:
         """Go on to the end, which must come."""
-        while not self.run.over:
-            self.steps += 1
-            assert self.steps < 100_000, f"it never ends: {self.run.marking}"
+        for _ in range(100_000):
+            if self.run.over:
+                return self
             if self.events:
                 event = self.events.pop(0)
             else:
@@ -82,12 +73,12 @@ class Driver:
                 self.wakes.clear()
             for command in self.run.handle(event, self.now):
                 self._do(command)
-        return Trace(self.run.result(), self.run, self.trace, self.asked, self.told)
+        raise AssertionError(f"it never ends: {self.run.marking}")
 
     def _do(self, command: Command) -> None:
         match command:
             case Send(request):
-                self.trace.append((request.action.name, request.goal))
+                self.sent.append((request.action.name, request.goal))
                 outcome = self.answer(request)
                 refused = outcome.kind in (OutcomeKind.REJECTED, OutcomeKind.UNAVAILABLE)
                 self.events += [*([] if refused else [Accepted(request.id)]), Ended(request.id, outcome)]
@@ -120,4 +111,4 @@ def drive(
     verify(machine)
     knowledge = Layered(world or KnowledgeBase(), KnowledgeBase(variables=variables))
     run = Run(machine, knowledge, id=RUN, bindings=bindings, asks=known is not None)
-    return Driver(run, answer, known or {}).drive()
+    return Trace(run, answer, known or {}).drive()

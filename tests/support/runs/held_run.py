@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import replace
 from random import Random
 from uuid import UUID
 
@@ -22,11 +21,11 @@ from pnm.core.logic.expressions import Constant, Fluent, Unknown, Value
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
-from pnm.core.machine.plan_graph import ActionCall, Choice, Flow, Loop, Step
+from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import CallOutcome, Request
 from pnm.core.net.net import Marking
-from tests.support.runs.direct import RUN
-from tests.support.runs.mutation.machines import CONDITIONS, random_bindings, random_plan, with_calls_under_way, written_out
+from tests.support.runs.commands import RUN
+from tests.support.runs.mutation.machines import random_bindings, random_plan, with_calls_under_way, written_out
 from tests.support.yaml.chaos import Chaos
 
 EFFECTS = (
@@ -120,10 +119,9 @@ def hold_against_reference(number: int, times: int = 3) -> None:
     """Execute the machine of a random plan a few times, in the run and in the reference."""
     for time in range(times):
         random = Random(f"{number} {time}")
-        planned = random_plan(random)
+        planned = random_plan(random, EFFECTS)
         taken_over = with_calls_under_way(planned, random)
         plan = taken_over if sum(call.under_way and bool(call.action.resources) for call in taken_over.calls) < 2 else planned
-        plan = replace(plan, steps=tuple(_with_effects(step, random) for step in plan.steps))
         bindings = random_bindings(random)
         machine = generate(plan, bindings, on_failure=random.choice([*OnFailure]))
         machine = written_out(machine) if random.random() < 0.2 else machine
@@ -138,29 +136,6 @@ def hold_against_reference(number: int, times: int = 3) -> None:
             unrest.adopt(taken)
         for _ in unrest.drive(3_000):
             pass
-
-
-def _with_effects(step: Step, random: Random) -> Step:
-    """The step, whose calls change something, and have short limits."""
-
-    def within(flow: Flow) -> Flow:
-        return replace(flow, steps=tuple(_with_effects(one, random) for one in flow.steps))
-
-    match step:
-        case ActionCall():
-            start, end = (tuple(effect for effect in EFFECTS if random.random() < 0.2) for _ in range(2))
-            action = replace(step.action, start_effects=start, end_effects=end, end_condition=random.choice(CONDITIONS))
-            deadline, latest = random.choice([step.deadline, 4.0]), random.choice([step.latest_start, 3.0])
-            recoveries = tuple(replace(recovery, chain=within(recovery.chain)) for recovery in step.recoveries)
-            return replace(
-                step, action=action, deadline=deadline, latest_start=latest, recoveries=recoveries, timeout=random.choice([None, 2.0])
-            )
-        case Loop():
-            return replace(step, body=within(step.body))
-        case Choice():
-            return replace(step, then=within(step.then), otherwise=within(step.otherwise))
-        case _:
-            return step
 
 
 def _under_way(call: ActionCall, knowledge: Layered) -> UnderWay:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass, field
-from uuid import UUID
 
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.world import robots_of
@@ -26,8 +25,7 @@ from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import GroundAction, PlanGraph
 from pnm.core.machine.verification.verify import verify
 from pnm.executor import Executor
-
-RUN = UUID(int=7)
+from tests.support.runs.commands import RUN
 
 
 def move(robot: str, here: str, there: str, duration: float = 4.0) -> GroundAction:
@@ -113,8 +111,6 @@ def simulate(
     run = Run(machine, Layered(beliefs), id=RUN, bindings=chosen, goal_fields=robots.goal_fields, observer=log)
 
     async def main() -> RunResult:
-        import asyncio
-
         if watched:
             report_changes(world, beliefs)
         robots.begin()

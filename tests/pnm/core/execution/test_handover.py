@@ -9,7 +9,7 @@ from uuid import UUID
 import pytest
 from hypothesis import given, strategies as st
 
-from pnm.core.execution.events import Begin, KnowledgeChanged, Pause, Stop, Tick, Wake
+from pnm.core.execution.events import Begin, KnowledgeChanged, Pause, Tick, Wake
 from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase
@@ -57,14 +57,6 @@ def test_what_is_not_accepted_or_being_cancelled_is_not_under_way() -> None:
     assert fresh.under_way() == ()
     old.handle(Ended(old.open_requests[0], CANCELED), 3.0)
     assert old.under_way() == ()
-
-
-def test_what_is_under_way_is_told_in_the_order_of_the_calls_whatever_was_sent_last() -> None:
-    run = going(GroundAction("one"), GroundAction("two"), bindings=Bindings({"one": Binding(retries=1)}))
-    run.handle(Ended(run.open_requests[0], ABORTED), 2.0)
-    run.handle(Accepted(run.open_requests[1]), 3.0)
-    assert [str(call) for call in run.open_calls.values()] == ["two()#1", "one()#0"]
-    assert [str(one.call) for one in run.under_way()] == ["one()#0", "two()#1"]
 
 
 def test_how_far_a_run_has_come_is_told() -> None:
@@ -128,25 +120,6 @@ def test_what_waits_for_the_start_of_a_call_taken_over_goes_on() -> None:
     assert later.handle(Begin(), 2.0)[-1] == Wake(5.0), "4 s after its acceptance"
 
 
-def test_stopping_a_successor_cancels_what_it_has_taken_over() -> None:
-    old = going(ACT)
-    new = successor(old)
-    new.handle(Stop(), 2.0)
-    assert cancelled(new.handle(Begin(), 2.0)) == [*old.open_requests]
-    new.handle(Ended(old.open_requests[0], CANCELED), 3.0)
-    assert [call.outcome for call in new.result().calls] == ["canceled"]
-
-
-def test_a_pause_suspends_what_was_taken_over_and_it_begins_anew() -> None:
-    old = going(ACT)
-    new = successor(old)
-    new.handle(Begin(), 2.0)
-    assert cancelled(new.handle(Pause(at_once=True), 3.0)) == [*old.open_requests]
-    new.handle(Ended(old.open_requests[0], CANCELED), 4.0)
-    assert new.paused
-    assert new.resources.held == ()
-
-
 def test_a_run_without_others_keeps_what_its_predecessor_had() -> None:
     old = going(ACT, resources=Resources())
     new = successor(old, LAST, resources=None)
@@ -201,14 +174,6 @@ def test_a_start_counts_until_something_is_reported_of_it(
         expected = {one: value for one, value in awaited.items() if not same_value(seen.value(one), value)}
         assert run.unreported == expected
         said.update(seen.update({fluent: value}))  # type: ignore[dict-item]
-
-
-def test_a_robot_that_is_seen_to_leave_and_to_be_back_is_back() -> None:
-    run = going(LEAVE, world=seeing(hall=True))
-    assert run.unreported == {("at", "hall"): False}
-    run.knowledge.world.update({("at", "hall"): False})
-    run.knowledge.world.update({("at", "hall"): True})
-    assert run.unreported == {}
 
 
 def test_it_counts_for_the_run_that_takes_the_call_over_and_not_anew() -> None:

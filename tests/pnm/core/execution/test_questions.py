@@ -26,7 +26,7 @@ from pnm.executor import Executor
 from pnm.knowledge.people import question_text
 from pnm.knowledge.sources import SourceChoice, Surroundings, open_sources
 from tests.support.logic.people import Person
-from tests.support.runs.direct import RUN
+from tests.support.runs.commands import RUN
 from tests.support.runs.handover import SUCCEEDED, ManualClient, carried, successor
 from tests.support.yaml.programs import only_plan
 

@@ -22,7 +22,7 @@ from tests.support.runs.commands import begun
 from tests.support.runs.control_flow import LARGE, SHAPES, call_with, flow, local, ne, on, store
 from tests.support.runs.direct import answering_with, drive
 from tests.support.runs.mutation.changes import without_output
-from tests.support.runs.mutation.mutants import check_proof_of_mutants
+from tests.support.runs.mutation.gate import check_proof_of_mutants
 from tests.support.runs.plan_graphs import plan_of_steps
 
 READY = Computed(Operation("eq", (local("n"), Literal.of(1))))

@@ -16,7 +16,8 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.verification.verify import verify
 from pnm.core.net.net import Marking
-from tests.support.runs.direct import RUN, drive
+from tests.support.runs.commands import RUN
+from tests.support.runs.direct import drive
 from tests.support.runs.held_run import Unrest
 from tests.support.yaml.chaos import Chaos, in_use
 from tests.support.yaml.programs import DOMAIN, Json, as_yaml, only_plan, programs

@@ -16,7 +16,7 @@ from pnm.core.logic.expressions import Constant, Fluent
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Ended
-from tests.support.runs.commands import begun, cancelled, in_its_moment, sent
+from tests.support.runs.commands import begun, in_its_moment, sent
 from tests.support.runs.handover import SUCCEEDED, going
 from tests.support.runs.plan_graphs import plan_of
 
@@ -115,14 +115,3 @@ def test_others_that_wait_for_its_start_go_on() -> None:
     run, _ = begun(plan_of(OPEN, GroundAction("look"), orders=("0s<1s",)), Bindings({"open": Binding(accept=5.0, retries=3)}))
     run.handle(Tick(), 5.0)
     assert sent(run.handle(Ended(run.open_requests[0], SUCCEEDED), 6.0)) == ["look"]
-
-
-def test_what_breaks_at_the_very_moment_of_the_end_does_no_harm() -> None:
-    run = going(MEND, world=KnowledgeBase({LIT: True}))
-    (request,) = run.open_requests
-    run.knowledge.world.update({LIT: False})
-    assert not cancelled(run.handle(KnowledgeChanged(), 6.0))
-    run.handle(Ended(request, SUCCEEDED), 6.0)
-    assert run.knowledge.value(MENDED)
-    assert outcomes(run) == ["succeeded"]
-    assert run.result().goal, "and nothing has failed"

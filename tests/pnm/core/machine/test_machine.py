@@ -19,7 +19,7 @@ from pnm.core.machine.verification.part import Part, PartStep, Unsound, shape_of
 from pnm.core.machine.verification.verify import explore, verify
 from pnm.core.net.net import PetriNet
 from tests.support.runs.mutation.changes import with_input, with_rule, without_transition
-from tests.support.runs.mutation.mutants import check_proof_of_mutants
+from tests.support.runs.mutation.gate import check_proof_of_mutants
 from tests.support.runs.plan_graphs import plan, plan_of, plans
 
 SHAPES = {

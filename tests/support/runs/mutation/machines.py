@@ -8,6 +8,7 @@ from random import Random
 
 from pnm.core.logic.computed_values import Layer, Literal, Operation, Query
 from pnm.core.logic.conditions import TRUE, Computed, Condition, Holds, Not
+from pnm.core.logic.effects import Effect
 from pnm.core.machine.bindings import Binding, Bindings, WhenLost
 from pnm.core.machine.blocks import MachineBlocks
 from pnm.core.machine.failure_causes import Cause
@@ -35,24 +36,24 @@ ASKED = Computed(Operation("eq", (Query(Literal('"code"'), Layer.PERSON), Litera
 CONDITIONS: tuple[Condition, ...] = (TRUE, TRUE, Holds(("powered",)), Not(Holds(("free",))), Holds(("free",)))
 
 
-def random_plan(random: Random) -> PlanGraph:
-    """Draw a plan of a few steps."""
+def random_plan(random: Random, effects: tuple[Effect, ...] = ()) -> PlanGraph:
+    """Draw a plan of a few steps; if there are effects, its calls have some of them, and short limits now and then."""
     numbers = iter(range(100))
     shape = random.choice(["flat", "flat", "loop", "choice", "recovery", "restart"])
-    outer = [_call(random, next(numbers))]
+    outer = [_call(random, next(numbers), effects)]
     if shape in ("recovery", "restart"):  # what stands inside a call is numbered after it
         causes = frozenset({random.choice([Cause.ABORTED, Cause.REJECTED, Cause.TIMED_OUT, Cause.EFFECTS_MISSING])})
         then = Then.RESTART_PLAN if shape == "restart" else random.choice([Then.RETRY, Then.RETRY, Then.SKIP, Then.FAIL])
-        chain = Flow((_call(random, next(numbers)),)) if random.random() < 0.7 else EMPTY
+        chain = Flow((_call(random, next(numbers), effects),)) if random.random() < 0.7 else EMPTY
         recovery = Recovery(causes, then, chain, random.randint(1, 3))
         outer = [replace(outer[0], recoveries=(recovery,))]
-    outer += [_call(random, next(numbers)) for _ in range(random.randint(0, 2))]
+    outer += [_call(random, next(numbers), effects) for _ in range(random.randint(0, 2))]
     steps: list[Step] = [*outer]
     if shape == "loop":
-        body = Flow((_call(random, next(numbers)),))
+        body = Flow((_call(random, next(numbers), effects),))
         steps.append(Loop(next(numbers), random.choice(CONDITIONS[2:]), body, random.randint(1, 3)))
     elif shape == "choice":
-        branch = Flow((_call(random, next(numbers)),))
+        branch = Flow((_call(random, next(numbers), effects),))
         steps.append(Choice(next(numbers), random.choice(CONDITIONS[2:]), branch, Flow()))
     moments = [*Moment]
     orderings: dict[tuple[PlanEvent, PlanEvent], Ordering] = {}
@@ -99,7 +100,8 @@ def random_machine(number: int, *, under_way: bool = False) -> PetriNetMachine:
     return generate(plan, random_bindings(random), on_failure=random.choice([*OnFailure]))
 
 
-def _call(random: Random, index: int) -> ActionCall:
+def _call(random: Random, index: int, effects: tuple[Effect, ...]) -> ActionCall:
+    start, end = (tuple(effect for effect in effects if random.random() < 0.2) for _ in range(2))
     action = GroundAction(
         f"a{index}",
         precondition=random.choice(CONDITIONS),
@@ -107,13 +109,18 @@ def _call(random: Random, index: int) -> ActionCall:
         expected=random.choice([TRUE, TRUE, TRUE, CONDITIONS[2], ASKED]),
         duration=random.choice([None, 3.0]),
         resources=("arm",) if random.random() < 0.3 else (),
+        end_condition=random.choice(CONDITIONS) if effects else TRUE,
+        start_effects=start,
+        end_effects=end,
     )
+    is_short = bool(effects) and random.random() < 0.5
     return ActionCall(
         index,
         action,
         release=random.choice([0.0, 0.0, 0.0, 5.0]),
-        latest_start=random.choice([inf, inf, inf, 50.0]),
-        deadline=random.choice([inf, inf, inf, 60.0]),
+        latest_start=random.choice([inf, inf, inf, 3.0 if is_short else 50.0]),
+        deadline=random.choice([inf, inf, inf, 4.0 if is_short else 60.0]),
+        timeout=2.0 if is_short else None,
         retries=random.choice([None, None, None, 1]),
     )
 

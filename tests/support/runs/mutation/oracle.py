@@ -11,7 +11,7 @@ from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import Moment, Then
 from pnm.core.machine.requests import CallOutcome, Ended
-from tests.support.runs.direct import RUN
+from tests.support.runs.commands import RUN
 from tests.support.yaml.chaos import Chaos
 
 
