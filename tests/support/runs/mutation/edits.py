@@ -17,7 +17,6 @@ from pnm.core.net.net import Marking, PetriNet, Weights
 from tests.support.runs.mutation.changes import with_inputs, with_outputs, with_rule, without_place, without_transition
 
 Edit = Callable[[PetriNetMachine, Random], PetriNetMachine]
-Arcs = Mapping[str, Weights]
 
 
 def arcs(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
@@ -113,7 +112,7 @@ def rules_reordered(machine: PetriNetMachine, random: Random) -> PetriNetMachine
 def places_merged(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
     one, other = random.sample(machine.net.places, 2)
 
-    def merged(arcs: Arcs) -> Arcs:
+    def merged(arcs: Mapping[str, Weights]) -> Mapping[str, Weights]:
         return {
             name: {place: weights.get(place, 0) + (weights.get(other, 0) if place == one else 0) for place in _renamed(weights, other, one)}
             for name, weights in arcs.items()
