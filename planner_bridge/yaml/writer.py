@@ -19,7 +19,7 @@ from pnm.core.logic.effects import Effects, ForEach, Set, When
 from pnm.core.logic.expressions import Arithmetic, Constant, Expression, ValueOf, Variable, fluent_text
 from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import DEFAULT, NO_BINDINGS, Binding, Bindings, Foreign, Table, WhenLost
-from pnm.core.message_fields import Comparison, Every, FieldValue, Flag, Negation, Some
+from pnm.core.message_fields import Combined, Comparison, FieldValue, Flag
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import MAX_DEPTH
 from pnm.language.grammar import RESERVED
@@ -338,12 +338,8 @@ def _value(value: object) -> Value:
             return _value({"field": str(field)})
         case Comparison(field, operation, constant):
             return _value({"field": str(field), operation: constant})
-        case Negation(test):
-            return _value({"not": test})
-        case Every(tests):
-            return _value({"all": tests})
-        case Some(tests):
-            return _value({"any": tests})
+        case Combined(word, tests):
+            return _value({word: tests[0] if word == "not" else tests})
         case Mapping():
             return YamlMapping(tuple([Entry(_value(inner), str(key)) for key, inner in value.items()]), short=True)
         case list() | tuple():

@@ -23,7 +23,7 @@ from pnm.core.logic.expressions import Fluent, Unknown, Value, bind
 from pnm.core.machine.bindings import Binding, Bindings, Table, WhenLost
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
-from pnm.core.message_fields import Comparison, Every, Field, Flag, Negation, Some, Test
+from pnm.core.message_fields import Combined, Comparison, Field, Flag, Test
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import parse_value
 
@@ -465,10 +465,10 @@ def _satisfy(test: Test, result: dict[str, object]) -> None:
             _put(result, where, True)
         case Comparison(where, "eq", constant):
             _put(result, where, constant)
-        case Every(tests) | Some(tests):
+        case Combined("all" | "any", tests):
             for part in tests:
                 _satisfy(part, result)
-        case Comparison() | Negation():
+        case Comparison() | Combined():
             pass
         case _:
             assert_never(test)

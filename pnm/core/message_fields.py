@@ -95,27 +95,15 @@ class Comparison:
 
 
 @dataclass(frozen=True, slots=True)
-class Negation:
-    """The test fails."""
+class Combined:
+    """Several tests as one."""
 
-    test: Test
-
-
-@dataclass(frozen=True, slots=True)
-class Every:
-    """All tests succeed; true when there is none."""
-
+    word: str
+    """``all``: they succeed, of which there may be none. ``any``: at least one succeeds. ``not``: the only one fails."""
     tests: tuple[Test, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Some:
-    """At least one test succeeds."""
-
-    tests: tuple[Test, ...] = ()
-
-
-Test: TypeAlias = Flag | Comparison | Negation | Every | Some
+Test: TypeAlias = Flag | Comparison | Combined
 
 
 def fields_bound(test: Test, env: Mapping[str, str]) -> Test:
@@ -123,10 +111,8 @@ def fields_bound(test: Test, env: Mapping[str, str]) -> Test:
     match test:
         case Flag(where) | Comparison(where):
             return replace(test, field=where.bound(env))
-        case Negation(inner):
-            return Negation(fields_bound(inner, env))
-        case Every(tests) | Some(tests):
-            return replace(test, tests=tuple([fields_bound(part, env) for part in tests]))
+        case Combined(word, tests):
+            return Combined(word, tuple([fields_bound(part, env) for part in tests]))
         case _:
             assert_never(test)
 
@@ -136,9 +122,7 @@ def fields_in(test: Test) -> Iterator[Field]:
     match test:
         case Flag(where) | Comparison(where):
             yield where
-        case Negation(inner):
-            yield from fields_in(inner)
-        case Every(tests) | Some(tests):
+        case Combined(_, tests):
             for part in tests:
                 yield from fields_in(part)
         case _:
@@ -160,12 +144,9 @@ def succeeds(test: Test, look: Look) -> bool:
                 return bool(operate(operation, [constant if close else value, constant]))
             except Uncomputable as error:
                 raise Unreadable(f"{where} is {shown(value)}, which cannot be compared with {shown(constant)}") from error
-        case Negation(inner):
-            return not succeeds(inner, look)
-        case Every(tests):
-            return {succeeds(test, look) for test in tests} <= {True}
-        case Some(tests):
-            return True in {succeeds(test, look) for test in tests}
+        case Combined(word, tests):
+            found = [succeeds(part, look) for part in tests]  # of those that do not decide the fields are looked at as well
+            return any(found) if word == "any" else all(found) is (word == "all")
         case _:
             assert_never(test)
 

@@ -7,7 +7,7 @@ from typing import Final
 
 from pnm.core.logic.domain import Vocabulary
 from pnm.core.logic.expressions import UNDEFINED, is_number
-from pnm.core.message_fields import Comparison, Every, Field, FieldValue, Flag, Negation, Some, Test, parse_field
+from pnm.core.message_fields import Combined, Comparison, Field, FieldValue, Flag, Test, parse_field
 from pnm.errors import InputError
 from pnm.files.yaml_keys import ANYTHING, TEXT, Keys, ref, written
 from pnm.files.yaml_nodes import Mapped, Node
@@ -102,7 +102,7 @@ def read_test(entry: Mapped) -> Test:
     """Read the test of a message: a truth value under ``field``, a test under ``when``, or none, which every message passes."""
     test = entry.node("when")
     if test is None:
-        return Flag(read_field(entry)) if "field" in entry.nodes else Every()
+        return Flag(read_field(entry)) if "field" in entry.nodes else Combined("all")
     if "field" in entry.nodes:
         raise InputError("expected either 'field', which is true or false, or 'when'", entry.position("field"))
     return field_test(test)
@@ -120,12 +120,10 @@ def field_test(node: Node) -> Test:
     ((key, _, inner),) = entry.entries()
     if key not in _TESTS:
         raise InputError(f"expected the field that is compared by {key!r}", entry.start)
-    if key == "not":
-        return Negation(field_test(inner))
-    if inner.items is None:
+    items = (inner,) if key == "not" else inner.items
+    if items is None:
         raise inner.wrong(f"expected a list of tests under {key!r}")
-    tests = tuple([field_test(item) for item in inner.items])
-    return Every(tests) if key == "all" else Some(tests)
+    return Combined(key, tuple(map(field_test, items)))
 
 
 def _comparison(entry: Mapped) -> Test:
@@ -138,4 +136,4 @@ def _comparison(entry: Mapped) -> Test:
             if constant is None or (isinstance(constant, float) and math.isnan(constant)):
                 raise node.wrong(f"expected a value to compare {field} with")
             comparisons.append(Comparison(field, key, constant))
-    return Every(tuple(comparisons)) if len(comparisons) > 1 else comparisons[0] if comparisons else Flag(field)
+    return Combined("all", tuple(comparisons)) if len(comparisons) > 1 else comparisons[0] if comparisons else Flag(field)

@@ -21,7 +21,7 @@ from uuid import UUID
 
 from pnm.core.logic.computed_values import MISSING
 from pnm.core.machine.bindings import Binding, Table
-from pnm.core.message_fields import Comparison, Every, Field, FieldValue, Flag, Having, Negation, Some, Test, item, parse_field, written
+from pnm.core.message_fields import Combined, Comparison, Field, FieldValue, Flag, Having, Test, item, parse_field, written
 from pnm.errors import InputError, PnmError, suggestion
 from pnm.knowledge.sensor_model import ExclusiveFact, Fact, Number, Object, Sensor, Statement, Stored
 
@@ -209,10 +209,8 @@ def fitted_test(test: Test, message_type: Any) -> Test:
             return test
         case Comparison(where):
             return _comparison(test, find_field(message_type, where))
-        case Negation(inner):
-            return Negation(fitted_test(inner, message_type))
-        case Every(tests) | Some(tests):
-            return replace(test, tests=tuple([fitted_test(part, message_type) for part in tests]))
+        case Combined(word, tests):
+            return Combined(word, tuple([fitted_test(part, message_type) for part in tests]))
         case _:
             assert_never(test)
 

@@ -10,7 +10,7 @@ import pytest
 from planner_bridge.yaml.convert import exported, imported
 from pnm.actions.bindings_file import read_bindings
 from pnm.core.machine.bindings import DEFAULT, Binding, Bindings, Foreign, Table, WhenLost
-from pnm.core.message_fields import Comparison, Every, FieldValue, Flag, Negation, Some, parse_field
+from pnm.core.message_fields import Combined, Comparison, FieldValue, Flag, parse_field
 from pnm.errors import InputError
 from pnm.language.plan import read_plans
 from tests.support.e2e.command_line import pnm
@@ -18,10 +18,11 @@ from tests.support.files import ROOT, written
 
 DELIVERY = ROOT / "domains/delivery/domain.pddl", ROOT / "problems/delivery/p01.pddl"
 STATUS = parse_field("result.status")
+NEITHER = Combined("not", (Combined("any", (Flag(parse_field("error")), Flag(parse_field("a[-1].b")))),))
 EVERYTHING = Binding(
     server="/{robot}/move",
     type="nav2_msgs/action/NavigateToPose",
-    success=Every((Comparison(STATUS, "eq", 0), Negation(Some((Flag(parse_field("error")), Flag(parse_field("a[-1].b"))))))),
+    success=Combined("all", (Comparison(STATUS, "eq", 0), NEITHER)),
     reason=FieldValue(STATUS, {"1": "no way"}),
     final=Comparison(STATUS, "ge", 4),
     goal={

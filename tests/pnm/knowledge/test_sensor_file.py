@@ -11,7 +11,7 @@ from hypothesis import given, strategies as st
 
 from pnm.core.logic.expressions import UNKNOWN
 from pnm.core.machine.bindings import Bindings
-from pnm.core.message_fields import Comparison, Every, Field, FieldValue, Flag, Negation, Some, Unreadable, parse_field, succeeds
+from pnm.core.message_fields import Combined, Comparison, Field, FieldValue, Flag, Unreadable, parse_field, succeeds
 from pnm.errors import InputError
 from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import ByService, instances, read, unknown
@@ -133,9 +133,9 @@ def test_a_test_and_its_negation_disagree_or_say_nothing(value, constant):
 
     for operation in ("eq", "ne", "lt", "le", "gt", "ge", "contains"):
         test = Comparison(parse_field("x"), operation, constant)
-        one, other = outcome(test), outcome(Negation(test))
+        one, other = outcome(test), outcome(Combined("not", (test,)))
         assert one is other is None or one is not other
-        assert outcome(Every((test,))) is outcome(Some((test,))) is one
+        assert outcome(Combined("all", (test,))) is outcome(Combined("any", (test,))) is one
     assert outcome(Flag(parse_field("x"))) is (value if isinstance(value, bool) else None)
 
 
