@@ -353,7 +353,7 @@ def _waits(steps: tuple[WrittenStep, ...], *, in_sequence: bool) -> list[tuple[_
         ends = (_After(numbers[wait.id], wait.moment, wait.delay, Moment.END) for wait in place.end_after)
         written.append(tuple(dict.fromkeys((*starts, *ends))))
     over: dict[int, list[int]] = {number: [] for number in range(len(steps) + 1)}  # the steps that can be over from this one on
-    for number, last in enumerate(_last_waited_for(written)):
+    for number, last in enumerate(_last_waited_for(steps, written)):
         over[last + 1].append(number)
     waits: list[tuple[_After, ...]] = []
     unwaited, waited = dict[int, None](), set[int]()  # of these, those for whose end no other waits
@@ -364,36 +364,25 @@ def _waits(steps: tuple[WrittenStep, ...], *, in_sequence: bool) -> list[tuple[_
             del unwaited[earlier]
         usual = map(_After, sorted(unwaited)) if step.place.after is None and in_sequence else ()
         waits.append((*usual, *written[number]))
-    _check_cycles(steps, waits)
     return waits
 
 
-def _last_waited_for(waits: Sequence[tuple[_After, ...]]) -> list[int]:
-    """Return for each step the last one of the list that its end waits for, itself included."""
-    last = {(number, moment): number for number in range(len(waits)) for moment in Moment}
-    before = dict[tuple[int, Moment], int]()
-    while last != before:
-        before = dict(last)
-        for number in (*reversed(range(len(waits))), *range(len(waits))):
-            for moment in (Moment.START, Moment.END):  # an end comes after the start
-                awaited = (last[wait.step, wait.moment] for wait in waits[number] if moment in (wait.own, Moment.END))
-                last[number, moment] = max(number, *awaited, last[number, Moment.START])
-    return [last[number, Moment.END] for number in range(len(waits))]
-
-
-def _check_cycles(steps: tuple[WrittenStep, ...], waits: list[tuple[_After, ...]]) -> None:
+def _last_waited_for(steps: tuple[WrittenStep, ...], waits: Sequence[tuple[_After, ...]]) -> list[int]:
+    """Return for each step the last one of the list that its end waits for, itself included; refuse steps that wait for each other."""
     graph: dict[tuple[int, Moment], set[tuple[int, Moment]]] = {}
     for number, before in enumerate(waits):
-        graph.setdefault((number, Moment.START), set())
-        graph.setdefault((number, Moment.END), set()).add((number, Moment.START))
+        graph |= {(number, Moment.START): set(), (number, Moment.END): {(number, Moment.START)}}
         for wait in before:
-            graph.setdefault((number, wait.own), set()).add((wait.step, wait.moment))
+            graph[number, wait.own].add((wait.step, wait.moment))
+    last: dict[tuple[int, Moment], int] = {}
     try:
-        TopologicalSorter(graph).prepare()
+        for event in TopologicalSorter(graph).static_order():
+            last[event] = max((event[0], *(last[awaited] for awaited in graph[event])))
     except CycleError as error:
         cycle = list(dict.fromkeys(step for step, _ in error.args[1]))
         names = " < ".join(steps[n].place.id or f"the step in line {steps[n].place.position.line}" for n in (*cycle, cycle[0]))
         raise InputError(f"steps wait for each other: {names}", steps[cycle[0]].place.position) from error
+    return [last[number, Moment.END] for number in range(len(steps))]
 
 
 def _renumbered(flow: Flow, numbers: Mapping[int, int]) -> Flow:
