@@ -232,10 +232,6 @@ class Resources:
         """Return False if the request of the claim was given up: what it holds may never be released."""
         return claim.request not in self._withheld
 
-    def servable(self) -> frozenset[UUID]:
-        """Return the requests in line whose claims would be granted if they were made again."""
-        return frozenset(request for request, (_, claim) in self._line.items() if self.is_free(claim))
-
     def concerned(self, requests: KeysView[UUID]) -> list[UUID]:
         """Return those of the requests in line that were told something which is still so, those in front first."""
         claims = (self._line[request][1] for _, _, request in sorted(self._line[request][0] for request in requests & self._told))

@@ -157,16 +157,21 @@ def choices_in_effects(effects: Effects, count: Count, around: int = 0) -> int:
     return total
 
 
-def expanded(effects: Effects, state: State, env: Environment = NOTHING) -> Iterator[tuple[Set | When, Environment]]:
-    """Yield every `Set` and `When` at any depth, whether or not it happens, once for every choice of objects, with its environment."""
+def expanded(
+    effects: Effects, state: State, env: Environment = NOTHING, *, happening: bool = False
+) -> Iterator[tuple[Set | When, Environment]]:
+    """Yield every `Set` and `When` at any depth, once for every choice of objects, with its environment.
+
+    With `happening`, those under conditions only where these hold in the state.
+    """
     for effect in effects:
         if isinstance(effect, ForEach):
             for chosen in choices(effect.variables, state, env):
-                yield from expanded(effect.effects, state, chosen)
+                yield from expanded(effect.effects, state, chosen, happening=happening)
         else:
             yield effect, env
-            if isinstance(effect, When):
-                yield from expanded(effect.effects, state, env)
+            if isinstance(effect, When) and not (happening and evaluate(effect.condition, state, env) is not True):
+                yield from expanded(effect.effects, state, env, happening=happening)
 
 
 def decided(effects: Effects, state: State) -> Effects:
@@ -198,30 +203,23 @@ def is_early(effect: Effect) -> bool:
 
 def assignments(effects: Effects, state: State, env: Environment = NOTHING) -> Iterator[tuple[Fluent, Set, Environment]]:
     """Yield each `Set` that happens in the state, with its ground fluent and its environment."""
-    for effect in effects:
-        match effect:
-            case Set(fluent):
-                yield bind(fluent, env), effect, env
-            case When(condition, inner):
-                if evaluate(condition, state, env) is True:
-                    yield from assignments(inner, state, env)
-            case ForEach(variables, inner):
-                for chosen in choices(variables, state, env):
-                    yield from assignments(inner, state, chosen)
-            case _:
-                assert_never(effect)
+    return _sets(expanded(effects, state, env, happening=True))
 
 
 def possible_assignments(effects: Effects, state: State) -> Iterator[tuple[Fluent, Set, Environment]]:
     """Yield the assignments as if every condition of the effects held."""
-    return ((bind(effect.fluent, env), effect, env) for effect, env in expanded(effects, state) if isinstance(effect, Set))
+    return _sets(expanded(effects, state))
+
+
+def _sets(effects: Iterable[tuple[Set | When, Environment]]) -> Iterator[tuple[Fluent, Set, Environment]]:
+    return ((bind(effect.fluent, env), effect, env) for effect, env in effects if isinstance(effect, Set))
 
 
 def written(effects: Effects, state: State) -> frozenset[Fluent]:
     """Return every fluent the effects may set, whether or not their conditions hold."""
     if (constant := constants(effects)) is not None:
         return frozenset(constant)
-    return frozenset([bind(effect.fluent, env) for effect, env in expanded(effects, state) if isinstance(effect, Set)])
+    return frozenset([fluent for fluent, _, _ in possible_assignments(effects, state)])
 
 
 def names_written(effects: Effects) -> frozenset[str]:
