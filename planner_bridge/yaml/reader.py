@@ -73,7 +73,7 @@ def read(path: Path) -> Contents:
 def parse(text: str, file: str) -> Contents:
     """Read the text of a YAML file; raise `InputError` if it is not such YAML, or has what PDDL has not."""
     nodes = compose(text, file, ANCHORS)
-    top = domain_document([Mapped.of(node, file) for node in nodes])
+    top = domain_document([node.mapped() for node in nodes])
     if top is None:
         raise InputError("there is no domain in the file; expected the key 'actions'", Position(file, 1, 1))
     top.only(*_KEYS, *_recipes(top))
@@ -85,7 +85,7 @@ def parse(text: str, file: str) -> Contents:
     domain = _domain(model, keys)
     problem = None if top.filled("problem") is None else _problem(model, domain, keys.problem)
     bound = {name: read_binding(action) for name, action in keys.actions.items() if action.entry.nodes.keys() & BINDING_KEYS}
-    return Contents(domain, problem, comments(text, nodes, top, domain) if "#" in text else {}, Bindings(bound))
+    return Contents(domain, problem, comments(text, [node.raw for node in nodes], top, domain) if "#" in text else {}, Bindings(bound))
 
 
 def _domain(model: ProblemModel, keys: DomainKeys) -> Domain:

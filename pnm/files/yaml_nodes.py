@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
-from itertools import count
+from itertools import chain, count
 from math import isfinite
 from pathlib import Path
 from sys import float_info
@@ -41,7 +41,7 @@ def load_yaml(path: Path | str) -> Mapped:
 
 def parse_yaml(text: str, file: str, anchors: Mapping[str, Mapping[str, str]] = NO_ANCHORS) -> tuple[Mapped, ...]:
     """Read YAML documents, at least one and each a mapping; `anchors` has the mappings for aliases that the text does not define."""
-    return tuple([Mapped.of(node, file) for node in compose(text, file, anchors)])
+    return tuple([node.mapped() for node in compose(text, file, anchors)])
 
 
 def parse_value(text: str, origin: str) -> object:
@@ -50,8 +50,8 @@ def parse_value(text: str, origin: str) -> object:
         return ""
     first, *others = compose(text, origin)
     if others:
-        raise InputError("a second document begins here; expected one", position(others[0], origin))
-    return _plain(first, origin)
+        raise others[0].wrong("a second document begins here; expected one")
+    return first.plain()
 
 
 def texts_in(value: object) -> Iterator[str]:
@@ -63,48 +63,14 @@ def texts_in(value: object) -> Iterator[str]:
             yield from texts_in(part)
 
 
-def _plain(node: yaml.Node, file: str) -> object:
-    if isinstance(node, yaml.MappingNode):
-        return {key: _plain(value, file) for key, (_, value) in Mapped.of(node, file).nodes.items()}
-    if isinstance(node, yaml.SequenceNode):
-        return [_plain(item, file) for item in node.value]
-    try:
-        value = scalar(node)
-        str(value)  # no message and no JSON could name a number of more than 4300 digits, which hexadecimal ones may have
-    except ValueError as error:
-        raise InputError(f"cannot be read as {kind(node)}: {node.value[:40]!r}", position(node, file)) from error
-    if isinstance(value, float) and not isfinite(value):
-        raise InputError(f"expected a finite number, found {node.value}", position(node, file))
-    return value
-
-
 @dataclass(frozen=True, slots=True)
 class Mapped:
     """A mapping read from a file. Whatever is asked of it raises InputError, with the position, when it is something else."""
 
     file: str
     start: Position
-    nodes: Mapping[str, tuple[Position, yaml.Node]]
+    nodes: Mapping[str, tuple[Position, Node]]
     """For every key, where the key stands and the value."""
-
-    @staticmethod
-    def of(node: yaml.Node, file: str) -> Mapped:
-        """Wrap a node, which must be a mapping with text keys, each used once."""
-        if not isinstance(node, yaml.MappingNode):
-            raise InputError("expected a mapping (key: value)", position(node, file))
-        nodes: dict[str, tuple[Position, yaml.Node]] = {}
-        merged: dict[str, tuple[Position, yaml.Node]] = {}
-        for key, value in node.value:
-            if not isinstance(key, yaml.ScalarNode):
-                raise InputError("expected a name as the key", position(key, file))
-            if kind(key) == "merge":
-                for source in value.value if isinstance(value, yaml.SequenceNode) else (value,):
-                    merged = {**Mapped.of(source, file).nodes, **merged}
-                continue
-            if key.value in nodes:
-                raise InputError(f"the key {key.value!r} is there twice", position(key, file))
-            nodes[key.value] = (position(key, file), value)
-        return Mapped(file, position(node, file), {**merged, **nodes})
 
     def without(self, key: str) -> Mapped:
         """Return the other keys."""
@@ -121,23 +87,20 @@ class Mapped:
 
     def position(self, key: str) -> Position:
         """Return where the value of the key stands, or the mapping itself."""
-        return position(self.nodes[key][1], self.file) if key in self.nodes else self.start
+        return self.nodes[key][1].position if key in self.nodes else self.start
 
     def mappings(self) -> dict[str, Mapped]:
         """Return the mappings that all values must be."""
-        return {
-            name: Mapped(self.file, where, {}) if is_null(node) else Mapped.of(node, self.file)
-            for name, (where, node) in self.nodes.items()
-        }
+        return {name: Mapped(self.file, where, {}) if node.is_null else node.mapped() for name, where, node in self.entries()}
 
     def sequence(self, key: str) -> list[Mapped]:
         """Return a list of mappings; empty when the key is not there."""
-        if self._empty(key):
+        node = self.filled(key)
+        if node is None:
             return []
-        node = self.nodes[key][1]
-        if not isinstance(node, yaml.SequenceNode):
-            raise InputError(f"expected a list under {key!r}", position(node, self.file))
-        return [Mapped.of(item, self.file) for item in node.value]
+        if node.items is None:
+            raise node.wrong(f"expected a list under {key!r}")
+        return [item.mapped() for item in node.items]
 
     def strings(self, key: str) -> list[str]:
         """Return a list of texts; empty when the key is not there."""
@@ -194,15 +157,17 @@ class Mapped:
 
     def plain(self, key: str) -> object:
         """Return the value as plain data, or None when the key is not there."""
-        return None if self._empty(key) else _plain(self.nodes[key][1], self.file)
+        node = self.filled(key)
+        return None if node is None else node.plain()
 
     def node(self, key: str) -> Node | None:
         """Return the value as it stands, or None when the key is not there."""
-        return Node(self.file, self.nodes[key][1]) if key in self.nodes else None
+        return self.nodes[key][1] if key in self.nodes else None
 
     def filled(self, key: str) -> Node | None:
         """Return the value; None when the key is not there, or has none."""
-        return None if self._empty(key) else Node(self.file, self.nodes[key][1])
+        node = self.node(key)
+        return None if node is None or node.is_null else node
 
     def listed(self, key: str) -> tuple[Node, ...]:
         """Return the items of a list, or the one value that stands for itself; nothing when the key is not there, or has none."""
@@ -211,20 +176,18 @@ class Mapped:
 
     def section(self, key: str) -> Mapped:
         """Return the mapping under a key; an empty one when the key is not there, or has none."""
-        return Mapped(self.file, self.start, {}) if self._empty(key) else Mapped.of(self.nodes[key][1], self.file)
+        node = self.filled(key)
+        return Mapped(self.file, self.start, {}) if node is None else node.mapped()
 
     def needed(self, key: str) -> Node:
         """Return the value of a key that must be there."""
         if key not in self.nodes:
             raise InputError(f"the key {key!r} is missing", self.start)
-        return Node(self.file, self.nodes[key][1])
+        return self.nodes[key][1]
 
     def entries(self) -> tuple[tuple[str, Position, Node], ...]:
         """Return every key with where it stands and its value, merged ones first."""
-        return tuple((key, where, Node(self.file, node)) for key, (where, node) in self.nodes.items())
-
-    def _empty(self, key: str) -> bool:
-        return key not in self.nodes or is_null(self.nodes[key][1])
+        return tuple((key, where, node) for key, (where, node) in self.nodes.items())
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,7 +200,12 @@ class Node:
     @property
     def position(self) -> Position:
         """The position of the value."""
-        return position(self.raw, self.file)
+        return Position(self.file, self.raw.start_mark.line + 1, self.raw.start_mark.column + 1)
+
+    @property
+    def kind(self) -> str:
+        """Its tag, without what all plain ones begin with."""
+        return str(self.raw.tag).removeprefix(CORE)
 
     def position_of(self, word: str) -> Position:
         """Return where a word stands in the value, or where the value does if the file spells it in another way."""
@@ -254,7 +222,7 @@ class Node:
     @property
     def is_null(self) -> bool:
         """Whether there is nothing: ``null``, or no value at all."""
-        return is_null(self.raw)
+        return self.kind == "null"
 
     @property
     def is_mapping(self) -> bool:
@@ -279,7 +247,7 @@ class Node:
     @property
     def text(self) -> str | None:
         """A text; None for anything else, numbers and truth values included."""
-        return self.raw.value if isinstance(self.raw, yaml.ScalarNode) and kind(self.raw) in TEXTS else None
+        return self.raw.value if isinstance(self.raw, yaml.ScalarNode) and self.kind in TEXTS else None
 
     @property
     def written(self) -> str:
@@ -295,12 +263,54 @@ class Node:
             yield from part.texts(*left_out)
 
     def mapped(self) -> Mapped:
-        """Return the mapping that it must be."""
-        return Mapped.of(self.raw, self.file)
+        """Return the mapping that it must be, with text keys, each used once."""
+        if not self.is_mapping:
+            raise self.wrong("expected a mapping (key: value)")
+        nodes: dict[str, tuple[Position, Node]] = {}
+        merged: dict[str, tuple[Position, Node]] = {}
+        for key, value in ((Node(self.file, key), Node(self.file, value)) for key, value in self.raw.value):
+            if key.is_mapping or key.items is not None:
+                raise key.wrong("expected a name as the key")
+            if key.kind == "merge":
+                for source in value.each:
+                    merged = {**source.mapped().nodes, **merged}
+                continue
+            if key.written in nodes:
+                raise key.wrong(f"the key {key.written!r} is there twice")
+            nodes[key.written] = (key.position, value)
+        return Mapped(self.file, self.position, {**merged, **nodes})
 
     def plain(self) -> object:
         """Return it as plain data."""
-        return _plain(self.raw, self.file)
+        if self.is_mapping:
+            return {key: value.plain() for key, _, value in self.mapped().entries()}
+        if self.items is not None:
+            return [item.plain() for item in self.items]
+        try:
+            value = self._scalar()
+            str(value)  # no message and no JSON could name a number of more than 4300 digits, which hexadecimal ones may have
+        except ValueError as error:
+            raise self.wrong(f"cannot be read as {self.kind}: {self.written[:40]!r}") from error
+        if isinstance(value, float) and not isfinite(value):
+            raise self.wrong(f"expected a finite number, found {self.written}")
+        return value
+
+    def _scalar(self) -> str | float | bool | None:
+        """Return the value of a scalar; raise `ValueError` for a text that its tag does not allow."""
+        name, text = self.kind, self.written
+        if name in TEXTS:
+            return text
+        if not _SCALARS[name][0].match(text):
+            raise ValueError(f"{text!r} is no {name}")
+        match name:
+            case "null":
+                return None
+            case "bool":
+                return text.lower() == "true"
+            case "int":
+                return int(text, 0 if text[:2] in ("0o", "0x") else 10)
+            case _:
+                return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
 
     def wrong(self, message: str) -> InputError:
         """Return the error to raise about it."""
@@ -347,7 +357,7 @@ _SCALARS: Final = {
 """Kinds of plain scalars, in the order in which they are tried: their texts, and how these may begin."""
 
 
-def compose(text: str, file: str, anchors: Mapping[str, Mapping[str, str]] = NO_ANCHORS) -> list[yaml.Node]:
+def compose(text: str, file: str, anchors: Mapping[str, Mapping[str, str]] = NO_ANCHORS) -> list[Node]:
     """Return the documents that are not empty, at least one; raise `InputError` if the text is not plain YAML, or too large.
 
     `anchors` has the mappings for aliases that the text does not define.
@@ -358,7 +368,7 @@ def compose(text: str, file: str, anchors: Mapping[str, Mapping[str, str]] = NO_
     loader: _Loader | None = None
     try:
         loader = _Loader(text, anchors)
-        nodes = list(loader.documents())
+        nodes = [Node(file, root) for root in loader.documents()]
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         where = Position(file, mark.line + 1, mark.column + 1) if mark else start
@@ -373,7 +383,7 @@ def compose(text: str, file: str, anchors: Mapping[str, Mapping[str, str]] = NO_
             loader.dispose()
     if not nodes:
         raise InputError("the file is empty; expected a mapping", start)
-    _check_bounds(nodes, file)
+    _check_bounds(nodes)
     return nodes
 
 
@@ -398,7 +408,7 @@ class _Loader(yaml.SafeLoader):
             if number > MAX_DOCUMENTS:
                 raise yaml.MarkedYAMLError(problem=f"more than {MAX_DOCUMENTS} documents", problem_mark=self.get_mark())
             node = self.get_node()
-            if node is not None and not (is_null(node) and not node.value):
+            if node is not None and not (node.tag == f"{CORE}null" and not node.value):
                 yield node
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
@@ -419,51 +429,16 @@ class _Loader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
 
-def _check_bounds(roots: list[yaml.Node], file: str) -> None:
+def _check_bounds(roots: list[Node]) -> None:
     stack = [(root, 0) for root in reversed(roots)]
     seen = 0
     while stack:
         node, depth = stack.pop()
         seen += 1
         if seen > MAX_NODES or depth > MAX_DEPTH:
-            what = f"more than {MAX_NODES} values" if seen > MAX_NODES else f"nested deeper than {MAX_DEPTH}"
-            raise InputError(what, position(node, file))
-        if kind(node) not in _PLAIN:
-            raise InputError(f"the tag {node.tag.replace(CORE, '!!')} is not allowed; expected plain data", position(node, file))
-        if isinstance(node, yaml.MappingNode):
-            stack.extend((part, depth + 1) for pair in reversed(node.value) for part in reversed(pair))
-        elif isinstance(node, yaml.SequenceNode):
-            stack.extend((part, depth + 1) for part in reversed(node.value))
-
-
-def position(node: yaml.Node, file: str) -> Position:
-    """Return where the node stands."""
-    return Position(file, node.start_mark.line + 1, node.start_mark.column + 1)
-
-
-def kind(node: yaml.Node) -> str:
-    """Return the node's tag, without what all plain ones begin with."""
-    return str(node.tag).removeprefix(CORE)
-
-
-def scalar(node: yaml.Node) -> str | float | bool | None:
-    """Return the value of a scalar; a float is finite. Raise `ValueError` for a text that its tag does not allow."""
-    name, text = kind(node), node.value
-    if name in TEXTS:
-        return str(text)
-    if not _SCALARS[name][0].match(text):
-        raise ValueError(f"{text!r} is no {name}")
-    match name:
-        case "null":
-            return None
-        case "bool":
-            return bool(text.lower() == "true")
-        case "int":
-            return int(text, 0 if text[:2] in ("0o", "0x") else 10)
-        case _:
-            return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
-
-
-def is_null(node: yaml.Node) -> bool:
-    """Return whether the node is ``null``, or no value at all."""
-    return isinstance(node, yaml.ScalarNode) and kind(node) == "null"
+            raise node.wrong(f"more than {MAX_NODES} values" if seen > MAX_NODES else f"nested deeper than {MAX_DEPTH}")
+        if node.kind not in _PLAIN:
+            raise node.wrong(f"the tag {node.raw.tag.replace(CORE, '!!')} is not allowed; expected plain data")
+        if not isinstance(node.raw, yaml.ScalarNode):
+            parts = chain.from_iterable(node.raw.value) if node.is_mapping else node.raw.value
+            stack.extend((Node(node.file, part), depth + 1) for part in reversed([*parts]))

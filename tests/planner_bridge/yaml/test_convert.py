@@ -17,7 +17,7 @@ from planner_bridge.yaml.convert import exported, imported
 from planner_bridge.yaml.emitter import Entry, YamlList, YamlMapping, document, scalar
 from planner_bridge.yaml.reader import parse
 from planner_bridge.yaml.writer import write_problem as problem_as_yaml
-from pnm.files.yaml_nodes import Mapped
+from pnm.files.yaml_nodes import Mapped, Node
 from tests.support.files import ROOT
 from tests.support.pddl import random_problems as generated
 from tests.support.pddl.files import OWN, REFUSED, Pair, name_of, pairs
@@ -118,13 +118,13 @@ def test_names_that_yaml_takes_for_something_else_are_quoted(name: str) -> None:
 
 def test_twice_the_actions_take_twice_the_reading(monkeypatch: pytest.MonkeyPatch) -> None:
     read: list[object] = []
-    of = Mapped.of
+    mapped = Node.mapped
 
-    def noted(node: yaml.Node, file: str) -> Mapped:
+    def noted(node: Node) -> Mapped:
         read.append(node)
-        return of(node, file)
+        return mapped(node)
 
-    monkeypatch.setattr(Mapped, "of", staticmethod(noted))
+    monkeypatch.setattr(Node, "mapped", noted)
 
     def mappings(actions: int) -> int:
         read.clear()
