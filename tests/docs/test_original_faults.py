@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from planner_bridge.model.world import simulated_backend
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
@@ -101,17 +99,17 @@ def test_c5_beginning_anew_in_a_branch_ends_the_others_and_begins_once(run: RunO
     assert (trace.result.goal, trace.actions) == (True, ["a", "b", "a", "b"])
 
 
-def test_p1_the_blocks_of_a_long_plan_are_proved_once(tmp_path: Path) -> None:
+def test_p1_the_blocks_of_a_long_plan_are_proved_once() -> None:
     def long(calls: int) -> HandWrittenPlan:
-        return read_original(tmp_path, f"[{', '.join(['{kb: {operation: {LocalUpdate: [v, 1]}}}'] * calls)}]")
+        return read_original(f"[{', '.join(['{kb: {operation: {LocalUpdate: [v, 1]}}}'] * calls)}]")
 
     shorter, longer = (verify(generate(long(calls).graph)) for calls in (100, 400))
     assert (shorter.shapes, shorter.states) == (longer.shapes, longer.states)
     assert run_original(long(400)).result.goal
 
 
-def test_p6_runs_that_are_over_are_forgotten(tmp_path: Path) -> None:
-    plan = read_original(tmp_path, "[{a: {}}]")
+def test_p6_runs_that_are_over_are_forgotten() -> None:
+    plan = read_original("[{a: {}}]")
 
     async def twice() -> list[object]:
         runner = PlanRunner({"plan": Program.of(plan)}, simulated_backend(plan, plan.bindings), KnowledgeBase())

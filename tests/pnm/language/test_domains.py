@@ -9,7 +9,7 @@ from typing import TypeAlias
 import pytest
 
 from pnm.core.logic.computed_values import Layer, Literal, Operation, Query
-from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Holds, Not
+from pnm.core.logic.conditions import TRUE, All, Compare, Computed, Holds, Not
 from pnm.core.logic.effects import Set, TimedChange
 from pnm.core.logic.expressions import DURATION, Constant, ValueOf, Variable
 from pnm.core.logic.rules import DerivationRule
@@ -145,12 +145,6 @@ def test_the_knowledge_bases_that_the_original_ships_are_known(read: Read, name:
     assert read(f"external_knowledge_base: {{module: any.thing, class: {name}}}\nactions: {{}}\n").sources[0].name == name
 
 
-def test_equal_names_and_empty_sections_are_nothing(read: Read) -> None:
-    domain = read("name: x\ntypes:\nconstants: []\npredicates:\nfunctions:\nderived:\nproblem:\nactions:\n")
-    assert domain.actions == {}
-    assert domain.model.goal == TRUE
-
-
 @pytest.mark.parametrize(("text", "message"), refused(BAD_INPUT / "domains.yaml"))
 def test_what_is_wrong_with_a_domain(read: Read, tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
@@ -174,9 +168,9 @@ def test_nothing_that_a_file_names_is_imported(read: Read, tmp_path: Path, monke
 
 
 def test_no_condition_is_one_that_always_holds(read: Read) -> None:
-    action = read("actions: {a: {preconditions: , effects: {}}}").actions["a"].schema
-    assert (action.precondition, action.expected, action.end_effects) == (TRUE, TRUE, ())
-    assert read("actions: {a: {preconditions: {or: []}}}").actions["a"].schema.precondition == Any(())
+    domain = read("name: x\ntypes:\nconstants: []\nderived:\nproblem:\nactions: {a: {preconditions: , effects: {}}}")
+    action = domain.actions["a"].schema
+    assert (action.precondition, action.expected, action.end_effects, domain.model.goal) == (TRUE, TRUE, (), TRUE)
 
 
 @pytest.mark.parametrize(

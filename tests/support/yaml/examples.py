@@ -132,27 +132,6 @@ problem:
 """
 
 
-COUNTING = """\
-actions:
-  echo:
-    <<: *rpn_action
-    params: [value]
-    preconditions: {and: [{Exists: [LocalQuery: value]}]}
-    effects: {and: {Exists: [LocalQuery: result]}}
-  add_one: {<<: *ros_action, params: [value], preconditions: {and: [{Exists: [LocalQuery: value]}]}}
-  keep: {<<: *kb_action, params: [operation]}
-counting:
-  initial_knowledge: {value: 5}
-  plan:
-    - echo: {}
-    - while:
-        condition: {Comparison: ["ne", [LocalQuery: "value", 10]]}
-        actions:
-          - add_one: {}
-          - keep: {operation: {LocalUpdate: ["value", {LocalQuery: "result"}, ""]}}
-"""
-
-
 RECIPES = """\
 actions: {a: , b: {type: kb_action}}
 first:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 
 import pytest
 
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from pnm.errors import InputError
-from pnm.language.plan import HandWrittenPlan, read_plans
+from pnm.language.plan import HandWrittenPlan
 from tests.support.runs.direct import Answer, Trace, drive, succeed
+from tests.support.yaml.programs import only_plan
 
 TYPES = """
 external_knowledge_base: {module: rpn_ros_interface.ros_external_knowledge_base, class: ROSExternalKnowledgeBase}
@@ -31,11 +31,8 @@ actions:
 """
 
 
-def read_original(folder: Path, plan: str, knowledge: str = "{}", rest: str = "") -> HandWrittenPlan:
-    path = folder / "plan.yaml"
-    path.write_text(f"{TYPES}{rest}---\ninitial_knowledge: {knowledge}\nplan: {plan}\n", encoding="utf-8")
-    (found,) = read_plans(path).values()
-    return found
+def read_original(plan: str, knowledge: str = "{}", rest: str = "") -> HandWrittenPlan:
+    return only_plan(f"{TYPES}{rest}---\ninitial_knowledge: {knowledge}\nplan: {plan}\n")
 
 
 def run_original(plan: HandWrittenPlan, answer: Answer = succeed, known: Mapping[str, object] | None = None) -> Trace:
@@ -46,17 +43,14 @@ def run_original(plan: HandWrittenPlan, answer: Answer = succeed, known: Mapping
 class RunOriginal:
     """Reads a plan and runs it."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-
     def __call__(
         self, plan: str, answer: Answer = succeed, *, knowledge: str = "{}", rest: str = "", known: dict[str, object] | None = None
     ) -> Trace:
-        return run_original(read_original(self.folder, plan, knowledge, rest), answer, known)
+        return run_original(read_original(plan, knowledge, rest), answer, known)
 
     def wrong(self, plan: str, rest: str = "") -> str:
         with pytest.raises(InputError) as caught:
-            read_original(self.folder, plan, rest=rest)
+            read_original(plan, rest=rest)
         return str(caught.value)
 
 

@@ -116,12 +116,6 @@ def test_undo_restores_the_state(effects: Effects, knowledge: KnowledgeBase) -> 
     assert seen(knowledge) == at_first
 
 
-def test_what_was_absent_is_a_false_fact_or_an_unknown_number() -> None:
-    after: Changes = {("p",): True, ("q",): True, ("n",): 3.0, ("m",): 3.0, ("k",): UNKNOWN}
-    knowledge = rooms_state({("q",): UNKNOWN, ("m",): 0.0})
-    assert values_before(after, knowledge) == {("p",): False, ("q",): UNKNOWN, ("n",): UNKNOWN, ("m",): 0.0, ("k",): UNKNOWN}
-
-
 @given(ANY_EFFECTS, STATES, st.dictionaries(st.sampled_from(ALL_FACTS), TRUTHS))
 def test_undo_leaves_facts_alone_that_others_have_changed_since(effects: Effects, knowledge: KnowledgeBase, later: Changes) -> None:
     before, after = begin(effects, knowledge)
@@ -158,12 +152,6 @@ def test_a_fluent_gets_an_object_by_name_by_variable_or_from_another_fluent() ->
     assert changes((Set(LOCATION, ValueOf(("target",))),), knowledge) == {LOCATION: "kitchen"}
     everywhere = ForEach((Variable("?x", ("room",)),), (Set(("next", "?x"), Constant("?x")),))
     assert changes((everywhere,), knowledge) == {("next", "hall"): "hall", ("next", "kitchen"): "kitchen"}
-
-
-def test_a_fluent_may_lose_its_object() -> None:
-    knowledge = rooms_state({LOCATION: "hall"})
-    assert changes((Set(LOCATION, Constant(UNDEFINED)),), knowledge) == {LOCATION: UNDEFINED}
-    assert changes((Set(LOCATION, ValueOf(("nobody-knows",))),), rooms_state({("nobody-knows",): UNKNOWN})) == {LOCATION: UNKNOWN}
 
 
 def test_objects_are_put_back() -> None:

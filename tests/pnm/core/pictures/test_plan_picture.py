@@ -138,11 +138,5 @@ def test_what_loops_choices_and_recoveries_hold_is_drawn_below_them() -> None:
         assert words in svg
 
 
-def test_a_plan_without_calls_has_a_picture() -> None:
-    svg = plan_svg(PlanGraph(()))
-    assert boxes(svg) == []
-    assert 'viewBox="0 0 324 94"' in svg
-
-
 if __name__ == "__main__" and "--write" in sys.argv:
     GOLDEN.write_text(plan_svg(two_robots()), encoding="utf-8")

@@ -26,16 +26,9 @@ DONE, FAILED, CANCELED = OutcomeKind.SUCCEEDED, OutcomeKind.ABORTED, OutcomeKind
 
 def example() -> Timeline:
     """A call that fails twice, and a plan that takes the place of the first; one call is still under way."""
+    attempts = (TimedAttempt(0.0, 3.0, FAILED, "no <path>"), TimedAttempt(3.5, 6.0, FAILED))
     first = (
-        TimedCall(
-            0,
-            "move(r1, hall, kitchen)",
-            "r1",
-            0.0,
-            4.0,
-            (TimedAttempt(0.0, 3.0, FAILED, "no <path>"), TimedAttempt(3.5, 6.0, FAILED)),
-            "aborted",
-        ),
+        TimedCall(0, "move(r1, hall, kitchen)", "r1", 0.0, 4.0, attempts, "aborted"),
         TimedCall(1, "load(r2, parcel)", "r2", 0.0, 2.0, (TimedAttempt(0.0, 2.5, DONE),), "succeeded", is_done=True),
         TimedCall(2, "unload(r1, parcel)", "r1", 4.0, 2.0, (), "skipped"),
     )

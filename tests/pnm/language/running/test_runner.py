@@ -106,13 +106,17 @@ def test_names_of_plans_and_parameters_are_checked(tmp_path: Path) -> None:
         chosen_plan(read_plans(written(tmp_path, two)), None)
 
 
-def test_two_runs_of_a_plan_go_on_side_by_side_with_their_own_knowledge(tmp_path: Path) -> None:
+def runner_of(tmp_path: Path, name: str) -> PlanRunner:
     plans = read_plans(written(tmp_path, GUIDE))
-    backend = simulated_backend(plans["inner"], merge_bindings(plans.values()))
-    runner = PlanRunner({name: Program.of(plan) for name, plan in plans.items()}, backend, KnowledgeBase(), MemoryKnowledge())
+    backend = simulated_backend(plans[name], merge_bindings(plans.values()))
+    return PlanRunner({name: Program.of(plan) for name, plan in plans.items()}, backend, KnowledgeBase(), MemoryKnowledge())
+
+
+def test_two_runs_of_a_plan_go_on_side_by_side_with_their_own_knowledge(tmp_path: Path) -> None:
+    runner = runner_of(tmp_path, "inner")
 
     async def both() -> None:
-        await backend.open(runner.world)
+        await runner.backend.open(runner.world)
         one, two = (runner.prepare_run("inner", {"place": place}) for place in ("a", "b"))
         running = asyncio.gather(runner.execute(one), runner.execute(two))
         await asyncio.sleep(1)
@@ -124,18 +128,16 @@ def test_two_runs_of_a_plan_go_on_side_by_side_with_their_own_knowledge(tmp_path
         assert runner.knowledge_of(request) is None
         assert (one.results, two.results) == ({"told": "a"}, {"told": "b"})
         assert asyncio.get_running_loop().time() == pytest.approx(5.0, abs=0.1)
-        await backend.close()
+        await runner.backend.close()
 
     run_async(both(), virtual=True)
 
 
 def test_cancelling_a_plan_cancels_the_plan_it_calls(tmp_path: Path) -> None:
-    plans = read_plans(written(tmp_path, GUIDE))
-    backend = simulated_backend(plans["outer"], merge_bindings(plans.values()))
-    runner = PlanRunner({name: Program.of(plan) for name, plan in plans.items()}, backend, KnowledgeBase())
+    runner = runner_of(tmp_path, "outer")
 
     async def stopped() -> None:
-        await backend.open(runner.world)
+        await runner.backend.open(runner.world)
         outer = runner.prepare_run("outer", {"shop": "pharmacy"})
         running = asyncio.ensure_future(runner.execute(outer))
         await asyncio.sleep(7)
@@ -147,7 +149,7 @@ def test_cancelling_a_plan_cancels_the_plan_it_calls(tmp_path: Path) -> None:
         assert [one.outcome for one in result.calls if one.call.action.name == "inner"] == ["canceled"]
         assert runner.going_on == []
         assert asyncio.get_running_loop().time() == pytest.approx(7.0, abs=0.1)
-        await backend.close()
+        await runner.backend.close()
 
     run_async(stopped(), virtual=True)
 
