@@ -15,7 +15,7 @@ from pnm.core.message_fields import Field, FieldValue, fields_in
 from pnm.errors import InputError, Position, suggestion
 from pnm.files.yaml_nodes import Mapped, load_yaml, texts_in
 from pnm.knowledge.field_reader import read_field, read_number, read_object, read_table, read_test
-from pnm.knowledge.sensor_model import VALUE, ByService, ExclusiveFact, Fact, Number, Object, Sensing, Sensor, Stored, placeholders
+from pnm.knowledge.sensor_model import VALUE, ByService, Sensing, Sensor, Statement, placeholders
 
 EVERY: Final = 1.0
 """Seconds from an answer of a service to the next request, if there is no reason to ask before."""
@@ -152,7 +152,7 @@ class _Reader:
 
     # --- statements ---
 
-    def _statement(self, entry: Mapped, around: tuple[Variable, ...]) -> Fact | ExclusiveFact | Number | Object:
+    def _statement(self, entry: Mapped, around: tuple[Variable, ...]) -> Statement:
         own = self._variables(entry)
         variables = (*around, *own)
         kinds = [key for key in ("fact", "number", "object") if key in entry.nodes]
@@ -173,26 +173,25 @@ class _Reader:
             self._typed(fluent, FluentKind.FACT, variables, where)
             test = read_test(entry)
             self._fields(fields_in(test), variables, entry.position("when" if "when" in entry.nodes else "field"))
-            return Fact(fluent, test, where, own)
+            return Statement(fluent, test, where, own)
         entry.only(kind, "for", "field", "table")
         self._fields([read_field(entry)], variables, entry.position("field"))
         if kind == "number":
             self._typed(fluent, FluentKind.NUMBER, variables, where)
-            return Number(fluent, read_number(entry), where, own)
+            return Statement(fluent, read_number(entry), where, own)
         signature = self._typed(fluent, FluentKind.FACT if is_choice else FluentKind.OBJECT, variables, where)
-        if not is_choice:
-            types = signature.values if signature else ("object",)
-            return Object(fluent, read_object(entry, types, self.known), types, where, own)
         if fluent.count(VALUE) > 1:
             raise InputError(f"{VALUE} is there twice; expected it once", where)
-        types = signature.parameters[fluent.index(VALUE) - 1] if signature else ("object",)
-        return ExclusiveFact(fluent, read_object(entry, types, self.known), types, where, own)
+        types: tuple[str, ...] = ("object",)
+        if signature:
+            types = signature.parameters[fluent.index(VALUE) - 1] if is_choice else signature.values
+        return Statement(fluent, read_object(entry, types, self.known), where, own, types)
 
     def _fields(self, fields: Iterable[Field], variables: tuple[Variable, ...], where: Position) -> None:
         for name in (name for field in fields for name in field.variables):
             self._variable(name, variables, where)
 
-    def _stored(self, entry: Mapped, around: tuple[Variable, ...]) -> Stored:
+    def _stored(self, entry: Mapped, around: tuple[Variable, ...]) -> Statement:
         entry.only("name", "for", "field", "table")
         own = self._variables(entry)
         variables = (*around, *own)
@@ -203,7 +202,7 @@ class _Reader:
                 raise InputError(f"expected {{{variable.name[1:]}}} in {name!r}; otherwise all objects share one variable", where)
         field, table = read_field(entry), None if entry.filled("table") is None else read_table(entry)
         self._fields([field], variables, entry.position("field"))
-        return Stored(name, FieldValue(field, table), where, own)
+        return Statement(name, FieldValue(field, table), where, own)
 
     def _typed(self, fluent: Fluent, kind: FluentKind, variables: tuple[Variable, ...], where: Position) -> Signature | None:
         """Check the names of a fluent and return its signature, if that is known."""

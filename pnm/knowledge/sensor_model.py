@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Final, TypeAlias, assert_never
+from typing import Final, TypeAlias
 
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Value, Variable, bind, fluent_text
 from pnm.core.message_fields import FieldValue, Look, Test, Unreadable, fields_bound, shown, succeeds, without_nan
@@ -23,63 +23,38 @@ Objects: TypeAlias = Callable[[tuple[str, ...]], tuple[str, ...]]
 """Returns the objects of any of the types."""
 
 
-# --- statements ----------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, slots=True)
-class Fact:
-    """A fact that holds when the test succeeds."""
+class Statement:
+    """A statement of what a message says. With variables of its own there is one for every choice of objects for these.
 
-    fluent: Fluent
-    test: Test
+    Args:
+        subject: a fact, or a function with its arguments; or the name of a variable, in which ``{r}`` stands for an object. A fact with
+            `VALUE` is a family of which one holds: with the named object in its place.
+        source: a test for a fact that holds when it succeeds; a field with the value of anything else.
+        types: of the objects that the field names; None for the number of a function, and for a variable.
+    """
+
+    subject: Fluent | str
+    source: Test | FieldValue
     position: Position = field(compare=False)
     variables: tuple[Variable, ...] = ()
+    types: tuple[str, ...] | None = None
 
+    def __str__(self) -> str:
+        return self.subject if isinstance(self.subject, str) else fluent_text(self.subject)
 
-@dataclass(frozen=True, slots=True)
-class ExclusiveFact:
-    """A family of facts of which one holds: with the named object of these types in the place of `VALUE`."""
+    def bound(self, env: Mapping[str, str]) -> Statement:
+        """Return it with objects in the place of variables."""
+        subject = filled(self.subject, env) if isinstance(self.subject, str) else bind(self.subject, env)
+        if isinstance(self.source, FieldValue):
+            return replace(self, subject=subject, source=replace(self.source, field=self.source.field.bound(env)), variables=())
+        return replace(self, subject=subject, source=fields_bound(self.source, env), variables=())
 
-    fluent: Fluent
-    source: FieldValue
-    types: tuple[str, ...]
-    position: Position = field(compare=False)
-    variables: tuple[Variable, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Number:
-    """A function whose value is the number in the field."""
-
-    fluent: Fluent
-    source: FieldValue
-    position: Position = field(compare=False)
-    variables: tuple[Variable, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Object:
-    """A function whose value is the object of these types that the field names."""
-
-    fluent: Fluent
-    source: FieldValue
-    types: tuple[str, ...]
-    position: Position = field(compare=False)
-    variables: tuple[Variable, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Stored:
-    """A variable whose value is that of the field; in its name ``{r}`` stands for an object."""
-
-    name: str
-    source: FieldValue
-    position: Position = field(compare=False)
-    variables: tuple[Variable, ...] = ()
-
-
-Statement: TypeAlias = Fact | ExclusiveFact | Number | Object | Stored
-"""With variables of its own there is one for every choice of objects for these."""
+    def subjects(self, objects: Objects) -> tuple[Fluent | str, ...]:
+        """Return all that it is about."""
+        if isinstance(self.subject, str) or VALUE not in self.subject:
+            return (self.subject,)
+        return tuple([bind(self.subject, {VALUE: name}) for name in objects(self.types or ())])
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,8 +110,8 @@ class Sensing:
         lags: dict[str, float] = {}
         for sensor in self.sensors:
             for statement in sensor.statements:
-                if not isinstance(statement, Stored):
-                    name = statement.fluent[0]
+                if not isinstance(statement.subject, str):
+                    name = statement.subject[0]
                     lags[name] = max(lags.get(name, 0.0), sensor.lag_or(otherwise))
         return lags
 
@@ -177,12 +152,12 @@ def instances(sensing: Sensing, objects: Objects) -> tuple[Instance, ...]:
     sensors = []
     for sensor in sensing.sensors:
         for env in _choices(sensor.variables, objects):
-            statements = [_bound(part, {**env, **own}) for part in sensor.statements for own in _choices(part.variables, objects)]
+            statements = [part.bound({**env, **own}) for part in sensor.statements for own in _choices(part.variables, objects)]
             sensors.append(Instance(replace(sensor, statements=tuple(statements)), env))
     reported_by: dict[Fluent | str, Statement] = {}
     for instance in sensors:
         for statement in instance.sensor.statements:
-            for subject in _subjects(statement, instance.env, objects):
+            for subject in statement.subjects(objects):
                 if subject in reported_by:
                     other = reported_by[subject].position
                     what = subject if isinstance(subject, str) else fluent_text(subject)
@@ -196,40 +171,15 @@ def _choices(variables: tuple[Variable, ...], objects: Objects) -> Iterator[dict
         yield dict(zip((variable.name for variable in variables), chosen, strict=True))
 
 
-def _bound(statement: Statement, env: Mapping[str, str]) -> Statement:
-    match statement:
-        case Fact(fluent, test):
-            return replace(statement, fluent=bind(fluent, env), test=fields_bound(test, env), variables=())
-        case Stored(name, source):
-            return replace(statement, name=filled(name, env), source=replace(source, field=source.field.bound(env)), variables=())
-        case ExclusiveFact(fluent, source) | Number(fluent, source) | Object(fluent, source):
-            return replace(statement, fluent=bind(fluent, env), source=replace(source, field=source.field.bound(env)), variables=())
-        case _:
-            assert_never(statement)
-
-
-def _subjects(statement: Statement, env: Mapping[str, str], objects: Objects) -> Iterator[Fluent | str]:
-    match statement:
-        case Stored(name):
-            yield filled(name, env)
-        case ExclusiveFact(fluent, _, types):
-            for name in objects(types):
-                yield bind(fluent, {**env, VALUE: name})
-        case Fact(fluent) | Number(fluent) | Object(fluent):
-            yield bind(fluent, env)
-        case _:
-            assert_never(statement)
-
-
 def read(instance: Instance, look: Look, objects: Objects) -> Reading:
     """Interpret a message; fluents of statements that cannot be interpreted are unknown."""
     reading = Reading({}, {}, {})
     for number, statement in enumerate(instance.sensor.statements):
         try:
-            _interpret(statement, instance.env, look, objects, reading)
+            _interpret(statement, look, objects, reading)
         except Unreadable as error:
             reading.unread[number] = str(error)
-            _set_unknown(statement, instance.env, objects, reading)
+            _set_unknown(statement, objects, reading)
     return reading
 
 
@@ -237,37 +187,34 @@ def unknown(instance: Instance, objects: Objects) -> Reading:
     """Return the reading in which all fluents and variables of the sensor are unknown."""
     reading = Reading({}, {}, {})
     for statement in instance.sensor.statements:
-        _set_unknown(statement, instance.env, objects, reading)
+        _set_unknown(statement, objects, reading)
     return reading
 
 
-def _set_unknown(statement: Statement, env: Mapping[str, str], objects: Objects, reading: Reading) -> None:
-    for subject in _subjects(statement, env, objects):
+def _set_unknown(statement: Statement, objects: Objects, reading: Reading) -> None:
+    for subject in statement.subjects(objects):
         if isinstance(subject, str):
             reading.variables[subject] = None
         else:
             reading.facts[subject] = UNKNOWN
 
 
-def _interpret(statement: Statement, env: Mapping[str, str], look: Look, objects: Objects, reading: Reading) -> None:
-    match statement:
-        case Fact(fluent, test):
-            reading.facts[bind(fluent, env)] = succeeds(test, look)
-        case ExclusiveFact(fluent, source, types):
-            chosen = _object(source, types, look, objects)
-            for name in objects(types):
-                reading.facts[bind(fluent, {**env, VALUE: name})] = name == chosen
-        case Number(fluent, source):
-            value = without_nan(source.field, source.value(look))
-            if isinstance(value, bool) or not isinstance(value, int | float) or math.isinf(value):
-                raise Unreadable(f"{source.field} is {shown(value)}; expected a finite number")
-            reading.facts[bind(fluent, env)] = float(value)
-        case Object(fluent, source, types):
-            reading.facts[bind(fluent, env)] = _object(source, types, look, objects)
-        case Stored(name, source):
-            reading.variables[filled(name, env)] = source.value(look)
-        case _:
-            assert_never(statement)
+def _interpret(statement: Statement, look: Look, objects: Objects, reading: Reading) -> None:
+    subject, source, types = statement.subject, statement.source, statement.types
+    if isinstance(subject, str):
+        reading.variables[subject] = source.value(look) if isinstance(source, FieldValue) else succeeds(source, look)
+    elif not isinstance(source, FieldValue):
+        reading.facts[subject] = succeeds(source, look)
+    elif types is None:
+        value = without_nan(source.field, source.value(look))
+        if isinstance(value, bool) or not isinstance(value, int | float) or math.isinf(value):
+            raise Unreadable(f"{source.field} is {shown(value)}; expected a finite number")
+        reading.facts[subject] = float(value)
+    elif VALUE in subject:
+        chosen = _object(source, types, look, objects)
+        reading.facts.update({bind(subject, {VALUE: name}): name == chosen for name in objects(types)})
+    else:
+        reading.facts[subject] = _object(source, types, look, objects)
 
 
 def _object(source: FieldValue, types: tuple[str, ...], look: Look, objects: Objects) -> str:

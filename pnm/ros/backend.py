@@ -17,13 +17,12 @@ from pnm.clock import follow_real_time
 from pnm.core.knowledge_base import KnowledgeBase, parse_fluent
 from pnm.core.logic.computed_values import MISSING
 from pnm.core.logic.domain import FluentKind, Vocabulary
-from pnm.core.logic.expressions import fluent_text
 from pnm.core.machine.bindings import Binding, Bindings, Table, open_parameters, placeholders
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import ActionClient
 from pnm.core.readiness import Readiness, ReadyState
 from pnm.errors import InputError, suggestion
-from pnm.knowledge.sensor_model import NO_SENSING, Objects, Sensing, Stored, instances, unknown
+from pnm.knowledge.sensor_model import NO_SENSING, Objects, Sensing, instances, unknown
 from pnm.knowledge.source import FindKnowledge, Source
 from pnm.knowledge.state_reports import StateReports
 from pnm.ros.action_client.client import Ros2ActionClient
@@ -365,7 +364,7 @@ def sensor_readiness(uses: Iterable[SensorUse], graph: GraphSnapshot) -> Iterato
 def sensor_row(use: SensorUse, kind: str, known: Mapping[str, tuple[str, ...]]) -> Readiness:
     """Return the readiness of one sensor, given the present topics or services."""
     sensor, there = use.instance.sensor, known.get(use.name, ())
-    first, *others = [part.name if isinstance(part, Stored) else fluent_text(part.fluent) for part in sensor.statements]
+    first, *others = map(str, sensor.statements)
     wanted, type_name = sensor.type, sensor.type or ", ".join(there)
     row = Readiness(f"{first}{', …' if others else ''}", use.name, type_name, ReadyState.UNFIT, position=sensor.position, is_sensor=True)
     if use.refused is not None:

@@ -62,9 +62,7 @@ class SensorRecorder:
         reading = read(self.instance, look, self._knowledge.objects)
         for number, reason in reading.unread.items():
             if number not in self._unread:
-                statement = self.instance.sensor.statements[number]
-                fluent = statement.name if hasattr(statement, "name") else fluent_text(statement.fluent)
-                _log.warning("%s: %s; %s is unknown", self.instance.name, reason, fluent)
+                _log.warning("%s: %s; %s is unknown", self.instance.name, reason, self.instance.sensor.statements[number])
         self._unread = frozenset(reading.unread)
         self._store(reading)
         self.is_stale = False

@@ -23,7 +23,7 @@ from pnm.core.logic.computed_values import MISSING
 from pnm.core.machine.bindings import Binding, Table
 from pnm.core.message_fields import Combined, Comparison, Field, FieldValue, Flag, Having, Test, item, parse_field, written
 from pnm.errors import InputError, PnmError, suggestion
-from pnm.knowledge.sensor_model import ExclusiveFact, Fact, Number, Object, Sensor, Statement, Stored
+from pnm.knowledge.sensor_model import Sensor, Statement
 
 _TYPE: Final = re.compile(r"([a-z][a-z0-9_]*)/(action|msg|srv)/([A-Z][A-Za-z0-9]*)")
 _LIST: Final = re.compile(r"(.+)\[(\d+)\]|sequence<(.+?)(?:, (\d+))?>")
@@ -383,17 +383,13 @@ def fitted(sensor: Sensor, message_type: Any) -> Sensor:
 
 
 def _fitted(statement: Statement, message_type: Any) -> Statement:
+    source = statement.source
     try:
-        match statement:
-            case Fact(_, test):
-                return replace(statement, test=fitted_test(test, message_type))
-            case Number(_, source):
-                return replace(statement, source=fitted_source(source, message_type, NUMBER, "a number"))
-            case ExclusiveFact(_, source) | Object(_, source):
-                return replace(statement, source=fitted_source(source, message_type, TEXT, "a text"))
-            case Stored(_, source):
-                return replace(statement, source=fitted_source(source, message_type, ANY, "a value"))
-            case _:
-                assert_never(statement)
+        if not isinstance(source, FieldValue):
+            return replace(statement, source=fitted_test(source, message_type))
+        needed, expected = (TEXT, "a text") if statement.types else (NUMBER, "a number")
+        if isinstance(statement.subject, str):
+            needed, expected = ANY, "a value"
+        return replace(statement, source=fitted_source(source, message_type, needed, expected))
     except InputError as error:
         raise InputError(error.message, statement.position) from error

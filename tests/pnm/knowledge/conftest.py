@@ -7,7 +7,6 @@ from collections.abc import Iterator
 import pytest
 
 from tests.support.logic.people import TerminalUser
-from tests.support.pddl.sensed_world import SENSING
 
 
 @pytest.fixture
@@ -15,8 +14,3 @@ def person() -> Iterator[TerminalUser]:
     somebody = TerminalUser()
     yield somebody
     somebody.leave()
-
-
-@pytest.fixture
-def everything():
-    return SENSING

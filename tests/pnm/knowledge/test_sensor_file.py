@@ -26,15 +26,15 @@ BAD_INPUT = Path(__file__).with_name("refused")
 # --- files ---
 
 
-def test_a_file_is_read(everything):
-    battery, zone, light = everything.sensors
+def test_a_file_is_read():
+    battery, zone, light = SENSING.sensors
     assert (battery.stale, battery.lag, battery.service, battery.type) == (10.0, 0.5, None, "test_msgs/msg/BasicTypes")
     assert (zone.stale, zone.lag, zone.type) == (30.0, None, None)
     assert light.service == ByService({"room": ["hall"], "level": 2}, 2.0, 0.5)
     assert light.lag == 1.0, "a request may be under way when an action ends, and another one follows it"
-    assert everything.names == {"battery", "charged", "at", "location", "dark"}
-    assert everything.lags(1.0) == {"battery": 0.5, "charged": 0.5, "at": 1.0, "location": 1.0, "dark": 1.0}
-    names = [one.name for one in instances(everything, objects)]
+    assert SENSING.names == {"battery", "charged", "at", "location", "dark"}
+    assert SENSING.lags(1.0) == {"battery": 0.5, "charged": 0.5, "at": 1.0, "location": 1.0, "dark": 1.0}
+    names = [one.name for one in instances(SENSING, objects)]
     assert names == ["/r1/battery", "/r_2/battery", "/a1/battery", "/r1/zone", "/r_2/zone", "/a1/zone", "light"]
 
 
@@ -66,9 +66,9 @@ def test_two_sensors_of_the_same_are_refused(tmp_path):
         instances(read_sensing(written(tmp_path, text), KNOWN), objects)
 
 
-def test_what_is_sensed_cannot_be_assumed(everything):
+def test_what_is_sensed_cannot_be_assumed():
     with pytest.raises(InputError, match="there is a sensor for dark, which is among the 'assumed' of the bindings"):
-        Ros2Backend(Bindings(assumed=frozenset({"dark", "spam"})), sensing=everything)
+        Ros2Backend(Bindings(assumed=frozenset({"dark", "spam"})), sensing=SENSING)
 
 
 words = st.from_regex(r"[A-Za-z]\w{0,5}", fullmatch=True).filter(str.isascii)

@@ -15,29 +15,33 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN
 from pnm.core.message_fields import Comparison, parse_field, succeeds
 from pnm.knowledge.sensor_file import read_sensing
-from pnm.knowledge.sensor_model import Instance, instances, read
+from pnm.knowledge.sensor_model import instances, read
 from pnm.knowledge.state_reports import StalenessWatchdog, StateReports
 from tests.support.files import ROOT, written
-from tests.support.pddl.sensed_world import KNOWN, PROBLEM, look, objects
+from tests.support.pddl.sensed_world import KNOWN, PROBLEM, SENSING, look, objects
 
 # --- messages ---
 
 
-def test_a_message_is_read(everything):
-    battery, zone, light = everything.sensors
-    reading = read(Instance(battery, {"?r": "r1"}), look({"percentage": 0.8}), objects)
+@pytest.fixture
+def sensors():
+    return {one.name: one for one in instances(SENSING, objects)}
+
+
+def test_a_message_is_read(sensors):
+    reading = read(sensors["/r1/battery"], look({"percentage": 0.8}), objects)
     assert reading.facts == {("battery", "r1"): 0.8, ("charged", "r1"): True}
-    reading = read(Instance(zone, {"?r": "r-2"}), look({"zones": [{"name": "A1"}], "room": "hall"}), objects)
+    reading = read(sensors["/r_2/zone"], look({"zones": [{"name": "A1"}], "room": "hall"}), objects)
     where = {("at", "r-2", "kitchen"): True, ("at", "r-2", "hall"): False}
     assert reading.facts == {**where, ("location", "r-2"): "hall"}
     assert reading.variables == {"r-2_zone": [{"name": "A1"}]}
-    reading = read(Instance(zone, {"?r": "r1"}), look({"zones": [{"name": 2}], "room": ""}), objects)
+    reading = read(sensors["/r1/zone"], look({"zones": [{"name": 2}], "room": ""}), objects)
     assert reading.facts == {("at", "r1", "kitchen"): False, ("at", "r1", "hall"): True, ("location", "r1"): UNKNOWN}
     assert reading.unread == {1: "room is '', which is no object of type place"}
-    reading = read(Instance(zone, {"?r": "r1"}), look({"zones": [{"name": ""}], "room": "undefined"}), objects)
+    reading = read(sensors["/r1/zone"], look({"zones": [{"name": ""}], "room": "undefined"}), objects)
     assert reading.facts == {("at", "r1", "kitchen"): False, ("at", "r1", "hall"): False, ("location", "r1"): UNDEFINED}
     for on, lux, names, dark in [(False, 9, [], True), (True, 3, ["moon"], True), (True, 3, [], False), (True, 0, ["moon"], False)]:
-        reading = read(Instance(light, {}), look({"on": on, "lux": lux, "names": names}), objects)
+        reading = read(sensors["light"], look({"on": on, "lux": lux, "names": names}), objects)
         assert reading.facts == {("dark",): dark}
 
 
@@ -50,26 +54,26 @@ def test_a_message_is_read(everything):
         ({}, "there is no percentage"),
     ],
 )
-def test_what_cannot_be_read_is_unknown(everything, message, said):
-    reading = read(Instance(everything.sensors[0], {"?r": "r1"}), look(message), objects)
+def test_what_cannot_be_read_is_unknown(sensors, message, said):
+    reading = read(sensors["/r1/battery"], look(message), objects)
     assert reading.facts[("battery", "r1")] is UNKNOWN
     assert said in reading.unread[0]
 
 
-def test_an_infinite_number_is_unknown_but_can_be_compared(everything):
-    reading = read(Instance(everything.sensors[0], {"?r": "r1"}), look({"percentage": math.inf}), objects)
+def test_an_infinite_number_is_unknown_but_can_be_compared(sensors):
+    reading = read(sensors["/r1/battery"], look({"percentage": math.inf}), objects)
     assert reading.facts == {("battery", "r1"): UNKNOWN, ("charged", "r1"): True}
     assert reading.unread == {0: "percentage is inf; expected a finite number"}
 
 
-def test_a_value_that_is_not_in_the_table_is_unknown(everything):
-    reading = read(Instance(everything.sensors[1], {"?r": "r1"}), look({"zones": [{"name": "B7"}], "room": "hall"}), objects)
+def test_a_value_that_is_not_in_the_table_is_unknown(sensors):
+    reading = read(sensors["/r1/zone"], look({"zones": [{"name": "B7"}], "room": "hall"}), objects)
     assert reading.facts == {("at", "r1", "kitchen"): UNKNOWN, ("at", "r1", "hall"): UNKNOWN, ("location", "r1"): "hall"}
     assert reading.unread == {0: "zones[0].name is 'B7', which is not in the table (A1, 2, )"}
 
 
-def test_a_table_of_objects_is_needed_only_for_values_that_are_no_objects(everything):
-    sensor = Instance(everything.sensors[1], {"?r": "r1"})
+def test_a_table_of_objects_is_needed_only_for_values_that_are_no_objects(sensors):
+    sensor = sensors["/r1/zone"]
     for name, places in {"kitchen": {"kitchen"}, "hall": {"hall"}, "2": {"hall"}, "": set(), "r1": UNKNOWN, "undefined": UNKNOWN}.items():
         reading = read(sensor, look({"zones": [{"name": name}], "room": "hall"}), objects)
         at = {place: reading.facts["at", "r1", place] for place in ("kitchen", "hall")}
