@@ -224,7 +224,6 @@ def simulate(
 
     There is one for each action of DOMAIN, or as the bindings say. Sensors publish their facts.
     """
-    from planner_bridge.cli.options import faults_for
     from planner_bridge.node.simulate import play
     from planner_bridge.pipeline.loading import bindings_for
 
@@ -232,7 +231,7 @@ def simulate(
         options.check_output(log, force=force)
     loaded = options.problem_in(domain, problem)
     bound = bindings_for(domain, bindings, loaded.vocabulary)
-    return play(loaded, bound, faults_for(loaded, faults), speed or (1.0 if loaded.timed else 20.0), log)
+    return play(loaded, bound, options.faults_in(faults, loaded.vocabulary), speed or (1.0 if loaded.timed else 20.0), log)
 
 
 @app.command("help", epilog="Example: pnm help run")

@@ -16,7 +16,7 @@ from rich.segment import Segment
 from rich.text import Text
 
 from pnm.errors import printable_lines
-from pnm.tasks import TraceKind
+from pnm.tasks import TraceEvent, TraceKind
 
 INDENT: Final = 9
 """Columns before what belongs to the line above."""
@@ -89,19 +89,17 @@ class EventLines:
     """Prints one line per event: the seconds since the beginning, a label, a word and a text.
 
     Args:
-        label: what every line has after the time.
         began: the time from which seconds count; that of the first line when None. Mutable state.
     """
 
     console: SafeConsole
-    label: str = ""
     began: float | None = None
 
-    def print(self, now: float, word: str | Text, text: str) -> None:
-        """Print a line; the word is markup of ours, or a `Text`."""
+    def print(self, now: float, word: str | Text, text: str, label: str = "") -> None:
+        """Print a line; the word is markup of ours, or a `Text`. The label stands behind the time."""
         if self.began is None:
             self.began = now
-        self.console.print_text(text, Text.assemble(f"  {now - self.began:8.2f} s  {self.label}", marked(word), " "))
+        self.console.print_text(text, Text.assemble(f"  {now - self.began:8.2f} s  {label}", marked(word), " "))
 
 
 @dataclass
@@ -113,13 +111,14 @@ class ToldFailures:
 
     ends: dict[tuple[UUID, str], str] = field(default_factory=dict)
 
-    def text(self, task: UUID, kind: int, subject: str, text: str) -> str:
-        """Return the text of an event of a task, without its subject."""
-        match kind:
+    def words(self, event: TraceEvent) -> str:
+        """Return the words for an event of a task."""
+        task, subject, text = event.task, event.subject, event.text
+        match event.kind:
             case TraceKind.ENDED:
                 self.ends[task, subject] = text
             case TraceKind.FAILED if self.ends.pop((task, subject.rpartition("#")[0]), "") == text:
-                return "it is not tried again in this plan"
+                text = "it is not tried again in this plan"
             case TraceKind.STATE if text.startswith("over"):
                 self.ends = {key: end for key, end in self.ends.items() if key[0] != task}
-        return text
+        return ": ".join(filter(None, (subject, text)))

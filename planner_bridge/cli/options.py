@@ -9,8 +9,6 @@ import sys
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
-from enum import Enum
 from functools import wraps
 from math import isfinite
 from pathlib import Path
@@ -31,7 +29,7 @@ if TYPE_CHECKING:
 
     from planner_bridge.view.serving import Controlled, PageProcess
     from pnm.actions.faults import Faults
-    from pnm.journal.kept import JournalChoice
+    from pnm.core.logic.domain import Vocabulary
 
 
 P = ParamSpec("P")
@@ -299,32 +297,11 @@ def write_files(texts: Mapping[Path, str], *, force: bool) -> None:
         print(f"wrote {path}", file=sys.stderr)
 
 
-class Output(Enum):
-    """The output of `pnm run`."""
-
-    NUMBERS = "every event, the size of machines, and the result"
-    EVENTS = "every event, and the result"
-    ENDING = "the result"
-    JSON = "the result, as one JSON object"
-
-
-@dataclass(frozen=True, slots=True)
-class Files:
-    """The files of a run besides its problem or plan, and the page on which it is shown; None for what is not given."""
-
-    bindings: Path | None = None
-    faults: Path | None = None
-    knowledge: Path | None = None
-    sensing: Path | None = None
-    journal: JournalChoice | None = None
-    page: PageProcess | None = None
-
-
-def faults_for(problem: Problem, file: Path | None) -> Faults:
-    """Read the faults of a simulation; none without a file."""
+def faults_in(file: Path | None, known: Vocabulary | None) -> Faults:
+    """Read the faults of a simulation, of known actions if these are given; none without a file."""
     from pnm.actions.faults import NO_FAULTS, read_faults  # here, because most commands simulate nothing
 
-    return read_faults(file, problem.vocabulary) if file else NO_FAULTS
+    return read_faults(file, known) if file else NO_FAULTS
 
 
 # --- words on stderr ------------------------------------------------------------------------------

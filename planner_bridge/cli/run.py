@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import replace
+from enum import Enum
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -13,7 +15,7 @@ import click
 
 from planner_bridge.cli import options
 from planner_bridge.cli.console import SafeConsole
-from planner_bridge.cli.options import ADOPT, GIVEN, Files, Output, Seconds, command
+from planner_bridge.cli.options import ADOPT, GIVEN, Seconds, command
 from planner_bridge.cli.run_console import ConsoleObserver, print_result
 from planner_bridge.pipeline.achieve import Actions, achieve
 from planner_bridge.pipeline.carry_out import carry_out
@@ -24,7 +26,6 @@ from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from planner_bridge.view.serving import Controlled, Operator, PageProcess
 from pnm.actions.bindings_file import read_bindings
-from pnm.actions.faults import NO_FAULTS, read_faults
 from pnm.clock import run_async
 from pnm.core.execution.events import broadcast
 from pnm.core.machine.machine import OnFailure
@@ -123,26 +124,42 @@ def run(
     if not isinstance(chosen, Path) and (name or given or answers or knowledge):
         raise InputError("--name, --set, --answer and --knowledge belong to hand-written plans; expected --plan and a file")
     controlled = options.controlled_by(view, Controlled.RUN, controls=controls)
-    with looked_at(choice, view, timeline, controlled, force=force) as (kept, page):
-        others = Files(bindings, faults, knowledge, sensing, kept, page)
-        if isinstance(chosen, Path):
-            return run_written(chosen, name, given, answers, others, actions=actions, settings=settings, on_failure=policy, output=output)
-        return run_problem(*chosen, others, actions=actions, settings=settings, output=output)
-
-
-def run_problem(domain: Path, problem: Path, files: Files, *, actions: Actions, settings: Settings, output: Output) -> int:
-    """Plan, execute and replan, print the result, and return the exit status."""
     console, stopwatch = SafeConsole(), Stopwatch()
-    with stopwatch.of("parse"):
-        loaded = options.problem_in(domain, problem)
-        sensors = read_sensing(files.sensing, loaded.vocabulary) if files.sensing else NO_SENSING
-        settings = replace(settings, bindings=bindings_for(domain, files.bindings, loaded.vocabulary), sensing=sensors)
-        faults = options.faults_for(loaded, files.faults)
-    with observed(output, console, settings, actions, files.page) as observer:
-        result = achieve(
-            None, loaded, actions=actions, faults=faults, settings=settings, observer=observer, stopwatch=stopwatch, journal=files.journal
-        )
-    return print_ending(result, console, output, files.page)
+    begin: Callable[..., TaskResult]
+    with looked_at(choice, view, timeline, controlled, force=force) as (kept, page):
+        if isinstance(chosen, Path):
+            check_planner(planner)  # now, not when a plan is given up that took an hour
+            settings = replace(settings, bindings=read_bindings(bindings) if bindings else settings.bindings)
+            settings = replace(settings, sensing=read_sensing(sensing) if sensing else settings.sensing)
+            begin = partial(
+                carry_out,
+                chosen,
+                name,
+                options.plan_parameters(given),
+                faults=options.faults_in(faults, None),
+                on_failure=policy,
+                knowledge=knowledge,
+                answers=options.named_values(answers, "--answer"),
+                warn=options.print_warnings,
+            )
+        else:
+            with stopwatch.of("parse"):
+                loaded = options.problem_in(*chosen)
+                sensors = read_sensing(sensing, loaded.vocabulary) if sensing else NO_SENSING
+                settings = replace(settings, bindings=bindings_for(chosen[0], bindings, loaded.vocabulary), sensing=sensors)
+                begin = partial(achieve, None, loaded, faults=options.faults_in(faults, loaded.vocabulary), stopwatch=stopwatch)
+        with observed(output, console, settings, actions, page) as observer:
+            result = begin(actions=actions, settings=settings, observer=observer, journal=kept)
+        return print_ending(result, console, output, page)
+
+
+class Output(Enum):
+    """The output of `pnm run`."""
+
+    NUMBERS = "every event, the size of machines, and the result"
+    EVENTS = "every event, and the result"
+    ENDING = "the result"
+    JSON = "the result, as one JSON object"
 
 
 def journal_choice(place: Place, durability: str | None, *, adopts: bool) -> JournalChoice:
@@ -228,40 +245,3 @@ def print_ending(result: TaskResult, console: SafeConsole, output: Output, page:
         with suppress(KeyboardInterrupt):
             run_async(stay())
     return 0 if result.goal_reached else 1
-
-
-def run_written(
-    file: Path,
-    name: str | None,
-    given: tuple[str, ...],
-    answers: tuple[str, ...],
-    files: Files,
-    *,
-    actions: Actions,
-    settings: Settings,
-    on_failure: OnFailure | None,
-    output: Output,
-) -> int:
-    """Carry out a hand-written plan, print the result, and return the exit status."""
-    check_planner(settings.planner)  # now, not when a plan is given up that took an hour
-    console = SafeConsole()
-    if files.bindings:
-        settings = replace(settings, bindings=read_bindings(files.bindings))
-    if files.sensing:
-        settings = replace(settings, sensing=read_sensing(files.sensing))
-    with observed(output, console, settings, actions, files.page) as observer:
-        result = carry_out(
-            file,
-            name,
-            options.plan_parameters(given),
-            actions=actions,
-            faults=read_faults(files.faults, None) if files.faults else NO_FAULTS,
-            settings=settings,
-            on_failure=on_failure,
-            observer=observer,
-            knowledge=files.knowledge,
-            answers=options.named_values(answers, "--answer"),
-            warn=options.print_warnings,
-            journal=files.journal,
-        )
-    return print_ending(result, console, output, files.page)

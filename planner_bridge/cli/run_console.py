@@ -336,29 +336,20 @@ class NodePage(NodeObserver):
 
 
 class TaskConsole(TaskListener):
-    """Prints the events of tasks. The mutable state is a printer for every task that is not over, and what was told."""
+    """Prints the events of tasks. The mutable state is what was told of failures."""
 
     def __init__(self, console: SafeConsole) -> None:
-        self._console = console
         self._loop = asyncio.get_running_loop()
-        self._began = self._loop.time()
-        self._lines: dict[UUID, EventLines] = {}
+        self._lines = EventLines(console, self._loop.time())
         self._failures = ToldFailures()
 
     def happened(self, moment: TraceEvent) -> None:
         """Print an event, but not every transition that fires."""
-        told = self._failures.text(moment.task, moment.kind, moment.subject, moment.text)
+        told = self._failures.words(moment)
         if not moment.kind.is_frequent and not moment.text.startswith("over: "):  # `ended` prints the result
-            text = ": ".join(filter(None, (moment.subject, told)))
-            self._lines_of(moment.task).print(moment.time, f"{moment.kind.word:<7}", shortened(text))
+            self._lines.print(moment.time, f"{moment.kind.word:<7}", shortened(told), f"{moment.task.hex[:8]}  ")
 
     def ended(self, task: UUID, ending: TaskEnding) -> None:
         """Print how a task ended."""
         word = "[bold green]reached[/]" if ending.code is Code.GOAL_REACHED else f"[bold red]{ending.code.word}[/]"
-        self._lines_of(task).print(self._loop.time(), word, shortened(ending.message))
-        del self._lines[task]
-
-    def _lines_of(self, task: UUID) -> EventLines:
-        if task not in self._lines:
-            self._lines[task] = EventLines(self._console, f"{task.hex[:8]}  ", self._began)
-        return self._lines[task]
+        self._lines.print(self._loop.time(), word, shortened(ending.message), f"{task.hex[:8]}  ")

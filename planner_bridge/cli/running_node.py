@@ -29,7 +29,7 @@ from pnm.files.database.place import place_of
 from pnm.files.yaml_nodes import load_yaml
 from pnm.journal.kept import Fenced
 from pnm.ros.node.parameters import NodeParameter, ParameterValue
-from pnm.tasks import Code, OnConflict, TaskState, TraceKind
+from pnm.tasks import Code, OnConflict, TaskState, TraceEvent, TraceKind
 
 if TYPE_CHECKING:
     from pnm.ros.node_client import NodeClient
@@ -46,22 +46,10 @@ one_or_all = options.options(
 )
 
 
-@dataclass(frozen=True)
-class Event:
-    """One event of a task, as the node publishes it."""
-
-    task: UUID
-    kind: int
-    word: str
-    subject: str
-    text: str
-    time: float
-
-    @staticmethod
-    def of(message: Any) -> Event:
-        """Read a ``TraceEvent``."""
-        task, time = UUID(bytes=bytes(message.task.uuid)), message.stamp.sec + message.stamp.nanosec / 1e9
-        return Event(task, message.kind, message.word, message.subject, message.text, time)
+def event_of(message: Any) -> TraceEvent:
+    """Return an event of a task, as the node publishes it in a ``TraceEvent``."""
+    task, time = UUID(bytes=bytes(message.task.uuid)), message.stamp.sec + message.stamp.nanosec / 1e9
+    return TraceEvent(task, time, TraceKind(message.kind), message.subject, message.text)
 
 
 @dataclass
@@ -87,7 +75,7 @@ class TaskBoard:
                 board.calls[id] = {call: (None, said) for call, said in zip(task.running, task.feedback, strict=True)}
         return board
 
-    def note(self, event: Event, now: float) -> None:
+    def note(self, event: TraceEvent, now: float) -> None:
         """Change as the event says, which is heard now."""
         calls = self.calls.setdefault(event.task, {})
         match event.kind:
@@ -134,19 +122,16 @@ class EventPrinter:
         """Show nothing below the lines any more."""
         self._below.stop()
 
-    def print(self, event: Event, label: str = "") -> None:
+    def print(self, event: TraceEvent, label: str = "") -> None:
         """Print an event; the label comes behind its time."""
         self._board.note(event, monotonic())
-        text = self._failures.text(event.task, event.kind, event.subject, event.text)
-        if event.kind == TraceKind.FIRED:
-            return
-        if event.kind == TraceKind.FEEDBACK:
-            key = (event.task, event.subject)
+        words, key = self._failures.words(event), (event.task, event.subject)
+        if event.kind is TraceKind.FEEDBACK:
             if self._below.is_started or event.time - self._told.get(key, -inf) < SECOND:
                 return
             self._told[key] = event.time
-        self._lines.label = label
-        self._lines.print(event.time, Text(f"{event.word:<7}"), ": ".join(filter(None, (event.subject, text))))
+        if event.kind is not TraceKind.FIRED:
+            self._lines.print(event.time, Text(f"{event.kind.word:<7}"), words, label)
 
 
 @click.command(epilog="Example: pnm status --json")
@@ -182,7 +167,7 @@ def watch(namespace: str) -> int:
             _print_status(console, status)
             with closing(EventPrinter(console, TaskBoard.of(status))) as printer, suppress(asyncio.CancelledError):  # which is how it ends
                 while True:
-                    event = Event.of(await heard.get())
+                    event = event_of(await heard.get())
                     printer.print(event, f"{event.task.hex[:8]}  ")
 
     _with_node(namespace, show)
@@ -215,7 +200,7 @@ def goal(*, goal: str, priority: int, deadline: float | None, policy: str, names
     async def print_events(heard: asyncio.Queue[Any]) -> None:
         with closing(EventPrinter(console)) as printer:
             while True:
-                event = Event.of(await heard.get())
+                event = event_of(await heard.get())
                 if event.task == task and not as_json and not event.text.startswith("over: "):  # the last line is about that
                     printer.print(event)
 

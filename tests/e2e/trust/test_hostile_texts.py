@@ -16,13 +16,13 @@ from rich.table import Table
 from rich.text import Text
 
 from planner_bridge.cli.console import EventLines, SafeConsole
-from planner_bridge.cli.running_node import Event, EventPrinter, TaskBoard
+from planner_bridge.cli.running_node import EventPrinter, TaskBoard
 from planner_bridge.view.app import shown_json
 from planner_bridge.view.follow import Reader
 from pnm.core.pictures.export import quoted
 from pnm.core.pictures.svg import picture, xml
 from pnm.errors import printable, printable_lines
-from pnm.tasks import TraceKind
+from pnm.tasks import TraceEvent, TraceKind
 from tests.support.e2e.command_line import Done, pnm
 from tests.support.e2e.page.hostile import HOSTILE, hostile_journal, is_safe
 from tests.support.e2e.page.serving import asked, page_of
@@ -80,7 +80,7 @@ def test_a_console_prints_any_text_as_a_text_whatever_it_comes_in(text: str, is_
     console.print(text, Text(text), table, sep="\n")
     console.print_text(text, "[bold]goal[/] ")
     console.print_reason("[bold]goal[/]", text)
-    EventLines(console, text).print(0.0, Text(text), text)
+    EventLines(console).print(0.0, Text(text), text, text)
     assert is_safe(out.getvalue().replace("\u200c", "").replace("\u200d", ""))
     assert out.getvalue().count("[/nope]") >= 8 * text.count("[/nope]")
 
@@ -90,7 +90,7 @@ def test_what_a_node_says_is_printed_as_it_is(text: str) -> None:
     out = io.StringIO()
     printer = EventPrinter(SafeConsole(file=out, width=200))
     for kind in (TraceKind.GOAL, TraceKind.STATE, TraceKind.SENT, TraceKind.ENDED):
-        printer.print(Event(UUID(int=1), kind, text, text, text, 1.0), text)
+        printer.print(TraceEvent(UUID(int=1), 1.0, kind, text, text), text)
     SafeConsole(file=out).print(TaskBoard({UUID(int=1): text}, {UUID(int=1): text}, {UUID(int=1): {text: (None, text)}}).shown(0.0))
     printer.close()
     assert is_safe(out.getvalue().replace("\u200c", "").replace("\u200d", ""))

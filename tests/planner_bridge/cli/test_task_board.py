@@ -6,8 +6,8 @@ from uuid import UUID
 from rich.console import Console
 
 from planner_bridge.cli.console import ToldFailures
-from planner_bridge.cli.running_node import Event, TaskBoard
-from pnm.tasks import TraceKind
+from planner_bridge.cli.running_node import TaskBoard
+from pnm.tasks import TraceEvent, TraceKind
 
 TEA, POST = UUID(int=0xAAAAAAAA << 96), UUID(int=0xBBBBBBBB << 96)
 
@@ -19,7 +19,7 @@ def lines(board: TaskBoard, now: float) -> list[str]:
 
 
 def note(board: TaskBoard, task: UUID, kind: TraceKind, subject: str, text: str, now: float) -> None:
-    board.note(Event(task, kind, kind.word, subject, text, now), now)
+    board.note(TraceEvent(task, now, kind, subject, text), now)
 
 
 def test_tasks_that_are_not_over_and_their_calls_stay_in_sight() -> None:
@@ -52,14 +52,18 @@ def test_a_request_to_cancel_is_no_call() -> None:
 
 
 def test_a_failure_is_told_once() -> None:
-    told, move, blocked = ToldFailures(), "move(r1, hall, kitchen)", "aborted: the way is blocked"
-    assert told.text(TEA, TraceKind.ENDED, move, blocked) == blocked
-    assert told.text(POST, TraceKind.FAILED, f"{move}#4", blocked) == blocked, "that is another task"
-    assert told.text(TEA, TraceKind.FAILED, f"{move}#4", blocked) == "it is not tried again in this plan"
-    assert told.text(TEA, TraceKind.FAILED, f"{move}#4", blocked) == blocked
-    told.text(TEA, TraceKind.ENDED, move, "canceled: cancelled on request")
+    failures, move, blocked = ToldFailures(), "move(r1, hall, kitchen)", "aborted: the way is blocked"
+
+    def told(task: UUID, kind: TraceKind, subject: str, text: str) -> str:
+        return failures.words(TraceEvent(task, 0.0, kind, subject, text)).removeprefix(f"{subject}: ")
+
+    assert told(TEA, TraceKind.ENDED, move, blocked) == blocked
+    assert told(POST, TraceKind.FAILED, f"{move}#4", blocked) == blocked, "that is another task"
+    assert told(TEA, TraceKind.FAILED, f"{move}#4", blocked) == "it is not tried again in this plan"
+    assert told(TEA, TraceKind.FAILED, f"{move}#4", blocked) == blocked
+    told(TEA, TraceKind.ENDED, move, "canceled: cancelled on request")
     late = "timed_out: expected an end within 30 s; observed none; then cancelled on request"
-    assert told.text(TEA, TraceKind.FAILED, f"{move}#4", late) == late
-    told.text(TEA, TraceKind.ENDED, move, blocked)
-    told.text(TEA, TraceKind.STATE, "", "over: cancelled: its client has cancelled it")
-    assert told.ends == {}
+    assert told(TEA, TraceKind.FAILED, f"{move}#4", late) == late
+    told(TEA, TraceKind.ENDED, move, blocked)
+    told(TEA, TraceKind.STATE, "", "over: cancelled: its client has cancelled it")
+    assert failures.ends == {}

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 from math import inf
 from pathlib import Path
 
 import pytest
 
-from planner_bridge.cli.options import Files, Output
-from planner_bridge.cli.run import run_written
 from planner_bridge.model.world import simulated_backend
 from planner_bridge.pipeline.carry_out import carry_out
 from planner_bridge.tasks.replanning import Limits
@@ -21,12 +20,12 @@ from pnm.core.logic import computed_values
 from pnm.core.logic.computed_values import Question
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import OnFailure
-from pnm.errors import InputError
 from pnm.knowledge.source import Asker
 from pnm.knowledge.sources import Sources
 from pnm.language.plan import read_plans
 from pnm.language.runner import PlanRunner, Program
 from pnm.tasks import Code
+from tests.support.e2e.command_line import pnm
 from tests.support.files import written
 from tests.support.yaml.run_plans import GUIDE
 
@@ -168,19 +167,16 @@ def test_a_result_is_json_whatever_is_in_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "planner", "message"),
+    ("given", "message"),
     [
-        (("x=[1, .nan]",), "kairos", r"--set x:1:5: expected a finite number, found \.nan"),
-        ((), "race:kairoos", r"'kairoos' cannot take part in a race; .*; did you mean 'kairos'\?"),
+        (("--set", "x=[1, .nan]"), r"--set x:1:5: expected a finite number, found \.nan"),
+        (("--planner", "race:kairoos"), r"'kairoos' cannot take part in a race; .*; did you mean 'kairos'\?"),
     ],
 )
-def test_what_is_wrong_on_the_command_line_is_refused_before_the_plan_begins(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], given: tuple[str, ...], planner: str, message: str
-) -> None:
-    file, none, settings = written(tmp_path, "plan: []"), Files(None, None, None, None), Settings(planner=planner)
-    with pytest.raises(InputError, match=message):
-        run_written(file, None, given, (), none, actions="simulated", settings=settings, on_failure=None, output=Output.JSON)
-    assert capsys.readouterr().out == ""
+def test_what_is_wrong_on_the_command_line_is_refused_before_the_plan_begins(tmp_path: Path, given: tuple[str, str], message: str) -> None:
+    done = pnm("run", "--plan", str(written(tmp_path, "plan: []")), *given, "--json")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert re.search(message, done.stderr)
 
 
 def test_the_name_of_a_server_needs_its_parameters_whatever_the_goal_has(tmp_path: Path) -> None:
