@@ -41,34 +41,52 @@ def elapsed() -> float:
 
 
 class Watch(Hold):
-    """The hold of a journal file, whose lock nobody else has. A thread looks once a second, on real time, whether the file is there."""
+    """The hold of a journal file, whose lock nobody else has. A thread looks once a second, on real time, whether the file is there.
 
-    def __init__(self) -> None:
+    Args:
+        pause: seconds from one renewal to the next.
+        limit: seconds for which the event loop is waited for: while it hangs, nothing is renewed.
+    """
+
+    def __init__(self, pause: float = _LOOK, limit: float = _LOOK) -> None:
+        self._pause = pause
+        self._limit = limit
         self._closing = threading.Event()
+        self._thread: threading.Thread | None = None
 
     def keep(self, renewed: Callable[[], None], fenced: Callable[[Fenced], None]) -> None:
-        """Have the event loop look, as often as it is alive."""
+        """Renew it from now on, as long as the event loop is alive; these are called on the event loop."""
         loop = asyncio.get_running_loop()
-        threading.Thread(target=self._keep, args=(loop, renewed), name="watch", daemon=True).start()
+        self._thread = threading.Thread(target=self._keep, args=(loop, renewed, fenced), name="hold", daemon=True)
+        self._thread.start()
+
+    def renew(self) -> None:
+        """Do nothing: a lock lasts as long as its process."""
 
     def release(self) -> None:
-        """Look no more. The lock is let go with the file."""
+        """Renew it no more. The lock is let go with the file."""
         self._closing.set()
 
-    def _keep(self, loop: asyncio.AbstractEventLoop, renewed: Callable[[], None]) -> None:
-        has_looked = threading.Event()
-        has_looked.set()
-
-        def look() -> None:
-            if not self._closing.is_set():
-                renewed()
-            has_looked.set()
-
+    def _keep(self, loop: asyncio.AbstractEventLoop, renewed: Callable[[], None], fenced: Callable[[Fenced], None]) -> None:
+        is_well = True
         with suppress(RuntimeError):  # the loop was closed
-            while not self._closing.wait(_LOOK):
-                if has_looked.is_set():  # or else the loop has other things to do
-                    has_looked.clear()
-                    loop.call_soon_threadsafe(look)
+            while not self._closing.wait(self._pause if is_well else min(1.0, self._pause)):
+                alive = threading.Event()
+                loop.call_soon_threadsafe(alive.set)
+                if not alive.wait(self._limit) or self._closing.is_set():
+                    continue
+                try:
+                    self.renew()
+                except Fenced as error:
+                    loop.call_soon_threadsafe(fenced, error)
+                    return
+                except JournalError as error:
+                    if is_well:
+                        _log.warning("%s; without its lease nothing is sent", error)
+                    is_well = False
+                else:
+                    is_well = True
+                    loop.call_soon_threadsafe(lambda: self._closing.is_set() or renewed())
 
 
 def is_locked(path: Path) -> bool:
@@ -82,7 +100,7 @@ def is_locked(path: Path) -> bool:
     return False
 
 
-class Lease(Hold):
+class Lease(Watch):
     """The lease of a journal in PostgreSQL.
 
     Args:
@@ -96,12 +114,11 @@ class Lease(Hold):
     """
 
     def __init__(self, file: JournalFile, seconds: float, asked: float, clock: Callable[[], float] = elapsed) -> None:
+        super().__init__(seconds / _OFTEN, seconds)
         self._file = file
         self._seconds = seconds
         self._clock = clock
         self._until = asked + seconds * _SAFE
-        self._closing = threading.Event()
-        self._thread: threading.Thread | None = None
         self._others: tuple[str, ...] = ()
         self._seen = 0.0
         self._has_told = False
@@ -119,12 +136,6 @@ class Lease(Hold):
         if others:
             self._others, self._seen, self._has_told = others, self._clock(), False
 
-    def keep(self, renewed: Callable[[], None], fenced: Callable[[Fenced], None]) -> None:
-        """Renew the lease from now on, as long as the event loop is alive; these are called on the event loop."""
-        loop = asyncio.get_running_loop()
-        self._thread = threading.Thread(target=self._keep, args=(loop, renewed, fenced), name="lease", daemon=True)
-        self._thread.start()
-
     def renew(self) -> None:
         """Renew the lease; raises as `JournalFile.renew` does."""
         asked = self._clock()
@@ -137,31 +148,10 @@ class Lease(Hold):
 
     def release(self) -> None:
         """Renew the lease no more; it ends when its file is closed."""
-        self._closing.set()
+        super().release()
         if self._thread is not None:
             self._thread.join(self._seconds)
         self._until = 0.0
-
-    def _keep(self, loop: asyncio.AbstractEventLoop, renewed: Callable[[], None], fenced: Callable[[Fenced], None]) -> None:
-        is_well = True
-        with suppress(RuntimeError):  # the loop was closed
-            while not self._closing.wait(self._seconds / _OFTEN if is_well else min(1.0, self._seconds / _OFTEN)):
-                alive = threading.Event()
-                loop.call_soon_threadsafe(alive.set)
-                if not alive.wait(self._seconds) or self._closing.is_set():
-                    continue
-                try:
-                    self.renew()
-                except Fenced as error:
-                    loop.call_soon_threadsafe(fenced, error)
-                    return
-                except JournalError as error:
-                    if is_well:
-                        _log.warning("%s; without its lease nothing is sent", error)
-                    is_well = False
-                else:
-                    is_well = True
-                    loop.call_soon_threadsafe(renewed)
 
 
 def take(choice: JournalChoice) -> tuple[JournalFile, Hold]:

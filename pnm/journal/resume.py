@@ -227,17 +227,18 @@ async def stand_by(choice: JournalChoice, codec: Codec, origin: str, waits: Call
     try:
         while True:
             try:
-                match await asyncio.to_thread(candidate.asked):
-                    case Taken() as taken:
-                        taken.hold.saw((holder,) if holder else ())  # which is expected to stand by now
-                        return taken
-                    case HeldByAnother() as held:
-                        holder = held.holder
-                        if holder != told:
-                            waits(holder)
-                        told = holder
-                        await asyncio.to_thread(candidate.wait, held.left)
-                        pause = _SOON
+                try:
+                    taken = await asyncio.to_thread(candidate.taken)
+                except HeldByAnother as held:
+                    holder = held.holder
+                    if holder != told:
+                        waits(holder)
+                    told = holder
+                    await asyncio.to_thread(candidate.wait, held.left)
+                    pause = _SOON
+                else:
+                    taken.hold.saw((holder,) if holder else ())  # which is expected to stand by now
+                    return taken
             except Damaged:
                 raise
             except JournalError as error:
@@ -265,13 +266,6 @@ class _Candidate:
     follower: Follower | None = None
     why_not: str = ""
     """Why this version cannot replay it."""
-
-    def asked(self) -> Taken | HeldByAnother:
-        """Return the journal as `taken` does, or who holds it."""
-        try:
-            return self.taken()
-        except HeldByAnother as held:
-            return held
 
     def taken(self) -> Taken:
         """Take the journal; what is in it is replayed before, so that it goes on at once.

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from pnm.errors import PnmError
-from pnm.files.database.driver import DamagedDatabase, DatabaseError, Driver, Layout, OperationLimit, Rows, SqlQuery
+from pnm.files.database.driver import DamagedDatabase, DatabaseError, Layout, OperationLimit, Rows, SqlQuery
 from pnm.files.database.lock import FileLock
 from pnm.files.database.place import Place
 from pnm.files.database.postgres import Postgres
@@ -44,7 +44,7 @@ class Database:
         self._layout = layout
         self._read_only = read_only
         self._is_durable = is_durable
-        self._driver: Driver | None = None
+        self._driver: Sqlite | Postgres | None = None
         self._limit = OperationLimit()
         self._kind: type[Sqlite | Postgres] = Sqlite if isinstance(place, Path) else Postgres
         self.connect()
@@ -60,7 +60,7 @@ class Database:
             return
         with self._translated():
             if isinstance(self.place, Path):
-                driver: Driver = Sqlite(self.place, self._limit, read_only=self._read_only, is_durable=self._is_durable)
+                driver: Sqlite | Postgres = Sqlite(self.place, self._limit, read_only=self._read_only, is_durable=self._is_durable)
             else:
                 driver = Postgres(self.place, self._limit, read_only=self._read_only, is_durable=self._is_durable)
             try:
@@ -88,7 +88,7 @@ class Database:
             with self._translated():
                 self._connected().run_many(sql, rows)
 
-    def do(self, work: Callable[[Driver], T]) -> T:
+    def do(self, work: Callable[[Sqlite | Postgres], T]) -> T:
         """Return the result of the driver."""
         with self._translated():
             return work(self._connected())
@@ -125,7 +125,7 @@ class Database:
                 self._driver.close()
             self._driver = None
 
-    def _connected(self) -> Driver:
+    def _connected(self) -> Sqlite | Postgres:
         self.connect()
         assert self._driver is not None
         return self._driver

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from time import monotonic
 from typing import Any, Final, TypeAlias
@@ -53,62 +52,30 @@ class Layout:
     tables: tuple[str, ...]
 
 
-class Driver(ABC):
-    """A connection of a driver. After an exception of its own, it may be closed, and is not used again unless it `survives` errors.
+class Driver:
+    """A connection of a driver: what only some need, and others see to by themselves.
 
-    Statements are in the SQL of PostgreSQL, as far as others have it or can put other words for it; parameters are ``:name``.
+    After an exception of its own, it may be closed, and is not used again unless it survives errors. Statements are in the SQL of
+    PostgreSQL, as far as others have it or can put other words for it; parameters are ``:name``.
     """
-
-    survives: bool
-
-    @staticmethod
-    @abstractmethod
-    def said(error: Exception) -> DatabaseError:
-        """Return in words what is wrong, by an exception of the driver."""
-
-    @abstractmethod
-    def run(self, sql: str, values: Mapping[str, object], /) -> Rows:
-        """Execute a statement; return its rows."""
-
-    @abstractmethod
-    def run_many(self, sql: str, rows: Sequence[Mapping[str, object]], /) -> None:
-        """Execute a statement for each row."""
-
-    @abstractmethod
-    def begin(self, *, is_durable: bool) -> None:
-        """Begin a transaction that writes, and that survives the death of the computer of a server if it is durable."""
-
-    @abstractmethod
-    def prepare(self, layout: Layout | None, *, read_only: bool) -> None:
-        """Make the tables unless they are there; refuse those of something else or of another version. None takes what there is."""
-
-    @abstractmethod
-    def wait(self, seconds: float, process: str) -> None:
-        """Wait until something was announced, or for so long; others see meanwhile that this process does."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Close the connection."""
-
-    # --- what only some need, and others see to by themselves ---
 
     def waiting(self) -> tuple[str, ...]:
         """Return the processes that wait, as far as they can be seen."""
         return ()
 
-    def announce(self) -> None:  # noqa: B027
+    def announce(self) -> None:
         """Have those that wait go on."""
 
-    def shrink(self) -> None:  # noqa: B027
+    def shrink(self) -> None:
         """Give space back that is not needed any more."""
 
-    def look(self) -> None:  # noqa: B027
+    def look(self) -> None:
         """Raise a `DatabaseError` if what is written is not where others look for it, as when its file was deleted."""
 
-    def check(self) -> None:  # noqa: B027
+    def check(self) -> None:
         """Raise `DamagedDatabase` if the tables cannot be read as they were written."""
 
-    def gather(self) -> None:  # noqa: B027
+    def gather(self) -> None:
         """Have the tables, as far as nobody reads them, in one file."""
 
 
