@@ -12,10 +12,8 @@ import pytest
 
 from planner_bridge.tasks.result import TASKS
 from pnm.errors import PnmError
-from pnm.journal.kept import Durability
 from pnm.journal.replay import Replay
 from pnm.journal.resume import replay_steps
-from pnm.journal.store import JournalFile
 from tests.support.tasks.kills.campaign import journal_left
 
 COMMITS = 15
@@ -84,17 +82,3 @@ def test_a_write_ahead_log_that_is_cut_anywhere_has_what_is_before_the_cut(left:
     with suppress(PnmError):
         found = [*records(journal)]
         assert found == whole[: len(found)]
-
-
-@pytest.mark.parametrize("number", range(TEARS))
-def test_a_file_that_is_cut_or_damaged_anywhere_is_refused_by_name_or_read(left: Path, tmp_path: Path, number: int) -> None:
-    rng, journal = random.Random(number), copied(left, tmp_path)
-    JournalFile(journal, Durability.PROCESS_CRASH, 0.0).close()  # which puts all into the file itself
-    if number % 3 == 0:
-        torn(journal, rng)
-    for _ in range(rng.randrange(1, 9) if number % 3 else 0):
-        with journal.open("r+b") as file:
-            file.seek(rng.randrange(journal.stat().st_size))
-            file.write(rng.randbytes(rng.choice([1, 8, 600])))
-    with suppress(PnmError):
-        list(records(journal))
