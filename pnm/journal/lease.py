@@ -68,6 +68,10 @@ class Watch(Hold):
         self._closing.set()
 
     def _keep(self, loop: asyncio.AbstractEventLoop, renewed: Callable[[], None], fenced: Callable[[Fenced], None]) -> None:
+        def tell() -> None:
+            if not self._closing.is_set():
+                renewed()
+
         is_well = True
         with suppress(RuntimeError):  # the loop was closed
             while not self._closing.wait(self._pause if is_well else min(1.0, self._pause)):
@@ -86,7 +90,7 @@ class Watch(Hold):
                     is_well = False
                 else:
                     is_well = True
-                    loop.call_soon_threadsafe(lambda: self._closing.is_set() or renewed())
+                    loop.call_soon_threadsafe(tell)
 
 
 def is_locked(path: Path) -> bool:
