@@ -21,7 +21,6 @@ from planner_bridge.node.options import Options, RobotFiles
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.loading import load
 from planner_bridge.planning.solve import check_planner
-from planner_bridge.tasks.task_start import PREFIX
 from pnm.actions.backend import check_ready
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.domain import Vocabulary
@@ -31,7 +30,7 @@ from pnm.journal.kept import Fenced
 from pnm.journal.replay import Replay
 from pnm.knowledge.sources import Sources, Surroundings, open_sources
 from pnm.language.plan import merge_bindings, read_world, sources_of
-from pnm.language.runner import PlanRunner, Program
+from pnm.language.runner import PREFIX, PlanRunner, Program
 from pnm.ros.backend import Ros2Backend
 
 

@@ -156,10 +156,8 @@ class ConstraintMonitor:
     def _lag(self, watched: _MonitoredConstraint) -> float:
         return max(SETTLING, self._knowledge.world.lag(watched.names))
 
-    def next_look(self, now: float) -> float:
+    def next_look(self) -> float:
         """Return when to look again even if nothing changes; infinity if that is not needed."""
-        if self._changes is None:
-            return min((watched.progress.next_look(now, self._lag(watched)) for watched in self._ground), default=inf)
         while self._queue and self._times.get(self._queue[0][1]) != self._queue[0][0]:
             heappop(self._queue)
         return self._queue[0][0] if self._queue else inf
@@ -244,7 +242,7 @@ class TaskMonitor:
         self.limit = TimeLimit(
             context.settings.limits.allowed(),
             lambda seconds: context.control.stop(Code.TIMED_OUT, f"the limit of {seconds:g} s is reached"),
-            partial(context.journal.counted, context.task.id),
+            partial(context.runner.journal.counted, context.task.id),
         )
         """The seconds that the task may take, pauses left out."""
         self._next_look: asyncio.TimerHandle | None = None
@@ -289,10 +287,10 @@ class TaskMonitor:
             self._context.observer.violated(violation, asyncio.get_running_loop().time())
             self._context.control.stop(Code.CONSTRAINT_VIOLATED, str(violation))
         if self.constraints.has_news:  # in the transaction of what was looked at: it counts for both or for none
-            self._context.journal.noted(self._context.task.id, TrajectoryNote(self.began, *self.constraints.note))
+            self._context.note(TrajectoryNote(self.began, *self.constraints.note))
         if self._next_look:
             self._next_look.cancel()
-        time = self.constraints.next_look(now)
+        time = self.constraints.next_look()
         self._next_look = None if time == inf else asyncio.get_running_loop().call_at(self.began + time, self.look)
 
     async def settle(self) -> None:

@@ -17,7 +17,6 @@ from planner_bridge.tasks.control import TaskControl
 from planner_bridge.tasks.replanning import History
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from planner_bridge.tasks.task import Task
-from pnm.actions.backend import Backend
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
@@ -25,8 +24,8 @@ from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.bindings import goal_data
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.resources import Resources
-from pnm.journal.journal import Journal
 from pnm.knowledge.source import Source
+from pnm.language.runner import PlanRunner
 from pnm.tasks import OnConflict, TaskListener, TaskState, TraceKind
 
 
@@ -58,7 +57,7 @@ class TaskContext:
 
     Args:
         knowledge: of the runs of the task, over the world that all tasks share.
-        source: answers what runs do not know; None for none.
+        runner: carries out plans that are loaded; its backend, resources, source and journal are those of all tasks.
         helper: the person who is asked for help when the task cannot go on; None for none.
         on_conflict: what to do about a goal that is in conflict with those of other tasks.
     """
@@ -66,15 +65,11 @@ class TaskContext:
     task: Task
     problem: Problem
     knowledge: Layered
-    backend: Backend
+    runner: PlanRunner
     settings: Settings
-    resources: Resources
-    source: Source | None
     helper: Source | None
     scheduler: Preemption
     on_conflict: OnConflict
-    new_run_id: Callable[[], UUID]
-    journal: Journal
     since: float | None = None
     """The time of the world in the problem, on the clock of the event loop, if the task does not begin here."""
 
@@ -98,6 +93,10 @@ class TaskContext:
         """The knowledge of the world, with the unreported start effects of running calls: the base for judging plans."""
         return present_state(self.world, self.scheduler.runs())
 
+    def note(self, note: object) -> None:
+        """Keep a note of the task in the journal, for a process that goes on with it."""
+        self.runner.journal.noted(self.task.id, note)
+
     def under_way(self, run: Run) -> ReadWriteSets:
         """Return the needs and changes of the running calls of a run."""
         return read_write_sets(run.unsettled, TRUE, self.world)
@@ -105,12 +104,12 @@ class TaskContext:
     def unusable(self, history: History) -> frozenset[ForbiddenCall]:
         """Return the calls that would fail: their action server was not there too often, a resource is withheld, or a value is lacking."""
         bindings = self.settings.bindings
-        names = self.resources.withheld_from(history.lacking)
+        names = self.runner.resources.withheld_from(history.lacking)
         served = calls_served_by(self.problem, bindings, history.absent_servers(self.settings.limits))
         # With a source outside, something new may be known without a trace here.
         lacking: set[ForbiddenCall] = set()
-        for action in history.uninformed if self.source is None else ():
-            binding, fields = bindings.of(action.name), self.backend.client.goal_fields(action)
+        for action in history.uninformed if self.runner.source is None else ():
+            binding, fields = bindings.of(action.name), self.runner.backend.client.goal_fields(action)
             if goal_data(action, binding, fields, EvaluationContext(self.knowledge, action, binding))[1]:  # fields without a value
                 lacking.add(ForbiddenCall.of(action))
         return served | calls_acquiring(self.problem, bindings, names.keys()) | lacking

@@ -111,7 +111,7 @@ class GoalLoop:
         try:
             kept_run, self._kept_run = self._kept_run, None
             with suppress(*(TaskEnded for _ in (kept_run,) if kept_run)):  # it is carried on even to be stopped: robots are at work
-                await self._control.until(self._context.backend.refresh())
+                await self._control.until(self._context.runner.backend.refresh())
                 await self._monitor.settle()  # before anything is planned: a constraint may only look violated because a report is late
             if kept_run is not None:
                 graph = await self._carry_on(kept_run)
@@ -123,11 +123,11 @@ class GoalLoop:
                 graph = await self._accepted(await self._search.in_turn(partial(self._search.given, self._given)))
             while True:
                 with suppress(TaskEnded):  # the run reports then that nothing of the plan was begun
-                    await self._control.until(self._context.backend.prepare({call.action: None for call in graph.calls}))
+                    await self._control.until(self._context.runner.backend.prepare({call.action: None for call in graph.calls}))
                 making = proved_machine(self._context, graph)  # also if it is not begun: the result says what would have been called
                 graph = await self._carry_on(await (making if self._control.stopped else self._control.until(making)))
         except NoPlan as no_plan:
-            withheld = who_keeps(self._context.resources.withheld)  # nobody knows what their servers have made of the world
+            withheld = who_keeps(self._context.runner.resources.withheld)  # nobody knows what their servers have made of the world
             unfulfilled, why = self._log.unfulfilled(self._monitor.missing), str(no_plan)
             silent = dict.fromkeys(said for fluent, said in self._context.world.why_unknown().items() if fluent_text(fluent) in why)
             reason = join_reasons(self._log.last_failure, why, *silent, unfulfilled, withheld)
@@ -144,7 +144,7 @@ class GoalLoop:
         if self._question is None:
             trouble = f"This goal cannot be reached: {reason.removeprefix('asks for help: ')}"
             asker = Asker(task.id, task.wanted.text or str(context.problem.goal), uuid5(task.id, f"help {self._log.helped}"))
-            self._question = asyncio.ensure_future(ask_for_help(helper, asker, trouble, partial(context.journal.noted, task.id)))
+            self._question = asyncio.ensure_future(ask_for_help(helper, asker, trouble, context.note))
             context.observer.blocked(reason)
         # What was replaced too often is not replaced once more because facts keep changing.
         news = self._facts_changed if ended.by_facts else asyncio.Event()
@@ -162,7 +162,7 @@ class GoalLoop:
             await control.wait(context.settings.limits.backoff)  # facts seldom change alone, and some all the time
             return None
         advice, self._question = self._question.result(), None
-        context.journal.noted(task.id, HelpEnded(advice.why))
+        context.note(HelpEnded(advice.why))
         if advice.try_again:
             self._log.history = History()  # what has failed may work again
             self._log.helped += 1
@@ -174,7 +174,7 @@ class GoalLoop:
         if self._question is not None:
             self._question.cancel()
             self._question = None
-            self._context.journal.noted(self._context.task.id, HelpEnded("a person need not help any more"))
+            self._context.note(HelpEnded("a person need not help any more"))
 
     async def _carry_on(self, begin_with: ProvedMachine | ReplayedRun) -> PlanGraph:
         """Carry a run on to its end, and those that succeed it; return the plan that follows then."""
@@ -217,7 +217,7 @@ class GoalLoop:
             if not execution.is_over:
                 execution.hold()
                 with self._control.waiting():
-                    await self._context.backend.refresh()
+                    await self._context.runner.backend.refresh()
                 if not await execution.at_rest():  # only what is settled can be handed over
                     if not execution.is_over:  # it goes on, for a call that has ended waits for others, which have to begin
                         return Outstanding.REPLACEMENT
@@ -259,12 +259,11 @@ class GoalLoop:
         self._note_goal(decision)
 
     def _note_goal(self, decision: Decision | None = None) -> None:
-        log = self._log
-        self._context.journal.noted(self._context.task.id, GoalNote(log.history, log.plans, decision, log.helped))
+        self._context.note(GoalNote(self._log.history, self._log.plans, decision, self._log.helped))
 
     async def _catch_up(self, execution: PlanExecution) -> None:
         with self._control.waiting():
-            await self._context.backend.refresh()
+            await self._context.runner.backend.refresh()
         if not (execution.is_eager or execution.result.goal) or not self._monitor.constraints.idle:
             if execution.result.failures and self._given is None:
                 self._search.begin_ahead(self._next_history(execution))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping
-from functools import partial
 from types import TracebackType
 from typing import Any, Final, TypeAlias
 
@@ -69,12 +68,12 @@ class PlanExecution(Observer):
         self.is_blocked = False
         """Whether others have begun, during a pause, with what the rest of the plan is in conflict with; its run ends then, even
         if they are over before it is."""
+        runner, client = context.runner, context.runner.backend.client
         if isinstance(begin_with, ReplayedRun):
-            run = context.journal.go_on(begin_with, broadcast(Observer, (context.observer, self)), context.backend.client.goal_fields)
+            run = runner.journal.go_on(begin_with, broadcast(Observer, (context.observer, self)), client.goal_fields)
         else:
             run = self._run_of(begin_with, {})
-        note = partial(context.journal.noted, context.task.id)
-        self.executor = Executor(run, context.backend.client, context.source, context.task.wanted.text, context.journal, note)
+        self.executor = Executor(run, client, runner.source, context.task.wanted.text, runner.journal, context.note)
         self._future: asyncio.Future[RunResult] = asyncio.get_running_loop().create_future()
 
     async def __aenter__(self) -> PlanExecution:
@@ -277,19 +276,19 @@ class PlanExecution(Observer):
         self.executor.succeed(self._run_of(successor, dict(zip(numbers, self.run.under_way(), strict=True))))
 
     def _run_of(self, proved: ProvedMachine, adopted: Mapping[int, UnderWay]) -> Run:
-        context, (machine, proof) = self._context, proved
+        context, runner, (machine, proof) = self._context, self._context.runner, proved
         context.observer.generated(machine, proof)
-        return context.journal.make_run(
+        return runner.journal.make_run(
             machine,
             context.knowledge,
-            id=context.new_run_id(),
+            id=runner.new_id(),
             bindings=context.settings.bindings,
-            goal_fields=context.backend.client.goal_fields,
+            goal_fields=runner.backend.client.goal_fields,
             name=context.task.name,
-            asks=context.source is not None,
+            asks=runner.source is not None,
             observer=broadcast(Observer, (context.observer, self)),
             origin=self._origin,
-            resources=context.resources,
+            resources=runner.resources,
             task=context.task.id,
             priority=context.task.wanted.priority,
             adopted=adopted,
@@ -302,7 +301,7 @@ async def proved_machine(context: TaskContext, graph: PlanGraph) -> ProvedMachin
     def prove() -> ProvedMachine:
         settings, stopwatch = context.settings, context.task.stopwatch
         with stopwatch.of("translate"):
-            capacities = context.resources.capacities
+            capacities = context.runner.resources.capacities
             machine = generate(graph, settings.bindings, on_failure=settings.on_failure, capacities=capacities)
         with stopwatch.of("verify"):
             proof = verify(machine)

@@ -194,7 +194,7 @@ class PlanSearch:
                     reason = f"waits {until - loop.time():g} s at most for facts to change: {no_plan}"
                     control.enter(TaskState.QUEUED, reason)
                     self._context.observer.blocked(reason)
-                    while not changed.is_set() and await control.until(self._context.backend.busy_elsewhere()) == no_plan.busy:
+                    while not changed.is_set() and await control.until(self._context.runner.backend.busy_elsewhere()) == no_plan.busy:
                         if loop.time() >= until:
                             raise no_plan from None
                         with suppress(TimeoutError):
@@ -272,8 +272,8 @@ class PlanSearch:
         self._control.check()
         if result.plan is None and not conflicts:
             with self._control.waiting():
-                busy = await context.backend.busy_elsewhere()
-            if result.status is PlanningStatus.UNSOLVABLE and (busy or context.resources.given_up):  # not in the world that will be
+                busy = await context.runner.backend.busy_elsewhere()
+            if result.status is PlanningStatus.UNSOLVABLE and (busy or context.runner.resources.given_up):  # not in the world that will be
                 result = replace(result, status=PlanningStatus.NO_PLAN)
             raise NoPlan(result, forbidden, busy)
         return self._reserved(result.plan, needed, conflicts or context.scheduler.conflicts(context.task, needed))

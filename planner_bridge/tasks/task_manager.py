@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Coroutine, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from time import time
-from uuid import UUID, uuid4
+from uuid import UUID
 
 from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.problem import Problem
@@ -21,7 +21,7 @@ from planner_bridge.tasks.control import Watchdog
 from planner_bridge.tasks.result import Stopwatch, TaskResult, join_reasons
 from planner_bridge.tasks.settings import OnChange, Settings, TaskObserver
 from planner_bridge.tasks.task import StartTask, Task
-from planner_bridge.tasks.task_start import PREFIX, TaskText, read_text, start_of
+from planner_bridge.tasks.task_start import TaskText, read_text, start_of
 from pnm.clock import stop_then_cancel
 from pnm.core.execution.events import broadcast
 from pnm.core.knowledge_base import Layered
@@ -367,7 +367,7 @@ class TaskManager:
     def _understand(self, task: Task, read: Callable[[], TaskText], kept: ReplayedTask | None = None) -> TaskEnding | None:
         """Note the executor of the task, by its text; return its ending if that is wrong."""
         try:
-            task.start = start_of(task, read(), self._runner, partial(self._context, task), kept)
+            task.start = start_of(task, read(), partial(self._context, task), kept)
         except InputError as error:
             task.error = error
             return TaskEnding(Code.INVALID_GOAL, str(error))
@@ -439,15 +439,11 @@ class TaskManager:
             task,
             replace(self._now(since), goal=goal),
             kept.runs[-1].run.knowledge if kept and kept.runs else Layered(runner.world),
-            runner.backend,
+            runner,
             replace(self._settings, on_change=on_change or self._settings.on_change),
-            runner.resources,
-            runner.source,
             self._helper,
             self._preemption,
             task.wanted.on_conflict or self._limits.on_conflict,
-            lambda: UUID(bytes=runner.prefix + uuid4().bytes[PREFIX:]),
-            runner.journal,
             since,
         )
 

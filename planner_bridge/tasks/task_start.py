@@ -29,12 +29,8 @@ from pnm.core.machine.requests import CallOutcome
 from pnm.errors import InputError
 from pnm.executor import Executor
 from pnm.journal.replay import ReplayedTask
-from pnm.language.runner import PlanRun, PlanRunner
+from pnm.language.runner import PlanRun
 from pnm.tasks import Code, TaskState, Wanted
-
-PREFIX: Final = 4
-"""Bytes that the identities of all requests of a process have in common."""
-
 
 MAX_CALLS: Final = 1000
 """Calls of a plan that is sent as a text."""
@@ -71,7 +67,6 @@ def read_text(wanted: Wanted, read_goal: Callable[[str], Condition], loaded: Col
 def start_of(
     task: Task,
     text: TaskText,
-    runner: PlanRunner,
     context: Callable[[Condition, ReplayedTask | None, OnChange | None], TaskContext],
     kept: ReplayedTask | None,
 ) -> StartTask:
@@ -82,7 +77,7 @@ def start_of(
     """
     match text:
         case None:
-            return PlanTask(runner, context(TRUE, None, None), kept).carry_out
+            return PlanTask(context(TRUE, None, None), kept).carry_out
         case Plan() as plan:
             return lambda: GoalLoop(context(TRUE, kept, OnChange.LAZY), given=plan, kept=goal_of(kept)).pursue()
         case goal:
@@ -103,9 +98,8 @@ class PlanTask:
     or that it has no such parameter.
     """
 
-    def __init__(self, runner: PlanRunner, context: TaskContext, kept: ReplayedTask | None = None) -> None:
-        wanted, observer = context.task.wanted, context.observer
-        self._runner = runner
+    def __init__(self, context: TaskContext, kept: ReplayedTask | None = None) -> None:
+        wanted, observer, runner = context.task.wanted, context.observer, context.runner
         self._context = context
         self._kept = kept
         self._plan_run: PlanRun
@@ -123,8 +117,8 @@ class PlanTask:
         with context.control.executing(self):
             context.control.limit_time(plan_run.limit)
             with context.control.waiting():
-                await self._runner.check(plan_run)
-                await context.backend.refresh()
+                await context.runner.check(plan_run)
+                await context.runner.backend.refresh()
             context.observer.generated(program.machine, program.proof)
             context.control.enter(TaskState.RUNNING)
             origin = plan_run.executor.run.origin  # of a run with which another process has begun
@@ -133,7 +127,7 @@ class PlanTask:
             stop_time = schedule(context.world, program.plan.timed, began, -inf if self._kept is None else self._kept.replay.now)
             try:
                 with context.task.stopwatch.of("execute"):
-                    run = await self._runner.execute(plan_run)
+                    run = await context.runner.execute(plan_run)
             finally:
                 stop_time()
         stopped = self._context.control.stopped

@@ -13,6 +13,7 @@ from collections.abc import Coroutine, Mapping
 from dataclasses import InitVar, dataclass, field, replace
 from functools import partial
 from math import inf
+from typing import Final
 from uuid import UUID, uuid4
 
 from pnm.actions.backend import Backend
@@ -141,6 +142,10 @@ class PlanRun:
         return {name: value for name, value in known.items() if value is not MISSING}
 
 
+PREFIX: Final = 4
+"""Bytes that the identities of all runs and requests of a process have in common."""
+
+
 @dataclass
 class PlanRunner:
     """Carries out the plans of a world on a backend.
@@ -164,8 +169,8 @@ class PlanRunner:
     shared: InitVar[Resources | None] = None
     resources: Resources = field(init=False)
     """Shared by all runs, those of plans that are called included."""
-    prefix: bytes = field(default_factory=partial(os.urandom, 4))
-    """The first four bytes of the identities of all runs and requests: action servers find this process by them."""
+    prefix: bytes = field(default_factory=partial(os.urandom, PREFIX))
+    """The first bytes of the identities of all runs and requests: action servers find this process by them."""
     going_on: list[PlanRun] = field(default_factory=list)
     kept: dict[UUID, ReplayedRun] = field(default_factory=dict)
     """By the request that has called it, runs of plans that another process has begun, and that are still to go on."""
@@ -200,6 +205,10 @@ class PlanRunner:
             return replace(action, arguments=bind(action.arguments, environment)) if action in own and environment else action
 
         return tuple(map(known, self.actions))
+
+    def new_id(self) -> UUID:
+        """Return the identity of a new run."""
+        return UUID(bytes=self.prefix + uuid4().bytes[PREFIX:])
 
     async def prepare(self) -> tuple[str, ...]:
         """Prepare the backend for the actions of the plans; return the names of servers that are not there yet."""
@@ -237,7 +246,7 @@ class PlanRunner:
             hint = suggestion(strange, known) or f"expected {', '.join(known) or 'none'}"
             raise InputError(f"{program.plan.name} has no parameter {strange!r}; {hint}")
         knowledge = Layered(self.world, KnowledgeBase(variables={**program.plan.variables, **given}))
-        identity = UUID(bytes=self.prefix + uuid4().bytes[4:])
+        identity = self.new_id()
         client = PlansClient(self, observer, task or identity, priority)
         run = self.journal.make_run(
             program.machine,

@@ -207,18 +207,14 @@ def test_what_nothing_has_happened_to_is_not_looked_at(constraints: tuple[Constr
     fast, readable = (ConstraintMonitor(problem, Layered(world)) for _ in range(2))
     now, noted = 0.0, None
     for passed, name, value in steps:
-        now = now + passed if name != "nothing" else max(now, min(fast.next_look(now), now + 5.0))
+        now = now + passed if name != "nothing" else max(now, min(fast.next_look(), now + 5.0))
         if name == "sensed":
             world.sense("pq", lag=float(value is True))
         elif name != "nothing":
             world.update({(name,): value})
         readable._changes = None
         assert fast.look(now) == readable.look(now)
-        assert (
-            fast.next_look(now)
-            == readable.next_look(now)
-            == min(one.progress.next_look(now, readable._lag(one)) for one in readable._ground)
-        )
+        assert fast.next_look() == readable.next_look() == min(one.progress.next_look(now, readable._lag(one)) for one in readable._ground)
         assert fast.has_news is (readable.note != noted)
         noted = readable.note
         assert fast.note == noted

@@ -103,7 +103,7 @@ def constrained(count: int) -> tuple[KnowledgeBase, Callable[[], object]]:
     known = {("fit", f"r{index}"): True for index in range(count)}
     world, constraints = KnowledgeBase(known), tuple(Constraint("always", (Holds(fluent),)) for fluent in known)
     monitor = ConstraintMonitor(replace(TO_C, constraints=constraints), Layered(world))
-    return world, lambda: (monitor.look(0.0), monitor.next_look(0.0))
+    return world, lambda: (monitor.look(0.0), monitor.next_look())
 
 
 def heard(world: KnowledgeBase, look: Callable[[], object], fluent: Fluent) -> float:
