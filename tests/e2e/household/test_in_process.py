@@ -34,12 +34,6 @@ def test_everything_that_actions_change_is_sensed_or_assumed() -> None:
     assert backend.bindings.assumed == {"seen", "came_from"}
 
 
-def test_a_robot_that_cannot_charge_opens_the_way_with_what_is_left() -> None:
-    backend = in_world(4, seed=1)
-    backend.world.robots[0].battery_level = 20.0
-    assert pursued(4, backend).goal_reached
-
-
 def test_what_cannot_be_done_has_the_simulators_reason() -> None:
     backend = in_world(3, seed=1)
     backend.world.get_location_by_name("fridge").is_locked = True

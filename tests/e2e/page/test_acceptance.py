@@ -116,7 +116,7 @@ def test_a_run_over_ros_2_is_seen_explained_and_steered_in_a_browser(page: Page,
 
 def a_plan_asks_a_person(page: Page, deployment: ProblemDeployment) -> None:
     """A plan's own question is answered on the page, and the plan goes on with the answer."""
-    client = deployment.start(ClientProgram(["-m", "tests.support.e2e.programs.plan_client", "serves", "", ""], deployment.environment))
+    client = deployment.start(ClientProgram(["-m", "tests.support.e2e.programs.client", "plan", "serves", "", ""], deployment.environment))
     question = page.locator(".need.asks")
     expect(question).to_contain_text("a person is asked: drink: Tea or water?")
     question.get_by_label("answer").fill("tea")

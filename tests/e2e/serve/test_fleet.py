@@ -44,7 +44,7 @@ def test_all_goals_hold_in_the_end_or_are_reported_with_the_reason(deploy: Calla
     ).ready()
     rng = random.Random(1)
     goals = [f"(in p{number} a{rng.randrange(ROOMS)})" for number in range(PARCELS)]
-    client = deployment.start(ClientProgram(["-m", "tests.support.e2e.programs.goal_client", "send", *goals], deployment.environment))
+    client = deployment.start(ClientProgram(["-m", "tests.support.e2e.programs.client", "goals", *goals], deployment.environment))
     assert client.ended(540.0) == 0, str(client)
     results = client.results()
     robots.stop()

@@ -94,8 +94,8 @@ class PlanDeployment(RosDomain):
     def client(self, plan: str, *parameters: Mapping[str, Any] | str, cancel_on: str = "") -> ClientProgram:
         """Start a client that sends a goal for each of the parameters."""
         texts = [one if isinstance(one, str) else json.dumps(one) for one in parameters or ("",)]
-        return self.start(ClientProgram(["-m", "tests.support.e2e.programs.plan_client", plan, cancel_on, *texts], self.environment))
+        return self.start(ClientProgram(["-m", "tests.support.e2e.programs.client", "plan", plan, cancel_on, *texts], self.environment))
 
     def cancel_all(self, server: str) -> None:
         """Have somebody cancel all goals of an action server."""
-        assert self.start(Program(["-m", "tests.support.e2e.programs.plan_client", "--cancel-all", server], self.environment)).ended() == 0
+        assert self.start(Program(["-m", "tests.support.e2e.programs.client", "cancel", server], self.environment)).ended() == 0

@@ -16,11 +16,11 @@ def serve(deployment: PlanDeployment, *arguments: str) -> Serving:
 
 
 def goals(deployment: PlanDeployment, *texts: str) -> ClientProgram:
-    return deployment.start(ClientProgram(["-m", "tests.support.e2e.programs.goal_client", "send", *texts], deployment.environment))
+    return deployment.start(ClientProgram(["-m", "tests.support.e2e.programs.client", "goals", *texts], deployment.environment))
 
 
 def transitions(deployment: PlanDeployment, *labels: str) -> list[bool]:
     """Ask for transitions; return which of them were made."""
-    client = deployment.start(ClientProgram(["-m", "tests.support.e2e.programs.goal_client", "change", *labels], deployment.environment))
+    client = deployment.start(ClientProgram(["-m", "tests.support.e2e.programs.client", "change", *labels], deployment.environment))
     assert client.ended() == 0, str(client)
     return [one["success"] for one in client.objects() if one["event"] == "changed"]

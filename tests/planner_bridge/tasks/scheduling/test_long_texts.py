@@ -87,9 +87,9 @@ async def test_a_task_whose_machine_is_being_made_can_be_cancelled(simulation: T
     assert await simulation.ended_with(task) == [Code.CANCELLED]
 
 
-@simulated(fleet(places=400), faults=Faults((Fault("move(r0, a0, a1)", FaultKind.ABORT),)))
+@simulated(fleet(places=200), faults=Faults((Fault("move(r0, a0, a1)", FaultKind.ABORT),)))
 async def test_the_event_loop_goes_on_while_it_is_decided_what_follows_a_failure(simulation: TaskSimulation):
-    task = simulation.want("(at r0 a199)")
+    task = simulation.want("(at r0 a99)")
     await simulation.sees(task, "failed")
     assert await turns_until(simulation, task, "replanned", "") > FEW
     assert await turns_until(simulation, task, "sent", "", 2) > FEW

@@ -13,7 +13,7 @@ from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.machine.bindings import Binding
 from pnm.tasks import Code, OnConflict, TaskState
 from tests.support.pddl.problems import fleet
-from tests.support.tasks.node import EAGER, USUAL, carry, everything_needs, robots_of, simulated
+from tests.support.tasks.node import USUAL, carry, everything_needs, robots_of, simulated
 from tests.support.tasks.simulation import TaskSimulation
 
 
@@ -119,20 +119,6 @@ async def test_a_plan_by_hand_that_was_to_make_room_goes_on_when_nobody_needs_th
     await simulation.reaches(task)
 
 
-@simulated(fleet(places=8), chosen=EAGER)
-async def test_nobody_contradicts_what_a_pause_lets_come_to_its_end(simulation: TaskSimulation):
-    task = await simulation.begun("(at r0 a3)")
-    paused = asyncio.ensure_future(simulation.master.pause(task, at_once=False))
-    await simulation.sees(task, "state", "pausing")
-    newcomer = simulation.want("(and (has r0 p1) (at r0 a1))")
-    await simulation.sees(newcomer, "state", "queued: waits for")
-    await paused
-    await simulation.reaches(newcomer)
-    assert simulation.sent_at(newcomer) >= simulation.seen(task, "ended")[0].time
-    await simulation.master.resume(task)
-    await simulation.reaches(task)
-
-
 @pytest.mark.parametrize("at_once", [False, True])
 @simulated(fleet(places=8), chosen=replace(USUAL, limits=Limits(seconds=20.0)))
 async def test_a_pause_does_not_use_up_the_time_of_the_task(simulation: TaskSimulation, at_once: bool):
@@ -208,30 +194,6 @@ async def test_a_resumption_at_the_moment_of_a_pause_lets_the_task_go_on(simulat
     await asyncio.sleep(0)
     await simulation.master.resume(task)
     await pausing
-    await simulation.reaches(task)
-
-
-@simulated()
-async def test_a_pause_right_after_the_end_was_asked_for_holds_nothing_up(simulation: TaskSimulation):
-    task = simulation.want("(at r0 a2)")
-    ending = asyncio.ensure_future(simulation.master.cancel(task))
-    await asyncio.sleep(0)
-    await simulation.master.pause(task, at_once=True)
-    assert task in simulation.endings, "the pause of a task that is being cancelled ends with it"
-    await ending
-
-
-@simulated()
-async def test_a_pause_right_after_a_resumption_waits_for_what_that_begins(simulation: TaskSimulation):
-    task = await simulation.begun("(at r0 a2)")
-    await simulation.master.pause(task, at_once=True)
-    going_on = simulation.master._tasks[task]
-    going_on.control.resume()
-    await going_on.control.pause("", at_once=False)
-    assert simulation.state(task) is TaskState.PAUSED
-    await asyncio.sleep(0.1)
-    assert not simulation.backend.robots._jobs
-    await simulation.master.resume(task)
     await simulation.reaches(task)
 
 

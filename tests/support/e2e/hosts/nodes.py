@@ -91,7 +91,7 @@ class Fleet(HostsDeployment):
 
     def send(self, goal: str) -> ClientProgram:
         """Have a client on the host of the robots send a goal."""
-        return self._started(ClientProgram, "robots", "tests.support.e2e.programs.goal_client", "send", goal)
+        return self._started(ClientProgram, "robots", "tests.support.e2e.programs.client", "goals", goal)
 
     def records(self) -> list[dict[str, Any]]:
         """Replay the journal, and return its records; there must be no difference."""

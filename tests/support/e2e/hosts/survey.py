@@ -104,4 +104,4 @@ class Survey(HostsDeployment):
 
     def client(self, plan: str, parameters: str = "{}") -> Program:
         """Send a goal to a plan that is served, from the rover's host."""
-        return self._started(Program, "rover", "tests.support.e2e.programs.plan_client", plan, "", parameters)
+        return self._started(Program, "rover", "tests.support.e2e.programs.client", "plan", plan, "", parameters)
