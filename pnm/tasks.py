@@ -255,9 +255,6 @@ class TaskListener:
     def changed(self, task: UUID) -> None:
         """Note that the status of a task is another one, or that it is there now."""
 
-    def entered(self, task: UUID, state: TaskState, reason: str) -> None:
-        """Note that a task, which is not over, is in another state, and why."""
-
     def planned(self, task: UUID) -> None:
         """Note that a task has another plan and another net."""
 

@@ -16,7 +16,7 @@ from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.problem import Domain, Problem, once_per_domain
 from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.replanning import Progress, why_not
-from planner_bridge.tasks.result import ConstraintResult, KeptGoal, PreferenceResult, TrajectoryNote, Violation
+from planner_bridge.tasks.result import ConstraintResult, PreferenceResult, TrajectoryNote, Violation, notes_of
 from pnm.actions.backend import schedule
 from pnm.clock import TimeLimit
 from pnm.core.knowledge_base import KnowledgeBase, Layered, Readers
@@ -25,6 +25,7 @@ from pnm.core.logic.domain import Preference
 from pnm.core.logic.expressions import NOTHING, Environment, choices
 from pnm.core.logic.rules import read_by
 from pnm.core.logic.trajectory import Constraint, ConstraintProgress, instances, is_fulfilled, names_in, observed_of, shifted
+from pnm.journal.replay import ReplayedTask
 from pnm.tasks import Code
 
 SETTLING: Final = 0.01
@@ -231,7 +232,7 @@ class TaskMonitor:
     The mutable state is what stands below "state".
     """
 
-    def __init__(self, context: TaskContext, kept: KeptGoal | None = None) -> None:
+    def __init__(self, context: TaskContext, kept: ReplayedTask | None = None) -> None:
         self._context = context
         self._kept = kept
         self.constraints = ConstraintMonitor(context.problem, context.knowledge)
@@ -258,11 +259,11 @@ class TaskMonitor:
 
         self.began = now = asyncio.get_running_loop().time()
         self._since = now if self._context.since is None else self._context.since
-        if self._kept and self._kept.trajectory:
-            self.began = self._kept.trajectory.began
-            self.constraints.restore(self._kept.trajectory)
+        if self._kept and (trajectories := notes_of(self._kept, TrajectoryNote)):
+            self.began = trajectories[-1].began
+            self.constraints.restore(trajectories[-1])
         if self._kept and self._kept.used:
-            self.limit.continue_from(self._kept.used, self._kept.left_at)
+            self.limit.continue_from(self._kept.used, self._kept.replay.now)
         self._context.observer.began(self.began)
         world = self._context.world
         cleanup.callback(schedule(world, self._context.problem.timed, self._since))

@@ -33,12 +33,12 @@ from planner_bridge.tasks.replanning import (
 )
 from planner_bridge.tasks.result import (
     GoalNote,
-    KeptGoal,
     TaskLog,
     TaskResult,
     code_of_failures,
     code_of_planning,
     join_reasons,
+    restored_log,
     retry_reason,
 )
 from pnm.core.execution.call_results import RunResult
@@ -49,7 +49,7 @@ from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import PlanGraph, PlanGraphError
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.resources import who_keeps
-from pnm.journal.replay import ReplayedRun
+from pnm.journal.replay import ReplayedRun, ReplayedTask
 from pnm.knowledge.people import Advice, HelpEnded, ask_for_help
 from pnm.knowledge.source import Asker, Source
 from pnm.tasks import Code, TaskState
@@ -74,19 +74,18 @@ class GoalLoop:
     Args:
         history: what has failed before.
         given: a plan to begin with, in place of one that would have to be found; the task ends with it.
-        kept: the goal as another process left it, if it goes on here.
+        kept: the task as another process left it, if it goes on here.
     """
 
     def __init__(
-        self, context: TaskContext, *, history: History | None = None, given: Plan | None = None, kept: KeptGoal | None = None
+        self, context: TaskContext, *, history: History | None = None, given: Plan | None = None, kept: ReplayedTask | None = None
     ) -> None:
         self._context = context
         self._control = context.control
         self._given = given
         self._monitor = TaskMonitor(context, kept)
         self._search = PlanSearch(context, self._monitor)
-        self._log = kept.log if kept else TaskLog(history or History())
-        self._kept_run = kept.run if kept else None
+        self._log, self._kept_run = restored_log(kept) if kept else (TaskLog(history or History()), None)
         self._retry_at: float | None = None
         self._facts_changed = asyncio.Event()
         self._question: asyncio.Future[Advice] | None = None

@@ -8,13 +8,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import zip_longest
 from math import isfinite
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any, Final, Literal, TypeAlias, TypeVar
 
 from planner_bridge.model import forbidden_actions
 from planner_bridge.model.plan import PlanningStatus
 from planner_bridge.tasks import replanning
 from planner_bridge.tasks.replanning import Decision, GiveUp, History, PlanAgain, ResumePlan
-from pnm.clock import TimeUsed
 from pnm.core.execution.call_results import CallResult, Failure, RunResult
 from pnm.core.logic import trajectory
 from pnm.core.logic.trajectory import Constraint, ConstraintProgress
@@ -27,6 +26,8 @@ from pnm.journal.codec import RECORDS, value_classes
 from pnm.journal.replay import ReplayedRun, ReplayedTask
 from pnm.knowledge.people import HelpAsked, HelpEnded
 from pnm.tasks import Code, TaskEnding
+
+N = TypeVar("N")
 
 _PLANNING: Final = {
     PlanningStatus.UNSOLVABLE: Code.NO_PLAN,
@@ -346,27 +347,14 @@ TASKS: Final = RECORDS.including((*_NOTES, *value_classes(replanning, forbidden_
 """The codec of the journal of tasks."""
 
 
-@dataclass(frozen=True, slots=True)
-class KeptGoal:
-    """A goal as another process left it.
-
-    Args:
-        left_at: when the process died, on the clock of the event loop.
-        trajectory: what has become of its constraints; None if it had not begun.
-    """
-
-    log: TaskLog
-    run: ReplayedRun | None
-    left_at: float
-    trajectory: TrajectoryNote | None
-    used: TimeUsed | None
+def notes_of(task: ReplayedTask, kind: type[N]) -> list[N]:
+    """Return the notes of a kind that another process has kept of a task."""
+    return [note for note in task.notes if isinstance(note, kind)]
 
 
-def goal_of(task: ReplayedTask | None) -> KeptGoal | None:
-    """Return the goal of a task that was replayed; None for a task that begins here."""
-    if task is None:
-        return None
-    notes = [note for note in task.notes if isinstance(note, GoalNote)]
+def restored_log(task: ReplayedTask) -> tuple[TaskLog, ReplayedRun | None]:
+    """Return the log of a task as another process left it, and the run that had begun and goes on."""
+    notes = notes_of(task, GoalNote)
     decisions = [note.decision for note in notes if note.decision is not None]
     begun = [replayed for replayed in task.runs if replayed.run.begun]
     # A run is succeeded, or followed, before that is noted: the last one that has begun is the one that counts, unless it is followed.
@@ -377,9 +365,7 @@ def goal_of(task: ReplayedTask | None) -> KeptGoal | None:
         for replayed, decision in zip_longest(before, decisions[: len(before)])
     ]
     last = notes[-1] if notes else GoalNote(History(), 0)
-    trajectories = [note for note in task.notes if isinstance(note, TrajectoryNote)]
-    log = TaskLog(last.history, episodes, last.plans, last.helped)
-    return KeptGoal(log, current, task.replay.now, trajectories[-1] if trajectories else None, task.used)
+    return TaskLog(last.history, episodes, last.plans, last.helped), current
 
 
 def retry_reason(seconds: float, result: RunResult) -> str:

@@ -13,7 +13,7 @@ from uuid import UUID
 from planner_bridge.model.plan import Plan, PlanningResult
 from planner_bridge.tasks.control import STILL, TaskControl, Watchdog
 from planner_bridge.tasks.replanning import PlanAgain, ResumePlan, decision_words
-from planner_bridge.tasks.result import GoalNote, Stopwatch, TaskResult
+from planner_bridge.tasks.result import GoalNote, Stopwatch, TaskResult, notes_of
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.core.execution.call_results import CallResult, Failure, RunResult
 from pnm.core.execution.events import broadcast
@@ -24,8 +24,9 @@ from pnm.core.machine.requests import CallOutcome, Outcome, OutcomeKind, Request
 from pnm.core.machine.verification.verify import Proof
 from pnm.core.net.net import Marking
 from pnm.errors import counted
+from pnm.journal.journal import Journal
 from pnm.journal.replay import ReplayedTask
-from pnm.tasks import Code, StepState, TaskEnding, TaskListener, TaskState, TaskStatus, TaskStep, TraceEvent, TraceKind, Wanted
+from pnm.tasks import EVENTS, Code, StepState, TaskEnding, TaskListener, TaskState, TaskStatus, TaskStep, TraceEvent, TraceKind, Wanted
 
 TRACE: Final = 200
 """The events of a task that are kept, the last ones."""
@@ -54,7 +55,9 @@ StartTask: TypeAlias = Callable[[], Coroutine[None, None, TaskResult]]
 
 @dataclass(eq=False)
 class Task(TaskObserver):
-    """A task among others; it notes what happens to it. The mutable state is what has a default.
+    """A task among others; it notes what happens to it: in its trace, in a line for each event in `pnm.tasks.EVENTS`, and for listeners.
+
+    Its states are in the journal besides, whose readers tell the same. The mutable state is what has a default.
 
     Args:
         order: tasks are numbered as they come in.
@@ -66,6 +69,7 @@ class Task(TaskObserver):
     order: int
     listener: TaskListener
     clock: Callable[[], float]
+    journal: Journal
     observers: tuple[TaskObserver, ...] = ()
     stopwatch: Stopwatch = field(default_factory=Stopwatch)
     goal: str = ""
@@ -210,7 +214,7 @@ class Task(TaskObserver):
     def entered(self, state: TaskState, why: str) -> None:
         """Note that the task is in another state."""
         if state is not TaskState.OVER:  # which is noted with the result
-            self.listener.entered(self.id, state, why)  # before others hear of it, who may have it enter the next one
+            self.journal.entered(self.id, state, why)  # before others hear of it, who may have it enter the next one
             self.note(TraceKind.STATE, "", f"{state.name.lower()}{f': {why}' if why else ''}")
             self.listener.changed(self.id)
 
@@ -220,15 +224,17 @@ class Task(TaskObserver):
         if self.watchdog:
             self.watchdog.heard()
         self.trace.append(event)
+        EVENTS.log(level, "%s %s", self.id.hex[:8], ": ".join(filter(None, (kind.word, subject, text))))
         self.listener.happened(event)
 
     def restore(self, kept: ReplayedTask) -> None:
         """Note the progress of the task in another process: its plans, the calls that have ended, and its ending if it is over."""
         begun = sum(replayed.run.begun and replayed.made.caller is None for replayed in kept.runs)
         self.nets = begun - self.wanted.is_plan if kept.ending is None else kept.ending.replans + 1  # a plan is said again to be there
-        decided = [note.decision for note in kept.notes if isinstance(note, GoalNote) and note.decision]
+        notes = notes_of(kept, GoalNote)
+        decided = [note.decision for note in notes if note.decision]
         self.replanned = f"replanned in another process: {decision_words(decided[-1])}" if decided else ""
-        self.plans = max((note.plans for note in kept.notes if isinstance(note, GoalNote)), default=0)
+        self.plans = max((note.plans for note in notes), default=0)
         results = (replayed.result or replayed.run.interim_result() for replayed in kept.runs)
         self.ended_calls = sum(call.attempts - call.is_under_way for result in results for call in result.calls)
         if kept.ending is not None:

@@ -31,14 +31,12 @@ from pnm.core.machine.requests import NOT_REATTACHED, Ended, OutcomeKind, Reatta
 from pnm.core.net.net import Marking
 from pnm.core.resources import who_keeps
 from pnm.errors import InputError
-from pnm.journal.journal import Journal
 from pnm.journal.kept import JournalError
 from pnm.journal.replay import Replay, ReplayedTask
 from pnm.knowledge.source import Asker, Source
 from pnm.knowledge.sources import Sources
 from pnm.language.runner import PlanRunner
 from pnm.tasks import (
-    EVENTS,
     REMEMBERED,
     SHORT,
     Code,
@@ -49,7 +47,6 @@ from pnm.tasks import (
     TaskState,
     TaskStatus,
     TaskStep,
-    TraceEvent,
     TraceKind,
     Wanted,
 )
@@ -100,12 +97,11 @@ class TaskManager:
         self._ending: set[UUID] = set()
         """Tasks that have ended, which is not kept yet."""
         self._beside: set[asyncio.Task[None]] = set()
-        self._listeners: list[TaskListener] = []
         self._order = 0
         self._is_held = False
         self._queue: PlanningQueue[Task] = PlanningQueue(lambda task: task.rank)
         self._preemption = Preemption(self._tasks, self._resources, self._queue)
-        self._listeners += [EventLog(self._journal), self._preemption]
+        self._listeners: list[TaskListener] = [self._preemption]
         self._listener = broadcast(TaskListener, self._listeners)
         self._stop_listening = self._resources.listen(self._preemption.preempt_holders)
 
@@ -114,8 +110,7 @@ class TaskManager:
 
     def begin(self, wanted: Wanted, /) -> None:
         """Begin a task. Whatever is wrong with it ends it, with a code and a reason."""
-        self._order += 1
-        self._begin(Task(wanted, self._order, self._listener, self._loop.time))
+        self._begin(self._new(wanted))
 
     def restore(self, replay: Replay, observers: tuple[TaskObserver, ...] = (), stopwatch: Stopwatch | None = None) -> None:
         """Go on with the tasks of another process, which has died: its knowledge and its resources are those of this task manager.
@@ -125,8 +120,7 @@ class TaskManager:
         self._began, self._is_held = replay.began, replay.is_held
         unreadable: list[tuple[Task, ReplayedTask, TaskEnding]] = []  # the problem, or the plans, are not those with which it was accepted
         for kept in replay.tasks.values():
-            wanted, self._order = kept.accepted.wanted, max(self._order, kept.accepted.order)
-            task = Task(wanted, kept.accepted.order, self._listener, self._loop.time, observers, stopwatch or Stopwatch())
+            task = self._new(kept.accepted.wanted, kept.accepted.order, observers, stopwatch)
             task.restore(kept)
             if task.ending:
                 self._remember(task)
@@ -154,8 +148,7 @@ class TaskManager:
         Raises:
             InputError: there is something wrong with the task; nothing was started.
         """
-        self._order += 1
-        task = Task(wanted, self._order, self._listener, self._loop.time, (observer,), stopwatch)
+        task = self._new(wanted, None, (observer,), stopwatch)
         observer.managed(self)
         self._begin(task)
         return await self._result_of(task)
@@ -306,6 +299,13 @@ class TaskManager:
         self._past = [*self._past[1 - REMEMBERED :], task]
 
     # --- beginning ------------------------------------------------------------------------------
+
+    def _new(
+        self, wanted: Wanted, order: int | None = None, observers: tuple[TaskObserver, ...] = (), stopwatch: Stopwatch | None = None
+    ) -> Task:
+        order = self._order + 1 if order is None else order
+        self._order = max(self._order, order)
+        return Task(wanted, order, self._listener, self._loop.time, self._journal, observers, stopwatch or Stopwatch())
 
     def _begin(self, task: Task) -> None:
         task.note(TraceKind.GOAL, "", task.status.title)
@@ -490,23 +490,6 @@ class TaskManager:
         self._queue.changed()
         self._preemption.update_all()
         self._admit()
-
-
-class EventLog(TaskListener):
-    """Logs the events of tasks to `pnm.tasks.EVENTS`, a line each, and keeps their states in a journal: its readers tell the same."""
-
-    def __init__(self, journal: Journal) -> None:
-        self._journal = journal
-
-    def happened(self, moment: TraceEvent) -> None:
-        """Log an event, but not all feedback and every transition that fires."""
-        if not moment.kind.is_frequent:
-            text = ": ".join(filter(None, (moment.kind.word, moment.subject, moment.text)))
-            EVENTS.log(moment.level, "%s %s", moment.task.hex[:8], text)
-
-    def entered(self, task: UUID, state: TaskState, reason: str) -> None:
-        """Keep the state of a task."""
-        self._journal.entered(task, state, reason)
 
 
 @dataclass(frozen=True, slots=True)

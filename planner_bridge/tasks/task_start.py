@@ -17,7 +17,7 @@ from planner_bridge.ordering.interference import Forecast, ReadWriteSets, read_w
 from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.goal_loop import GoalLoop
 from planner_bridge.tasks.replanning import History
-from planner_bridge.tasks.result import Episode, PlanResult, code_of_failures, goal_of
+from planner_bridge.tasks.result import Episode, PlanResult, code_of_failures
 from planner_bridge.tasks.settings import OnChange
 from planner_bridge.tasks.task import StartTask, Task
 from planner_bridge.yaml.reader import read
@@ -79,10 +79,10 @@ def start_of(
         case None:
             return PlanTask(context(TRUE, None, None), kept).carry_out
         case Plan() as plan:
-            return lambda: GoalLoop(context(TRUE, kept, OnChange.LAZY), given=plan, kept=goal_of(kept)).pursue()
+            return lambda: GoalLoop(context(TRUE, kept, OnChange.LAZY), given=plan, kept=kept).pursue()
         case goal:
             task.goal = str(goal)
-            return lambda: GoalLoop(context(goal, kept, None), kept=goal_of(kept)).pursue()
+            return lambda: GoalLoop(context(goal, kept, None), kept=kept).pursue()
 
 
 # --- hand-written plans ---------------------------------------------------------------------------
@@ -198,9 +198,8 @@ class PlanTask:
         try:
             problem = await self._problem(result.began)
             later = [replayed for replayed in self._kept.runs[1:] if replayed.made.caller is None] if self._kept else []
-            kept = (
-                goal_of(replace(self._kept, runs=later)) if self._kept and (later or self._kept.notes) else None
-            )  # decided after it failed
+            is_kept = self._kept and (later or self._kept.notes)  # decided after it failed
+            kept = replace(self._kept, runs=later) if self._kept and is_kept else None
             loop = GoalLoop(replace(context, problem=problem, since=None), history=history, kept=kept)
             rest = await loop.pursue()
         except InputError as error:
