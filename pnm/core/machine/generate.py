@@ -47,10 +47,6 @@ class Builder:
         """Steps whose blocks are still to be placed."""
         self._templates: dict[object, BlockTemplate] = {}
 
-    def add_frame(self, draft: Draft, ports: Sequence[tuple[int, ...]] = ()) -> PlacedStep:
-        """Place a part of the frame."""
-        return self._place(draft.template(), None, ports)
-
     def add_steps(self) -> None:
         """Place the blocks of all steps of the regions placed so far, and of those that they hold."""
         # A queue instead of recursion: blocks that hold others add these while they are placed, however deeply they are nested.
@@ -72,9 +68,10 @@ class Builder:
             else:
                 template = self._templates.get(key) or _TEMPLATES.get(key) or _TEMPLATES.keep(key, block.template())
                 self._templates[key] = template
-            self._place(template, block.terms, [*map(tuple, ports)])
+            self.place(template, block.terms, [*map(tuple, ports)])
 
-    def _place(self, template: BlockTemplate, terms: Terms[Any] | None, ports: Sequence[tuple[int, ...]]) -> PlacedStep:
+    def place(self, template: BlockTemplate, terms: Terms[Any] | None = None, ports: Sequence[tuple[int, ...]] = ()) -> PlacedStep:
+        """Place the block of a step with these terms, or without any a part of the frame."""
         step = None if terms is None else terms.step
         blocks, place, regions = self.blocks, self.blocks.count_places, list[PlacedRegion]()
         free = place + len(template.places)
@@ -154,13 +151,11 @@ def generate(
         check_capacity(name, initial[place])
     whole = beginning.region(plan.flow, "begin", "finish", builder.context)
     beginning.transition("begin", Rule("begin"), ["start"], whole.first)
-    *_, last = builder.add_frame(beginning).ports
+    *_, last = builder.place(beginning.template()).ports
     builder.add_steps()
     restarts = [block.place + number for block in builder.blocks.placed for number in block.template.restarts]
-    builder.add_frame(
-        _ending(plan, [builder.blocks.place_name(place) for place in restarts]),
-        [(START,), (END,), (GOAL,), (FAILED,), last, *((place,) for place in restarts)],
-    )
+    ending = _ending(plan, [builder.blocks.place_name(place) for place in restarts])
+    builder.place(ending.template(), ports=[(START,), (END,), (GOAL,), (FAILED,), last, *((place,) for place in restarts)])
     builder.blocks.resources, builder.blocks.marked = resources, initial
     return PetriNetMachine.of_blocks(plan, bindings, builder.blocks, on_failure)
 

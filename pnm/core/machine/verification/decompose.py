@@ -40,15 +40,8 @@ class PlacedBlock:
     """Outputs that its start gives."""
 
 
-@dataclass(frozen=True, slots=True)
-class Connected:
-    """Blocks by the places that they are connected to."""
-
-    writers: Mapping[str, set[Owner]]
-    readers: Mapping[str, set[Owner]]
-
-
-ALONE: Final = Connected({}, {})
+Owners: TypeAlias = Mapping[str, set[Owner]]
+"""Blocks by the places that they are connected to."""
 
 
 class Anatomy:
@@ -58,18 +51,18 @@ class Anatomy:
         Unsound: a place makes a forbidden connection, or regions are not what the machine declares.
     """
 
-    def __init__(self, machine: PetriNetMachine, beside: Connected = ALONE) -> None:
+    def __init__(self, machine: PetriNetMachine, beside: tuple[Owners, Owners] = ({}, {})) -> None:
         """Take a machine apart.
 
         Args:
             machine: a machine, or a sample of one.
-            beside: the blocks that are left out of the sample, by the places that they give to and take from.
+            beside: the blocks that are left out of the sample, by the places that they give to, and by those that they take from.
         """
         self.machine = machine
         self.transitions: dict[Owner, list[str]] = {None: []}
         for name, rule in machine.rules.items():
             self.transitions.setdefault(rule.call, []).append(name)
-        self.writers, self.readers = self._owners(machine.net.outputs, beside.writers), self._owners(machine.net.inputs, beside.readers)
+        self.writers, self.readers = map(self._owners, (machine.net.outputs, machine.net.inputs), beside)
         self.holding = {step.index: step for step in machine.plan.every_step if isinstance(step, Conditional)}
         """The loops, choices and waits of the plan."""
         self.region_of: dict[Owner, Region] = {}
@@ -95,7 +88,7 @@ class Anatomy:
             for region in regions:
                 self._check_entry(region)
 
-    def _owners(self, weights: Mapping[str, Weights], beside: Mapping[str, set[Owner]]) -> dict[str, set[Owner]]:
+    def _owners(self, weights: Mapping[str, Weights], beside: Owners) -> dict[str, set[Owner]]:
         owners: dict[str, set[Owner]] = {place: {*beside.get(place, ())} for place in self.machine.net.places}
         for transition, connected in weights.items():
             owner = self.machine.rules[transition].call

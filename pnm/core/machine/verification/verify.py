@@ -44,7 +44,7 @@ from pnm.core.machine.guards import Adopted, ConditionTrue, Guard, Withheld
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.verification.call_content import RESOURCES, AskedOf, CallNet, WatchedPlaces, check_content, check_guard
-from pnm.core.machine.verification.decompose import Anatomy, Connected, Event, Owner, PlacedBlock, check_roles
+from pnm.core.machine.verification.decompose import Anatomy, Event, Owner, Owners, PlacedBlock, check_roles
 from pnm.core.machine.verification.explore import Exploration, NeverFires, explore_part, never_fire
 from pnm.core.machine.verification.part import Inside, Part, Unsound, kinds_of, shape_of, step_of
 from pnm.core.machine.verification.plan_in_net import check_events, check_flows, check_places
@@ -247,14 +247,14 @@ def _part(machine: PetriNetMachine, blocks: Sequence[PlacedStep], places: Collec
     return part
 
 
-def _beside(blocks: MachineBlocks, own: set[int]) -> Connected:
-    """Return which blocks the places are connected to through ports."""
+def _beside(blocks: MachineBlocks, own: set[int]) -> tuple[Owners, Owners]:
+    """Return which blocks give to the places through ports, and which take from them."""
 
     def owners(linked: Mapping[int, Sequence[tuple[PlacedStep, int]]]) -> dict[str, set[Owner]]:
         found = ((place, linked[place]) for place in own & linked.keys())
         return {blocks.place_name(place): {block.step.index if block.step else None for block, _ in all_} for place, all_ in found}
 
-    return Connected(owners(blocks.writers), owners(blocks.readers))
+    return owners(blocks.writers), owners(blocks.readers)
 
 
 def _check_reached(anatomy: Anatomy, block: PlacedBlock, explored: Exploration) -> None:

@@ -58,15 +58,6 @@ def counting_plan(limit: int = 1000) -> PlanGraph:
 # --- runs ---
 
 
-def test_a_loop_goes_round_as_long_as_its_condition_holds() -> None:
-    trace = drive(counting_plan(), variables={"n": 5}, bindings=ONCE)
-    assert trace.result.goal
-    assert trace.actions == ["a0"] * 5
-    assert trace.run.knowledge.local.variable("n") == 10
-    assert [one.outcome for one in trace.result.calls] == ["succeeded"] * 10
-    assert len({one.started for one in trace.result.calls}) == 1
-
-
 def test_a_loop_whose_condition_never_becomes_false_fails_by_name() -> None:
     trace = drive(counting_plan(3), variables={"n": 5}, bindings=ONCE)
     assert not trace.result.goal
@@ -137,21 +128,6 @@ def test_no_question_stops_the_limit_of_a_wait() -> None:
     assert not run.over
     run.handle(Tick(), 5.0)
     assert [failure.cause for failure in run.result().failures] == ["wait_limit"]
-
-
-def test_a_loop_counts_its_rounds_anew_each_time_it_is_reached() -> None:
-    more = Operation("add", (local("n"), Literal.of(1)))
-    inner = Loop(4, ne("n", 3), flow(store(1, "n", more)), 3)
-    outer = flow(
-        store(0, "n", Literal.of(0)), inner, store(2, "m", Operation("add", (local("m"), Literal.of(1)))), orders=("0e<4s", "4e<2s")
-    )
-    trace = drive(plan_of_steps(Loop(3, ne("m", 4), outer, 4)), variables={"m": 0})
-    assert trace.result.goal, trace.result.reason
-
-
-@pytest.mark.parametrize(("variables", "expected"), [({"n": 1}, ["a1"]), ({"n": 2}, ["a0"]), ({}, ["a0"])])
-def test_a_choice_takes_one_branch(variables: dict[str, object], expected: list[str]) -> None:
-    assert drive(plan_of_steps(Choice(2, ne("n", 1), flow(call_with(0)), flow(call_with(1)))), variables=variables).actions == expected
 
 
 def test_a_chain_recovers_and_the_call_begins_anew_until_that_is_used_up() -> None:
