@@ -15,6 +15,7 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import EMPTY, ActionCall, GroundAction, PlanGraph, Recovery, Then
 from pnm.core.machine.verification import verify as verify_module
+from pnm.core.machine.verification.call_content import RESOURCES
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import forget_proofs, verify
 from tests.support.runs.mutation.machines import blocks_of
@@ -52,6 +53,12 @@ def in_the_frame(blocks: MachineBlocks) -> None:
     blocks.placed[FRAME] = replace(blocks.placed[FRAME], ports=((*first, INNER), *others))
 
 
+def with_two_arms(blocks: MachineBlocks) -> None:
+    ports = [*blocks.placed[CALL].ports]
+    ports[RESOURCES] *= 2
+    blocks.placed[CALL] = replace(blocks.placed[CALL], ports=tuple(ports))
+
+
 @pytest.mark.parametrize(
     ("change", "why"),
     [
@@ -60,6 +67,7 @@ def in_the_frame(blocks: MachineBlocks) -> None:
         (lambda blocks: blocks.resources.update({INNER: "leg"}), "there is nothing of the resource leg"),
         (as_another_step, "is that of no step of the plan"),
         (in_the_frame, "makes a forbidden connection"),
+        (with_two_arms, "rule of its resources"),
     ],
 )
 def test_what_is_wrong_around_calls_that_are_known_is_found(change: Callable[[MachineBlocks], None], why: str) -> None:
