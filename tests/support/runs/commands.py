@@ -5,9 +5,10 @@ from __future__ import annotations
 from math import inf, nextafter
 from uuid import UUID
 
-from pnm.core.execution.events import Begin, Cancel, Command, Event, Send, Tick, Wake
+from pnm.core.execution.events import Begin, Cancel, Command, Event, KnowledgeChanged, Send, Tick, Wake
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import PlanGraph
@@ -40,6 +41,12 @@ def in_its_moment(run: Run, event: Event, now: float) -> list[Command]:
     if Wake(nextafter(now, inf)) in commands:
         commands += run.handle(Tick(), nextafter(now, inf))
     return commands
+
+
+def report(run: Run, fluent: Fluent, value: Value | Unknown, now: float) -> list[Command]:
+    """Have sensors report a fact to a run, and nothing else happen in that moment; return all that is commanded."""
+    run.knowledge.world.update({fluent: value})
+    return in_its_moment(run, KnowledgeChanged(), now)
 
 
 def sent(commands: list[Command]) -> list[str]:

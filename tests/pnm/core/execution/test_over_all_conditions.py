@@ -12,22 +12,22 @@ import pytest
 
 from pnm.clock import FollowingLoop
 from pnm.core.execution.call_results import RunResult
-from pnm.core.execution.events import Begin, Cancel, Command, KnowledgeChanged, Tick, Wake
+from pnm.core.execution.events import Cancel, KnowledgeChanged, Tick, Wake
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import All, Any, Condition, Holds, Not
 from pnm.core.logic.effects import Set
-from pnm.core.logic.expressions import UNKNOWN, Constant, Fluent, Unknown, Value
+from pnm.core.logic.expressions import UNKNOWN, Constant, Fluent
 from pnm.core.logic.rules import DerivationRule, Rules
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
-from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
+from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended
 from pnm.core.machine.verification.verify import verify
 from pnm.executor import Executor
-from tests.support.runs.commands import in_its_moment
+from tests.support.runs.commands import begun, cancelled, in_its_moment, report
 from tests.support.runs.handover import CANCELED, SUCCEEDED, ManualClient, going
-from tests.support.runs.plan_graphs import ordering
+from tests.support.runs.plan_graphs import plan_of
 
 OPEN, LIT, HELD = ("open",), ("lit",), ("held",)
 LAG = 1.0
@@ -53,22 +53,13 @@ def passing(
     return going(action, world=KnowledgeBase(dict.fromkeys(facts, True), sensed=dict.fromkeys(sensed, LAG), rules=Rules(rules)))
 
 
-def report(run: Run, fluent: Fluent, value: Value | Unknown, now: float) -> list[Command]:
-    run.knowledge.world.update({fluent: value})
-    return in_its_moment(run, KnowledgeChanged(), now)
-
-
-def cancels(commands: list[Command]) -> bool:
-    return any(isinstance(command, Cancel) for command in commands)
-
-
 def failure_causes(run: Run) -> list[str]:
     return [failure.cause for failure in run.result().failures]
 
 
 def test_a_report_that_it_is_false_acts_at_once() -> None:
     run = passing(PASS, OPEN)
-    assert cancels(report(run, OPEN, False, 2.0))
+    assert cancelled(report(run, OPEN, False, 2.0))
     run.handle(Ended(run.open_requests[0], CANCELED), 2.1)
     assert failure_causes(run) == ["invariant_false"]
     assert run.result().failures[0].observed == "(open) is false"
@@ -77,20 +68,20 @@ def test_a_report_that_it_is_false_acts_at_once() -> None:
 def test_what_was_reported_false_between_the_request_and_its_acceptance_acts_at_once() -> None:
     shut = replace(PASS, start_effects=adds(("moving",)))
     run = passing(shut, OPEN)
-    assert cancels(report(run, OPEN, False, 1.0))
+    assert cancelled(report(run, OPEN, False, 1.0))
 
 
 def test_a_fact_that_the_start_of_the_call_makes_true_may_be_reported_late() -> None:
     run = passing(LIGHT)
-    assert not cancels(report(run, ("other",), True, 1.5))
-    assert not cancels(report(run, LIT, True, 1.9))
-    assert not cancels(run.handle(Tick(), 2.0)), "it has been seen in time"
-    assert cancels(report(run, LIT, False, 2.1)), "and goes out again: that is news"
+    assert not cancelled(report(run, ("other",), True, 1.5))
+    assert not cancelled(report(run, LIT, True, 1.9))
+    assert not cancelled(run.handle(Tick(), 2.0)), "it has been seen in time"
+    assert cancelled(report(run, LIT, False, 2.1)), "and goes out again: that is news"
 
 
 def test_a_fact_that_the_start_should_make_true_and_is_never_reported_counts_as_false_after_the_lag() -> None:
     run = passing(LIGHT)
-    assert cancels(run.handle(Tick(), 1.0 + LAG))
+    assert cancelled(run.handle(Tick(), 1.0 + LAG))
 
 
 def test_what_the_end_of_the_call_changes_may_be_seen_before_the_end_is_reported() -> None:
@@ -103,47 +94,45 @@ def test_what_the_end_of_the_call_changes_may_be_seen_before_the_end_is_reported
 def test_what_the_end_of_the_call_changes_counts_when_the_end_does_not_come() -> None:
     run = passing(CARRY, HELD)
     report(run, HELD, False, 3.0)
-    assert cancels(run.handle(Tick(), 3.0 + LAG))
+    assert cancelled(run.handle(Tick(), 3.0 + LAG))
 
 
 def test_one_part_that_may_be_late_does_not_excuse_another() -> None:
     both = replace(LIGHT, invariant=All((Holds(LIT), Holds(OPEN))))
-    assert cancels(report(passing(both, OPEN), OPEN, False, 1.2))
+    assert cancelled(report(passing(both, OPEN), OPEN, False, 1.2))
 
 
 def test_what_is_no_longer_reported_has_the_lag_to_be_reported_again() -> None:
     run = passing(PASS, OPEN)
     assert report(run, OPEN, UNKNOWN, 2.0) == [Wake(2.0 + LAG)]
     report(run, OPEN, True, 2.5)
-    assert not cancels(run.handle(Tick(), 2.0 + LAG))
+    assert not cancelled(run.handle(Tick(), 2.0 + LAG))
 
 
 @pytest.mark.parametrize("condition", [Any((Holds(OPEN), Holds(LIT))), Not(All((Not(Holds(OPEN)), Not(Holds(LIT)))))])
 def test_of_alternatives_one_is_enough(condition: Condition) -> None:
     run = passing(replace(PASS, invariant=condition), OPEN, LIT)
-    assert not cancels(report(run, OPEN, False, 2.0))
-    assert cancels(report(run, LIT, False, 2.5))
+    assert not cancelled(report(run, OPEN, False, 2.0))
+    assert cancelled(report(run, LIT, False, 2.5))
 
 
 def test_a_derived_fact_is_false_as_soon_as_a_report_makes_it_so() -> None:
     free = DerivationRule("free", (), Holds(OPEN))
-    assert cancels(report(passing(replace(PASS, invariant=Holds(("free",))), OPEN, rules=(free,)), OPEN, False, 2.0))
+    assert cancelled(report(passing(replace(PASS, invariant=Holds(("free",))), OPEN, rules=(free,)), OPEN, False, 2.0))
     lit = DerivationRule("bright", (), Holds(LIT))
     run = passing(replace(LIGHT, invariant=Holds(("bright",))), rules=(lit,))
-    assert not cancels(report(run, ("other",), True, 1.5)), "below it is what the start makes true"
+    assert not cancelled(report(run, ("other",), True, 1.5)), "below it is what the start makes true"
 
 
 MATCH = GroundAction("match", start_effects=adds(LIT), end_effects=deletes(LIT), duration=8.0)
 MEND = GroundAction("mend", precondition=Holds(LIT), invariant=Holds(LIT), end_effects=adds(("mended",)), duration=5.0)
-CELLAR = PlanGraph((ActionCall(0, MATCH), ActionCall(1, MEND)), (ordering("0s<1s"), ordering("1e<0e")), Holds(("mended",)))
+CELLAR = plan_of(MATCH, MEND, orders=("0s<1s", "1e<0e"), goal=Holds(("mended",)))
 
 
 def in_the_cellar(*sensed: str) -> tuple[Run, UUID, UUID]:
     """The match burns and the fuse is being mended; and the requests for that."""
-    machine = generate(CELLAR)
-    verify(machine)
-    run = Run(machine, Layered(KnowledgeBase(sensed=dict.fromkeys(sensed, LAG))), id=UUID(int=1))
-    run.handle(Begin(), 0.0)
+    run, _ = begun(CELLAR, world=KnowledgeBase(sensed=dict.fromkeys(sensed, LAG)))
+    verify(run.machine)
     (match,) = run.open_requests
     run.handle(Accepted(match), 0.0)
     report(run, LIT, True, 0.1)
@@ -162,7 +151,7 @@ def test_an_end_that_nothing_reports_is_believed_when_it_comes_even_if_it_should
 
 def test_an_end_that_sensors_do_not_confirm_yet_has_time_until_it_should_come() -> None:
     run, match, mend = in_the_cellar("lit")
-    assert not cancels(run.handle(Ended(match, SUCCEEDED), 3.0))
+    assert not cancelled(run.handle(Ended(match, SUCCEEDED), 3.0))
     run.handle(Ended(mend, SUCCEEDED), 5.2)
     assert not run.over
     report(run, LIT, False, 5.3)
@@ -172,11 +161,7 @@ def test_an_end_that_sensors_do_not_confirm_yet_has_time_until_it_should_come() 
 def test_what_an_end_relies_on_must_have_been_so_when_it_came() -> None:
     relying = GroundAction("close", end_condition=Holds(("mended",)), end_effects=adds(("closed",)), duration=8.0)
     mended = GroundAction("mend", end_effects=adds(("mended",)), duration=5.0)
-    machine = generate(
-        PlanGraph((ActionCall(0, relying), ActionCall(1, mended)), (ordering("1e<0e"),)), Bindings({"close": Binding(retries=0)})
-    )
-    run = Run(machine, Layered(KnowledgeBase()), id=UUID(int=1))
-    run.handle(Begin(), 0.0)
+    run, _ = begun(plan_of(relying, mended, orders=("1e<0e",)), Bindings({"close": Binding(retries=0)}))
     close, mend = run.open_requests
     run.handle(Ended(close, SUCCEEDED), 3.0)
     run.handle(Ended(mend, SUCCEEDED), 5.0)

@@ -6,17 +6,17 @@ from dataclasses import replace
 
 import pytest
 
-from pnm.core.execution.events import Ask, Command, KnowledgeChanged, Pause, Stop, Tick
+from pnm.core.execution.events import Ask, Pause, Stop, Tick
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.computed_values import Layer, Literal, Operation, Query
 from pnm.core.logic.conditions import Computed, Holds
 from pnm.core.logic.effects import Set
-from pnm.core.logic.expressions import Constant, Fluent
+from pnm.core.logic.expressions import Constant
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Ended
-from tests.support.runs.commands import begun, in_its_moment, sent
+from tests.support.runs.commands import begun, report, sent
 from tests.support.runs.handover import SUCCEEDED, going
 from tests.support.runs.plan_graphs import plan_of
 
@@ -29,11 +29,6 @@ RUNG = Computed(Operation("eq", (Query(Literal.of("bell"), Layer.GLOBAL, Literal
 ONCE = Bindings({name: Binding(retries=0) for name in ("mend", "open", "drop")})
 
 
-def change(run: Run, fluent: Fluent, value: bool, now: float) -> list[Command]:
-    run.knowledge.world.update({fluent: value})
-    return in_its_moment(run, KnowledgeChanged(), now)
-
-
 def outcomes(run: Run) -> list[str]:
     return [call.outcome for call in run.result().calls]
 
@@ -41,7 +36,7 @@ def outcomes(run: Run) -> list[str]:
 def test_what_a_call_whose_over_all_condition_broke_would_have_changed_is_not_believed() -> None:
     run = going(MEND, world=KnowledgeBase({LIT: True}))
     (request,) = run.open_requests
-    change(run, LIT, False, 2.0)
+    report(run, LIT, False, 2.0)
     run.handle(Ended(request, SUCCEEDED), 2.5)
     assert outcomes(run) == ["invariant_false"], "how its request ended does not make it a success"
     assert not run.knowledge.value(MENDED)
@@ -52,7 +47,7 @@ def test_a_condition_that_breaks_while_the_call_is_being_cancelled_breaks_it(eve
     run = going(MEND, world=KnowledgeBase({LIT: True}), bindings=Bindings({"mend": Binding(retries=0, timeout=1.0)}))
     (request,) = run.open_requests
     run.handle(event, 2.0)
-    change(run, LIT, False, 2.5)
+    report(run, LIT, False, 2.5)
     run.handle(Ended(request, SUCCEEDED), 3.0)
     assert not run.knowledge.value(MENDED)
     assert not run.interim_result().calls[0].is_done
@@ -64,7 +59,7 @@ def test_effects_of_a_stopped_call_are_looked_for_as_long_as_their_reports_may_b
     run.handle(Stop(cancel=True), 2.0)
     run.handle(Ended(request, SUCCEEDED), 3.0)
     assert [call.action.name for call in run.settling] == ["open"]
-    change(run, DOOR, True, 3.9)
+    report(run, DOOR, True, 3.9)
     assert outcomes(run) == ["succeeded"]
 
 
@@ -89,7 +84,7 @@ def test_what_the_end_of_a_stopped_call_relies_on_is_not_asked_for_any_more() ->
 def test_what_an_end_relies_on_counts_even_if_the_end_itself_changes_it() -> None:
     run = going(DROP, world=KnowledgeBase({HELD: True}), bindings=ONCE)
     (request,) = run.open_requests
-    change(run, HELD, False, 2.0)
+    report(run, HELD, False, 2.0)
     run.handle(Ended(request, SUCCEEDED), 3.0)
     assert outcomes(run) == ["effects_missing"]
     assert run.result().failures[0].expected == "(held)"
