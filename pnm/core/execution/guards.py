@@ -37,8 +37,9 @@ class Guards:
 
     def waits_until(self, site: Site, firing: Firing, place: int) -> float:
         """Return when a transition opens that only waits."""
-        known = firing.limit
-        return self.state.marked_at[place] + (self.state.index.limits[site.transition + firing.number] if known is None else known)
+        guard = self.state.index.guard(site, firing)
+        assert isinstance(guard, guards.After)
+        return self.state.marked_at[place] + guard.seconds
 
     def _not_true(self, site: Site, firing: Firing, place: int) -> float:
         # Not before the report delay has passed: sensors may be about to report what has just happened.

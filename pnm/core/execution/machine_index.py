@@ -35,8 +35,6 @@ class Firing:
     """Of its kind: the step that it says it is about may be another, and so may be the guard where every block has its own."""
     guard: Guard | None
     """None where every block has its own."""
-    limit: float | None
-    """The seconds after which it opens, if that is all that its guard asks for."""
     step: int | None
     """The number of its step, where that does not follow from its block."""
     call: int | None
@@ -132,8 +130,7 @@ class Shape:
         return Firing(
             number,
             rule,
-            guard := rule.guard if isinstance(template.rules[number], Rule) else None,
-            guard.seconds if isinstance(guard, After) else None,
+            rule.guard if isinstance(template.rules[number], Rule) else None,
             step if is_own else None,
             step if is_own and is_call else None,
             inputs,
@@ -234,8 +231,8 @@ class MachineIndex:
         """The names of transitions."""
         self.conditions: Final = WhenAsked(self._condition)
         """The conditions that guards of transitions ask for, where they are the same for every run."""
-        self.limits: Final = WhenAsked(self._limit)
-        """The seconds after which transitions open."""
+        self.guards: Final[WhenAsked[int, Guard]] = WhenAsked(self._guard)
+        """The guards of transitions."""
         self.since: Final = WhenAsked(self._since)
         """The places from whose marking guards of transitions count, and the seconds."""
         self.reads: Final[dict[Rules, WhenAsked[int, Reads]]] = WhenAsked(lambda rules: WhenAsked(partial(self._reads_at, rules)))
@@ -253,7 +250,7 @@ class MachineIndex:
 
     def guard(self, site: Site, firing: Firing) -> Guard:
         """Return the guard of a transition."""
-        return self.rules[site.transition + firing.number].guard if firing.guard is None else firing.guard
+        return self.guards[site.transition + firing.number] if firing.guard is None else firing.guard
 
     def _site(self, block: PlacedStep, shape: Shape) -> Site:
         step = None if block.step is None else block.step.index
@@ -274,22 +271,20 @@ class MachineIndex:
             read |= reads
         return frozenset(read)
 
-    def _limit(self, transition: int) -> float:
+    def _guard(self, transition: int) -> Guard:
         block = self.blocks.block_of(transition)
-        guard = block.guard(transition - block.transition)
-        assert isinstance(guard, After), "only a wait has a limit"
-        return guard.seconds
+        return block.guard(transition - block.transition)
 
     def _since(self, transition: int) -> tuple[tuple[int, float], ...]:
-        guard, blocks = self.rules[transition].guard, self.blocks
+        guard, blocks = self.guards[transition], self.blocks
         if not isinstance(guard, Due) or not guard.since:
             return ()
         names = {blocks.place_name(place): place for place, _ in blocks.inputs[transition]}  # it counts from places that it takes from
         return tuple((names[place], delay) for place, delay in guard.since)
 
     def _condition(self, transition: int) -> CompiledCondition | None:
-        block = self.blocks.block_of(transition)
-        step, guard = block.step_of(transition - block.transition), block.guard(transition - block.transition)
+        block, guard = self.blocks.block_of(transition), self.guards[transition]
+        step = block.step_of(transition - block.transition)
         is_open = self.is_call(step) and self.closed[step or 0] is None
         return None if is_open or guard.asks is None else compiled(guard.asks)
 
@@ -317,4 +312,4 @@ def prepare(machine: PetriNetMachine) -> None:
             for number in site.template.checking:
                 index.conditions[site.transition + number]
             for number in site.template.limiting:
-                index.limits[site.transition + number]
+                index.guards[site.transition + number]

@@ -60,13 +60,10 @@ class Agenda:
                 self._readers.add(place, self._reads[place])
 
     def wait_until(self, place: int, time: float) -> None:
-        """Have a place asked again at a time, if at no other: `wait` and `set_timer` in one, for every request waits so twice."""
-        if place not in self.undecided:
-            self.undecided[place] = self._count
-            self._count += 1
-        if time < inf and self._set.get(place) != time:
-            self._set[place] = time
-            heappush(self._timers, (time, place))
+        """Have a place asked again at a time, if at no other."""
+        self.wait(place, listens=False)
+        if time < inf:
+            self.set_timer(place, time)
 
     def leave(self, place: int) -> None:
         """Do not ask a place again, if it was undecided."""
