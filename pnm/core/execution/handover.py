@@ -1,13 +1,12 @@
 """Requests that are out, and their handover: a run that is succeeded by another hands them over.
 
-The new run is made with the requests that its plan marks as under way (`check_adoption`); then it takes the place of the old one
-if nothing is lost or invented by that (`RunView.check_successor`). Both checks are made before anything changes.
+The new run is made with the requests that its plan marks as under way; then it takes the place of the old one if nothing is lost
+or invented by that (`RunView.check_successor`). Both are checked before anything changes.
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import inf, nextafter
 from uuid import UUID
@@ -18,10 +17,8 @@ from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition, conjuncts, evaluate, ground, names, observed, unmet
 from pnm.core.logic.effects import Changes, undo, values_before
-from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.machine.requests import Request
-from pnm.errors import RunError
 
 
 @dataclass(slots=True)
@@ -125,28 +122,3 @@ class UnderWay:
     begun: Changes | None
     """Values before its assumed start effects, for a rollback."""
     resources: tuple[str, ...]
-
-
-def check_adoption(machine: PetriNetMachine, adopted: Mapping[int, UnderWay], resources: Callable[[GroundAction], tuple[str, ...]]) -> None:
-    """Refuse to make a run that takes over other requests than those that its plan marks as under way.
-
-    Args:
-        machine: of the new run.
-        adopted: the requests that are taken over, by call.
-        resources: returns what an action has for itself while it is under way.
-
-    Raises:
-        RunError: they are others, or have more than there is.
-    """
-    plan, capacities = machine.plan, machine.capacities
-    expected = {call.index for call in plan.calls if call.under_way}
-    if expected != adopted.keys():
-        raise RunError(f"the calls {sorted(expected)} of the plan are under way; requests are taken over for {sorted(adopted)}")
-    # The resources of adopted requests are not claimed but kept: nothing else checks that there are enough of them.
-    used = Counter(name for taken in adopted.values() for name in taken.resources)
-    for name, count in used.items():
-        if count > capacities.get(name, 1):
-            raise RunError(f"{count} requests that are taken over have {name}")
-    for call, taken in adopted.items():
-        if taken.resources != resources(plan.calls[call].action):
-            raise RunError(f"{taken.call} has {', '.join(taken.resources) or 'nothing'} for itself; the plan says otherwise")

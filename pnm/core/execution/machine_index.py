@@ -309,7 +309,5 @@ def prepare(machine: PetriNetMachine) -> None:
     for call, site in enumerate(index.of_calls):
         index.closed[call]
         if site.call is not None:
-            for number in site.template.checking:
+            for number in site.template.usual:
                 index.conditions[site.transition + number]
-            for number in site.template.limiting:
-                index.guards[site.transition + number]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Mapping
 from typing import Final
 from uuid import UUID
@@ -12,7 +12,7 @@ from pnm.core.execution.call_requests import Calls
 from pnm.core.execution.call_results import CallResult, CallResults, RunResult, Told
 from pnm.core.execution.events import SILENT, Command, Observer, Pause
 from pnm.core.execution.guards import Guards
-from pnm.core.execution.handover import UnderWay, check_adoption
+from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.machine_index import index_of
 from pnm.core.execution.questions import Questions
 from pnm.core.execution.run_state import Agenda, RunState
@@ -100,11 +100,25 @@ class RunView:
         self._places, self._undecided, self._noted = self._agenda.places, self._agenda.undecided, self._questions.noted
         # last, because it may be refused; until then nothing of the shared resources is touched
         self.resources.check_capacities(machine.capacities)
-        check_adoption(machine, adopted, self._calls.bindings.resources)
+        self._check_adopted(adopted)
         for call, request in adopted.items():
             self._calls.adopt(call, request)
             if request.resources:
                 self._claims.keep(call, self._claims.claim(request.request, request.resources))
+
+    def _check_adopted(self, adopted: Mapping[int, UnderWay]) -> None:
+        """Refuse to take over other requests than those that the plan marks as under way, or more than there are resources for."""
+        plan, capacities = self.machine.plan, self.machine.capacities
+        expected = {call.index for call in plan.calls if call.under_way}
+        if expected != adopted.keys():
+            raise RunError(f"the calls {sorted(expected)} of the plan are under way; requests are taken over for {sorted(adopted)}")
+        # The resources of adopted requests are not claimed but kept: nothing else checks that there are enough of them.
+        for name, count in Counter(name for taken in adopted.values() for name in taken.resources).items():
+            if count > capacities.get(name, 1):
+                raise RunError(f"{count} requests that are taken over have {name}")
+        for call, taken in adopted.items():
+            if taken.resources != self._calls.bindings.resources(plan.calls[call].action):
+                raise RunError(f"{taken.call} has {', '.join(taken.resources) or 'nothing'} for itself; the plan says otherwise")
 
     @property
     def marking(self) -> Marking:

@@ -105,18 +105,14 @@ class BlockTemplate(Template):
         return [number for number, kind in enumerate(self.kinds) if number in self.made or kind.guard.asks is not None]
 
     @cached_property
-    def checking(self) -> Sequence[int]:
-        """The transitions that ask for the conditions of a call that goes well."""
+    def usual(self) -> Sequence[int]:
+        """The transitions that are asked of every call that goes well: those of its conditions, and of its time where each has its own."""
+        of_time = {number for number in self.made if isinstance(self.kinds[number].guard, guards.After)}
         return [
             number
             for number, kind in enumerate(self.kinds)
-            if kind.action is TransitionAction.SEND or isinstance(kind.guard, guards.InvariantFalse)
+            if kind.action is TransitionAction.SEND or isinstance(kind.guard, guards.InvariantFalse) or number in of_time
         ]
-
-    @cached_property
-    def limiting(self) -> Sequence[int]:
-        """The transitions that open after the time that a call may take, where each has its own."""
-        return [number for number in self.made if isinstance(self.kinds[number].guard, guards.After)]
 
 
 class Inner(NamedTuple):
