@@ -1,4 +1,4 @@
-"""Runs that are paused and resumed: nothing starts meanwhile, nothing is lost, and all of it ends."""
+"""Runs that are paused and resumed: nothing starts meanwhile but with a step, nothing is lost, and all of it ends."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from pnm.core.execution.events import Answered, Ask, Begin, KnowledgeChanged, Pause, Resume, Send, Stop, Tick
+from pnm.core.execution.events import Answered, Ask, Begin, KnowledgeChanged, Pause, Resume, Send, SingleStep, Stop, Tick
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.effects import Set
@@ -33,6 +33,15 @@ def mended(action: GroundAction, cause: Cause, then: Then) -> PlanGraph:
     return plan_of_steps(ActionCall(0, action, recoveries=(recovery,)))
 
 
+def begun_paused(graph: PlanGraph, *, at_once: bool = False) -> Run:
+    """A run that was paused before it began."""
+    run = Run(generate(graph), Layered(KnowledgeBase()), id=RUN)
+    run.handle(Pause(at_once), 0.0)
+    assert run.handle(Begin(), 0.0) == []
+    assert run.paused
+    return run
+
+
 def test_nothing_starts_while_a_run_is_paused_and_what_runs_goes_on() -> None:
     run = accepted(plan(2, "0e<1s"))
     assert cancelled(run.handle(Pause(), 1.0)) == []
@@ -45,14 +54,12 @@ def test_nothing_starts_while_a_run_is_paused_and_what_runs_goes_on() -> None:
 
 
 def test_what_has_not_begun_begins_paused_and_resuming_what_is_not_paused_changes_nothing() -> None:
-    run = Run(generate(plan(1)), Layered(KnowledgeBase()), id=RUN)
-    run.handle(Pause(), 0.0)
-    assert run.handle(Begin(), 0.0) == []
-    assert run.paused
+    run = begun_paused(plan(1))
     assert sent(run.handle(Resume(), 1.0)) == ["a0"]
     before = run.marking
-    assert run.handle(Resume(), 2.0) == []
-    assert run.marking == before
+    for event in (Resume(), SingleStep()):
+        assert run.handle(event, 2.0) == []
+        assert (run.marking, run.pausing) == (before, None)
 
 
 def test_a_call_is_cancelled_at_once_and_begins_anew_without_spending_its_budget() -> None:
@@ -252,3 +259,39 @@ def test_what_the_plan_says_about_cancelled_calls_is_about_others_wishes() -> No
     assert sent(run.handle(Resume(), 3.0)) == ["act"]
     run.handle(Accepted(run.open_requests[0]), 4.0)
     assert sent(run.handle(Ended(run.open_requests[0], CANCELED), 4.0)) == ["mend"]
+
+
+# --- steps ---
+
+
+def test_a_step_lets_one_request_leave_and_the_pause_goes_on() -> None:
+    run = begun_paused(plan_of(*map(GroundAction, ("a0", "a1", "a2"))), at_once=True)
+    for number in range(3):
+        assert sent(run.handle(SingleStep(), 1.0)) == [f"a{number}"]
+        assert not run.paused
+        assert run.handle(KnowledgeChanged(), 2.0) == []
+        (request,) = run.open_requests
+        assert cancelled(run.handle(Accepted(request), 2.0)) == []
+        assert sent(run.handle(Ended(request, SUCCEEDED), 3.0)) == []
+        assert run.paused
+    assert run.result().goal
+
+
+def test_a_step_with_which_nothing_can_begin_is_used_up() -> None:
+    run = accepted(plan(2, "0e<1s"))
+    run.handle(Pause(), 1.0)
+    assert run.handle(SingleStep(), 2.0) == []
+    assert sent(run.handle(Ended(run.open_requests[0], SUCCEEDED), 3.0)) == []
+    assert run.paused
+    assert sent(run.handle(Resume(), 4.0)) == ["a1"]
+
+
+def test_a_step_takes_resources_for_its_call_alone_and_leaves_no_claim_in_line() -> None:
+    run = begun_paused(plan_of(*(GroundAction(name, resources=("arm",)) for name in ("a0", "a1", "a2"))))
+    assert sent(run.handle(SingleStep(), 1.0)) == ["a0"]
+    assert [*run.resources.line] == []
+    assert run.handle(SingleStep(), 2.0) == []
+    assert [*run.resources.line] == []
+    assert sent(run.handle(Ended(run.open_requests[0], SUCCEEDED), 3.0)) == []
+    assert [*run.resources.held] == []
+    assert sent(run.handle(SingleStep(), 4.0)) == ["a1"]
