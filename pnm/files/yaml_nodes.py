@@ -113,9 +113,16 @@ class Mapped:
 
     def string(self, key: str) -> str | None:
         """Return a text, or None when the key is not there."""
+        return self._of_kind(key, str, "a text")
+
+    def flag(self, key: str) -> bool:
+        """Return true or false; false when the key is not there."""
+        return bool(self._of_kind(key, bool, "true or false"))
+
+    def _of_kind(self, key: str, kind: type[T], expected: str) -> T | None:
         value = self.plain(key)
-        if value is not None and not isinstance(value, str):
-            raise InputError(f"expected a text under {key!r}, found {value!r}", self.position(key))
+        if value is not None and not isinstance(value, kind):
+            raise InputError(f"expected {expected} under {key!r}, found {value!r}", self.position(key))
         return value
 
     def number(self, key: str, default: T) -> float | T:
@@ -140,20 +147,10 @@ class Mapped:
 
     def choice(self, key: str, kinds: type[E]) -> E | None:
         """Return one of the values of an enumeration, or None when the key is not there."""
-        value = self.plain(key)
-        if value is None:
-            return None
-        words = [str(kind.value) for kind in kinds]
-        if value not in words:
+        value, words = self.plain(key), [str(kind.value) for kind in kinds]
+        if value is not None and value not in words:
             raise InputError(f"expected one of {', '.join(words)} under {key!r}, found {value!r}", self.position(key))
-        return kinds(value)
-
-    def flag(self, key: str) -> bool:
-        """Return true or false; false when the key is not there."""
-        value = self.plain(key)
-        if value is not None and not isinstance(value, bool):
-            raise InputError(f"expected true or false under {key!r}, found {value!r}", self.position(key))
-        return bool(value)
+        return None if value is None else kinds(value)
 
     def plain(self, key: str) -> object:
         """Return the value as plain data, or None when the key is not there."""

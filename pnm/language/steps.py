@@ -8,9 +8,9 @@ own and a limit of how often it may be used; there may be a list of these.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from math import inf
 from typing import Final, TypeAlias, assert_never
 
@@ -19,7 +19,7 @@ from pnm.core.logic.computed_values import Data, KnowledgeOperation
 from pnm.core.logic.conditions import Condition
 from pnm.core.logic.domain import ProblemModel
 from pnm.core.machine.failure_causes import Cause, Phase, causes_in
-from pnm.core.machine.plan_graph import Moment, Step, Then, WaitUntil
+from pnm.core.machine.plan_graph import Choice, Loop, Moment, Step, Then, WaitUntil
 from pnm.errors import InputError, Position, Tolerated
 from pnm.files.yaml_nodes import Mapped, Node
 from pnm.language import grammar
@@ -110,35 +110,17 @@ class StepList:
 
 
 @dataclass(frozen=True, slots=True)
-class LeafStep:
-    """A step that holds no others: it is written as it stands in the plan."""
-
-    place: StepPlacement
-    step: Step
-    """Its number does not count."""
-
-
-@dataclass(frozen=True, slots=True)
-class LoopStep:
-    """Steps that are repeated as long as a condition holds."""
+class BlockStep:
+    """A step that is no call and has a condition: a loop, a choice, or a wait."""
 
     place: StepPlacement
     condition: Condition
-    body: StepList
-    limit: int
+    held: tuple[StepList, ...]
+    made: Callable[..., Step]
+    """Makes the step of the graph of a number, the condition and the flows of what it holds."""
 
 
-@dataclass(frozen=True, slots=True)
-class ChoiceStep:
-    """Steps that are done if a condition holds, and others that are done if not."""
-
-    place: StepPlacement
-    condition: Condition
-    then: StepList
-    otherwise: StepList
-
-
-WrittenStep: TypeAlias = CallStep | StepList | LeafStep | LoopStep | ChoiceStep
+WrittenStep: TypeAlias = CallStep | StepList | BlockStep
 
 _DURING: Final = {"preempted" if cause is Cause.CANCELED else cause.value: cause for cause in Cause if cause.phase is Phase.DURING}
 _OPTIONS: Final = tuple(grammar.Call.known)
@@ -205,12 +187,12 @@ class StepReader:
                 loop, body = block.loop, self.steps(block.loop.actions)
                 if not body.steps:
                     raise InputError("a loop repeats at least one step", loop.entry.position("actions"))
-                return LoopStep(place, read_condition(loop.condition, self.scope), body, loop.limit)
+                return BlockStep(place, read_condition(loop.condition, self.scope), (body,), partial(Loop, limit=loop.limit))
             case grammar.Waiting():
-                return LeafStep(place, WaitUntil(0, read_condition(block.wait.condition, self.scope), block.wait.limit))
+                return BlockStep(place, read_condition(block.wait.condition, self.scope), (), partial(WaitUntil, limit=block.wait.limit))
             case grammar.If():
                 otherwise = StepList(StepPlacement(entry.start), ()) if block.else_ is None else self.steps(block.else_)
-                return ChoiceStep(place, read_condition(block.if_, self.scope), self.steps(block.then), otherwise)
+                return BlockStep(place, read_condition(block.if_, self.scope), (self.steps(block.then), otherwise), Choice)
             case _:
                 assert_never(block)
 

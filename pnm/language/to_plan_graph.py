@@ -23,11 +23,9 @@ from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.plan_graph import (
     EMPTY,
     ActionCall,
-    Choice,
     Flow,
     GroundAction,
     Junction,
-    Loop,
     Moment,
     Ordering,
     PlanEvent,
@@ -35,14 +33,13 @@ from pnm.core.machine.plan_graph import (
     Recovery,
     Step,
     Then,
-    WaitUntil,
     every_step,
     ground_schema,
 )
 from pnm.errors import InputError, Position
 from pnm.language.domain import OPERATION, LanguageAction
 from pnm.language.grammar import ActionKind
-from pnm.language.steps import CallStep, ChoiceStep, LeafStep, LoopStep, StepList, WrittenRecovery, WrittenStep
+from pnm.language.steps import BlockStep, CallStep, StepList, WrittenRecovery, WrittenStep
 
 
 def filled_data(data: Data, values: Mapping[str, Data]) -> Data:
@@ -221,19 +218,12 @@ class PlanGraphBuilder:
                 return self._alone(self._call(step, region), region)
             case StepList(_, steps, is_concurrent):
                 return self._ordered(steps, replace(region, depth=region.depth + 1), in_sequence=not is_concurrent)
-            case LeafStep(_, leaf):
-                own = replace(leaf, condition=region.grounded(leaf.condition)) if isinstance(leaf, WaitUntil) else leaf
-                return self._alone(own.renumbered(self._number(position), ()), region)
-            case LoopStep(_, condition, body, limit):
-                return self._alone(Loop(self._number(position), region.grounded(condition), self._inside(body, region), limit), region)
-            case ChoiceStep(_, condition, then, otherwise):
-                flows = self._inside(then, region), self._inside(otherwise, region)
-                return self._alone(Choice(self._number(position), region.grounded(condition), *flows), region)
+            case BlockStep(_, condition, held, made):
+                number = self._number(position)
+                flows = [self._flow(inner, replace(region, depth=region.depth + 1, steps=[], orderings=[])) for inner in held]
+                return self._alone(made(number, region.grounded(condition), *flows), region)
             case _:
                 assert_never(step)
-
-    def _inside(self, steps: StepList, region: _Region) -> Flow:
-        return self._flow(steps, _Region(region.outer, region.depth + 1, region.recovering))
 
     def _ordered(self, steps: tuple[WrittenStep, ...], region: _Region, *, in_sequence: bool) -> PartEnds:
         """Put the steps of a list into the flow: in the order that ``after`` gives, or else in sequence or at the same time."""

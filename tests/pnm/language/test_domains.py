@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import pytest
 
-from pnm.core.logic.computed_values import Layer, Literal, Operation, Query
+from pnm.core.logic.computed_values import Layer, Operation
 from pnm.core.logic.conditions import TRUE, All, Compare, Computed, Holds, Not
 from pnm.core.logic.effects import Set, TimedChange
 from pnm.core.logic.expressions import DURATION, Constant, ValueOf, Variable
@@ -17,7 +17,8 @@ from pnm.errors import InputError
 from pnm.language import LanguageDomain, read_domain
 from pnm.language.grammar import ActionKind
 from tests.support.files import refused
-from tests.support.yaml.examples import ORIGINAL, PDDL
+from tests.support.yaml.examples import PDDL
+from tests.support.yaml.formulas import q
 
 BAD_INPUT = Path(__file__).with_name("refused")
 
@@ -34,34 +35,11 @@ def read(tmp_path: Path) -> Read:
     return read
 
 
-def exists(name: str, layer: Layer = Layer.LOCAL) -> Computed:
-    return Computed(Operation("exists", (Query(Literal.of(name), layer),)))
-
-
-def test_the_shapes_of_the_original(read: Read) -> None:
-    domain = read(ORIGINAL)
-    kinds = {name: action.kind for name, action in domain.actions.items()}
-    assert kinds == {
-        "count": ActionKind.ROS,
-        "count_and_talk": ActionKind.RPN,
-        "load": ActionKind.ROS,
-        "store": ActionKind.KB,
-        "store_if_running": ActionKind.KB,
-    }
-    assert domain.actions["count"].schema.precondition == exists("value")
-    assert domain.actions["count_and_talk"].schema.expected == exists("result")
-    assert domain.actions["count_and_talk"].schema.end_effects == ()
-    assert domain.actions["load"].schema.parameters == ()
-    assert domain.actions["store"].schema.parameters == (Variable("?operation"), Variable("?result"))
-    running = Operation("eq", (Query(Literal.of("running"), Layer.LOCAL), Literal.of(True)))
-    assert domain.actions["store_if_running"].schema.precondition == Computed(running)
-    assert [choice.name for choice in domain.sources] == ["RPKnowledgeBase"]
-    assert domain.warnings == ()
-
-
 def test_kinds_may_be_named_or_left_out(read: Read) -> None:
-    domain = read("actions:\n  a:\n  b: {type: rpn_action}\n  c: {<<: *kb_action}\n  d: {type: }\n")
-    assert [action.kind.value for action in domain.actions.values()] == ["ros_action", "rpn_action", "kb_action", "ros_action"]
+    kinds = ("", "{type: rpn_action}", "{<<: *kb_action}", "{type: }", "{type: {module: any.thing, class: RPNAtomicAction}}")
+    domain = read("actions:\n" + "".join(f"  {name}: {kind}\n" for name, kind in zip("abcde", kinds, strict=True)))
+    words = [action.kind.value.removesuffix("_action") for action in domain.actions.values()]
+    assert words == ["ros", "rpn", "kb", "ros", "rpn"]
     assert domain.actions["a"].is_open
     assert domain.actions["a"].binding.retries == 0
 
@@ -75,7 +53,7 @@ def test_what_pddl_has(read: Read) -> None:
     assert move.schema.end_condition == Holds(("free", "?t"))
     assert move.schema.start_effects == (Set(("at", "?t", "?from"), Constant(False)),)
     assert move.schema.end_effects == (Set(("at", "?t", "?to"), Constant(True)), Set(("battery", "?t"), ValueOf(DURATION), "decrease"))
-    assert move.schema.expected == exists("distance", Layer.ALL)
+    assert move.schema.expected == Computed(Operation("exists", (q("distance", Layer.ALL),)))
     assert move.resources == ("floor",)
     assert (move.binding.server, move.binding.type) == ("/{t}/move", "nav2_msgs/action/NavigateToPose")
     assert (move.binding.retries, move.binding.timeout) == (2, 30.0)

@@ -34,52 +34,6 @@ plan:
 """
 
 
-ORIGINAL = """\
-instances: &instances
-  -
-external_knowledge_base: {module: "somewhere.some_knowledge_base", class: "RPKnowledgeBase"}
-action_types:
-  BaseAction: &base
-    instances: *instances
-  Server: &server
-    <<: *base
-    type: {module: "rpn_ros_interface.action", class: "ROSAtomicAction"}
-  Talking: &talking
-    <<: *base
-    type: {module: "rpn_ros_interface.rpn_action", class: "RPNAtomicAction"}
-  Knowledge: &knowledge
-    <<: *base
-    type: {module: "pnp_actions.kb_action", class: "KBAction"}
-actions:
-  count:
-    <<: *server
-    params:
-      - "value"
-    preconditions:
-      and:
-        - Exists: [LocalQuery: "value"]
-  count_and_talk:
-    <<: *talking
-    params:
-      - "value"
-    effects:
-      and:
-        Exists: [LocalQuery: "result"]
-  load:
-    <<: *server
-    params:
-      -
-  store:
-    <<: *knowledge
-    params: ["operation", "result"]
-  store_if_running:
-    <<: *knowledge
-    params: ["operation"]
-    preconditions:
-      - Comparison: ["eq", [LocalQuery: "running", true]]
-"""
-
-
 PDDL = """\
 name: homes
 requirements: [typing, durative-actions]
