@@ -184,19 +184,20 @@ def fluent_text(fluent: Fluent) -> str:
     return f"({' '.join(fluent)})"
 
 
+def leaves(expression: Expression) -> Iterator[Constant | ValueOf]:
+    """Yield the constants and the fluents that the expression is computed from."""
+    if isinstance(expression, Arithmetic):
+        for operand in expression.operands:
+            yield from leaves(operand)
+    else:
+        yield expression
+
+
 def expression_fluents(expression: Expression, env: Environment = NOTHING) -> Iterator[Fluent]:
     """Yield every ground fluent the value of the expression depends on."""
-    match expression:
-        case Constant():
-            return
-        case ValueOf(fluent):
-            if fluent != DURATION or DURATION[0] not in env:
-                yield bind(fluent, env)
-        case Arithmetic(_, operands):
-            for operand in operands:
-                yield from expression_fluents(operand, env)
-        case _:
-            assert_never(expression)
+    for leaf in leaves(expression):
+        if isinstance(leaf, ValueOf) and (leaf.fluent != DURATION or DURATION[0] not in env):
+            yield bind(leaf.fluent, env)
 
 
 def variables_in(fluent: Fluent) -> frozenset[str]:
@@ -206,15 +207,8 @@ def variables_in(fluent: Fluent) -> frozenset[str]:
 
 def expression_variables(expression: Expression) -> frozenset[str]:
     """Return the variables in the expression."""
-    match expression:
-        case Constant(value):
-            return variables_in((value,)) if isinstance(value, str) else frozenset()
-        case ValueOf(fluent):
-            return variables_in(fluent)
-        case Arithmetic(_, operands):
-            return frozenset().union(*map(expression_variables, operands))
-        case _:
-            assert_never(expression)
+    terms = (leaf.fluent if isinstance(leaf, ValueOf) else (str(leaf.value),) for leaf in leaves(expression))
+    return frozenset().union(*map(variables_in, terms))
 
 
 def ground_expression(expression: Expression, env: Environment) -> Expression:

@@ -30,7 +30,7 @@ from pnm.core.logic.conditions import (
 )
 from pnm.core.logic.domain import DurationConstraint, check_choices
 from pnm.core.logic.effects import OPERATIONS, Effect, Effects, ForEach, Set, When, choices_in_effects
-from pnm.core.logic.expressions import DURATION, UNDEFINED, Arithmetic, Constant, Expression, ValueOf, Variable
+from pnm.core.logic.expressions import DURATION, UNDEFINED, Arithmetic, Constant, Expression, ValueOf, Variable, leaves
 from pnm.errors import InputError
 from pnm.files.yaml_keys import Keys, needed, node, pair, ref, written
 from pnm.files.yaml_nodes import Node
@@ -132,7 +132,7 @@ def _compared(name: str, left: Expression, right: Expression) -> Condition:
 
 def _comparable(name: str, sides: tuple[Expression, Expression]) -> bool:
     """Whether PDDL compares the two: numbers, or objects for equality. It does not count with parameters."""
-    if any(_counts_with_names(side) for side in sides):
+    if any(isinstance(side, Arithmetic) and any(map(_is_name, leaves(side))) for side in sides):
         return False
     objects = any(map(_is_name, sides))
     numbers = any(not isinstance(side, ValueOf) and not _is_name(side) for side in sides)
@@ -141,14 +141,6 @@ def _comparable(name: str, sides: tuple[Expression, Expression]) -> bool:
 
 def _is_name(expression: Expression) -> bool:
     return isinstance(expression, Constant) and isinstance(expression.value, str)
-
-
-def _counts_with_names(expression: Expression) -> bool:
-    match expression:
-        case Arithmetic(_, operands):
-            return any(_is_name(operand) or _counts_with_names(operand) for operand in operands)
-        case _:
-            return False
 
 
 def _check(node: Node, expression: Expression, scope: FormulaScope, *, objects: bool = True) -> None:
