@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import TRUE, Condition, Holds, Not, evaluate
-from pnm.core.logic.effects import OPERATIONS, Effect, Effects, ForEach, Set, When
+from pnm.core.logic.effects import OPERATIONS, Effect, Effects, ForEach, Set, When, ground_effects
 from pnm.core.logic.expressions import (
     UNKNOWN,
     Arithmetic,
@@ -68,6 +68,7 @@ def effects_of(sets: st.SearchStrategy[Set]) -> st.SearchStrategy[Effect]:
 
 
 EFFECTS = effects_of(SETS)
+ANY_EFFECTS = st.lists(EFFECTS, max_size=4).map(lambda effects: ground_effects(tuple(effects), {"?x": "hall"}))
 ALL_FACTS: list[Fluent] = [("p",), ("at", "hall"), ("at", "kitchen")]
 ALL_NUMBERS: list[Fluent] = [("n",), ("m",)]
 TRUTHS: st.SearchStrategy[Value | Unknown] = st.sampled_from((True, False, UNKNOWN))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import example, given, strategies as st
 
+from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.computed_values import Literal, Parameter, Uncomputable, operate
 from pnm.core.logic.conditions import (
     TRUE,
@@ -40,7 +41,6 @@ from pnm.core.logic.expressions import (
     same_value,
     value_of,
 )
-from tests.support.logic.conditions import GivenState
 
 U = UNKNOWN
 T, F = True, False
@@ -49,7 +49,7 @@ T, F = True, False
 # --- facts and numbers ---
 
 
-NUMBERED = GivenState({("n",): 3.0, ("zero",): 0.0, ("u",): UNKNOWN, ("where",): "a", ("nowhere",): UNDEFINED})
+NUMBERED = KnowledgeBase({("n",): 3.0, ("zero",): 0.0, ("u",): UNKNOWN, ("where",): "a", ("nowhere",): UNDEFINED})
 N, ZERO, UNSURE, WHERE, NOWHERE, ABSENT = (ValueOf((name,)) for name in ("n", "zero", "u", "where", "nowhere", "absent"))
 
 
@@ -171,10 +171,11 @@ def test_conditions_are_written_as_pddl(condition: Condition, text: str) -> None
 
 
 def test_what_was_expected_and_what_is_so() -> None:
-    state = GivenState({("p",): True, ("q", "a"): UNKNOWN, ("n",): 3.0, ("f",): False})
+    state = KnowledgeBase({("p",): True, ("q", "a"): UNKNOWN, ("n",): 3.0, ("f",): False})
+    state.forget([("q", "a")], "nobody looks")
     wanted = All((Holds(("p",)), All((Holds(("q", "a")), Not(Holds(("f",))))), Compare(">", N, Constant(5.0)), Holds(("absent",))))
     assert explanation(wanted, state)[0] == "(q a) (> (n) 5) (absent)"
-    assert observed(wanted, state) == "(absent) is false, (f) is false, (n) is 3.0 because it is 3, (p) is true, (q a) is unknown"
+    assert observed(wanted, state) == "(absent) is false, (f) is false, (n) is 3.0, (p) is true, (q a) is unknown (nobody looks)"
     assert observed(TRUE, state) == "no fluent involved"
 
 

@@ -9,46 +9,13 @@ from itertools import product
 import pytest
 from hypothesis import given, strategies as st
 
-from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, free_variables, ground
-from pnm.core.logic.expressions import UNKNOWN, Constant, Fluent, ValueOf, Variable
+from pnm.core.logic.conditions import All, Any, Condition, Exists, ForAll, Holds, Implies, Not, free_variables, ground
+from pnm.core.logic.expressions import UNKNOWN, Fluent, Variable
 from pnm.core.logic.rules import DerivationRule, Rules, UnstratifiedError
-from tests.support.logic.rules import OBJECTS, Facts, least
+from tests.support.logic.rules import ARITY, BASE, FACTS, TYPES, Facts, known, least, stratified_conditions
 
-ARITY = {"p": 0, "q": 1, "e": 2, "d": 1, "f": 2, "g": 1, "h": 0}
-BASE, LOWER, UPPER = ("p", "q", "e"), ("d", "f"), ("g", "h")
+LOWER, UPPER = ("d", "f"), ("g", "h")
 STRATA = ({*LOWER}, {*UPPER})
-TYPES = st.sampled_from((("object",), ("room",)))
-
-
-@st.composite
-def stratified_conditions(
-    draw: st.DrawFn, scope: tuple[str, ...], plain: tuple[str, ...], negated: tuple[str, ...], depth: int
-) -> Condition:
-    """A condition whose facts are of the names in `plain`, and under a negation of those in `negated`."""
-    terms = st.sampled_from((*scope, "a", "b"))
-    kind = draw(st.sampled_from(("holds", "holds", "compare", "not", "all", "any", "imply", "forall", "exists"))) if depth else "holds"
-    if kind == "holds":
-        name = draw(st.sampled_from(plain))
-        return Holds((name, *(draw(terms) for _ in range(ARITY[name]))))
-    if kind == "compare":
-        if draw(st.booleans()):
-            return Compare("=", Constant(draw(terms)), Constant(draw(terms)))
-        return Compare(draw(st.sampled_from(("<", "="))), ValueOf(("n", draw(terms))), Constant(1.0))
-    if kind == "not":
-        return Not(draw(stratified_conditions(scope, negated, plain, depth - 1)))
-    if kind == "imply":
-        return Implies(
-            draw(stratified_conditions(scope, negated, plain, depth - 1)), draw(stratified_conditions(scope, plain, negated, depth - 1))
-        )
-    if kind in ("all", "any"):
-        several = tuple(draw(stratified_conditions(scope, plain, negated, depth - 1)) for _ in range(draw(st.integers(0, 3))))
-        return All(several) if kind == "all" else Any(several)
-    own = tuple(
-        Variable(name, draw(TYPES)) for name in draw(st.lists(st.sampled_from(("?x", "?y", "?z")), min_size=1, max_size=2, unique=True))
-    )
-    body = draw(stratified_conditions((*dict.fromkeys((*scope, *(one.name for one in own))),), plain, negated, depth - 1))
-    return ForAll(own, body) if kind == "forall" else Exists(own, body)
 
 
 @st.composite
@@ -65,24 +32,11 @@ def rule_sets(draw: st.DrawFn) -> tuple[DerivationRule, ...]:
     return tuple(draw(st.permutations([*lower, *upper])))
 
 
-ALL_FACTS = [(name, *chosen) for name in BASE for chosen in product(OBJECTS["object"], repeat=ARITY[name])]
-ALL_NUMBERS = [("n", one) for one in OBJECTS["object"]]
-FACTS: st.SearchStrategy[Facts] = st.builds(
-    lambda facts, numbers: {**facts, **numbers},
-    st.fixed_dictionaries({}, optional=dict.fromkeys(ALL_FACTS, st.sampled_from((True, True, False, UNKNOWN)))),
-    st.fixed_dictionaries({}, optional=dict.fromkeys(ALL_NUMBERS, st.sampled_from((0.0, 1.0, UNKNOWN)))),
-)
-
-
-def known(rules: tuple[DerivationRule, ...], facts: Facts) -> KnowledgeBase:
-    return KnowledgeBase(facts, objects=OBJECTS, rules=Rules(rules))
-
-
 @given(rule_sets(), FACTS, st.lists(FACTS, max_size=2), st.randoms(use_true_random=False))
 def test_what_is_derived_is_the_least_fixpoint_whatever_was_asked_before(
     rules: tuple[DerivationRule, ...], facts: Facts, later: list[Facts], chooser: random.Random
 ) -> None:
-    knowledge = known(rules, facts)
+    knowledge = known(facts, Rules(rules))
     now = dict(facts)
     for changes in ({}, *later):
         knowledge.update(changes)
@@ -96,7 +50,7 @@ def test_what_is_derived_is_the_least_fixpoint_whatever_was_asked_before(
 def test_a_derived_fact_rests_on_all_that_can_make_a_difference(
     rules: tuple[DerivationRule, ...], facts: Facts, data: st.DataObject
 ) -> None:
-    knowledge = known(rules, facts)
+    knowledge = known(facts, Rules(rules))
     derived = sorted(least(rules, STRATA, facts))
     if not derived:
         return
@@ -111,17 +65,17 @@ def test_a_derived_fact_rests_on_all_that_can_make_a_difference(
 
     one = {**facts, **cleared(unknown)}
     other = {**one, **cleared(fluent for fluent in unknown if fluent not in rests)}
-    truth = known(rules, one).value(fact)
-    assert known(rules, other).value(fact) is truth
+    truth = known(one, Rules(rules)).value(fact)
+    assert known(other, Rules(rules)).value(fact) is truth
     assert knowledge.value(fact) in (UNKNOWN, truth)
     later = data.draw(FACTS)
     knowledge.update(later)
-    assert knowledge.rests_on(frozenset({fact})) == known(rules, {**facts, **later}).rests_on(frozenset({fact}))
+    assert knowledge.rests_on(frozenset({fact})) == known({**facts, **later}, Rules(rules)).rests_on(frozenset({fact}))
 
 
 @given(rule_sets(), FACTS, st.data())
 def test_only_the_base_names_below_matter(rules: tuple[DerivationRule, ...], facts: Facts, data: st.DataObject) -> None:
-    knowledge = known(rules, facts)
+    knowledge = known(facts, Rules(rules))
     derived = least(rules, STRATA, facts)
     names = knowledge.rules.base(data.draw(st.sets(st.sampled_from(sorted({fact[0] for fact in derived} | {"p"})))))
     knowledge.update({fluent: value for fluent, value in data.draw(FACTS).items() if fluent[0] not in names})

@@ -32,6 +32,7 @@ from pnm.core.logic.expressions import UNKNOWN, Constant, Unknown, Value, ValueO
 from tests.support.logic.effects import (
     ALL_FACTS,
     ALL_NUMBERS,
+    ANY_EFFECTS,
     EFFECTS,
     FIGURES,
     NUMBERS,
@@ -111,7 +112,6 @@ def test_deletes_come_before_adds_and_increases_add_up_in_any_order(
 
 
 ROOM = {"?x": "hall"}
-ANY_EFFECTS = st.lists(EFFECTS, max_size=4).map(lambda effects: ground_effects(tuple(effects), {"?x": "hall"}))
 
 
 # --- what effects may do ---

@@ -31,7 +31,7 @@ from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Unk
 from tests.support.logic.effects import (
     ALL_FACTS,
     ALL_NUMBERS,
-    EFFECTS,
+    ANY_EFFECTS,
     FIGURES,
     STATES,
     TRUTHS,
@@ -41,8 +41,6 @@ from tests.support.logic.effects import (
     happening,
     rooms_state,
 )
-
-ANY_EFFECTS = st.lists(EFFECTS, max_size=4).map(lambda effects: ground_effects(tuple(effects), {"?x": "hall"}))
 
 
 def early(effects: Effects, chooser: random.Random) -> Effects:
