@@ -64,31 +64,14 @@ EFFECT_RETRIES: Final = 3
 """The default number of repetitions of a call with missing effects."""
 
 
-@dataclass(frozen=True)
-class Substitution:
-    """The values that one call gives the parameters of its action, with ``?``."""
-
-    values: Mapping[str, Data]
-    """Whatever the step gives."""
-    env: Environment
-    """The names of objects and the numbers among them: what arguments, conditions and effects can have."""
-
-    @staticmethod
-    def of(given: Mapping[str, Data]) -> Substitution:
-        """Sort what is given, by parameter without ``?``."""
-        plain = {f"?{name}": data.value for name, data in given.items() if isinstance(data, Literal)}
-        return Substitution(
-            {f"?{name}": data for name, data in given.items()},
-            {name: value for name, value in plain.items() if is_number(value) or (isinstance(value, str) and value[:1] != "?")},
-        )
-
-    def argument(self, name: str) -> str:
-        """Return the argument for a parameter without ``?``: the name or number it is given, or ``?name``."""
-        return text_of(self.env.get(f"?{name}", f"?{name}"))
+def plain_values(values: Mapping[str, Data]) -> Environment:
+    """Return the names of objects and the numbers among computed values: what arguments, conditions and effects can have."""
+    plain = {name: data.value for name, data in values.items() if isinstance(data, Literal)}
+    return {name: value for name, value in plain.items() if is_number(value) or (isinstance(value, str) and value[:1] != "?")}
 
 
-def ground_action(step: CallStep, outer: Mapping[str, Data], facts: KnowledgeBase) -> tuple[GroundAction, Substitution]:
-    """Return the action of the step, and its values for the parameters.
+def ground_action(step: CallStep, outer: Mapping[str, Data], facts: KnowledgeBase) -> GroundAction:
+    """Return the action of the step, with its values for the parameters.
 
     In a chain of recovery, `outer` is what the call that recovers gives its parameters, with ``?``; `facts` are those at the beginning.
     Raises `InputError` if a fact is computed from a parameter that is not known in the plan.
@@ -98,7 +81,7 @@ def ground_action(step: CallStep, outer: Mapping[str, Data], facts: KnowledgeBas
         if left := {parameter for part in parts(data) if isinstance(part, ValueOf) for parameter in parameters_in(part)}:
             message = f"{min(left)} is not known in the plan; a fact in a value needs the name of an object"
             raise InputError(message, step.given[name].position)
-    own = Substitution.of(given)
+    env = plain_values({f"?{name}": data for name, data in given.items()})
     unbound = {name: data for name, data in outer.items() if name not in {variable.name for variable in step.action.schema.parameters}}
     operation = None if step.operation is None else filled_operation(step.operation, unbound)
     names = tuple(step.given) if step.action.is_open else tuple(variable.name[1:] for variable in step.action.schema.parameters)
@@ -109,16 +92,16 @@ def ground_action(step: CallStep, outer: Mapping[str, Data], facts: KnowledgeBas
     duration = step.duration
     fixed = next((constraint.bound for constraint in step.action.schema.duration or () if constraint.operation == "="), None)
     if duration is None and fixed is not None:  # by numbers that do not change or hold at the beginning
-        seconds = value_of(fixed, facts, own.env)
+        seconds = value_of(fixed, facts, env)
         duration = float(seconds) if is_number(seconds) else None
     if duration is not None and not 0.0 <= duration <= _LONGEST:
         raise InputError(f"expected a duration from 0 to {_LONGEST:g} s, found {duration:g}", step.place.position)
-    action = ground_schema(step.action.schema, tuple(map(own.argument, names)), own.env, duration)
+    arguments = tuple(text_of(env.get(f"?{name}", f"?{name}")) for name in names)
+    action = ground_schema(step.action.schema, arguments, env, duration)
     resources = tuple(dict.fromkeys((*step.action.resources, *step.resources)))
-    called = replace(
+    return replace(
         action, parameters=names, given=tuple(given.items()), operation=operation, resources=resources, returns=step.action.returns
     )
-    return called, own
 
 
 def usual_recoveries(action: LanguageAction) -> tuple[Recovery, ...]:
@@ -163,7 +146,7 @@ class _Region:
 
     def grounded(self, condition: Condition) -> Condition:
         """Return a condition with the values of the call that recovers, where they are known in the plan."""
-        env = Substitution.of({name[1:]: data for name, data in self.outer.items()}).env
+        env = plain_values(self.outer)
         return ground(condition, env) if env else condition
 
 
@@ -277,7 +260,8 @@ class PlanGraphBuilder:
 
     def _call(self, step: CallStep, region: _Region) -> ActionCall:
         number = self._number(step.place.position)
-        action, own = ground_action(step, region.outer, self.facts)
+        action = ground_action(step, region.outer, self.facts)
+        own = {f"?{name}": data for name, data in action.given}
         written, recovering = step.recoveries, region.recovering
         if written is None:
             written = self.recoveries(step.action)
@@ -292,12 +276,12 @@ class PlanGraphBuilder:
         handled = frozenset[Cause]().union(*(recovery.causes for recovery in written))
         usual = (recovery for recovery in usual_recoveries(step.action) if handled.isdisjoint(recovery.causes))
         queries = {variable.name: Query(Literal.of(variable.name[1:]), Layer.ALL) for variable in step.action.schema.parameters}
-        outer = {**queries, **own.values}  # the values of parameters in its chains: its own, or those that it will find
+        outer = {**queries, **own}  # the values of parameters in its chains: its own, or those that it will find
         recoveries: list[Recovery] = []
         for recovery in written:
             flow = self._flow(recovery.chain, _Region(outer, region.depth + 1, recovering))
             times = (self.restarts or 1 if recovery.then is Then.RESTART_PLAN else 1) if recovery.times is None else recovery.times
-            when = TRUE if recovery.when is None else ground(recovery.when, own.env)
+            when = TRUE if recovery.when is None else ground(recovery.when, plain_values(own))
             recoveries.append(Recovery(recovery.causes, recovery.then, flow, times, when))
         return ActionCall(
             number,
