@@ -55,12 +55,12 @@ SETS = st.one_of(PLAIN, st.builds(Set, NUMBERS, AMOUNTS, st.sampled_from(OPERATI
 CONDITIONS: st.SearchStrategy[Condition] = st.one_of(st.just(TRUE), st.builds(Holds, FACTS), st.builds(Not, st.builds(Holds, FACTS)))
 
 
-def effects_of(sets: st.SearchStrategy[Set]) -> st.SearchStrategy[Effect]:
-    """Effects that are made of these, under conditions and for all rooms."""
+def effects_of(sets: st.SearchStrategy[Set], early: st.SearchStrategy[bool] = st.just(False)) -> st.SearchStrategy[Effect]:
+    """Effects that are made of these, under conditions, which may be decided early, and for all rooms."""
     return st.recursive(
         sets,
         lambda inner: st.one_of(
-            st.builds(When, CONDITIONS, st.lists(inner, max_size=3).map(tuple)),
+            st.builds(When, CONDITIONS, st.lists(inner, max_size=3).map(tuple), early),
             st.builds(ForEach, st.just((Variable("?x"),)), st.lists(inner, max_size=3).map(tuple)),
         ),
         max_leaves=4,
@@ -68,7 +68,14 @@ def effects_of(sets: st.SearchStrategy[Set]) -> st.SearchStrategy[Effect]:
 
 
 EFFECTS = effects_of(SETS)
-ANY_EFFECTS = st.lists(EFFECTS, max_size=4).map(lambda effects: ground_effects(tuple(effects), {"?x": "hall"}))
+
+
+def at_hall(effects: st.SearchStrategy[Effect]) -> st.SearchStrategy[Effects]:
+    return st.lists(effects, max_size=4).map(lambda chosen: ground_effects(tuple(chosen), {"?x": "hall"}))
+
+
+ANY_EFFECTS = at_hall(EFFECTS)
+MIXED_EFFECTS = at_hall(effects_of(SETS, st.booleans()))
 ALL_FACTS: list[Fluent] = [("p",), ("at", "hall"), ("at", "kitchen")]
 ALL_NUMBERS: list[Fluent] = [("n",), ("m",)]
 TRUTHS: st.SearchStrategy[Value | Unknown] = st.sampled_from((True, False, UNKNOWN))

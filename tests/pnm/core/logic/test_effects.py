@@ -41,6 +41,7 @@ from tests.support.logic.effects import (
     STATES,
     TRUTHS,
     add,
+    at_hall,
     change_number,
     effects_of,
     happening,
@@ -156,7 +157,7 @@ def test_what_happens_is_among_what_may_be_written(effects: Effects, before: Kno
         assert unconditional == [(fluent, effect) for fluent, effect, _ in assignments(effects, before)]
 
 
-@given(st.lists(PLAIN, max_size=4).map(lambda effects: ground_effects(tuple(effects), {"?x": "hall"})), STATES)
+@given(at_hall(PLAIN), STATES)
 def test_plain_facts_do_not_depend_on_the_state(effects: Effects, before: KnowledgeBase) -> None:
     assert facts(effects, before) == changes(effects, before) == facts(effects, rooms_state())
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import random
-
 import pytest
 from hypothesis import given, strategies as st
 
@@ -11,7 +9,6 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Holds, evaluate
 from pnm.core.logic.effects import (
     Changes,
-    Effect,
     Effects,
     ForEach,
     Set,
@@ -33,6 +30,7 @@ from tests.support.logic.effects import (
     ALL_NUMBERS,
     ANY_EFFECTS,
     FIGURES,
+    MIXED_EFFECTS,
     STATES,
     TRUTHS,
     add,
@@ -42,40 +40,21 @@ from tests.support.logic.effects import (
     rooms_state,
 )
 
-
-def early(effects: Effects, chooser: random.Random) -> Effects:
-    """The effects, some of whose conditions are decided early."""
-    result: list[Effect] = []
-    for effect in effects:
-        match effect:
-            case Set():
-                result.append(effect)
-            case When(condition, inner):
-                result.append(When(condition, early(inner, chooser), chooser.random() < 0.5))
-            case ForEach(variables, inner):
-                result.append(ForEach(variables, early(inner, chooser)))
-    return tuple(result)
-
-
 # --- decided at the start ---
 
 
-@given(ANY_EFFECTS, STATES, STATES, st.randoms(use_true_random=False))
-def test_early_conditions_are_asked_at_the_start_and_others_at_the_end(
-    effects: Effects, start: KnowledgeBase, end: KnowledgeBase, chooser: random.Random
-) -> None:
-    mixed = early(effects, chooser)
+@given(MIXED_EFFECTS, STATES, STATES)
+def test_early_conditions_are_asked_at_the_start_and_others_at_the_end(mixed: Effects, start: KnowledgeBase, end: KnowledgeBase) -> None:
     expected = changes(tuple(Set(*one) for one in happening(mixed, start, end, {})), end)
     assert changes(decided(mixed, start), end) == expected
     assert written(decided(mixed, start), end) <= written(mixed, end)
     assert decided(decided(mixed, start), end) == decided(mixed, start)
 
 
-@given(ANY_EFFECTS, STATES, STATES, st.randoms(use_true_random=False), st.data())
+@given(MIXED_EFFECTS, STATES, STATES, st.data())
 def test_only_what_is_read_early_decides_at_the_start_and_only_what_is_read_at_the_end(
-    effects: Effects, start: KnowledgeBase, end: KnowledgeBase, chooser: random.Random, data: st.DataObject
+    mixed: Effects, start: KnowledgeBase, end: KnowledgeBase, data: st.DataObject
 ) -> None:
-    mixed = early(effects, chooser)
     after = changes(decided(mixed, start), end)
     for moment, matters in ((start, read_early(mixed, start)), (end, read(mixed, end))):
         others = {*ALL_FACTS, *ALL_NUMBERS} - matters
