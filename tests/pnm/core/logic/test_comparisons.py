@@ -136,12 +136,7 @@ def test_values_are_written_as_text_in_fluents_and_nowhere_else(value: object, t
 
 @pytest.mark.parametrize(
     ("one", "other", "expected"),
-    [
-        (None, UNDEFINED, True),
-        (UNDEFINED, UNDEFINED, True),
-        (UNDEFINED, False, False),
-        (UNDEFINED, UNKNOWN, False),
-    ],
+    [(None, UNDEFINED, True), (UNDEFINED, UNDEFINED, True), (UNDEFINED, False, False), (UNDEFINED, UNKNOWN, False)],
 )
 def test_no_object_is_the_same_as_an_absent_one(one: Value | Unknown | None, other: Value | Unknown | None, expected: bool) -> None:
     assert same_value(one, other) is same_value(other, one) is expected

@@ -22,16 +22,7 @@ from pnm.core.logic.conditions import (
     ground,
     names,
 )
-from pnm.core.logic.expressions import (
-    UNKNOWN,
-    Environment,
-    Fluent,
-    Truth,
-    Unknown,
-    Value,
-    Variable,
-    choices,
-)
+from pnm.core.logic.expressions import UNKNOWN, Environment, Fluent, Truth, Unknown, Value, Variable, choices
 from tests.support.logic.rules import ALL_FACTS, ALL_NUMBERS, BASE, FACTS, OBJECTS, known, stratified_conditions
 
 VARIABLES = st.lists(st.sampled_from(("?x", "?y")), min_size=1, max_size=2, unique=True).map(lambda chosen: tuple(map(Variable, chosen)))

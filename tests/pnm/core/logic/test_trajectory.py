@@ -12,19 +12,7 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import All, Holds, Not, evaluate
 from pnm.core.logic.expressions import UNKNOWN, Variable
 from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, names_in, observed_of, progressed, shifted
-from tests.support.logic.trajectories import (
-    BEFORE,
-    LIKE_KAIROS,
-    SAFE,
-    P,
-    Q,
-    Trace,
-    always,
-    progress,
-    sometime,
-    state_of,
-    traces,
-)
+from tests.support.logic.trajectories import BEFORE, LIKE_KAIROS, SAFE, P, Q, Trace, always, progress, sometime, state_of, traces
 
 
 def course(text: str, step: float = 1.0) -> Trace:
