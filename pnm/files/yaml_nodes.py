@@ -219,7 +219,7 @@ class Node:
     @property
     def is_null(self) -> bool:
         """Whether there is nothing: ``null``, or no value at all."""
-        return self.kind == "null"
+        return isinstance(self.raw, yaml.ScalarNode) and self.kind == "null"
 
     @property
     def is_mapping(self) -> bool:
@@ -405,7 +405,7 @@ class _Loader(yaml.SafeLoader):
             if number > MAX_DOCUMENTS:
                 raise yaml.MarkedYAMLError(problem=f"more than {MAX_DOCUMENTS} documents", problem_mark=self.get_mark())
             node = self.get_node()
-            if node is not None and not (node.tag == f"{CORE}null" and not node.value):
+            if node is not None and not (Node("", node).is_null and not node.value):
                 yield node
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
