@@ -9,7 +9,6 @@ if TYPE_CHECKING:
         LIMIT as LIMIT,
         KnowledgeError as KnowledgeError,
         PnmActionServer as PnmActionServer,
-        PnmSimpleActionServer as PnmSimpleActionServer,
     )
 else:
     __all__, __getattr__, __dir__ = lazy_exports(__name__, __file__)

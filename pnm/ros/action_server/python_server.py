@@ -19,7 +19,6 @@ clients other than an executive are executed as usual; a query for one of them i
 from __future__ import annotations
 
 import inspect
-import queue
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Generator
@@ -183,14 +182,14 @@ async def _yield_until(goal_handle: Any, until: float, otherwise: str) -> None:
 
 # --- the action server ---------------------------------------------------------------------
 
-__all__ = ["LIMIT", "KnowledgeError", "PnmActionServer", "PnmSimpleActionServer"]
+__all__ = ["LIMIT", "KnowledgeError", "PnmActionServer"]
 LIMIT: Final = 10.0
 """Seconds for an answer. A first contact over DDS takes up to 5; give people more, by ``timeout``."""
 _Execute = Callable[[Any], Any]
 
 
-class _ServerWithKnowledge(ActionServer):  # type: ignore[misc]
-    """The base of both servers; takes the arguments of `rclpy.action.ActionServer`.
+class PnmActionServer(ActionServer):  # type: ignore[misc]
+    """An action server for any number of goals at a time, each with the knowledge of its run; it takes the arguments of `rclpy`'s.
 
     An execute callback that fails, or does not return a result, aborts its goal and nothing more.
     The mutable state, besides that of `rclpy`, is which thread spins.
@@ -198,8 +197,8 @@ class _ServerWithKnowledge(ActionServer):  # type: ignore[misc]
 
     QUERY_LOCAL = UPDATE_LOCAL = Layer.LOCAL
     """The knowledge of the run."""
-    QUERY_GLOBAL = UPDATE_GLOBAL = QUERY_REMOTE = UPDATE_REMOTE = Layer.GLOBAL
-    """The knowledge that all runs share; also called remote."""
+    QUERY_GLOBAL = UPDATE_GLOBAL = Layer.GLOBAL
+    """The knowledge that all runs share."""
     QUERY_ALL = UPDATE_ALL = Layer.ALL
     """A query asks the local, then the global knowledge; an update goes to both."""
     QUERY_PERSON = UPDATE_PERSON = Layer.PERSON
@@ -232,10 +231,7 @@ class _ServerWithKnowledge(ActionServer):  # type: ignore[misc]
 
             super().notify_execute(goal_handle, execute)
         else:
-            self._begin(goal_handle, callback)
-
-    def _begin(self, goal_handle: Any, callback: _Execute) -> None:
-        threading.Thread(target=self._run_callback, args=(goal_handle, callback), daemon=True).start()
+            threading.Thread(target=self._run_callback, args=(goal_handle, callback), daemon=True).start()
 
     def _run_callback(self, goal_handle: Any, callback: _Execute) -> None:
         """Call back, then have the executor send the result; called on another thread."""
@@ -263,10 +259,6 @@ class _ServerWithKnowledge(ActionServer):  # type: ignore[misc]
             raise KnowledgeError("waiting here would stop the executor that is waited for; in a coroutine, await the ..._async method")
         return _raised(self._knowledge.wait(exchange, timeout))
 
-
-class PnmActionServer(_ServerWithKnowledge):
-    """An action server for any number of goals at a time, each with the knowledge of its run."""
-
     def query_kb(self, goal_handle: Any, layer: Layer, name: str, meta: object = None, *, timeout: float = LIMIT) -> object:
         """Return the value of a variable, or `pnm.MISSING`; raise `KnowledgeError` if there is none in time. Blocks this thread."""
         return self._wait(self._knowledge.query(goal_handle, layer, name, meta, timeout), timeout)
@@ -291,49 +283,6 @@ class PnmActionServer(_ServerWithKnowledge):
     ) -> None:
         """Update knowledge like `update_kb`, in a coroutine."""
         _raised(await self._knowledge.update(goal_handle, layer, name, value, meta, timeout))
-
-
-class PnmSimpleActionServer(_ServerWithKnowledge):
-    """An action server that executes one goal at a time, in the order of their arrival.
-
-    A goal that is cancelled before its turn is not begun. The execute callback is an ordinary function.
-    The mutable state is the goals that wait, and the one that is executed.
-    """
-
-    def __init__(self, node: Any, action_type: Any, action_name: str, execute_callback: _Execute, **options: Any) -> None:
-        if inspect.iscoroutinefunction(execute_callback):
-            raise TypeError("expected an ordinary function as the execute callback; PnmActionServer takes coroutines")
-        self._waiting: queue.SimpleQueue[tuple[Any, _Execute]] = queue.SimpleQueue()
-        self._current: Any = None
-        threading.Thread(target=self._work, daemon=True).start()
-        super().__init__(node, action_type, action_name, execute_callback, **options)
-
-    def query_kb(self, layer: Layer, name: str, meta: object = None, *, timeout: float = LIMIT) -> object:
-        """Query knowledge like `PnmActionServer.query_kb` for the current goal; also raises `KnowledgeError` if there is none."""
-        return self._wait(self._knowledge.query(self._goal(), layer, name, meta, timeout), timeout)
-
-    def update_kb(self, layer: Layer, name: str, value: object, meta: object = None, *, timeout: float = LIMIT) -> None:
-        """Update knowledge like `PnmActionServer.update_kb` for the current goal; also raises `KnowledgeError` if there is none."""
-        self._wait(self._knowledge.update(self._goal(), layer, name, value, meta, timeout), timeout)
-
-    def _goal(self) -> Any:
-        if self._current is None:
-            raise KnowledgeError("no goal is being carried out, so there is no run with knowledge")
-        return self._current
-
-    def _begin(self, goal_handle: Any, callback: _Execute) -> None:
-        self._waiting.put((goal_handle, callback))
-
-    def _work(self) -> None:
-        def not_begun(goal_handle: Any) -> Any:
-            goal_handle.canceled()
-            return self.action_type.Result()
-
-        while True:
-            goal_handle, callback = self._waiting.get()
-            self._current = goal_handle
-            self._run_callback(goal_handle, not_begun if goal_handle.is_cancel_requested else callback)
-            self._current = None
 
 
 def _raised(answer: Any) -> Any:

@@ -1,7 +1,7 @@
 """Action servers that ask for knowledge as their goals tell them to. Run as a module: NAME [THREADS]
 
-The execute callback is a function for the server NAME, a coroutine for NAME_coroutine, a coroutine that waits for NAME_wrong; the server
-NAME_simple executes one goal at a time. The example of `pnm.ros.action_server.python_server` is there as well.
+The execute callback is a function for the server NAME, a coroutine for NAME_coroutine, a coroutine that waits for NAME_wrong. The
+example of `pnm.ros.action_server.python_server` is there as well.
 
 Of a GroundAction goal the action says what to do, and the arguments, each a JSON text, with what:
 
@@ -27,44 +27,34 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 
 from pnm.core.logic.computed_values import MISSING, Layer
-from pnm.ros.action_server import LIMIT, KnowledgeError, PnmActionServer, PnmSimpleActionServer, python_server
+from pnm.ros.action_server import LIMIT, KnowledgeError, PnmActionServer, python_server
 from tests.support.processes import say
 from tests.support.ros.child_process import spin
 
 
 class ExecuteCallbacks:
-    """The execute callbacks of all kinds of servers."""
+    """The execute callbacks of all kinds of servers, by kind."""
 
-    def __init__(self, kind: str) -> None:
-        self.kind = kind
-        self.server: Any = None
+    server: Any
 
-    @property
-    def callback(self) -> Any:
-        return self.awaiting if self.kind == "coroutine" else self.wrong if self.kind == "wrong" else self.plain
-
-    def plain(self, handle: Any) -> Any:
-        own = () if self.kind == "simple" else (handle,)
-        return self.end(handle, lambda does, *rest, **options: getattr(self.server, f"{does}_kb")(*own, *rest, **options))
-
-    async def wrong(self, handle: Any) -> Any:
-        return self.plain(handle)
-
-    async def awaiting(self, handle: Any) -> Any:
-        does, rest, options = self.wanted(handle)
-        try:
-            return self.said(handle, does, await getattr(self.server, f"{does}_kb_async")(handle, *rest, **options))
-        except KnowledgeError as error:
-            return self.said(handle, "error", str(error))
-
-    def end(self, handle: Any, ask: Any) -> Any:
+    def function(self, handle: Any) -> Any:
         if handle.request.action == "raise":
             raise RuntimeError("wheel came off")
         if handle.request.action == "return":
             return None
         does, rest, options = self.wanted(handle)
         try:
-            return self.said(handle, does, ask(does, *rest, **options))
+            return self.said(handle, does, getattr(self.server, f"{does}_kb")(handle, *rest, **options))
+        except KnowledgeError as error:
+            return self.said(handle, "error", str(error))
+
+    async def wrong(self, handle: Any) -> Any:
+        return self.function(handle)
+
+    async def coroutine(self, handle: Any) -> Any:
+        does, rest, options = self.wanted(handle)
+        try:
+            return self.said(handle, does, await getattr(self.server, f"{does}_kb_async")(handle, *rest, **options))
         except KnowledgeError as error:
             return self.said(handle, "error", str(error))
 
@@ -88,13 +78,12 @@ class ExecuteCallbacks:
 
 def serve(node: Any, name: str, kind: str) -> None:
     """Offer a server of a kind."""
-    callbacks = ExecuteCallbacks(kind)
-    make = PnmSimpleActionServer if kind == "simple" else PnmActionServer
-    callbacks.server = make(
+    callbacks = ExecuteCallbacks()
+    callbacks.server = PnmActionServer(
         node,
         GroundAction,
         name,
-        callbacks.callback,
+        getattr(callbacks, kind),
         cancel_callback=lambda _: CancelResponse.ACCEPT,
         callback_group=ReentrantCallbackGroup(),
     )
@@ -112,7 +101,7 @@ def main(name: str, threads: str = "1") -> None:
     rclpy.init()
     node = rclpy.create_node(f"knowing_{name}")
     serve(node, name, "function")
-    for kind in ("coroutine", "simple", "wrong"):
+    for kind in ("coroutine", "wrong"):
         serve(node, f"{name}_{kind}", kind)
     spin(node, example(), threads=int(threads))
 

@@ -15,7 +15,6 @@ from pnm.core.logic.computed_values import MISSING, Layer, Question
 from pnm.core.machine.requests import OutcomeKind
 from pnm.knowledge.source import Asker, MemoryKnowledge, SourceError
 from pnm.knowledge.sources import Sources
-from pnm.ros.node.services import until_true
 from tests.support.logic.people import Person
 from tests.support.processes import LIMIT
 from tests.support.ros.child_process import OURS, bounded
@@ -41,7 +40,7 @@ async def test_local_and_global_and_both(ros, server):
 async def test_every_kind_of_server_may_ask_whatever_spins_it(ros, names, begin, server):
     many = await asyncio.to_thread(begin, "asking_server", names(), "8")
     async with fake_executor(ros) as one:
-        for name in (server, f"{server}_coroutine", f"{server}_simple", many.name, f"{many.name}_coroutine"):
+        for name in (server, f"{server}_coroutine", many.name, f"{many.name}_coroutine"):
             ended = [one.send(name, "update", "all", f"v{number}", [name, number]) for number in range(20)]
             assert {outcome.message for outcome in await asyncio.gather(*ended)} == {"[null]"}
             assert one.local.variables() == {f"v{number}": [name, number] for number in range(20)}
@@ -141,7 +140,7 @@ async def test_what_a_source_refuses_is_said_to_the_server_and_changes_nothing(r
         assert one.local.variable("spam") is MISSING
 
 
-@pytest.mark.parametrize("kind", ["", "_coroutine", "_simple"])
+@pytest.mark.parametrize("kind", ["", "_coroutine"])
 @bounded
 async def test_cancelling_a_goal_that_asks_ends_it_and_withdraws_the_question(ros, server, kind):
     person, name = Person(), f"{server}{kind}"
@@ -150,31 +149,10 @@ async def test_cancelling_a_goal_that_asks_ends_it_and_withdraws_the_question(ro
         goal = one.new_id()
         ended = one.send(name, "query", "person", "shop", None, 300.0, id=goal)
         await person.asked.get()
-        one.client(name).cancel(goal)
+        one.client(name).ros2.cancel(goal)
         outcome = await ended
         assert (outcome.kind, outcome.message) == (OutcomeKind.CANCELED, '"the goal is being cancelled"')
         assert await person.withdrawn.get() == "shop"
-
-
-@bounded
-async def test_a_simple_server_carries_out_one_goal_at_a_time_and_none_that_was_cancelled_before(ros, server):
-    person, name = Person(), f"{server}_simple"
-    async with fake_executor(ros, person=person) as one:
-        await one.meet(name)
-        first = one.send(name, "query", "person", "a", None, LIMIT)
-        await person.asked.get()
-        goal = one.new_id()
-        second = one.send(name, "query", "person", "b", None, LIMIT, id=goal)
-        third = one.send(name, "query", "person", "c", None, LIMIT)
-        client = one.client(name)
-        client.cancel(goal)
-        await until_true(ros, lambda: client._goals[goal][0].cancel_answered)
-        person.answer("a", 1)
-        assert (await first).message == "[1]"
-        assert (await second).kind is OutcomeKind.CANCELED
-        assert await person.asked.get() == "c"
-        person.answer("c", 3)
-        assert (await third).message == "[3]"
 
 
 @bounded
