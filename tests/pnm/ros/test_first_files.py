@@ -60,18 +60,12 @@ def test_servers_of_one_type_under_the_names_of_robots_are_one_action(tmp_path: 
     assert problem.objects == {"r1": ("robot",), "r2": ("robot",)}
     assert bindings.of("count").server == "/{robot}/count"
     assert bindings.of("count").goal == {"order": 0}
-
-
-def test_fields_of_results_that_look_like_a_verdict_are_taken_for_one(tmp_path: Path) -> None:
-    _, bindings, _ = read(ROBOTS, tmp_path)
-    assert bindings.of("execute_action").success is not None
+    assert bindings.of("execute_action").success is not None, "fields of results that look like a verdict are taken for one"
     assert bindings.of("execute_action").reason is not None
-
-
-def test_defaults_of_fields_are_no_constants(tmp_path: Path) -> None:
-    read(ROBOTS, tmp_path)
     (line,) = [line for line in (tmp_path / "bindings.yaml").read_text().splitlines() if "execution_result.status" in line]
-    assert "which of UNKNOWN (-1), SUCCESS (0), " in line
+    assert "which of UNKNOWN (-1), SUCCESS (0), " in line, "defaults of fields are no constants"
+    for file in tmp_path.iterdir():
+        assert file.name == "sensing.yaml" or "decide: " in file.read_text()
 
 
 def test_a_boolean_of_the_result_is_a_verdict_before_any_number(tmp_path: Path) -> None:
@@ -119,8 +113,3 @@ def test_topics_of_known_types_are_sensors_and_the_others_are_listed(tmp_path: P
     assert "docked" in problem.domain.predicates
     assert sensing.names == {"docked"}
     assert "# /odom   nav_msgs/msg/Odometry" in (tmp_path / "sensing.yaml").read_text()
-
-
-def test_every_line_that_needs_a_decision_says_so() -> None:
-    for name, text in first_files(ROBOTS, "robot").items():
-        assert name == "sensing.yaml" or "decide: " in text

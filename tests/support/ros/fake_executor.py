@@ -14,15 +14,14 @@ from uuid import UUID, uuid4, uuid5
 
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import Question
-from pnm.core.machine.bindings import Binding, Bindings
-from pnm.core.machine.plan_graph import GroundAction
-from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Report, Request
+from pnm.core.machine.bindings import Binding
+from pnm.core.machine.requests import Outcome, OutcomeKind
 from pnm.knowledge.source import Asker, MemoryKnowledge, Source
 from pnm.knowledge.sources import Sources
-from pnm.ros.action_client.client import Ros2ActionClient
 from pnm.ros.knowledge import KnowledgeServices, service_prefix
 from pnm.ros.node.ros_thread import RosThread
 from tests.support.processes import say
+from tests.support.ros.recording_client import GROUND, RecordingClient, Sent
 
 
 @dataclass
@@ -40,7 +39,7 @@ class FakeExecutor:
         self.run = self.new_id()
         self.name = service_prefix(self.mark)
         self.services = KnowledgeServices(self.ros, loop, self.name, self.find, self.sources)
-        self.clients: dict[str, Ros2ActionClient] = {}
+        self.clients: dict[str, RecordingClient] = {}
 
     def new_id(self) -> UUID:
         """Return an id as the runs and goals of this executor have them."""
@@ -51,26 +50,20 @@ class FakeExecutor:
 
     def send(self, server: str, action: str, *arguments: object, id: UUID | None = None) -> asyncio.Task[Outcome]:
         """Send a goal; the task ends with its outcome."""
-        request = Request(id or self.new_id(), GroundAction("do"), {"action": action, "arguments": [json.dumps(one) for one in arguments]})
-        reports: asyncio.Queue[Report] = asyncio.Queue()
-        self.client(server).send(request, reports.put_nowait)
-        self.goals[request.id] = asyncio.ensure_future(self._ended(request, reports))
-        return self.goals[request.id]
+        sent = self.client(server).send("do", id or self.new_id(), action=action, arguments=[json.dumps(one) for one in arguments])
+        self.goals[sent.id] = asyncio.ensure_future(self._ended(sent))
+        return self.goals[sent.id]
 
-    async def _ended(self, request: Request, reports: asyncio.Queue[Report]) -> Outcome:
+    async def _ended(self, sent: Sent) -> Outcome:
         try:
-            while True:
-                report = await reports.get()
-                if isinstance(report, Ended):
-                    return report.outcome
+            return await sent.ended()
         finally:
-            del self.goals[request.id]
-            self.services.end(request.id)
+            del self.goals[sent.id]
+            self.services.end(sent.id)
 
-    def client(self, server: str) -> Ros2ActionClient:
+    def client(self, server: str) -> RecordingClient:
         if server not in self.clients:
-            bindings = Bindings({"do": Binding(server=server, type="pnm_interfaces/action/GroundAction")})
-            self.clients[server] = Ros2ActionClient(self.ros, bindings, asyncio.get_running_loop())
+            self.clients[server] = RecordingClient(self.ros, do=Binding(server=server, type=GROUND))
         return self.clients[server]
 
     async def meet(self, server: str) -> None:
@@ -88,7 +81,7 @@ class FakeExecutor:
     async def close(self) -> None:
         await self.services.close()
         for client in self.clients.values():
-            client.close()
+            client.ros2.close()
         await self.sources.close()
 
 

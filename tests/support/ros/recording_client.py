@@ -54,8 +54,8 @@ class RecordingClient:
         self.may_act = True
         self.ros2 = Ros2ActionClient(ros, Bindings(bindings), asyncio.get_running_loop(), **options, may_act=lambda: self.may_act)
 
-    def send(self, name: str, /, **goal: object) -> Sent:
-        sent = Sent(Request(uuid4(), GroundAction(name), goal))
+    def send(self, name: str, /, id: UUID | None = None, **goal: object) -> Sent:
+        sent = Sent(Request(id or uuid4(), GroundAction(name), goal))
         self.ros2.send(sent.request, sent.reports.put_nowait)
         return sent
 

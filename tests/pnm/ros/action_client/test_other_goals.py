@@ -33,9 +33,7 @@ def test_the_status_of_goals_is_read_as_rclpy_does(known, padding):
 
 def sent_by_another_process(client: RecordingClient, action: str) -> Sent:
     """Send a goal with an id such as those of the node's processes."""
-    sent = Sent(Request(UUID(bytes=PREFIX + uuid4().bytes[4:]), GroundAction("act"), {"action": action}))
-    client.ros2.send(sent.request, sent.reports.put_nowait)
-    return sent
+    return client.send("act", UUID(bytes=PREFIX + uuid4().bytes[4:]), action=action)
 
 
 @bounded
