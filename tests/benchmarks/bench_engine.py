@@ -2,17 +2,24 @@
 
 usage: python -m tests.benchmarks.bench_engine
 
-The parts of the way from a plan to its end, proofs of wide plans and of many recoveries, runs side by side, and changes of facts among
+The parts of the way from a plan to its end; plans by hand, whose reading is compared with PyYAML's own, and exporting and importing with
+reading the PDDL files that they start from; proofs of wide plans and of many recoveries, runs side by side, and changes of facts among
 many conditions and constraints. The unit is one turn of a plain Python loop over integers, measured in the same process.
 """
 
 from __future__ import annotations
 
 import gc
+import tempfile
 import tracemalloc
+from pathlib import Path
 from uuid import UUID
 
+import yaml
+
+from planner_bridge.pipeline.loading import load
 from planner_bridge.tasks.settings import OnChange
+from planner_bridge.yaml.convert import exported, imported
 from pnm.core.execution.events import Begin, Command, Send
 from pnm.core.execution.machine_index import prepare
 from pnm.core.execution.run import Run
@@ -34,26 +41,54 @@ from pnm.core.machine.plan_graph import (
 )
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.core.machine.verification.verify import forget_proofs, verify
+from pnm.language.plan import read_plans
 from tests.support.benchmarks.waiting import CHARGE, constrained, fact, heard
 from tests.support.benchmarks.workloads import checked, in_a_row, inline, loop, side_by_side
+from tests.support.files import ROOT
 from tests.support.runs.timing import seconds
+
+WORDS = ("generate", "prove", "compile", "run inline")
+HEAD = "actions:\n  go: {params: [place]}\n  set: {type: kb_action}\nplan:\n"
+STEP = (
+    "  - concurrent_actions:\n      - go: {place: a}\n      - - go: {place: b}\n"
+    "        - if: {Comparison: [eq, [{LocalQuery: n}, 1]]}\n          then: [go: {place: c}]\n          else: [go: {place: d}]\n"
+    "  - while: {condition: {Comparison: [lt, [{LocalQuery: n}, 0]]}, actions: [set: {operation: {LocalUpdate: [n, 1]}}]}\n"
+)
+PER_STEP = 7
+"""Steps in one `STEP`, those inside others included."""
 
 
 def parts(unit: float) -> None:
     """From a plan to the end of its run, part by part."""
     for calls in (100, 1_000, 10_000):
-        plan = no_ops(calls)
-        machine = generate(plan)
-        made = seconds(lambda: generate(plan), 1)
-        proved = seconds(lambda: verify(machine), 1)
-        compiled = seconds(lambda: prepare(machine), 1)
-        ran = seconds(lambda: inline(Run(machine, Layered(KnowledgeBase()), id=UUID(int=1))), 1)
-        print(
-            f"{calls} calls ({len(machine.net.transitions)} transitions), per call: "
-            f"generate {made / calls / unit:.0f}, prove {proved / calls / unit:.0f}, compile {compiled / calls / unit:.0f}, "
-            f"run inline {ran / calls / unit:.0f} units; {made:.2f} + {proved:.2f} + {compiled:.2f} + {ran:.2f} s; "
-            f"{kept(plan) / calls:.0f} bytes"
-        )
+        told(no_ops(calls), calls, "calls", unit)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "plan.yaml"
+        for blocks in (10, 100, 1000):
+            text, steps = HEAD + STEP * blocks, blocks * PER_STEP
+            file.write_text(text, encoding="utf-8")
+            plain, read = seconds(lambda: yaml.safe_load(text)), seconds(lambda: read_plans(file))
+            print(f"{steps} steps by hand: read {read / steps / unit:.0f} units, {read / plain:.1f} times as long as PyYAML's loading")
+            told(read_plans(file)["plan"].graph, steps, "steps", unit)
+        for name in ("delivery", "mall_guide", "patrol"):
+            domain, problem = ROOT / "domains" / name / "domain.pddl", ROOT / "problems" / name / "p01.pddl"
+            reading, writing = seconds(lambda: load(domain, problem)), seconds(lambda: exported(domain, problem))
+            file.write_text(exported(domain, problem).text, encoding="utf-8")
+            back = seconds(lambda: imported(file))
+            print(f"{name}: export {writing / reading:.1f}, import {back / reading:.1f} times as long as reading the PDDL")
+
+
+def told(plan: PlanGraph, count: int, what: str, unit: float) -> None:
+    """Print what each part takes."""
+    machine = generate(plan)
+    made = seconds(lambda: generate(plan), 1)
+    proved = seconds(lambda: verify(machine), 1)
+    compiled = seconds(lambda: prepare(machine), 1)
+    knowledge = Layered(KnowledgeBase(), KnowledgeBase(variables={"n": 1}))
+    ran = seconds(lambda: inline(Run(machine, knowledge, id=UUID(int=1))), 1)
+    each = (f"{word} {took / count / unit:.0f}" for word, took in zip(WORDS, (made, proved, compiled, ran), strict=True))
+    total = f"{made:.2f} + {proved:.2f} + {compiled:.2f} + {ran:.2f} s; {kept(plan) / count:.0f} bytes"
+    print(f"{count} {what} ({len(machine.net.transitions)} transitions), each: {', '.join(each)} units; {total}")
 
 
 def no_ops(calls: int) -> PlanGraph:
