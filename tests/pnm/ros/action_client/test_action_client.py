@@ -8,7 +8,7 @@ import pytest
 
 from pnm.core.machine.bindings import Binding
 from pnm.core.machine.plan_graph import GroundAction
-from pnm.core.machine.requests import Ended, OutcomeKind, Postponed
+from pnm.core.machine.requests import Ended, Feedback, OutcomeKind, Postponed
 from pnm.errors import InputError
 from tests.support.processes import LIMIT
 from tests.support.ros.child_process import bounded
@@ -144,3 +144,21 @@ async def test_nothing_is_sent_while_the_process_may_not_act_and_all_of_it_when_
     client.may_act = True
     assert (await running.ended()).kind is OutcomeKind.CANCELED
     assert (await waiting.ended()).kind is OutcomeKind.SUCCEEDED
+
+
+@bounded
+async def test_a_server_that_reports_without_a_pause_is_heard_a_few_times_about_the_goal_it_means(connect, shared):
+    client = connect(act=Binding(server=shared))
+    other, sent = client.send("act", action="hang"), client.send("act", action="chatter", arguments=["2000"])
+    await asyncio.gather(other.accepted(), sent.accepted())
+    heard = []
+    while not heard or heard[-1] != Feedback(sent.id, "progress 1"):
+        heard.append(await sent.reports.get())
+    assert len(heard) < 200, "of two thousand"
+    shares = [float(report.text.removeprefix("progress ")) for report in heard]
+    assert shares == sorted(shares)
+    assert {report.request for report in heard} == {sent.id}
+    assert await other.reports.get() == Feedback(other.id, "progress 0")
+    for goal in (other, sent):
+        client.cancel(goal)
+        await goal.ended()

@@ -6,14 +6,19 @@ import asyncio
 import gc
 import json
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
 
+from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.expressions import UNKNOWN
+from pnm.core.logic.rules import Rules
 from pnm.errors import InputError
 from pnm.ros.node.messages import import_type
 from pnm.ros.node.services import until_true
+from pnm.ros.sensors import Sensors
+from tests.support.pddl.sensed_world import DOMAIN
 from tests.support.ros.child_process import bounded, run_bounded
 from tests.support.ros.listening import becomes, listening
 
@@ -144,3 +149,33 @@ async def test_nobody_is_waited_for_who_is_not_there(ros, sensing, caplog):
         assert world.facts() == {}
     gc.collect()
     assert "never retrieved" not in caplog.text
+
+
+@bounded
+async def test_what_cannot_be_listened_to_is_refused(ros, sensing):
+    for text, said in {
+        "topic: t, type: spam_msgs/msg/Eggs, facts: [{fact: (dark)}]": "1:11: the ROS type spam_msgs/msg/Eggs is not installed",
+        "topic: 1t, facts: [{fact: (dark)}]": "1:11: not a name for a topic: '1t'",
+        "service: 1t, facts: [{fact: (dark)}]": "1:11: not a name for a service: '1t'",
+    }.items():
+        with pytest.raises(InputError, match=said):
+            async with listening(ros, sensing(f"sensors: [{{{text}}}]")):
+                pass
+    rules = Rules(tuple(replace(rule, name="dark", variables=()) for rule in DOMAIN.rules))
+    with pytest.raises(InputError, match="facts of dark follow from rules"):
+        Sensors(ros, sensing("sensors: [{topic: t, facts: [{fact: (dark)}]}]"), KnowledgeBase(rules=rules), 1.0)
+
+
+@bounded
+async def test_publishers_of_another_type_are_ignored(ros, names, sensing, sensors, caplog):
+    name = names()
+    sensors({"topic": name, "type": "test_msgs/msg/Strings", "fields": {"string_value": "hall"}})
+    sensors({"topic": name, "type": BASIC, "fields": {"bool_value": True}})
+    file = sensing(f"sensors: [{{topic: {name}, type: {BASIC}, facts: [{{fact: (dark), field: bool_value}}]}}]")
+    # both are there before it is looked: a topic that nobody but the wrong publisher has is refused
+    await until_true(ros, lambda: ros.node.count_publishers(f"/{name}") == 2)
+
+    async with listening(ros, file) as world:
+        await becomes(world, ("dark",), True)
+        await until_true(ros, lambda: "is ignored where" in caplog.text)
+    assert f"{name} is ignored where it has the type test_msgs/msg/Strings; expected {BASIC}" in caplog.text

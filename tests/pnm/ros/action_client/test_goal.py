@@ -1,10 +1,15 @@
-"""What is concluded from who is in the graph, on a clock that only tests move."""
+"""Goals on their way: what is concluded from who is in the graph, on a clock that only tests move; and feedback on one line."""
 
 from __future__ import annotations
 
 import pytest
+from builtin_interfaces.msg import Duration
+from geometry_msgs.msg import PolygonStamped, PoseStamped
+from pnm_interfaces.action import GroundAction, RunPlan
+from test_msgs.action import Fibonacci, NestedMessage
+from test_msgs.msg import Arrays, BasicTypes, Nested
 
-from pnm.ros.action_client.goal import AGAIN, ASKS, GRACE, Liveness, Verdict
+from pnm.ros.action_client.goal import AGAIN, ASKS, GRACE, LENGTH, Liveness, Verdict, feedback_line
 
 OLD, NEW = b"old", b"new"
 
@@ -86,3 +91,45 @@ def test_a_result_that_does_not_come_is_asked_for_and_given_up():
     while (found := looks(watch, {OLD}, over=True, start=now + 0.25))[0] is Verdict.ASK:
         asks, now = asks + 1, found[1]
     assert (asks, found) == (ASKS, (Verdict.SILENT, AGAIN * (ASKS + 1)))
+
+
+# --- feedback ---
+
+
+def pose(x: float) -> PoseStamped:
+    message = PoseStamped()
+    message.header.frame_id = "map"
+    message.pose.position.x = x
+    return message
+
+
+@pytest.mark.parametrize(
+    ("message", "line"),
+    [
+        (GroundAction.Feedback(progress=0.25), "progress 0.25"),
+        (Fibonacci.Feedback(sequence=[0, 1, 1]), "sequence [0, 1, 1]"),
+        (Fibonacci.Feedback(sequence=range(1000)), "sequence 1000 items"),
+        (Fibonacci.Feedback(), ""),
+        (
+            RunPlan.Feedback(running=["move(r1)"], feedback=["progress 1"], ended=3),
+            "running [move(r1)], feedback [progress 1], ended 3, restarts 0",
+        ),
+        (
+            NestedMessage.Feedback(nested_different_pkg=Duration(sec=3, nanosec=250_000_000)),
+            "nested_different_pkg 3.2 s",
+        ),
+        (pose(1.23456), "pose.position.x 1.235, pose.position.y 0, pose.position.z 0"),
+        (PolygonStamped(), ""),
+        (Nested(basic_types_value=BasicTypes(byte_value=b"\x05")), "basic_types_value.bool_value false, basic_types_value.byte_value 5"),
+    ],
+)
+def test_feedback_on_one_line(message, line):
+    written = feedback_line(message)
+    assert written.startswith(line), written
+    assert bool(written) == bool(line)
+    assert len(written) <= LENGTH + 3
+
+
+def test_the_longest_line_ends_where_it_is_too_long():
+    assert feedback_line(Arrays()).endswith(", …")
+    assert feedback_line(RunPlan.Feedback(running=["x" * 1000])) == f"running [{'x' * (LENGTH - 10)}…"
