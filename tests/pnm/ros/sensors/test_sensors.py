@@ -98,13 +98,16 @@ async def test_what_cannot_be_read_is_unknown_with_one_warning(ros, names, sensi
 
 
 @bounded
-async def test_a_topic_that_we_already_use_with_another_type_is_refused(ros, names, sensing, sensors):
+async def test_a_topic_without_the_field_or_that_we_already_use_with_another_type_is_refused(ros, names, sensing, sensors):
     name = names()
     sensors({"topic": name, "type": BASIC, "fields": {"bool_value": True}})
     text = f"sensors: [{{topic: {name}, facts: [{{fact: (dark), field: bool_value}}]}}]"
 
-    own = await ros.ask(lambda: ros.node.create_subscription(import_type("test_msgs/msg/Empty"), name, print, 1))
     await until_true(ros, lambda: ros.node.count_publishers(name))
+    with pytest.raises(InputError, match="BasicTypes has no field 'open'"):
+        async with listening(ros, sensing(text.replace("bool_value", "open"))):
+            pass
+    own = await ros.ask(lambda: ros.node.create_subscription(import_type("test_msgs/msg/Empty"), name, print, 1))
     with pytest.raises(InputError, match=f"1:11: {name} cannot be listened to: "):
         async with listening(ros, sensing(text)):
             pass

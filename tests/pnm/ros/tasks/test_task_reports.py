@@ -230,6 +230,21 @@ async def test_changes_of_the_knowledge_are_counted(two):
         assert (told["added"], told["sequence"]) == (["(clean a)", "(clean b)"], number + 1)
 
 
+@bounded
+async def test_what_is_known_and_the_problem_may_be_asked_for(two):
+    async with serving_node(two) as one:
+        one.knowledge.update({("clean", "a"): True})
+        answer = await one.client.call("knowledge/query", questions=["(clean a)", "(clean b)"])
+        assert (answer["facts"], answer["values"]) == (["(clean a)", "(clean b)"], ["true", "false"])
+        answer = await one.client.call("knowledge/query", questions=["clean a"])
+        assert not answer["success"]
+        assert "clean a" in answer["message"]
+        assert (await one.client.call("problem/get"))["domain"] == "(define (domain d))"
+        assert (await one.client.call("problem/save", file="p.pddl"))["path"] == "/problems/p.pddl"
+        assert (await one.client.call("problem/save", file="/p.pddl"))["message"] == "/p.pddl is outside of the folder for problems"
+        assert (await one.client.call("problem/load", problem="(")) == {"success": False, "message": "problem:1:1: expected (define"}
+
+
 # --- numbers ---
 
 
