@@ -9,7 +9,7 @@ import threading
 
 import pytest
 
-from pnm.errors import InputError, RosError
+from pnm.errors import InputError, Position, RosError
 from pnm.ros.node.graph import server_name
 from pnm.ros.node.ros_thread import RosThread
 from tests.support.processes import LIMIT
@@ -85,10 +85,10 @@ def test_a_node_that_cannot_be_made_says_why(name, args, said):
         RosThread(name, args=args)
 
 
-@pytest.mark.parametrize("argument", ["\0", "r1\0", "\0r1", "a\0/b"])
-def test_a_zero_character_in_an_argument_makes_no_name_of_another_server(ros, argument):
-    with pytest.raises(InputError, match=r"not a name for an action server: .* \(it contains a zero character"):
-        ros.submit(lambda: server_name(ros.node, f"/secret/{argument}/go")).result(LIMIT)
+@pytest.mark.parametrize("name", ["two words", *(f"/secret/{argument}/go" for argument in ("\0", "r1\0", "\0r1", "a\0/b"))])
+def test_what_is_no_name_of_a_server_is_refused_with_its_place_and_becomes_no_other_name(ros, name):
+    with pytest.raises(InputError, match=r"f:1:2: not a name for an action server: "):
+        ros.submit(lambda: server_name(ros.node, name, Position("f", 1, 2))).result(LIMIT)
 
 
 WITHOUT = """
