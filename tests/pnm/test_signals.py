@@ -137,8 +137,8 @@ HANGING = {
 """,
     "computes": """
     def received(number, frame, receive=signals.signal.getsignal(15)):
-        print("cancelled", flush=True)
         receive(number, frame)
+        print("cancelled", flush=True)  # now the next signal is another one, even if it comes while this is printed
 
     signals.signal.signal(15, received)
     while True:
