@@ -22,16 +22,15 @@ from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.loading import load
 from planner_bridge.planning.solve import check_planner
 from pnm.actions.backend import check_ready
-from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.domain import Vocabulary
 from pnm.core.machine.bindings import Bindings
-from pnm.journal.journal import Journal
 from pnm.journal.kept import Fenced
 from pnm.journal.replay import Replay
 from pnm.knowledge.sources import Sources, Surroundings, open_sources
 from pnm.language.plan import merge_bindings, read_world, sources_of
 from pnm.language.runner import PREFIX, PlanRunner, Program
 from pnm.ros.backend import Ros2Backend
+from pnm.tasks import EVENTS
 
 
 @dataclass(frozen=True)
@@ -42,12 +41,10 @@ class NodeContext:
     files: RobotFiles
     problem: Problem | None
     runner: PlanRunner
-    """Runs the plans of the world."""
+    """Runs the plans of the world; its knowledge and journal are those of all tasks."""
     bindings: Bindings
     backend: Ros2Backend
-    knowledge: KnowledgeBase
     sources: Sources
-    journal: Journal
     replay: Replay | None
     """The tasks that another process has begun, and that go on here."""
     actions: tuple[str, ...]
@@ -59,7 +56,9 @@ class NodeContext:
 
     def begin_journal(self, anew: Callable[[], None] = lambda: None, loaded: tuple[str, ...] = ()) -> None:
         """Begin the journal anew, in the world as `anew` leaves it; it is not that of the files if other domain and problem were loaded."""
-        self.journal.begin(self.knowledge, self.runner.resources, anew, prefix=self.runner.prefix, origin=self.origin, loaded=loaded)
+        self.runner.journal.begin(
+            self.runner.world, self.runner.resources, anew, prefix=self.runner.prefix, origin=self.origin, loaded=loaded
+        )
 
     async def check(self, problem: Problem) -> Callable[[], Awaitable[None]]:
         """Refuse a problem that does not fit the robots that are there; return what has the sensors speak of its objects."""
@@ -86,10 +85,14 @@ async def open_context(
     plans = tuple(world.plans.values()) if world else ()
     problem = load(options.domain, options.problem) if options.domain and options.problem else None
     models = (*plans, *((problem,) if problem else ()))
-    observer.tolerated(dict.fromkeys(warning for model in models for warning in model.warnings))
+    warnings = dict.fromkeys(warning for model in models for warning in model.warnings)
+    observer.tolerated(warnings)
+    for warning in warnings:
+        EVENTS.warning("%s", warning)
     programs = {plan.name: Program.of(plan) for plan in plans}
     for name, program in programs.items():
         observer.proved(name, program.proof)
+        EVENTS.info("plan %s: proved %s", name, program.proof)
     files = RobotFiles.of(options)
     own, sensing = files.read(problem.vocabulary if problem else None)
     bindings = own.before(merge_bindings(plans))
@@ -115,9 +118,7 @@ async def open_context(
     runner = PlanRunner(programs, backend, knowledge, sources, journal, replay.resources if replay else None)
     runner.prefix = prefix
     await check_ready(backend, runner.actions)
-    context = NodeContext(
-        options, files, problem, runner, bindings, backend, knowledge, sources, journal, replay, actions, plan_actions, origin
-    )
+    context = NodeContext(options, files, problem, runner, bindings, backend, sources, replay, actions, plan_actions, origin)
     if replay is None:
         context.begin_journal()
     return context

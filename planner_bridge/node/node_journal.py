@@ -10,7 +10,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final
 
-from planner_bridge.node.node_log import NodeObserver
+from planner_bridge.node.node_log import NodeObserver, standing_words
 from planner_bridge.node.options import Options
 from planner_bridge.tasks.result import TASKS
 from pnm.clock import continue_from
@@ -24,6 +24,7 @@ from pnm.journal.replay import Replay
 from pnm.journal.resume import stand_by, summaries
 from pnm.knowledge.source import SourceError
 from pnm.knowledge.sources import default_path
+from pnm.tasks import EVENTS
 
 _log = logging.getLogger(__name__)
 
@@ -135,7 +136,12 @@ async def resume(
             _log.warning("%s", words)
     kept = options.keep_days * DAY
     choice = JournalChoice(place, options.durability, kept, lease=options.lease, node=node, adopts=options.adopt)
-    taken = await stand_by(choice, TASKS, origin, partial(observer.standing_by, str(place)))
+
+    def standing_by(holder: str) -> None:
+        observer.standing_by(str(place), holder)
+        EVENTS.info("%s", standing_words(str(place), holder))
+
+    taken = await stand_by(choice, TASKS, origin, standing_by)
     journal, replay = taken.write(fenced), taken.replay
     stack.callback(journal.close)
     observer.journalled(str(place), len(replay.unfinished) if replay else None)

@@ -1,4 +1,4 @@
-"""What a node says of itself: the moments of its life cycle, their log, and its diagnoses."""
+"""What a node says of itself: the moments of its life cycle, and its diagnoses."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def standing_words(place: str, holder: str) -> str:
 
 
 class NodeObserver:
-    """Follows the life cycle of a node: one empty method per event."""
+    """Follows the life cycle of a node, which is in the log of `pnm.tasks.EVENTS` besides: one empty method per event."""
 
     def unconfigured(self) -> None:
         """Note that the node waits for a lifecycle manager."""
@@ -56,43 +56,6 @@ class NodeObserver:
 
     def failed(self, error: BaseException) -> None:
         """Note that the action servers that plans need cannot be used, or that the node cannot be configured."""
-
-
-class NodeLog(NodeObserver):
-    """Logs the life cycle to `pnm.tasks.EVENTS`; what happens to tasks is logged by their manager."""
-
-    def unconfigured(self) -> None:
-        """Log that a lifecycle manager is waited for."""
-        EVENTS.info("unconfigured: waits for its transitions")
-
-    def tolerated(self, warnings: Iterable[Tolerated]) -> None:
-        """Log warnings."""
-        for warning in warnings:
-            EVENTS.warning("%s", warning)
-
-    def proved(self, plan: str, proof: Proof) -> None:
-        """Log the proof of a plan."""
-        EVENTS.info("plan %s: proved %s", plan, proof)
-
-    def standing_by(self, place: str, holder: str) -> None:
-        """Log who holds the journal."""
-        EVENTS.info("%s", standing_words(place, holder))
-
-    def activated(self, actions: tuple[str, ...]) -> None:
-        """Log the action servers of the node."""
-        EVENTS.info("active: goals are accepted by %s", ", ".join(actions))
-
-    def deactivated(self) -> None:
-        """Log that goals are rejected."""
-        EVENTS.warning("inactive: goals are rejected, and tasks are paused")
-
-    def missing(self, server: str) -> None:
-        """Log that a server is missing."""
-        EVENTS.warning("there is no action server %s yet", server)
-
-    def failed(self, error: BaseException) -> None:
-        """Log why servers cannot be used."""
-        EVENTS.error("%s", error)
 
 
 # --- diagnoses ------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from uuid import UUID
 
 from planner_bridge.model.problem import Problem
 from planner_bridge.node.node_context import NodeContext, open_context
-from planner_bridge.node.node_log import NodeLog, NodeObserver, open_diagnoses
+from planner_bridge.node.node_log import NodeObserver, open_diagnoses
 from planner_bridge.node.options import PARAMETERS, Options
 from planner_bridge.node.problem_service import NOTHING, ProblemFolder, ServedProblem
 from planner_bridge.node.world_queries import SharedWorld, read_goals
@@ -21,14 +21,13 @@ from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings
 from planner_bridge.tasks.task_manager import TaskLimits, TaskManager
 from pnm.clock import follow_real_time, run_async, short_pauses
-from pnm.core.execution.events import broadcast
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.errors import InputError, PnmError
 from pnm.journal.kept import Fenced
 from pnm.journal.replay import Replay
 from pnm.knowledge.source import Asker
 from pnm.ros.node.parameters import ParameterValue
-from pnm.tasks import REMEMBERED, Make, ServedWorld, TaskEnding, Tasks, Wanted
+from pnm.tasks import EVENTS, REMEMBERED, Make, ServedWorld, TaskEnding, Tasks, Wanted
 
 if TYPE_CHECKING:
     from pnm.ros.sim_time import SimClock
@@ -83,14 +82,14 @@ async def make_task_manager(context: NodeContext) -> NodeApi:
     def begin_anew(problem: Problem, initial: KnowledgeBase) -> None:
         manager.begin_anew(problem)  # may refuse, so it comes before the first change
         new = SharedWorld(problem, initial)
-        replace = partial(context.knowledge.begin_anew, initial.facts(), initial.objects_by_type(), initial.rules)
+        replace = partial(context.runner.world.begin_anew, initial.facts(), initial.objects_by_type(), initial.rules)
         context.begin_journal(replace, (new.domain_text(), new.problem_text()))
         context.backend.declare(context.names_of(problem))
 
     problem, began = context.problem or NOTHING, context.replay.began if context.replay else None
     try:
         world = ServedProblem(
-            problem, context.knowledge, settings, folder, begin_anew, goals=goals, plans=plans, began=began, check=context.check
+            problem, context.runner.world, settings, folder, begin_anew, goals=goals, plans=plans, began=began, check=context.check
         )
     except InputError as error:
         raise InputError(f"{options.goals}: {error}") from error
@@ -118,11 +117,10 @@ def serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], observe
         task = asyncio.current_task()
         assert task is not None
         async with RosThread(NODE, args=arguments, managed=True) as ros:
-            log = NodeLog()
             try:
-                await _run_lifecycle(ros, given, broadcast(NodeObserver, (observer, log)))
+                await _run_lifecycle(ros, given, observer)
             except PnmError as error:  # which the command prints, and nothing else
-                log.failed(error)
+                EVENTS.error("%s", error)
                 raise
             except asyncio.CancelledError:
                 task.uncancel()
@@ -146,6 +144,7 @@ async def _run_lifecycle(ros: Any, given: Mapping[str, ParameterValue], observer
             await lifecycle.change("activate")
         else:
             observer.unconfigured()
+            EVENTS.info("unconfigured: waits for its transitions")
         with short_pauses():  # once more, with the files that have been read
             finalized = asyncio.ensure_future(lifecycle.finalized.wait())
             await asyncio.wait((finalized, serving.fenced), return_when=asyncio.FIRST_COMPLETED)
@@ -189,6 +188,7 @@ class ServingNode:
         await self._node.activate()
         self._state = "active"
         self._observer.activated(self._actions)
+        EVENTS.info("active: goals are accepted by %s", ", ".join(self._actions))
         if self._restore is not None:
             self._restore()  # once: a node that was deactivated has its tasks still
             self._restore = None
@@ -198,6 +198,7 @@ class ServingNode:
         await self._node.deactivate()
         self._state = "inactive"
         self._observer.deactivated()
+        EVENTS.warning("inactive: goals are rejected, and tasks are paused")
 
     async def cleanup(self) -> None:
         """Cancel tasks, and close all resources. What another node has taken over is left alone: it goes on there.
@@ -223,9 +224,11 @@ class ServingNode:
                 return
             if error := preparing.exception():
                 self._observer.failed(error)
+                EVENTS.error("%s", error)
                 return
             for name in preparing.result():
                 self._observer.missing(name)
+                EVENTS.warning("there is no action server %s yet", name)
 
         def restore() -> None:
             if (replay := context.replay) is not None:
@@ -242,7 +245,7 @@ class ServingNode:
         self._node = TaskNode(self._ros, api.tasks, api.make, api.world, context.plan_actions, kept_tasks(context.replay))
         self._restore = restore
         look = partial(context.backend.look, runner.actions)
-        await open_diagnoses(stack, self._ros, look, api.tasks, lambda: self._state, self._clock, context.journal, self._options)
+        await open_diagnoses(stack, self._ros, look, api.tasks, lambda: self._state, self._clock, runner.journal, self._options)
         self._observer.configured(api.tasks, self._node, api.world)
 
         # The stack closes in reverse: first the node, which gives tasks their time to end and answers all goals; then the task manager.

@@ -243,4 +243,4 @@ async def make_fake_tasks(context: NodeContext) -> NodeApi:
     if context.problem is None:
         return await make_task_manager(context)
     tasks = FakeTasks(context.options.max_queue)
-    return NodeApi(tasks, fake_search, FakeWorld(context.knowledge), lambda _: None, lambda _: None, partial(asyncio.sleep, 0))
+    return NodeApi(tasks, fake_search, FakeWorld(context.runner.world), lambda _: None, lambda _: None, partial(asyncio.sleep, 0))
