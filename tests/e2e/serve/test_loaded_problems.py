@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -55,19 +56,22 @@ def serving(deployment_of_module: PlanDeployment) -> Iterator[PlanDeployment]:
     sensors = deployment.start(Program(["-m", "tests.support.ros.sensors", json.dumps(LAMP)], deployment.environment))
     servers.until(lambda: servers.out)
     sensors.until(lambda: sensors.out)
-    arguments = ["-m", "planner_bridge", "serve", *files, "--sensing", sensing]
+    arguments = ["-m", "planner_bridge", "serve", *files, "--sensing", sensing, "--problems", str(folder)]
     deployment.start(Serving(arguments, deployment.environment)).ready()
     return deployment
 
 
+Ask = Callable[..., Any]
+
+
 @contextmanager
-def loading(deployment: PlanDeployment, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str, str], tuple[str, str]]]:
-    """Load a domain and a problem; return the message of the refusal, and the objects and functions known afterwards."""
+def asking(deployment: PlanDeployment, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ask]:
+    """Ask the node by a service of `pnm_interfaces`: its type, its name and the fields of the request."""
     for name, value in deployment.environment.items():
         monkeypatch.setenv(name, value)
     ros = RosThread("loader")
 
-    async def ask(kind: str, name: str, **fields: object):
+    async def answer(kind: str, name: str, fields: dict[str, object]) -> Any:
         client = ServiceClient(ros, f"pnm_interfaces/srv/{kind}", name)
         try:
             return await client.call(fields, LIMIT)
@@ -76,20 +80,21 @@ def loading(deployment: PlanDeployment, monkeypatch: pytest.MonkeyPatch) -> Iter
         finally:
             await client.close()
 
-    async def both(domain: str, problem: str) -> tuple[str, str]:
-        answer = await ask("LoadProblem", "problem/load", domain=domain, problem=problem)
-        assert answer.success is not bool(answer.message)
-        return answer.message, (await ask("GetProblem", "problem/get")).problem
-
-    yield lambda domain, problem: run_bounded(both(domain, problem))
+    yield lambda kind, name, **fields: run_bounded(answer(kind, name, fields))
     ros.close()
 
 
-@pytest.fixture
-def load(serving: PlanDeployment, monkeypatch: pytest.MonkeyPatch):
+def loaded(ask: Ask, domain: str, problem: str) -> tuple[str, str]:
     """Load a domain and a problem; return the message of the refusal, and the objects and functions known afterwards."""
-    with loading(serving, monkeypatch) as load:
-        yield load
+    answer = ask("LoadProblem", "problem/load", domain=domain, problem=problem)
+    assert answer.success is not bool(answer.message)
+    return answer.message, ask("GetProblem", "problem/get").problem
+
+
+@pytest.fixture
+def ask(serving: PlanDeployment, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ask]:
+    with asking(serving, monkeypatch) as ask:
+        yield ask
 
 
 MORE_PLACES = PROBLEM.replace("hall - place", "hall attic - place")
@@ -108,24 +113,33 @@ NO_LAMP = DOMAIN.replace("(lit)", "")
         (NO_LAMP, PROBLEM, "sensing.yaml:2:"),
     ],
 )
-def test_what_can_never_work_is_refused_and_nothing_changes(load, domain: str, problem: str, said: str) -> None:
-    message, now = load(domain, problem)
+def test_what_can_never_work_is_refused_and_nothing_changes(ask: Ask, domain: str, problem: str, said: str) -> None:
+    message, now = loaded(ask, domain, problem)
     assert said in message
     assert "(= (x hall) 1)" in now
     assert "attic" not in now
 
 
-def test_what_fits_is_taken_also_without_all_of_the_actions(load) -> None:
+def test_what_fits_is_taken_also_without_all_of_the_actions(ask: Ask) -> None:
     count = "(:action count :parameters (?to - place) :precondition () :effect (counted))"
-    message, now = load(DOMAIN.replace(count, ""), PROBLEM.replace("1", "7"))
+    message, now = loaded(ask, DOMAIN.replace(count, ""), PROBLEM.replace("1", "7"))
     assert (message, "(= (x hall) 7)" in now) == ("", True)
 
 
-def test_sensors_are_those_of_the_objects_of_the_new_problem(load) -> None:
-    message, now = load("", PROBLEM.replace("hall - place", "hall cellar - place"))
+def test_sensors_are_those_of_the_objects_of_the_new_problem(ask: Ask) -> None:
+    message, now = loaded(ask, "", PROBLEM.replace("hall - place", "hall cellar - place"))
     assert (message, "(bright cellar)" in now) == ("", True)
-    message, now = load("", PROBLEM.replace("(= (x hall) 1)", "(= (x hall) 7)"))
+    message, now = loaded(ask, "", PROBLEM.replace("(= (x hall) 1)", "(= (x hall) 7)"))
     assert (message, "cellar" in now) == ("", False)
+
+
+def test_the_problem_is_saved_as_it_is_now_and_only_in_the_folder_of_the_node(serving: PlanDeployment, ask: Ask) -> None:
+    assert ask("UpdateFacts", "knowledge/update", add=["(counted)"]).success
+    saved = ask("SaveProblem", "problem/save", file="now.pddl")
+    assert saved.success, saved.message
+    now = ask("GetProblem", "problem/get").problem
+    assert (Path(saved.path).read_text(), "(counted)" in now) == (now, True)
+    assert "is not in the folder" in ask("SaveProblem", "problem/save", file="../now.pddl").message
 
 
 def test_tasks_of_a_loaded_problem_go_on_in_it_when_the_node_has_died(deployment: PlanDeployment, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -150,8 +164,8 @@ def test_tasks_of_a_loaded_problem_go_on_in_it_when_the_node_has_died(deployment
         return Counter(event["action"] for event in robots.objects() if event["event"] == "start")
 
     first = serve()
-    with loading(deployment, monkeypatch) as load:
-        assert load(whole, problem)[0] == ""
+    with asking(deployment, monkeypatch) as ask:
+        assert loaded(ask, whole, problem)[0] == ""
     client = goal("(at parcel1 hall)")
     robots.until(starts)
     first.process.kill()
