@@ -235,15 +235,6 @@ class TaskControl:
         """Note that no plan is executed any more."""
         self._last_run, self.execution = self.run, None
 
-    @contextmanager
-    def executing(self, execution: Execution) -> Iterator[None]:
-        """Have pauses and stops passed on to the execution of a plan."""
-        self.begin_execution(execution)
-        try:
-            yield
-        finally:
-            self.end_execution()
-
     def enter(self, state: TaskState, reason: str = "") -> None:
         """Show another state; a pause or a coming end hides the activity of the task."""
         if state not in _ALWAYS_SHOWN:

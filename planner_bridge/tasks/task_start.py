@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Collection
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from math import inf
@@ -114,7 +115,9 @@ class PlanTask:
         """Carry the plan out and return how it ended; raise an `InputError`, with nothing started, if a parameter has no value."""
         context, plan_run = self._context, self._plan_run
         program = plan_run.program
-        with context.control.executing(self):
+        with ExitStack() as cleanup:
+            context.control.begin_execution(self)
+            cleanup.callback(context.control.end_execution)
             context.control.limit_time(plan_run.limit)
             with context.control.waiting():
                 await context.runner.check(plan_run)
@@ -124,21 +127,19 @@ class PlanTask:
             origin = plan_run.executor.run.origin  # of a run with which another process has begun
             began = asyncio.get_running_loop().time() if origin is None else origin
             context.observer.began(began)
-            stop_time = schedule(context.world, program.plan.timed, began, -inf if self._kept is None else self._kept.replay.now)
-            try:
-                with context.task.stopwatch.of("execute"):
-                    run = await context.runner.execute(plan_run)
-            finally:
-                stop_time()
-        stopped = self._context.control.stopped
+            reached = -inf if self._kept is None else self._kept.replay.now
+            cleanup.callback(schedule(context.world, program.plan.timed, began, reached))
+            with context.task.stopwatch.of("execute"):
+                run = await context.runner.execute(plan_run)
+        stopped = context.control.stopped
         code = Code.GOAL_REACHED if run.goal else code_of_failures(run.failures)
         if run.stopped and not run.goal:
             code = stopped.code if stopped else Code.TIMED_OUT  # what else stops it is its own limit
         reason = stopped.reason if stopped and run.stopped and not run.goal else run.reason
         cause = "" if run.goal or run.stopped else run.failures[0].cause if run.failures else Cause.GOAL_FALSE
-        episode = Episode(self._plan_run.program.machine, run)
-        seconds, variables = self._context.task.stopwatch.seconds, self._plan_run.variables
-        result = PlanResult(code, reason, 0, (episode,), seconds, began, results=self._plan_run.results, variables=variables, cause=cause)
+        episode, seconds = Episode(program.machine, run), context.task.stopwatch.seconds
+        results, variables = plan_run.results, plan_run.variables
+        result = PlanResult(code, reason, 0, (episode,), seconds, began, results=results, variables=variables, cause=cause)
         if context.control.stopped or not any(failure.replan for failure in run.failures):
             return result
         return await self._replanned(result)
