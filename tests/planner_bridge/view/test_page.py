@@ -100,21 +100,6 @@ def test_a_failure_can_be_read_and_what_followed(page: Page, delivery: Path) -> 
         page.close()
 
 
-def test_what_is_said_of_a_call_s_token_is_so_also_where_it_is_elsewhere(page: Page, delivery: Path) -> None:
-    told = (("succeeded", "it has left the block"), ("waiting", "it has not reached the block"), ("running", "marked: "))
-    views = filter(None, (Reader(delivery).at(number, view_of) for number in range(1, 100)))
-    view = next(view for view in views if {call["state"] for call in view.calls.values()} >= {state for state, _ in told})
-    with page_of(delivery) as url:
-        page.goto(url)
-        page.get_by_label("record", exact=True).fill(str(view.number))
-        shows(page, view.number)
-        for state, said in told:
-            key = next(key for key, call in view.calls.items() if call["state"] == state)
-            page.locator("#call-choice").select_option(value=key)
-            expect(page.locator("#net")).to_contain_text(said)
-        page.close()
-
-
 def test_the_signs_of_calls_and_words_of_the_key_stand_where_they_can_be_read(page: Page, delivery: Path) -> None:
     page.set_viewport_size({"width": 400, "height": 800})
     with page_of(delivery) as url:
@@ -198,6 +183,9 @@ def test_a_call_opens_by_keys_and_says_why_it_is_there(page: Page, delivery: Pat
         expect(answers.first).to_contain_text("is needed")
         expect(answers.first.locator("li").first).to_be_visible()
         expect(page.locator("#why-block")).to_contain_text(f"after record {record}")
+        for state, said in (("succeeded", "it has left the block"), ("waiting", "it has not reached the block"), ("running", "marked: ")):
+            page.locator(f"#picture [data-state={state}]").first.click()
+            expect(page.locator("#net")).to_contain_text(said)
         page.close()
 
 
