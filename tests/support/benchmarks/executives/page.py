@@ -20,9 +20,10 @@ def measured_part(rows: Iterable[MeasuredRow], machine: Mapping[str, Any], peers
     named = ", ".join(f"{name} {version}" for name, version in peers.items()) or "none was installed"
     text = f"Measured on {machine['cpu']}, {machine['cores']} cores (load {machine['load']}), Python {machine['python']}, "
     text += f"{rounds} rounds at most. Peers: {named}.\n\n### Where this project is slower\n\n"
-    slower = [(row, *comparison) for row in rows for comparison in row.slower]
-    lines = (f"- {row.row.what}, {row.size} {row.row.item}: {ours} {ratio:.1f} × {rival}\n" for row, ours, ratio, rival in slower)
-    text += "".join(lines) or "Nowhere.\n"
+    for row in rows:
+        slower = "; ".join(f"{ours} {ratio:.1f} × {rival}" for ours, ratio, rival in row.slower)
+        text += f"- {row.row.what}, {row.size} {row.row.item}: {slower}\n" if slower else ""
+    text += "" if any(any(row.slower) for row in rows) else "Nowhere.\n"
     for row, group in groupby(rows, key=lambda measured: measured.row):
         text += f"\n### {row.what}\n\n{row.means}\n\n"
         text += f"| {row.item} | {' | '.join(subject.label + (' *' if subject.does_less else '') for subject in row.subjects)} |\n"
