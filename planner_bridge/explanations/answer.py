@@ -38,20 +38,22 @@ class Known(Enum):
         return self is not Known.NOT_PROVED
 
 
-@dataclass(frozen=True, slots=True)
-class Solves:
+@dataclass(frozen=True)
+class _AboutPlan:
+    problem: Problem
+    plan: Plan
+
+
+class Solves(_AboutPlan):
     """The claim that a plan solves a problem."""
 
-    problem: Problem
-    plan: Plan
 
-
-@dataclass(frozen=True, slots=True)
-class Fails:
+class Fails(_AboutPlan):
     """The claim that a plan does not solve a problem."""
 
-    problem: Problem
-    plan: Plan
+
+class Best(_AboutPlan):
+    """The claim that no plan solves a problem better than this one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,14 +61,6 @@ class Unsolvable:
     """The claim that no plan solves a problem."""
 
     problem: Problem
-
-
-@dataclass(frozen=True, slots=True)
-class Best:
-    """The claim that no plan solves a problem better than this one."""
-
-    problem: Problem
-    plan: Plan
 
 
 @dataclass(frozen=True, slots=True)

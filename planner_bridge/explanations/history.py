@@ -47,7 +47,6 @@ class Attempt(NamedTuple):
         run: the run that has it: it may have passed from one to the next.
         call: the number of the call there.
         sender: the run that has sent it.
-        sent_for: the number of the call there.
         accepted: when its server took it on.
         feedback: what its server has said last while it was at work.
     """
@@ -55,7 +54,6 @@ class Attempt(NamedTuple):
     run: UUID
     call: int
     sender: UUID
-    sent_for: int
     action: GroundAction
     number: int
     record: int
@@ -372,18 +370,6 @@ class JournalHistory:
         self._note(time, record)
         return ReplayStep(number, time, record)
 
-    def task_of(self, record: records.Record) -> UUID | None:
-        """Return the task that a record is about; None if it is about none."""
-        match record:
-            case records.Happened(run) if run in self.runs:
-                return self.runs[run].made.task
-            case records.RunMade(_, task) | records.TaskNoted(task) | records.TaskOver(task):
-                return task
-            case records.TaskAccepted(wanted):
-                return wanted.id
-            case _:
-                return None
-
     def sent(self, run: RunHistory, call: int) -> list[Attempt]:
         """Return the requests that a run has sent for a call."""
         return [self.attempts[request] for request in run.sent.get(call, ())]
@@ -499,7 +485,7 @@ class JournalHistory:
             match told:
                 case Sent(request, index, number, arguments):
                     action = action_with(run.source.plan.calls[index].action, arguments)
-                    self.attempts[request] = Attempt(run.id, index, run.id, index, action, number, self.number, self.time)
+                    self.attempts[request] = Attempt(run.id, index, run.id, action, number, self.number, self.time)
                     run.sent.setdefault(index, []).append(request)
                     run.requests += action.operation is None
                     run.follow(f"tried again, attempt {number}", index)

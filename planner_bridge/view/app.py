@@ -229,7 +229,7 @@ def _quoted(text: str) -> str:
 
 
 def _refused(why: str, status: int) -> Response:
-    return ShownResponse({"error": why}, status)
+    return ShownResponse({"refused": why}, status)
 
 
 # --- frames ---------------------------------------------------------------------------------------
@@ -329,18 +329,18 @@ class Control:
         if refusal := self._refusal(request):
             return refusal
         if request.headers.get("content-type", "").partition(";")[0].strip() != _TYPE:
-            return _command_refused(f"expected a command as {_TYPE}", 415)
+            return _refused(f"expected a command as {_TYPE}", 415)
         body = bytearray()
         async for part in request.stream():
             body += part
             if len(body) > _MAX_BODY:
-                return _command_refused(f"expected {_MAX_BODY} bytes at most", 413)
+                return _refused(f"expected {_MAX_BODY} bytes at most", 413)
         try:
             command = json.loads(body)
         except (ValueError, RecursionError):
-            return _command_refused("expected a command as JSON", 400)
+            return _refused("expected a command as JSON", 400)
         if _is_deep(command):
-            return _command_refused("expected a command with texts and lists of texts, found lists in lists", 400)
+            return _refused("expected a command with texts and lists of texts, found lists in lists", 400)
         reply = await self.channel.ask(command)
         if reply.problem:
             from planner_bridge.explanations.goal_now import answered  # here, because it takes its time to import
@@ -350,16 +350,16 @@ class Control:
                     answers = await asyncio.to_thread(answered, reply.problem, await world())
                 return ShownResponse({"answers": [answer.as_json() for answer in answers]})
             except PnmError as error:
-                return _command_refused(str(error), 409)
+                return _refused(str(error), 409)
         told = {name: value for name, value in reply.as_json().items() if name != "problem"}
         return ShownResponse(told, 409 if reply.refused else 200)
 
     def _refusal(self, request: Request) -> Response | None:
         if self.what is Controlled.NOTHING:
-            return _command_refused("this page controls nothing: start it with --view-controls", 403)
+            return _refused("this page controls nothing: start it with --view-controls", 403)
         kind, _, given = request.headers.get("authorization", "").partition(" ")
         if kind != "Bearer" or not hmac.compare_digest(given.encode("latin-1", "replace"), self.token.encode()):
-            return _command_refused("this needs the token of the page: it is in the URL that was printed at the start", 403)
+            return _refused("this needs the token of the page: it is in the URL that was printed at the start", 403)
         return None
 
 
@@ -370,10 +370,6 @@ def _is_deep(value: object, levels: int = _LEVELS) -> bool:
 
 
 NO_CONTROL: Final = Control(Controlled.NOTHING, "", Channel(lambda _: None))
-
-
-def _command_refused(why: str, status: int) -> Response:
-    return ShownResponse({"refused": why}, status)
 
 
 def serve_page(

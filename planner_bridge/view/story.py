@@ -106,9 +106,7 @@ class Story(JournalHistory):
         step = self.execute()
         assert step is not None, "this record was executed"
         self._tell(step)
-        task, mark = self.task_of(record), self._mark(record)
-        lines = words(step, self.replay)
-        self.events[number] = {"time": self.time, "task": task.hex if task else "", "lines": lines, "mark": mark}
+        self.events[number] = {"time": self.time, "lines": words(step, self.replay), "mark": self._mark(record)}
         if (old := self.events.get(number - EVENTS)) and not old["mark"]:
             del self.events[number - EVENTS]
         return step
@@ -266,11 +264,9 @@ def _task(story: Story, task: TaskHistory) -> Thing:
 
 
 def _run(run: RunHistory) -> Thing:
-    """Return a run: with which record it was made, and the time from which its plan counts, None until it begins."""
+    """Return a run: when it was made, and the time from which its plan counts, None until it begins."""
     return {
-        "task": run.made.task.hex,
         "name": run.made.name,
-        "record": run.record,
         "time": run.time,
         "origin": run.origin,
         "is_over": run.is_over,
@@ -322,9 +318,7 @@ def _request(story: Story, attempt: Attempt) -> Thing:
         "call": attempt.call,
         "action": str(attempt.action),
         "lane": run.lane(attempt.action),
-        "server": run.server(attempt.action),
         "attempt": attempt.number,
-        "record": attempt.record,
         "sent": attempt.sent,
         "accepted": attempt.accepted,
         "ended": attempt.ended,
@@ -446,7 +440,6 @@ def detail(story: Story, run: UUID, index: int) -> dict[str, Any] | None:
         "run": run.hex,
         "index": index,
         "action": str(action),
-        "parameters": list(zip(action.parameters, action.arguments, strict=False)),
         "server": found.server(action),
         "limit": limit if limit and isfinite(limit) else None,
         "accept": None if action.operation is not None else bindings.of(action.name).accept,

@@ -60,7 +60,7 @@ function whyOf(model, key) {
     try {
       const answer = await fetch(`/why?call=${key}&at=${number}`);
       const told = await answer.json();
-      why = { key, number, answers: answer.ok ? told : [{ statement: told.error, known: "", reasons: [] }] };
+      why = { key, number, answers: answer.ok ? told : [{ statement: told.refused, known: "", reasons: [] }] };
     } catch {
       why = { key, number, answers: [{ statement: "the page is not there any more", known: "", reasons: [] }] };
     }

@@ -58,7 +58,7 @@ async function go(number) {
   try {
     const answer = await fetch(`/state?at=${number}`, { signal: mine.signal });
     const frame = await answer.json();
-    if (!answer.ok) throw new Error(frame.error);
+    if (!answer.ok) throw new Error(frame.refused);
     [past] = applied(nothing(), frame);
     if (asked === mine) wanted = null;
     draw("all");
