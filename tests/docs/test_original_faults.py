@@ -67,14 +67,6 @@ def test_b12_effects_that_never_come_are_waited_for_three_times(run: RunOriginal
     assert (trace.actions, causes(trace)) == (["found"] * 4, ["effects_missing"])
 
 
-def test_b14_a_chain_without_a_command_is_refused(run: RunOriginal) -> None:
-    assert "expected a command at the end of the chain" in run.wrong("[{a: {}, recoveries: {during: {aborted: [{b: {}}]}}}]")
-
-
-def test_b17_an_expression_with_two_words_is_refused(run: RunOriginal) -> None:
-    assert "stands beside other keys" in run.wrong("[{if: {Exists: [Query: a], not: {Query: b}}, then: []}]")
-
-
 def test_b18_names_are_names(run: RunOriginal) -> None:
     rest = "  Comparison: {<<: *ros_action}\n  exists: {<<: *ros_action}\n"
     names = "{query: 1, update: 2, lock: 3, self: 4, größe: 5}"

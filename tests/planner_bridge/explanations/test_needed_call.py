@@ -8,7 +8,7 @@ from threading import Event
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from planner_bridge.explanations.answer import Fails, Known, Solves
+from planner_bridge.explanations.answer import Known, Solves
 from planner_bridge.explanations.needed_call import Course, why_call_of_plan, why_plan
 from planner_bridge.model.plan import Plan, read_plan
 from planner_bridge.model.problem import Problem
@@ -26,19 +26,6 @@ def plan_of(problem: Problem) -> Plan:
     plan = solve(problem, timeout=10.0, improve=0.0).plan
     assert plan
     return plan
-
-
-def test_a_call_is_needed_by_a_later_one_on_the_way_to_the_goal() -> None:
-    problem = house("")
-    answer = why_call_of_plan(problem, plan_of(problem), 0)
-    assert str(answer).splitlines() == [
-        "#0 open_door(r1, door, hall, kitchen) is needed: without it, the rest of the plan does not work [proved by simulation]",
-        "  #1 pass(r1, door, hall, kitchen) needs it: (open door) [proved by simulation]",
-        "    which is needed by #2 take(r1, cup, kitchen): for the goal (has r1 cup) [proved by simulation]",
-        "  #3 pass(r1, door, kitchen, hall) needs it: (open door) [proved by simulation]",
-        "    it is for the goal (at r1 hall) [proved by simulation]",
-    ]
-    assert [type(claim) for claim in answer.claims] == [Fails]
 
 
 def test_a_call_that_nothing_needs_is_said_to_be_so_and_the_plan_without_it_is_valid() -> None:

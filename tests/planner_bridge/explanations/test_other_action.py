@@ -22,12 +22,6 @@ def ask(problem: Problem, action: str, *arguments: str, seconds: float = 30.0) -
     return why_not(problem, PlanStep(action, arguments), limit.first_plan(problem), limit)
 
 
-def test_an_action_that_can_never_be_carried_out_has_its_dead_end() -> None:
-    answer = ask(house(goal="(at r1 yard)"), "pass", "r1", "door", "hall", "kitchen")
-    assert (answer.statement, answer.known) == ("pass(r1, door, hall, kitchen) can never be carried out", Known.RELAXATION)
-    assert [*answer.every()][-1].statement == "(locked door) is true, and no action changes that"
-
-
 def test_an_action_that_no_plan_uses_is_proved_to_be_so() -> None:
     once = rooms(ways="ab bc ad dc", goal="(and (at r1 c) (at r2 c) (not (at r1 d)))", init="(at r1 b) (at r2 a)")
     answer = ask(once, "move", "r1", "a", "d")

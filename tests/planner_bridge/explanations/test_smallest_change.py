@@ -26,16 +26,6 @@ def help_for(problem: Problem) -> Answer:
     return answer
 
 
-def test_what_no_action_changes_comes_first() -> None:
-    assert str(help_for(house())).splitlines() == [
-        "there would be a plan with one fact changed [proved by a plan]",
-        "  if (key r1 door) were true: a plan with 4 calls [proved by a plan]",
-        "  if (locked door) were false: a plan with 4 calls [proved by a plan]",
-        "  if (on cup hall) were true: a plan with 1 call [proved by a plan]",
-        "  without a change there is no plan [proved by reachability]",
-    ]
-
-
 def test_two_facts_are_changed_only_if_it_is_proved_that_one_is_not_enough() -> None:
     for one in (rooms(init="", ways="ab", goal="(clean c)"), house(cups=""), house("(open door)", "(and (at r1 yard) (at r1 hall))")):
         help_for(one)
