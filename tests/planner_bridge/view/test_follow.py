@@ -35,20 +35,11 @@ def test_a_journal_that_is_not_there_yet_is_waited_for(growing: GrowingJournal, 
 def test_a_journal_that_grows_is_followed_and_nothing_new_is_the_same_view(growing: GrowingJournal) -> None:
     reader = Reader(growing.place)
     for length in (4, 5, 40, growing.longest):
+        assert reader.at(length, view_of) is None, "it is not there yet"
         growing.grow(length)
         view = reader.newest()
         assert view.number == length
         assert reader.newest() is view
-
-
-def test_records_that_are_not_there_have_no_state(growing: GrowingJournal) -> None:
-    reader = Reader(growing.place)
-    assert reader.at(1, view_of) is None, "an empty journal"
-    growing.grow(10)
-    assert reader.at(0, view_of) is None
-    assert reader.at(11, view_of) is None
-    growing.grow(11)
-    assert reader.at(11, view_of) is not None
 
 
 def test_a_record_that_is_damaged_is_named_and_what_was_before_it_is_shown(growing: GrowingJournal) -> None:
