@@ -51,45 +51,31 @@ def test_golden_counting_loop(run: RunOriginal) -> None:
     assert variables(trace) == {"value": 10, "result": 10}
 
 
-def test_golden_single_abort_fails(run: RunOriginal) -> None:
-    trace = run("[{a: {}}, {b: {}}]", answering_with(a=["aborted"]))
-    assert (trace.result.goal, trace.actions, causes(trace)) == (False, ["a"], ["aborted"])
+ZERO = "[{while: {condition: {Comparison: [lt, [LocalQuery: value, 0]]}, actions: [{a: {}}]}}, {b: {}}]"
+CHOICE = "[{a: {}, recoveries: {before: {when: {not: {Query: z}}, do: [{b: {}}, skip_action]}}}]"
 
 
-def test_golden_single_preempt_continues(run: RunOriginal) -> None:
-    trace = run("[{a: {}}, {b: {}}]", answering_with(a=["canceled"]))
-    assert (trace.result.goal, trace.actions) == (True, ["a", "b"])
-
-
-def test_golden_precondition_false_fails(run: RunOriginal) -> None:
-    trace = run("[{ready: {}}]", knowledge="{ready: false}")
-    assert (trace.result.goal, trace.actions, causes(trace)) == (False, [], ["precondition_false"])
-
-
-def test_golden_fork_with_one_abort_fails_and_the_others_end(run: RunOriginal) -> None:
-    trace = run("[{concurrent_actions: [{a: {}}, {b: {}}]}, {c: {}}]", answering_with(a=["aborted"]))
-    assert (trace.result.goal, trace.actions, causes(trace)) == (False, ["a", "b"], ["aborted"])
-    assert {call.call.action.name: call.outcome for call in trace.result.calls}["b"] == "succeeded"
-
-
-def test_golden_fork_with_all_aborts_fails(run: RunOriginal) -> None:
-    trace = run("[{concurrent_actions: [{a: {}}, {b: {}}]}]", answering_with(a=["aborted"], b=["aborted"]))
-    assert (trace.result.goal, causes(trace)) == (False, ["aborted", "aborted"])
-
-
-def test_golden_empty_plan_succeeds(run: RunOriginal) -> None:
-    assert run("[]").result.goal
-
-
-def test_golden_loop_with_zero_rounds(run: RunOriginal) -> None:
-    trace = run("[{while: {condition: {Comparison: [lt, [LocalQuery: value, 0]]}, actions: [{a: {}}]}}, {b: {}}]", knowledge="{value: 5}")
-    assert (trace.result.goal, trace.actions) == (True, ["b"])
-
-
-def test_golden_effects_that_hold_spare_the_action_even_if_its_precondition_is_false(run: RunOriginal) -> None:
-    trace = run("[{both: {}}]", knowledge="{result: 1}")
-    assert (trace.result.goal, trace.actions) == (True, [])
-    assert causes(run("[{both: {}}]")) == ["precondition_false"]
+@pytest.mark.parametrize(
+    ("plan", "knowledge", "answers", "sent", "failed"),
+    [
+        ("[{a: {}}, {b: {}}]", "{}", {"a": ["aborted"]}, ["a"], ["aborted"]),
+        ("[{a: {}}, {b: {}}]", "{}", {"a": ["canceled"]}, ["a", "b"], []),
+        ("[{ready: {}}]", "{ready: false}", {}, [], ["precondition_false"]),
+        ("[{concurrent_actions: [{a: {}}, {b: {}}]}, {c: {}}]", "{}", {"a": ["aborted"]}, ["a", "b"], ["aborted"]),
+        ("[{concurrent_actions: [{a: {}}, {b: {}}]}]", "{}", {"a": ["aborted"], "b": ["aborted"]}, ["a", "b"], ["aborted", "aborted"]),
+        ("[]", "{}", {}, [], []),
+        (ZERO, "{value: 5}", {}, ["b"], []),
+        ("[{both: {}}]", "{result: 1}", {}, [], []),  # its effects hold; its precondition does not
+        ("[{both: {}}]", "{}", {}, [], ["precondition_false"]),
+        (CHOICE, "{z: true}", {}, ["a"], []),
+        (CHOICE, "{z: false}", {}, ["b"], []),
+    ],
+)
+def test_golden_plan(
+    run: RunOriginal, plan: str, knowledge: str, answers: dict[str, list[str]], sent: list[str], failed: list[str]
+) -> None:
+    trace = run(plan, answering_with(**answers), knowledge=knowledge)
+    assert (trace.result.goal, trace.actions, causes(trace)) == (not failed, sent, failed)
 
 
 @pytest.mark.parametrize(
@@ -135,12 +121,6 @@ def test_golden_recovery_after(run: RunOriginal, recovery: str, goal: bool, sent
 
     trace = run(f"[{{found: {{}}, recoveries: {{after: {recovery}}}}}, {{b: {{}}}}]", answer)
     assert (trace.result.goal, trace.actions) == (goal, sent)
-
-
-def test_golden_before_with_a_chain_is_if_then_else(run: RunOriginal) -> None:
-    plan = "[{a: {}, recoveries: {before: {when: {not: {Query: z}}, do: [{b: {}}, skip_action]}}}]"
-    assert run(plan, knowledge="{z: true}").actions == ["a"]
-    assert run(plan, knowledge="{z: false}").actions == ["b"]
 
 
 # --- the page ---

@@ -1,6 +1,6 @@
 // Knowledge, servers and events, as lists.
 
-import { el, MARKS, placed, seconds } from "./words.js";
+import { KNOWN, MARKS, el, placed, seconds } from "./words.js";
 
 // Elements of things by key, made anew only where the thing is another one: it is never changed, but replaced.
 class Kept {
@@ -28,7 +28,7 @@ export function showFacts(model) {
   const rows = rowOf.all(shown, (name, fact) => el("tr", { "data-fact": name, class: isStale(fact) ? "stale" : "" },
     el("td", {}, name),
     el("td", {}, fact.value, fact.was ? el("span", { class: "soft" }, ` (was ${fact.was})`) : ""),
-    el("td", { class: "num" }, isStale(fact) ? "◍ stale" : fact.source === "sensed" ? "◉ sensed" : "◌ assumed"),
+    el("td", { class: "num" }, isStale(fact) ? "◍ stale" : KNOWN[fact.source]),
     el("td", { class: "num" }, fact.is_initial ? "beginning" : seconds(fact.since - model.began))));
   const head = el("tr", {}, ...["fact", "value", "known by", "since"].map((text) => el("th", { scope: "col" }, text)));
   if (!factRows) document.getElementById("facts").replaceChildren(el("thead", {}, head), (factRows = el("tbody")));

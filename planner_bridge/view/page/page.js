@@ -3,7 +3,7 @@
 import { showCall } from "./call.js";
 import { hasControls, openControls } from "./controls.js";
 import { showEvents, showFacts, showServers } from "./lists.js";
-import { applied, nothing } from "./model.js";
+import { PARTS, applied, nothing } from "./model.js";
 import { showPlan, showStates } from "./plan.js";
 import { showTasks } from "./tasks.js";
 import { showTimeline } from "./timeline.js";
@@ -122,11 +122,9 @@ function choose(key) {
 
 // --- drawing: once for all that has come since the last time ---
 
-const ALL = ["tasks", "runs", "calls", "requests", "facts", "servers", "questions", "troubles", "events", "way", "time"];
-
 function draw(parts) {
   const isFirst = dirty.size === 0;
-  for (const part of parts === "all" ? ALL : parts) dirty.add(part);
+  for (const part of parts === "all" ? [...PARTS, "way", "time"] : parts) dirty.add(part);
   if (isFirst && dirty.size) requestAnimationFrame(drawn);
 }
 
