@@ -233,7 +233,7 @@ def view_of(story: Story) -> View:
         "",
         story.clock,
         {id.hex: _task(story, task) for id, task in story.tasks.items()},
-        {run.id.hex: _run(run) for run in runs},
+        {run.id.hex: story.once(run.id.hex, (run.origin, run.is_over, run.replan), partial(_run, run)) for run in runs},
         {key: story.once(key, result, partial(_call, run, result)) for key, (run, result) in results.items()},
         {id.hex: story.once(id.hex, attempt, partial(_request, story, attempt)) for id, attempt in story.attempts.items()},
         story.facts,
