@@ -38,7 +38,7 @@ from pnm.tasks import TaskState
 EVENTS: Final = 200
 """Records that are shown in words, besides those that are marked."""
 _SEGMENTS: Final = 2
-"""The number of records that it reaches back to."""
+"""The number of segments that it reaches back to."""
 
 Thing: TypeAlias = Mapping[str, Any]
 
