@@ -284,7 +284,7 @@ $("run-choice").addEventListener("change", () => {
 $("call-choice").addEventListener("change", () => choose($("call-choice").value));
 $("fact-filter").addEventListener("input", () => draw(["facts"]));
 $("fact-false").addEventListener("change", () => draw(["facts"]));
-addEventListener("resize", () => draw(["time"]));
+new ResizeObserver(() => draw(["time"])).observe($("lanes")); // it may have no width yet when the first frame comes
 addEventListener("keydown", (key) => {
   if (key.target.closest("input, select, textarea, .scrolls") || key.altKey || key.ctrlKey || key.metaKey) return;
   if (key.key === "ArrowLeft") step(-1);
