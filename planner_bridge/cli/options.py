@@ -21,7 +21,6 @@ from planner_bridge.pipeline.loading import load, warning_lines
 from pnm.errors import InputError, PnmError, Tolerated
 from pnm.files.database.place import Place, place_of
 from pnm.files.text import secret_in, write_private
-from pnm.files.yaml_nodes import parse_value
 from pnm.signals import CANCELLED, LAST_WORDS, LEAVING, interruptible, leave_within
 
 if TYPE_CHECKING:
@@ -243,6 +242,8 @@ def named_values(given: tuple[str, ...], option: str) -> list[tuple[str, str]]:
 
 def plan_parameters(given: tuple[str, ...]) -> dict[str, object]:
     """Return the parameters that `set_option` gives a plan."""
+    from pnm.files.yaml_nodes import parse_value  # here, because a search for a plan reads no YAML
+
     return {name: parse_value(text, f"--set {name}") for name, text in named_values(given, "--set")}
 
 

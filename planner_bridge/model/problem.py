@@ -17,6 +17,8 @@ from pnm.errors import Position, Tolerated
 
 TOTAL_TIME: Final[Fluent] = ("total-time",)
 """The names that metrics use for the duration of a plan, or its number of steps."""
+TOTAL_COST: Final = "total-cost"
+"""The one function that is used undeclared, and that actions may change although it has no value."""
 
 
 @dataclass(frozen=True, slots=True)

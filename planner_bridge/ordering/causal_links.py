@@ -16,8 +16,7 @@ times, if the constraint depends on times other than a deadline.
 
 from __future__ import annotations
 
-from bisect import bisect_left
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from math import inf
@@ -281,7 +280,7 @@ def delay_enclosing_starts(calls: Sequence[ActionCall], orderings: Sequence[Orde
     if not protected:
         return calls, orderings
     events = _EventGraph(calls, orderings)
-    enclosing = _Spans(events, protected)
+    enclosing = [(call, events.time(PlanEvent(call, Moment.START)), events.time(PlanEvent(call, Moment.END))) for call in protected]
     added: list[Ordering] = []
     releases: dict[int, float] = {}
     for index in sorted(protected):  # in a fixed order, because each round adds orderings that the next one sees
@@ -327,11 +326,11 @@ class _EventGraph:
         call = self.calls[event.call]
         return call.planned + (0.0 if event.moment is Moment.START else call.action.duration or 0.0)
 
-    def is_enclosed(self, call: int, others: _Spans) -> bool:
-        """Whether the call must end before one of the others does that is under way then."""
+    def is_enclosed(self, call: int, others: Iterable[tuple[int, float, float]]) -> bool:
+        """Whether the call must end before one of the others does, each with its start and its end, that is under way then."""
         end = PlanEvent(call, Moment.END)
         time = self.time(end)
-        around = {PlanEvent(other, Moment.END): until for other, until in others.around(time) if other != call}
+        around = {PlanEvent(other, Moment.END): ends for other, starts, ends in others if starts < time <= ends + NEAR and other != call}
         latest = max(around.values(), default=time)
         return bool(around) and not around.keys().isdisjoint(_reachable(end, self.after, lambda event: self.time(event) <= latest + NEAR))
 
@@ -370,20 +369,6 @@ class _EventGraph:
         earlier = _reachable(event, self.before, lambda other: self.time(other) > begun - NEAR)
         late = (other for other in (event, *earlier) if self.time(other) > begun)
         return any(other.moment is Moment.START and self.calls[other.call].release for other in late)
-
-
-class _Spans:
-    """The times from start to end of some calls, to be found by a time between the two."""
-
-    def __init__(self, events: _EventGraph, calls: Iterable[int]) -> None:
-        times = ((events.time(PlanEvent(call, Moment.START)), events.time(PlanEvent(call, Moment.END)), call) for call in calls)
-        self._spans = sorted(times)
-        self._longest = max((end - start for start, end, _ in self._spans), default=0.0)
-
-    def around(self, time: float) -> Iterator[tuple[int, float]]:
-        """Yield the calls that start before the time and do not end before it, each with its end."""
-        first, last = (bisect_left(self._spans, (bound,)) for bound in (time - self._longest - NEAR, time))
-        return ((call, end) for _, end, call in self._spans[first:last] if end >= time - NEAR)
 
 
 def _sorted(events: set[PlanEvent]) -> list[PlanEvent]:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final, TypeVar
 
+from planner_bridge.model.problem import TOTAL_COST, TOTAL_TIME
 from planner_bridge.pddl.expressions import (
     Atom,
     Group,
@@ -23,7 +24,7 @@ from planner_bridge.pddl.expressions import (
     wrong,
 )
 from planner_bridge.pddl.requirements import Leniency, Refused
-from planner_bridge.pddl.symbols import CONSTRAINTS, TOTAL_COST, SymbolTable
+from planner_bridge.pddl.symbols import CONSTRAINTS, SymbolTable
 from pnm.core.logic.conditions import TRUE, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjunction
 from pnm.core.logic.domain import Declaration, Preference
 from pnm.core.logic.effects import OPERATIONS, Effects, ForEach, Set, When
@@ -34,7 +35,6 @@ from pnm.errors import InputError, counted
 _MANY: Final = (range(2, sys.maxsize), "at least 2")
 OPERANDS: Final[Mapping[str, tuple[range, str]]] = {"+": _MANY, "*": _MANY, "-": (range(1, 3), "1 or 2"), "/": (range(2, 3), "2")}
 """The number of operands of each arithmetic operator."""
-TOTAL_TIME: Final = "total-time"
 IS_VIOLATED: Final = "is-violated"
 _ANY: Final = ("object",)
 
@@ -142,15 +142,15 @@ class TermScope:
                 return ValueOf(DURATION)
             case Atom("#t"):
                 raise Refused.CONTINUOUS_EFFECT.at(node)
-            case Atom() if self.symbols.find_function(node) or (self.metric and node.key == TOTAL_TIME):
+            case Atom() if self.symbols.find_function(node) or (self.metric and node.key == TOTAL_TIME[0]):
                 return self._number(node)
             case _:
                 raise wrong(node, f"expected a number or a function in parentheses, found {node}")
 
     def _number(self, node: Node) -> Expression:
         declared = self.symbols.find_function(node)
-        if self.metric and declared is None and (node.head if isinstance(node, Group) else node.key) == TOTAL_TIME:
-            return ValueOf((TOTAL_TIME,))
+        if self.metric and declared is None and (node.head if isinstance(node, Group) else node.key) == TOTAL_TIME[0]:
+            return ValueOf(TOTAL_TIME)
         if declared is not None and declared.values:
             raise wrong(node, f"the values of {declared.name!r} are objects ({show_types(declared.values)}); expected a number")
         if self.metric:

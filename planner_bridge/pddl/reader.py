@@ -16,7 +16,7 @@ from itertools import chain, pairwise
 from pathlib import Path
 from typing import Final, Literal, TypeAlias
 
-from planner_bridge.model.problem import Domain, Metric, Problem
+from planner_bridge.model.problem import TOTAL_COST, Domain, Metric, Problem
 from planner_bridge.pddl.actions import DURATIVE, INSTANTANEOUS, actions
 from planner_bridge.pddl.comments import Anchor, AnchorPath, Comment, CommentTable, LineIndex, attach
 from planner_bridge.pddl.expressions import (
@@ -39,7 +39,6 @@ from planner_bridge.pddl.formulas import TermScope, condition, constraints, spli
 from planner_bridge.pddl.requirements import REFUSED_IN_INIT, Leniency, Requirements, requirements
 from planner_bridge.pddl.sections import Definition, define, typed_runs
 from planner_bridge.pddl.symbols import (
-    TOTAL_COST,
     SymbolTable,
     borrowed_objects,
     declared_functions,

@@ -11,7 +11,7 @@ from functools import cached_property
 from itertools import chain
 from typing import Final, Literal, TypeAlias
 
-from planner_bridge.model.problem import Borrowed, Domain
+from planner_bridge.model.problem import TOTAL_COST, Borrowed, Domain
 from planner_bridge.pddl.expressions import (
     CONNECTIVES,
     NAME,
@@ -35,8 +35,6 @@ from pnm.core.logic.expressions import Variable
 
 SymbolKind: TypeAlias = Literal["predicate", "function"]
 
-TOTAL_COST: Final = "total-cost"
-"""The one function that is used undeclared."""
 CONSTRAINTS: Final[Mapping[str, tuple[int, int]]] = {
     "always": (0, 1),
     "sometime": (0, 1),

@@ -20,19 +20,15 @@ from enum import Enum
 from importlib.metadata import PackageNotFoundError, version
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl.writer import write_domain, write_problem
-from planner_bridge.planning.kairos import DEFAULT_PLANNER, parse_for_kairos, search_with_kairos
 from planner_bridge.planning.normal_form import action_assignments, conditions_of, functions_in_use, is_whole
 from pnm.core.logic.conditions import Exists, ForAll, every_part
 from pnm.errors import InputError
 from pnm.files.process import own_environment, own_python
-
-if TYPE_CHECKING:
-    import kairos
 
 
 class Feature(Enum):
@@ -295,24 +291,3 @@ def die_with_parent() -> None:
 def _refuse_unknown(answer: dict[str, Any]) -> None:
     if "unknown" in answer:
         raise InputError(answer["unknown"])
-
-
-# --- search with one planner ----------------------------------------------------------------------
-# The search of one planner: Kairos in this process, or an engine of unified-planning in a process of its own.
-
-
-def search(
-    problem: Problem, planner: str, timeout: float, cancel: CancelToken, *, improve: float = 0.0, parsed: kairos.Problem | None = None
-) -> PlanningResult:
-    """Search with one planner, at most `timeout` seconds besides the time to load it; the plan is not validated yet.
-
-    Args:
-        improve: seconds for which Kairos looks for a better plan once there is one; other planners return what they find.
-        parsed: the problem as Kairos reads it, if that is there already.
-    """
-    if planner != DEFAULT_PLANNER:
-        return replace(search_with_engine(problem, planner, timeout, cancel), planner=planner)
-    if problem.has_tasks:
-        message = "task networks, which aries plans for (--planner aries)"
-        return PlanningResult(PlanningStatus.UNSUPPORTED, message=message, planner=planner)
-    return search_with_kairos(problem, parsed or parse_for_kairos(problem), timeout, improve, cancel)

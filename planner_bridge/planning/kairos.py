@@ -1,4 +1,4 @@
-"""Kairos, the default planner, in this process: its parser, its anytime search and its plan validator."""
+"""The search with one planner; and Kairos, the default one, in this process: its parser, its anytime search and its plan validator."""
 
 from __future__ import annotations
 
@@ -81,6 +81,25 @@ def _parsed(problem: Problem) -> kairos.Problem:
 def _parsed_domain(domain: Domain) -> kairos.Domain:
     """Return the domain as Kairos reads it, without tasks and methods."""
     return kairos.parse_domain(write_domain(replace(domain, hierarchy=())), f"{domain.name}.pddl")
+
+
+def search(
+    problem: Problem, planner: str, timeout: float, cancel: CancelToken, *, improve: float = 0.0, parsed: kairos.Problem | None = None
+) -> PlanningResult:
+    """Search with one planner, at most `timeout` seconds besides the time to load it; the plan is not validated yet.
+
+    Args:
+        improve: seconds for which Kairos looks for a better plan once there is one; other planners return what they find.
+        parsed: the problem as Kairos reads it, if that is there already.
+    """
+    if planner != DEFAULT_PLANNER:
+        from planner_bridge.planning.engines import search_with_engine  # here, because Kairos needs no other process
+
+        return replace(search_with_engine(problem, planner, timeout, cancel), planner=planner)
+    if problem.has_tasks:
+        message = "task networks, which aries plans for (--planner aries)"
+        return PlanningResult(PlanningStatus.UNSUPPORTED, message=message, planner=planner)
+    return search_with_kairos(problem, parsed or parse_for_kairos(problem), timeout, improve, cancel)
 
 
 def search_with_kairos(problem: Problem, parsed: kairos.Problem, timeout: float, improve: float, cancel: CancelToken) -> PlanningResult:

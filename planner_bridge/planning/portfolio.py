@@ -27,8 +27,8 @@ from planner_bridge.model.plan import CancelToken, PlanningResult, PlanningStatu
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pddl.writer import write_domain, write_problem
-from planner_bridge.planning.engines import ENGINES, START_LIMIT, Feature, problem_kind, require_installed, search
-from planner_bridge.planning.kairos import DEFAULT_PLANNER
+from planner_bridge.planning.engines import ENGINES, START_LIMIT, Feature, problem_kind, require_installed
+from planner_bridge.planning.kairos import DEFAULT_PLANNER, search
 from planner_bridge.planning.validate import validated
 from pnm.errors import InputError, suggestion
 from pnm.files.process import forget_safe_path, safe_path

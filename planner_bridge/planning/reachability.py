@@ -18,7 +18,7 @@ from math import inf
 from typing import Final, NamedTuple, TypeAlias, cast
 
 from planner_bridge.model.grounding import dynamic_names, initial_knowledge
-from planner_bridge.model.problem import Problem
+from planner_bridge.model.problem import TOTAL_COST, Problem
 from planner_bridge.planning.normal_form import Assignment, schema_assignments
 from pnm.core.logic.conditions import (
     All,
@@ -54,8 +54,6 @@ from pnm.core.logic.expressions import (
     value_of,
 )
 
-MAY_BE_UNSET: Final = "total-cost"
-"""The number that actions may change although it has no value."""
 MOST_ACTIONS: Final = 20_000
 """Ground actions that are looked at."""
 _STEPS: Final = 500_000
@@ -321,7 +319,7 @@ class _Change(NamedTuple):
 def _changes(problem: Problem) -> Iterator[_Change]:
     for schema in problem.domain.actions.values():
         at_start, at_end = schema_assignments(schema)
-        values = [change.value for change in (*at_start, *at_end) if change.is_plain and change.fluent[0].lower() != MAY_BE_UNSET]
+        values = [change.value for change in (*at_start, *at_end) if change.is_plain and change.fluent[0].lower() != TOTAL_COST]
         numbers = [*(constraint.bound for constraint in schema.duration or ()), *values]  # which need a value
         defined = [Compare("=", number, number) for number in dict.fromkeys(numbers) if any(expression_fluents(number))]
         whole = All((schema.precondition, schema.invariant, schema.end_condition))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import inf
 from typing import TYPE_CHECKING, Final
 
@@ -17,13 +17,12 @@ from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import CancelToken, Plan, PlanningResult
 from planner_bridge.model.problem import TOTAL_TIME, Problem
 from planner_bridge.model.progression import Happening, NotApplicable, Progression, Stage, calls_of, happenings, refuse, snapshot
-from planner_bridge.planning.engines import search
-from planner_bridge.planning.kairos import DEFAULT_PLANNER, IMPROVE, parse_for_kairos, validate
+from planner_bridge.planning.kairos import DEFAULT_PLANNER, IMPROVE, parse_for_kairos, search, validate
 from planner_bridge.planning.validate import InvalidPlan, last_state, validated
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition, Holds, Not, conjuncts, evaluate, fluents, names
 from pnm.core.logic.effects import possible_assignments
-from pnm.core.logic.expressions import Constant, Fluent, State, Unknown, Value, ValueOf, value_of
+from pnm.core.logic.expressions import Constant, Fluent, Value, ValueOf, value_of
 from pnm.core.machine.plan_graph import GroundAction, Moment
 from pnm.errors import check_kinds, check_seconds
 
@@ -122,7 +121,7 @@ def reduced(problem: Problem, result: PlanningResult, parsed: kairos.Problem | N
     if plan is None or problem.network or problem.has_preferences or len(plan.steps) > MAX_STEPS:
         return result
     if problem.metric is not None:
-        plan = replace(plan, cost=_cost(problem, plan, last_state(problem, plan)))
+        plan = replace(plan, cost=_cost(problem, plan))
     shorter = _Elimination(problem, plan).without_needless(until)
     is_shorter = len(shorter.steps) < len(plan.steps)
     return result if is_shorter and validate(problem, shorter, parsed) else replace(result, plan=shorter)
@@ -210,7 +209,7 @@ class _Elimination:
         while True:
             shorter = replace(self._first, steps=tuple(self._first.steps[number] for number in left))
             try:
-                cost = _cost(self._problem, shorter, last_state(self._problem, shorter))
+                cost = _cost(self._problem, shorter)
             except InvalidPlan as error:
                 # the goal is not reached, or an earlier step cannot go on
                 if error.step is None or left[error.step] < index:
@@ -242,24 +241,11 @@ class _Elimination:
         return lost if evaluate(self._problem.goal, simulation.state) is True else None
 
 
-def _cost(problem: Problem, plan: Plan, state: State) -> float | None:
-    """Return the metric's value of a plan that leads to the state; None where only time counts."""
+def _cost(problem: Problem, plan: Plan) -> float | None:
+    """Return the metric's value of a plan, None where only time counts; raise `InvalidPlan` if it does not solve the problem."""
+    state = last_state(problem, plan)
     if problem.metric is None or problem.metric.expression == ValueOf(TOTAL_TIME):
         return None
-    total_time = plan.makespan if plan.temporal else float(len(plan.steps))
-    cost = value_of(problem.metric.expression, _Timed(state, total_time))
+    state.update({TOTAL_TIME: plan.makespan if plan.temporal else float(len(plan.steps))})
+    cost = value_of(problem.metric.expression, state)
     return float(cost) if isinstance(cost, int | float) else plan.cost
-
-
-@dataclass(frozen=True, slots=True)
-class _Timed:
-    """The state after a plan that has taken this time."""
-
-    state: State
-    total_time: float
-
-    def value(self, fluent: Fluent, /) -> Value | Unknown | None:
-        return self.total_time if fluent == TOTAL_TIME else self.state.value(fluent)
-
-    def objects(self, types: tuple[str, ...], /) -> tuple[str, ...]:
-        return self.state.objects(types)

@@ -34,11 +34,10 @@ import kairos
 
 from planner_bridge.model.grounding import ground_step, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep, plan_text
-from planner_bridge.model.problem import Problem
+from planner_bridge.model.problem import TOTAL_COST, Problem
 from planner_bridge.model.progression import ConstraintProgression, Happening, NotApplicable, Progression, happenings, snapshot
 from planner_bridge.planning.kairos import DEFAULT_PLANNER, validate
 from planner_bridge.planning.normal_form import calculates_with_whole_numbers, in_whole_numbers
-from planner_bridge.planning.reachability import MAY_BE_UNSET, why_unknown, why_unreachable
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import TOLERANCE, evaluate, explanation
 from pnm.core.logic.domain import ActionSchema
@@ -113,7 +112,7 @@ def _states(problem: Problem, plan: Plan, samples: Iterable[float] = ()) -> Iter
         except NotApplicable as error:
             raise InvalidPlan(f"{steps[error.call]} cannot {error.stage}{when}: {error}", error.call) from error
         for fluent, value in changes.items():
-            if value is UNKNOWN and fluent[0].lower() != MAY_BE_UNSET:
+            if value is UNKNOWN and fluent[0].lower() != TOTAL_COST:
                 raise InvalidPlan(f"{fluent_text(fluent)} is changed{when}, but it has no value, or is given none")
         yield happening.time, simulation.state
     if evaluate(problem.goal, simulation.state) is not True:
@@ -242,6 +241,8 @@ def explained(problem: Problem, result: PlanningResult) -> PlanningResult:
     """Return a result without a plan with our own reason, if any; without one only whole numbers and known facts prove anything."""
     if result.status not in (PlanningStatus.UNSOLVABLE, PlanningStatus.NO_PLAN):
         return result
+    from planner_bridge.planning.reachability import why_unknown, why_unreachable  # here, because most searches find a plan
+
     if reason := why_unreachable(problem):
         return replace(result, status=PlanningStatus.UNSOLVABLE, message=reason)
     if problem.unknown:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Final, Literal
 
-from planner_bridge.model.problem import Metric
+from planner_bridge.model.problem import TOTAL_TIME, Metric
 from planner_bridge.pddl.expressions import TIME_SPECIFIERS, TimeSpecifier
-from planner_bridge.pddl.formulas import IS_VIOLATED, TOTAL_TIME
+from planner_bridge.pddl.formulas import IS_VIOLATED
 from planner_bridge.pddl.symbols import CONSTRAINTS
 from pnm.core.logic.conditions import Condition
 from pnm.core.logic.domain import Preference
@@ -123,7 +123,7 @@ def read_metric(node: Node | None, scope: FormulaScope, preferences: Collection[
         raise argument.wrong(f"expected a number or a function such as (total-time), found {expression}")
     for fluent in expression_fluents(expression):
         match fluent:
-            case (name,) if name == TOTAL_TIME:
+            case _ if fluent == TOTAL_TIME:
                 pass
             case (word, name) if word == IS_VIOLATED:
                 if name not in preferences:

@@ -12,8 +12,7 @@ from planner_bridge.explanations.answer import Known, Solves
 from planner_bridge.explanations.needed_call import Course, why_call_of_plan, why_plan
 from planner_bridge.model.plan import Plan, read_plan
 from planner_bridge.model.problem import Problem
-from planner_bridge.planning.engines import search
-from planner_bridge.planning.kairos import DEFAULT_PLANNER
+from planner_bridge.planning.kairos import DEFAULT_PLANNER, search
 from planner_bridge.planning.solve import solve
 from planner_bridge.planning.validate import why_invalid
 from tests.support.pddl.explanations.checked_claims import Checked
