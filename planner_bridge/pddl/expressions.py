@@ -10,13 +10,12 @@ import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from decimal import Decimal
-from difflib import get_close_matches
 from functools import cached_property
 from typing import Final, Literal, TypeAlias, get_args
 
 from planner_bridge.pddl.comments import LineIndex
 from pnm.core.logic.effects import OPERATIONS
-from pnm.errors import InputError, Position, Tolerated, counted
+from pnm.errors import InputError, Position, Tolerated, counted, suggestion
 
 MAX_DEPTH: Final = 100
 """Lists inside lists; formulas are walked recursively later, by several calls a level."""
@@ -243,22 +242,10 @@ _SHOWN: Final = 8
 """Names listed in an error, at most."""
 
 
-def nearest(atom: Atom, known: Collection[str]) -> str | None:
-    """Return the known name most like this one, if one is alike."""
-    spelled = {name.lower(): name for name in known}
-    near = get_close_matches(atom.key, spelled, 1)
-    return spelled[near[0]] if near else None
-
-
 def unknown(kind: str, atom: Atom, known: Collection[str]) -> InputError:
     """Return the error for a name that is not declared, with the nearest that is."""
-    near = nearest(atom, known)
-    if near:
-        hint = f"did you mean {near!r}?"
-    elif known:
-        hint = f"expected one of {', '.join(list(known)[:_SHOWN])}{', ...' if len(known) > _SHOWN else ''}"
-    else:
-        hint = "none is declared"
+    names = f"expected one of {', '.join(list(known)[:_SHOWN])}{', ...' if len(known) > _SHOWN else ''}" if known else "none is declared"
+    hint = suggestion(atom.text, known) or names
     return wrong(atom, f"unknown {kind} {atom}; {hint}")
 
 

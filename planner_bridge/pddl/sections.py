@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import Final, Literal
 
 from planner_bridge.pddl.expressions import Atom, Group, Node, new_name, normalized, parse, where, wrong
 from planner_bridge.pddl.requirements import REFUSED_SECTIONS, Leniency
-from pnm.errors import InputError, Position
+from pnm.errors import InputError, Position, suggestion
 
 _REPEATABLE: Final = (":action", ":durative-action", ":derived", ":task", ":method")
 """Sections that a file may have several times."""
@@ -105,12 +104,11 @@ def keyed(items: tuple[Node, ...], place: str, known: tuple[str, ...]) -> dict[s
     return values
 
 
-def _unknown(key: Node, kind: str, known: Iterable[str], place: str = "") -> InputError:
+def _unknown(key: Node, kind: str, known: Collection[str], place: str = "") -> InputError:
     word = key.key if isinstance(key, Atom) else ""
     if word in REFUSED_SECTIONS:
         return REFUSED_SECTIONS[word].at(key)
-    near = get_close_matches(word, list(known), 1)
-    hint = f"did you mean {near[0]!r}?" if near else f"expected one of {', '.join(known)}"
+    hint = suggestion(word, known) or f"expected one of {', '.join(known)}"
     return wrong(key, f"unknown {kind} {key}{place}; {hint}")
 
 

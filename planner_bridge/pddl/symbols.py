@@ -20,7 +20,6 @@ from planner_bridge.pddl.expressions import (
     Node,
     Types,
     is_number,
-    nearest,
     new_name,
     show_types,
     unknown,
@@ -32,6 +31,7 @@ from planner_bridge.pddl.requirements import REFUSED_HEADS, Leniency, Requiremen
 from planner_bridge.pddl.sections import type_words, typed_runs
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.expressions import Variable
+from pnm.errors import suggestion
 
 SymbolKind: TypeAlias = Literal["predicate", "function"]
 
@@ -108,7 +108,7 @@ class SymbolTable:
         known = self._objects.get(word.key)
         if known is not None:
             return known
-        if not self.lenient or not NAME.fullmatch(word.text) or is_number(word) or nearest(word, self.objects):
+        if not self.lenient or not NAME.fullmatch(word.text) or is_number(word) or suggestion(word.text, self.objects):
             fitting = [name for name, types in self._objects.values() if self.domain.matches(types, needed)]
             raise unknown("object", word, fitting or self.objects)
         Leniency.OBJECT_OF_PROBLEMS.note(word, word)
@@ -149,7 +149,7 @@ class SymbolTable:
                 word.key not in (*_PLACES, *REFUSED_HEADS, *CONNECTIVES, TOTAL_COST)
                 and NAME.fullmatch(word.text) is not None
                 and not is_number(word)
-                and nearest(word, [*self._predicates, *self._functions]) is None
+                and not suggestion(word.key, [*self._predicates, *self._functions])
             )
         return self._undeclared[word.key]
 
