@@ -46,14 +46,6 @@ def test_inside_of_an_event_loop_achieve_says_what_to_use_and_outside_pursue_doe
         achieve_async(None, rooms())
 
 
-def test_wrong_arguments_are_refused_before_anything_begins() -> None:
-    async def cell() -> None:
-        with pytest.raises(InputError, match="expected TaskObserver for observer, found <built-in function print>"):
-            achieve_async(None, rooms(), observer=print)  # type: ignore[arg-type]
-
-    asyncio.run(cell())
-
-
 def test_a_goal_is_awaited_in_a_cell_of_a_notebook() -> None:
     async def cell() -> None:
         handle = achieve_async(None, rooms(goal="(at r1 a)"))

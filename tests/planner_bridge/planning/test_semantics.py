@@ -8,20 +8,17 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import replace
-from fractions import Fraction
 from typing import Any
 from uuid import UUID
 
 import pytest
 import unified_planning.shortcuts as up
 from hypothesis import HealthCheck, Phase, assume, event, given, note, settings, strategies as st
-from unified_planning.engines import SequentialPlanValidator, TimeTriggeredPlanValidator, UPSequentialSimulator
+from unified_planning.engines import UPSequentialSimulator
 from unified_planning.exceptions import UPInvalidActionError
-from unified_planning.io import PDDLReader
-from unified_planning.plans import ActionInstance, SequentialPlan, TimeTriggeredPlan
 
 from planner_bridge.model.grounding import dynamic_names, ground_action, initial_knowledge
-from planner_bridge.model.plan import Plan, PlanStep, plan_text
+from planner_bridge.model.plan import Plan, plan_text
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.world import simulated_backend
 from planner_bridge.ordering.plan_to_graph import plan_graph
@@ -107,39 +104,6 @@ def test_conditions_and_effects_mean_what_they_mean_to_unified_planning(data: st
             predicted.update(changes(action.end_effects, ours))
             found = {one: float(after.get_value(foreign_fluent(theirs, one)).constant_value()) for one in known}
             assert found == {one: float(predicted.value(one) or 0) for one in known}, action  # type: ignore[arg-type]
-
-
-def foreign_verdict(problem: Problem, plan: Plan) -> bool:
-    theirs = PDDLReader().parse_problem_string(write_domain(problem.domain), write_problem(problem))
-
-    def instance(step: PlanStep) -> Any:
-        objects = up.get_environment().expression_manager.ObjectExp
-        return ActionInstance(theirs.action(step.action), tuple(objects(theirs.object(argument)) for argument in step.arguments))
-
-    if not problem.is_timed:
-        found = SequentialPlan([instance(step) for step in plan.steps])
-        return bool(SequentialPlanValidator(error_on_failed_checks=False).validate(theirs, found))
-    lasting = {name for name, schema in problem.domain.actions.items() if schema.duration is not None}
-    timed = [(Fraction(one.start), instance(one), Fraction(one.duration) if one.action in lasting else None) for one in plan.steps]
-    return bool(TimeTriggeredPlanValidator(error_on_failed_checks=False).validate(theirs, TimeTriggeredPlan(timed)))
-
-
-@pytest.mark.parametrize("timed", [False, True])
-def test_verdicts_on_plans_are_those_of_unified_planning(timed: bool) -> None:
-    @examples(12, UNSHRUNK)
-    @given(st.data())
-    def check(data: st.DataObject) -> None:
-        problem = data.draw(problems(replace(FOREIGN, timed=timed)))
-        problem = replace(problem, goal=data.draw(st.sampled_from([problem.goal, TRUE])))
-        plan = data.draw(plans_for(problem))
-        if timed:  # what happens at one time gets in nobody's way there, unless it changes the same fluent, even to the same value
-            plan = apart(plan)
-        show(problem, plan)
-        ours = why_invalid(problem, plan)
-        event(f"valid: {not ours}")
-        assert foreign_verdict(problem, plan) is (not ours), ours
-
-    check()
 
 
 # --- Kairos --------------------------------------------------------------------------------

@@ -39,19 +39,15 @@ class Features:
     """Durative actions and timed facts."""
     exists: bool = True
     foreign: bool = False
-    """Only what unified-planning reads, and takes as PDDL means it.
+    """Only what unified-planning takes as PDDL means it.
 
-    It has no ``scale-up``, no ``?duration`` in conditions and effects, and no quantified variables of type
-    ``object``. What an effect does for all objects of a type it does once if it does not mention the object: also
-    if there is none of that type, and also if it adds to a number.
+    It compares objects of types that may fit only. What an effect does for all objects of a type it does once if it does not mention
+    the object: also if there is none of that type, and also if it adds to a number.
     """
 
-    @property
-    def kinds(self) -> tuple[str, ...]:
-        """The types of parameters and variables."""
-        return ("t", "u", "w") if self.foreign else ("t", "object", "u", "w")
 
-
+KINDS: Final = ("t", "object", "u", "w")
+"""The types of parameters and variables."""
 Scope = Mapping[str, str]
 """The terms that may be used, variables and objects, with their types."""
 
@@ -78,7 +74,7 @@ class _Maker:
         return [name for name, own in self.scope.items() if kind in self.domain.supertypes(own)]
 
     def variables(self, most: int = 2) -> tuple[Variable, ...]:
-        kinds = self.draw(st.lists(st.sampled_from(self.features.kinds), min_size=1, max_size=most))
+        kinds = self.draw(st.lists(st.sampled_from(KINDS), min_size=1, max_size=most))
         return tuple(Variable(f"?q{len(self.scope)}{number}", (kind,)) for number, kind in enumerate(kinds))
 
     # --- conditions ---
@@ -112,7 +108,7 @@ class _Maker:
 
     def number(self) -> Expression:
         leaf: list[Expression] = [Constant(self.draw(NUMBERS)), ValueOf(self.fluent(self.domain.functions))]
-        if self.with_duration and not self.features.foreign:
+        if self.with_duration:
             leaf.append(ValueOf(DURATION))
         one = self.draw(st.sampled_from(leaf))
         match self.draw(st.sampled_from(["one", "one", "+", "-", "*", "/", "minus"])):
@@ -148,8 +144,7 @@ class _Maker:
         kind = self.draw(st.sampled_from(["add", "delete", "both", *(["number"] if not (in_loop and self.features.foreign) else [])]))
         if kind == "number":
             adding = ["increase", "decrease"]
-            other = [] if in_loop else ["assign", *(["scale-up", "scale-down"] if not self.features.foreign else [])]
-            operation = self.draw(st.sampled_from(adding + other))
+            operation = self.draw(st.sampled_from([*adding, *([] if in_loop else ["assign", "scale-up", "scale-down"])]))
             value = Constant(2.0) if operation.startswith("scale") else self.number()
             return (Set(self.fluent(self.domain.functions), value, operation),)
         fluent = self.fluent(self.domain.predicates)
@@ -185,7 +180,7 @@ def _declarations(draw: Draw, features: Features, letter: str, most: int, arity:
     """Draw declarations; the first has no parameters, so that something can always be said."""
     found = {f"{letter}0": Declaration(f"{letter}0")}
     for number in range(1, draw(st.integers(1, most))):
-        kinds = draw(st.lists(st.sampled_from(features.kinds), max_size=arity))
+        kinds = draw(st.lists(st.sampled_from(KINDS), max_size=arity))
         parameters = tuple(Variable(f"?a{position}", (kind,)) for position, kind in enumerate(kinds))
         found[f"{letter}{number}"] = Declaration(f"{letter}{number}", parameters)
     return found
@@ -193,7 +188,7 @@ def _declarations(draw: Draw, features: Features, letter: str, most: int, arity:
 
 def _bounds(make: _Maker) -> tuple[DurationConstraint, ...]:
     fixed = Constant(make.draw(DURATIONS))
-    match make.draw(st.sampled_from(["=", "=", "fluent", "both", *([] if make.features.foreign else ["<=", "free"])])):
+    match make.draw(st.sampled_from(["=", "=", "fluent", "both", "<=", "free"])):
         case "=":
             return (DurationConstraint("=", fixed),)
         case "fluent":
@@ -207,7 +202,7 @@ def _bounds(make: _Maker) -> tuple[DurationConstraint, ...]:
 
 
 def _action(draw: Draw, domain: Domain, features: Features, name: str) -> ActionSchema:
-    kinds = draw(st.lists(st.sampled_from(features.kinds), max_size=2))
+    kinds = draw(st.lists(st.sampled_from(KINDS), max_size=2))
     parameters = tuple(Variable(f"?v{number}", (kind,)) for number, kind in enumerate(kinds))
     scope = {one.name: one.types[0] for one in parameters} | {constant: types[0] for constant, types in domain.constants.items()}
     make = _Maker(draw, domain, features, scope)
@@ -217,7 +212,7 @@ def _action(draw: Draw, domain: Domain, features: Features, name: str) -> Action
     bounds = _bounds(make)
     make = replace(make, with_duration=True)
     conditions = [make.condition(1) if draw(st.booleans()) else TRUE for _ in range(3)]
-    start = make.effects() if features.foreign or draw(st.booleans()) else ()
+    start = make.effects() if draw(st.booleans()) else ()
     return ActionSchema(name, parameters, *conditions, start, make.effects(), bounds)
 
 
@@ -243,7 +238,7 @@ def problems(draw: Draw, features: Features = Features()) -> Problem:
     make = _Maker(draw, domain, features, {name: types[0] for name, types in problem.objects.items()})
     timed: dict[float, dict[Fluent, Value]] = {}
     for _ in range(draw(st.integers(0, 2)) if features.timed else 0):
-        number = not features.foreign and draw(st.integers(0, 2)) == 0
+        number = draw(st.integers(0, 2)) == 0
         fluent = make.fluent(domain.functions if number else domain.predicates)
         timed.setdefault(draw(STARTS), {})[fluent] = draw(NUMBERS if number else st.booleans())
     changes = tuple(TimedChange(time, timed[time]) for time in sorted(timed))

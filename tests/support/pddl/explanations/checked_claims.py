@@ -18,7 +18,7 @@ from planner_bridge.planning.solve import solve
 from planner_bridge.planning.validate import why_invalid
 from pnm.core.logic.conditions import fluents
 from pnm.core.logic.expressions import Fluent
-from tests.support.pddl.explanations.second_planner import Verdict, fewest_calls, is_classical, second_opinion
+from tests.support.pddl.explanations.second_planner import fewest_calls, is_classical, second_opinion
 
 _TRIED: Final = 30
 """Changes of several facts that are tried, drawn at random."""
@@ -74,13 +74,10 @@ def _is_valid(problem: Problem, plan: Plan) -> bool:
 
 def _has_no_plan(problem: Problem) -> bool | None:
     """Return whether there is no plan; None if neither planner finds that out."""
-    match second_opinion(problem):
-        case Verdict.NO_PLAN:
-            return True
-        case Verdict.PLAN:
-            return False
-        case _:
-            return False if solve(problem, timeout=_SECONDS, improve=0.0).plan else None
+    has_plan = second_opinion(problem)
+    if has_plan is None:
+        return False if solve(problem, timeout=_SECONDS, improve=0.0).plan else None
+    return not has_plan
 
 
 def smaller(problem: Problem, facts: int) -> Iterator[Problem]:

@@ -12,7 +12,6 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
-from enum import Enum
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -32,26 +31,12 @@ _UNSOLVABLE: Final = (10, 11)
 """Exit statuses of Fast Downward: the translator, or the whole search space, says that there is no plan."""
 
 
-class Verdict(Enum):
-    """What the second planner says."""
-
-    NO_PLAN = "no plan"
-    PLAN = "a plan"
-    PLAN_OF_MORE = "a plan of the problem that allows more"
-    NOTHING = "nothing"
-
-
-def second_opinion(problem: Problem) -> Verdict:
-    """Ask the second planner whether a problem has a plan."""
-    allowing = allowing_more(problem)
-    if allowing is None:
-        return Verdict.NOTHING
+def second_opinion(problem: Problem) -> bool | None:
+    """Return whether the second planner says that a problem has a plan; None if it does not know."""
+    if (allowing := allowing_more(problem)) is None:
+        return None
     status, _ = _run(write_domain(allowing.domain), write_problem(allowing), "lazy_greedy([ff()])")
-    if status in _UNSOLVABLE:
-        return Verdict.NO_PLAN
-    if status != 0:
-        return Verdict.NOTHING
-    return Verdict.PLAN if is_classical(problem) else Verdict.PLAN_OF_MORE
+    return False if status in _UNSOLVABLE else True if status == 0 and is_classical(problem) else None
 
 
 def fewest_calls(problem: Problem) -> int | None:
