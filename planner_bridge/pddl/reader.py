@@ -47,11 +47,11 @@ from planner_bridge.pddl.symbols import (
     declared_types,
 )
 from planner_bridge.pddl.writer import ACTION, COMPOUND, PARTS, fact_anchor, form_anchor, form_of, is_timed, rule_anchor
-from pnm.core.logic.conditions import TRUE, Compare, Condition, every_part, polarities
+from pnm.core.logic.conditions import TRUE, Compare, Condition, every_part
 from pnm.core.logic.domain import ActionSchema, Declaration, Preference, ProblemModel, check_choices
 from pnm.core.logic.effects import Set, TimedChange, every_effect
 from pnm.core.logic.expressions import Constant, Fluent, Value, Variable, expression_fluents, fluent_text
-from pnm.core.logic.rules import DerivationRule, Rules
+from pnm.core.logic.rules import DerivationRule, Rules, UnstratifiedError
 from pnm.errors import Tolerated, counted
 from pnm.files.text import read_any_text
 
@@ -250,8 +250,13 @@ def rules(sections: Iterable[Group], symbols: SymbolTable) -> Rules:
                 raise wrong(head, f"{own.name!r} is of type {show_types(own.types)}; expected {show_types(needed.types)}")
         rule = DerivationRule(declared.name, tuple(variables), condition(body, TermScope(symbols).inside(variables)))
         read.append((rule, section))
-    _check_stratification(read)
-    return Rules(tuple(rule for rule, _ in read))
+    try:
+        return Rules(tuple(rule for rule, _ in read))
+    except UnstratifiedError as error:  # a fact that follows from its own absence has no meaning (PDDL 2.2)
+        section = next(section for rule, section in read if rule is error.rule)
+        chain = "".join(f", {head!r} from {needed!r}" for head, needed in pairwise(error.path))
+        circle = f"the derived predicate {error.rule.name!r} follows from the absence of {error.path[0]!r}{chain}"
+        raise wrong(section, f"{circle}; expected no such circle") from error
 
 
 def derived_predicates(sections: Iterable[Group], symbols: SymbolTable) -> dict[str, Declaration]:
@@ -271,34 +276,6 @@ def derived_predicates(sections: Iterable[Group], symbols: SymbolTable) -> dict[
             declared = Declaration(name, symbols.variables(head.rest))
         derived[declared.name] = declared
     return derived
-
-
-def _check_stratification(rules: list[tuple[DerivationRule, Group]]) -> None:
-    """Refuse rules that are not stratified: a fact that follows from its own absence has no meaning (PDDL 2.2)."""
-    derived = {rule.name for rule, _ in rules}
-    needs: dict[str, dict[str, None]] = {}
-    for rule, _ in rules:
-        needs.setdefault(rule.name, {}).update(dict.fromkeys(name for name, _ in polarities(rule.condition) if name in derived))
-    for rule, section in rules:
-        for name, positive in polarities(rule.condition):
-            path = () if positive or name not in derived else _shortest_path(name, rule.name, needs)
-            if path:
-                chain = ", ".join(f"{head!r} from {needed!r}" for head, needed in pairwise(path))
-                circle = f"the derived predicate {rule.name!r} follows from the absence of {name!r}{f', {chain}' if chain else ''}"
-                raise wrong(section, f"{circle}; expected no such circle")
-
-
-def _shortest_path(start: str, end: str, needs: Mapping[str, Iterable[str]]) -> tuple[str, ...]:
-    """Return the shortest path from one derived predicate to another that it needs; empty when there is none."""
-    paths: dict[str, tuple[str, ...]] = {start: (start,)}
-    waiting = [start]
-    while waiting and end not in paths:
-        name = waiting.pop(0)
-        for needed in needs[name]:
-            if needed not in paths:
-                paths[needed] = (*paths[name], needed)
-                waiting.append(needed)
-    return paths.get(end, ())
 
 
 # --- initial state --------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ among the recorded facts before all objects of a type are tried.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -52,7 +53,17 @@ from pnm.errors import PnmError
 
 
 class UnstratifiedError(PnmError):
-    """A derived fact would depend on its own negation, so the rules have no unique least fixpoint."""
+    """A derived fact would depend on its own negation, so the rules have no unique least fixpoint.
+
+    Args:
+        rule: the one with the negation.
+        path: the names from the negated one to that of the rule, each of which depends on the next.
+    """
+
+    def __init__(self, rule: DerivationRule, path: tuple[str, ...]) -> None:
+        super().__init__(f"whether ({rule.name} …) holds would depend on its own negation")
+        self.rule = rule
+        self.path = path
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,10 +126,10 @@ class Rules:
     rules: tuple[DerivationRule, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in self.derived:
-            negated = (other for other, is_negated in self._mentioned[name] if is_negated)
-            if any(name in self._below(other) for other in negated):
-                raise UnstratifiedError(f"whether ({name} …) holds would depend on its own negation")
+        for rule in self.rules:
+            for name, is_positive in polarities(rule.condition):
+                if not is_positive and name in self.derived and (path := self._below(name).get(rule.name)):
+                    raise UnstratifiedError(rule, path)
 
     def __iter__(self) -> Iterator[DerivationRule]:
         """Iterate over the rules, in their order."""
@@ -174,15 +185,17 @@ class Rules:
             mentioned[rule.name] |= {(name, not positive) for name, positive in polarities(rule.condition) if name in self.derived}
         return mentioned
 
-    def _below(self, name: str) -> frozenset[str]:
-        """Return the derived name and all those it depends on."""
-        below, waiting = {name}, [name]
+    def _below(self, name: str) -> dict[str, tuple[str, ...]]:
+        """Return the derived name and all those it depends on, each with the names from the one to the other."""
+        below = {name: (name,)}
+        waiting = deque(below)
         while waiting:
-            for other, _ in self._mentioned[waiting.pop()]:
+            here = waiting.popleft()
+            for other, _ in sorted(self._mentioned[here]):
                 if other not in below:
-                    below.add(other)
+                    below[other] = (*below[here], other)
                     waiting.append(other)
-        return frozenset(below)
+        return below
 
 
 NO_RULES: Final = Rules()
