@@ -6,6 +6,7 @@ The text has one call a line, such as ``0.0: (move r1 hall kitchen) [5.0]``, tim
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 from functools import cache
@@ -112,7 +113,7 @@ def read_plan(text: str, problem: Problem, name: str = "plan") -> Plan:
     if len(text) > LONGEST:
         raise InputError(f"{name}: {len(text)} characters; a plan may have {LONGEST}")
     steps: list[PlanStep] = []
-    state, now, names = initial_knowledge(problem), 0.0, _Names(problem)
+    state, now, names = initial_knowledge(problem), 0.0, SpelledNames(problem)
     for number, line in enumerate(text.splitlines(), 1):
         content = line.partition(";")[0]
         if content.strip():
@@ -122,15 +123,20 @@ def read_plan(text: str, problem: Problem, name: str = "plan") -> Plan:
     return Plan(tuple(sorted(steps, key=attrgetter("start"))), problem.is_timed)
 
 
-class _Names:
+class SpelledNames:
     """The names of a problem, found however they are spelled: capitals do not count in PDDL."""
 
     def __init__(self, problem: Problem) -> None:
         self.actions = {name.lower(): schema for name, schema in problem.domain.actions.items()}
+        self.objects = {name.lower(): name for name in problem.objects}
         self.of_types = cache(lambda types: {name.lower(): name for kind in types for name in problem.objects_by_type.get(kind, ())})
 
+    def step(self, action: str, arguments: Iterable[str], start: float, duration: float) -> PlanStep:
+        """Return a step as a planner spells it; raise a `KeyError` if there is no such name."""
+        return PlanStep(self.actions[action.lower()].name, tuple([self.objects[name.lower()] for name in arguments]), start, duration)
 
-def _step(line: str, names: _Names, state: State, position: Position, now: float) -> PlanStep:
+
+def _step(line: str, names: SpelledNames, state: State, position: Position, now: float) -> PlanStep:
     match = _LINE.fullmatch(line)
     if match is None or not match["call"].split():
         raise InputError(f"expected a call such as (move r1 hall kitchen), found {line.strip()[:60]!r}", position)

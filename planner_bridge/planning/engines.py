@@ -22,7 +22,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
 
-from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus, PlanStep
+from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus, SpelledNames
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl.writer import write_domain, write_problem
 from planner_bridge.planning.normal_form import action_assignments, conditions_of, functions_in_use, is_whole
@@ -159,13 +159,9 @@ def search_with_engine(problem: Problem, engine: str, timeout: float, cancel: Ca
         status, message = PlanningStatus[ended.answer["status"]], ended.answer["message"]
         if status is not PlanningStatus.SOLVED:
             return PlanningResult(status, message=message)
-        actions = {name.casefold(): name for name in problem.domain.actions}  # engines may change the case of names, which PDDL ignores
-        objects = {name.casefold(): name for name in problem.objects}
+        names = SpelledNames(problem)  # engines may change the case of names
         try:
-            steps = tuple(
-                PlanStep(actions[action.casefold()], tuple(objects[argument.casefold()] for argument in arguments), start, duration)
-                for action, arguments, start, duration in ended.answer["steps"]
-            )
+            steps = [names.step(*step) for step in ended.answer["steps"]]
         except (KeyError, TypeError, ValueError) as error:
             return PlanningResult(PlanningStatus.CRASHED, message=f"the plan makes no sense: {error!r}")
         plan = Plan(tuple(sorted(steps, key=attrgetter("start"))), temporal=problem.is_timed)

@@ -12,7 +12,7 @@ from typing import Final
 
 import kairos
 
-from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus, PlanStep, plan_text
+from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus, SpelledNames, plan_text
 from planner_bridge.model.problem import TOTAL_TIME, Domain, Problem, once_per_domain
 from planner_bridge.pddl.writer import write_domain, write_problem
 from planner_bridge.planning.normal_form import in_whole_numbers
@@ -154,16 +154,7 @@ def _joined(diagnostics: Iterable[kairos.Diagnostic]) -> str:
 
 def _plan(plan: kairos.Plan, problem: Problem) -> Plan:
     """Return a plan of Kairos with the names of actions and objects spelled as in the problem."""
-    actions = {name.casefold(): name for name in problem.domain.actions}
-    objects = {name.casefold(): name for name in problem.objects}
-    steps = (
-        PlanStep(
-            action=step.name if step.name in problem.domain.actions else actions[step.name.casefold()],
-            arguments=tuple(objects[argument.casefold()] for argument in step.args),
-            start=step.time,
-            duration=step.duration,
-        )
-        for step in plan.steps
-    )
+    names = SpelledNames(problem)
+    steps = tuple([names.step(step.name, step.args, step.time, step.duration) for step in plan.steps])
     has_cost = problem.metric is not None and problem.metric.expression != ValueOf(TOTAL_TIME)
-    return Plan(tuple(steps), temporal=problem.is_timed, cost=plan.cost if has_cost else None)
+    return Plan(steps, temporal=problem.is_timed, cost=plan.cost if has_cost else None)

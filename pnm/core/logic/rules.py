@@ -187,7 +187,7 @@ class Rules:
 
     def _below(self, name: str) -> dict[str, tuple[str, ...]]:
         """Return the derived name and all those it depends on, each with the names from the one to the other."""
-        below = {name: (name,)}
+        below: dict[str, tuple[str, ...]] = {name: (name,)}
         waiting = deque(below)
         while waiting:
             here = waiting.popleft()

@@ -87,8 +87,7 @@ def problem() -> Problem:
     return parse_problem(THERE_AND_BACK, parse_domain(FETCH))
 
 
-@pytest.mark.parametrize("phase", [0.0, 0.31, 0.62, 0.93])
-@pytest.mark.parametrize("period", [0.5, 0.9])
+@pytest.mark.parametrize(("period", "phase"), [(0.5, 0.0), (0.5, 0.31), (0.9, 0.62), (0.9, 0.93)])
 def test_where_a_robot_has_just_left_is_not_where_it_is_planned_with(period: float, phase: float) -> None:
     result = fetched(Sampled(problem(), period, phase))
     assert result.goal_reached

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import permutations, zip_longest
+from itertools import combinations, permutations, zip_longest
 
 import pytest
 
@@ -97,7 +97,7 @@ def test_a_fact_that_must_stay_false_is_not_made_true():
     assert "b" not in {argument for step in found.steps for argument in step.arguments}
 
 
-@pytest.mark.parametrize("goals", list(permutations(["(at r1 c)", "(at r2 c)", "(at r1 d)", "(clean a)", "(clean c)", "(at r2 b)"], 2)))
+@pytest.mark.parametrize("goals", list(combinations(["(at r1 c)", "(at r2 c)", "(at r1 d)", "(clean a)", "(clean c)", "(at r2 b)"], 2)))
 def test_plans_without_conflict_work_in_every_order_of_their_events(goals: tuple[str, str]):
     """The oracle: carry both plans out, one event of either at a time, in some orders of each kind."""
     problem = rooms()

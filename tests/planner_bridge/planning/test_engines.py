@@ -134,6 +134,8 @@ def test_a_program_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch, tmp
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(InputError, match="enhsp needs java, which is not installed"):
         solve(rooms(), planner="enhsp")
+    with pytest.raises(InputError, match="enhsp needs java"):
+        solve(rooms(), planner="race:kairos,enhsp")
 
 
 # --- how they are stopped ------------------------------------------------------------------

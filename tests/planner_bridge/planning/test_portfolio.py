@@ -25,9 +25,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.pipeline.achieve import achieve
 from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.portfolio import solve_with_portfolio, suitable_planners
-from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.settings import Settings
-from pnm.errors import InputError
 from tests.support.pddl.problems import hard, matches, rooms, tanks
 from tests.support.processes import LIMIT, parent, until, working_in
 
@@ -197,17 +195,6 @@ def test_those_take_part_that_are_there_and_suit_the_problem(
     assert set(suitable_planners(problem)) in (expected, expected - {"enhsp"})
     monkeypatch.setenv("PATH", str(tmp_path))
     assert set(suitable_planners(problem)) == expected - {"enhsp"}
-
-
-def test_who_is_not_known_cannot_take_part() -> None:
-    with pytest.raises(InputError, match="'nobody' cannot take part in a race; these can: kairos, fast-downward, aries, enhsp"):
-        solve(rooms(), planner="race:kairos,nobody")
-
-
-def test_who_is_not_installed_cannot_take_part(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(InputError, match="enhsp needs java"):
-        solve_with_portfolio(rooms(), planners=("kairos", "enhsp"))
 
 
 # --- how it is stopped ---------------------------------------------------------------------

@@ -164,8 +164,3 @@ def test_constraints_hold_for_every_choice_of_objects() -> None:
 def test_numbers_are_whole_if_all_are(power: str, kind: Anything) -> None:
     burning = lamp("(= ?duration (power ?l))")
     assert to_unified_planning(replace(burning, init={**burning.init, ("power", "l"): float(power)})).fluent("used").type == kind
-
-
-def test_scaling_is_an_assignment_of_a_product() -> None:
-    (burn,) = to_unified_planning(lamp(effect="(scale-up (used) 2)")).actions
-    assert [str(one) for one in burn.effects[up.EndTiming()]] == ["lit(l) := false", "used := (used * 2)"]
