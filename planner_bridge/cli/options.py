@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hmac
 import json
 import os
 import sys
@@ -124,6 +123,8 @@ def state_folder() -> Path:
 def seal_of(command: Sequence[str]) -> str:
     """Return the proof that this user has given a command on this computer, by a secret of the user. Empty if there can be none."""
     try:
+        import hmac  # here, because it is slow to import, and a search for a plan needs no seal
+
         return hmac.new(secret_in(state_folder()), json.dumps(command).encode(), "sha256").hexdigest()
     except (OSError, PnmError):
         return ""

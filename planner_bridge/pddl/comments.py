@@ -13,7 +13,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 AnchorPath: TypeAlias = tuple[str, ...]
 
@@ -21,8 +21,7 @@ BLANK: Final = ""
 """An empty line among comments."""
 
 
-@dataclass(frozen=True, slots=True)
-class Note:
+class Note(NamedTuple):
     """The comments on one thing, each beginning with one mark or several, as in PDDL."""
 
     before: tuple[str, ...] = ()
@@ -102,8 +101,7 @@ def write_with_notes(table: CommentTable, write: Callable[[Notes], str]) -> str:
     return write(Notes.of(moved))
 
 
-@dataclass(frozen=True, slots=True)
-class Anchor:
+class Anchor(NamedTuple):
     """A thing in a file that comments can be about."""
 
     path: AnchorPath
@@ -115,16 +113,14 @@ class Anchor:
     """Whether comments in it are part of it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Comment:
+class Comment(NamedTuple):
     """A comment in a file, with its mark."""
 
     text: str
     offset: int
 
 
-@dataclass(frozen=True, slots=True)
-class LineIndex:
+class LineIndex(NamedTuple):
     """The offsets at which the lines of a text begin."""
 
     text: str

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import codecs
 import os
-import secrets
 from collections.abc import Callable
 from contextlib import suppress
 from difflib import get_close_matches
@@ -108,7 +107,7 @@ def private_file(path: Path) -> None:
 def write_private(path: Path, text: str) -> None:
     """Replace a file, whatever it was."""
     private_folder(path.parent)
-    draft = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
+    draft = path.with_name(f"{path.name}.{os.urandom(4).hex()}")
     with open(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600), "w", encoding="utf-8") as file:
         file.write(text)
     draft.replace(path)
@@ -118,7 +117,7 @@ def secret_in(folder: Path) -> bytes:
     """Return the secret of a folder, which is made when it is first asked for; raise an `OSError` if there can be none."""
     path = folder / _SECRET
     if not path.exists():
-        write_private(path, secrets.token_hex(32))
+        write_private(path, os.urandom(32).hex())
     return path.read_bytes()
 
 
