@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-import random
 import sys
 from dataclasses import replace
 from math import inf
 
 import pytest
-from hypothesis import given, strategies as st
 
-from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.achieve import achieve
-from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.solve import solve
-from planner_bridge.tasks.replanning import Progress, why_not
 from pnm.core.logic.conditions import All, Holds, Not
 from pnm.core.logic.trajectory import Constraint
-from pnm.core.machine.plan_graph import Moment
 from tests.support.pddl.problems import matches, rooms
-from tests.support.runs.plan_graphs import any_order, shown
+from tests.support.runs.plan_graphs import shown
 from tests.support.tasks.planned_runs import timed
 
 
@@ -216,30 +210,3 @@ def test_writes_that_keep_an_over_all_condition_true_together_are_ordered() -> N
         del-q; 1; (); (and (at end (not (q))) (at end (done)))"""
     graph = plan_graph(lasting(actions, "(q)", "(and (seen) (done))"), timed("0 10 hold", "0 3 add-p", "8.5 1 del-q"))
     assert "end of #1 < end of #2 ((p), (q))" in shown(graph)
-
-
-@given(st.lists(st.sampled_from(["r1", "r2"]), min_size=1, max_size=10), st.randoms(use_true_random=False))
-def test_every_order_that_the_graph_allows_is_a_valid_plan(robots: list[str], chooser: random.Random) -> None:
-    problem = rooms(goal="(and)", ways="ab bc cd da ad dc cb ba")
-    plan = _walk(problem, robots, chooser)
-    graph = plan_graph(problem, plan)
-    order = any_order(graph, chooser)
-    starts = [event.call for event in order if event.moment is Moment.START]
-    reordered = Plan(tuple(plan.steps[index] for index in starts))
-    assert validate(problem, reordered) == ""
-    assert why_not(Progress.beginning(graph), initial_knowledge(problem)) == ""
-
-
-def _walk(problem: Problem, robots: list[str], chooser: random.Random) -> Plan:
-    """A random plan in which the robots walk about and sweep."""
-    at, clean, steps = {"r1": "a", "r2": "a"}, set[str](), []
-    links = [(fluent[1], fluent[2]) for fluent in problem.init if fluent[0] == "way"]
-    for robot in robots:
-        here = at[robot]
-        if here not in clean and chooser.random() < 0.4:
-            steps.append(f"sweep {robot} {here}")
-            clean.add(here)
-        else:
-            at[robot] = chooser.choice([there for one, there in links if one == here])
-            steps.append(f"move {robot} {here} {at[robot]}")
-    return sequence(*steps)

@@ -13,15 +13,9 @@ from planner_bridge.pddl.expressions import number_text
 from planner_bridge.pddl.writer import write_domain, write_problem
 from planner_bridge.yaml.reader import parse
 from planner_bridge.yaml.writer import write_domain as domain_as_yaml, write_problem as problem_as_yaml
-from pnm.core.logic.conditions import All, Any, Compare, ForAll, Implies, Not
-from pnm.core.logic.domain import ActionSchema, DurationConstraint, Preference
-from pnm.core.logic.effects import ForEach, Set, TimedChange, When
-from pnm.core.logic.expressions import DURATION, UNDEFINED, Arithmetic, Constant, Fluent, ValueOf, Variable
-from pnm.core.logic.rules import DerivationRule, Rules
-from pnm.core.logic.trajectory import Constraint
 from tests.support.files import input_error
-from tests.support.pddl.models import DOMAINS, NUMBERS, OWN, PROBLEMS, domain_of
-from tests.support.pddl.text import CHARGE, IDLE, NOT_IDLE, SET_IDLE, SMALL
+from tests.support.pddl.models import DOMAINS, NUMBERS, PROBLEMS
+from tests.support.pddl.text import EXTENDED, SMALL
 
 domain_with = SMALL.domain_with
 
@@ -84,40 +78,27 @@ WORDS = """( ) ? ?x - : :effect and at start end not = 3 ?duration when forall e
     :constraints home undefined is-violated assign over all :vars :htn"""
 
 
+DOMAIN = (
+    f"{EXTENDED.domain} (:derived (busy) (not (idle))) (:constraints (within 5 (forall (?x - room) (dirty ?x)))) (:task t)"
+    " (:durative-action later :parameters (?r - robot) :duration (<= ?duration 5)"
+    " :condition (and (at start (= (charge ?r) ?duration)) (at end (forall (?x - room) (dirty ?x))) (preference care (at end (idle))))"
+    " :effect (and (at start (forall (?x - room) (when (idle) (not (dirty ?x))))) (at end (increase (charge ?r) (+ 1 (charge ?r))))"
+    " (when (at start (idle)) (at end (assign (home ?r) undefined)))))"
+    " (:action now :parameters () :precondition (or (idle) (imply (idle) (dirty hall))) :effect (when (idle) (dirty hall))))"
+)
+PROBLEM = (
+    f"{EXTENDED.problem} (:init (idle) (= (charge r2) 3) (= (home r2) hall) (at 5 (not (idle))))"
+    " (:goal (and (idle) (preference p (idle)))) (:constraints (preference q (always (idle)))))"
+)
+
+
 @given(st.data())
 def test_a_damaged_text_is_read_or_refused_with_a_position(data: st.DataObject) -> None:
-    domain = replace(
-        domain_of([SAMPLE, EARLY]), rules=Rules((DerivationRule("calm", OWN, Not(IDLE)),)), constraints=(LAW,), hierarchy=("(:task t)",)
-    )
-    init: dict[Fluent, bool | float | str] = {("idle",): True, ("charge", "R1"): 3.0, ("home", "R1"): "hall"}
-    wishes = Preference("p", IDLE, (Variable("?x"),)), Preference("q", (LAW,))
-    texts = (
-        write_domain(domain),
-        write_problem(Problem("p", domain, init=init, timed=SOON, goal=IDLE, preferences=wishes, constraints=(LAW,))),
-    )
-    which = data.draw(st.integers(0, 1))
-    words = texts[which].replace("(", " ( ").replace(")", " ) ").split()
+    is_problem, domain = data.draw(st.booleans()), parse_domain(DOMAIN)
+    words = (PROBLEM if is_problem else DOMAIN).replace("(", " ( ").replace(")", " ) ").split()
     for _ in range(data.draw(st.integers(1, 3))):
         at = data.draw(st.integers(0, len(words) - 1))
         words[at : at + data.draw(st.integers(0, 2))] = data.draw(st.lists(st.sampled_from([*WORDS.split(), *words[:40]]), max_size=2))
     text = " ".join(words)
-    error = input_error(lambda: parse_problem(text, domain) if which else parse_domain(text))
+    error = input_error(lambda: parse_problem(text, domain) if is_problem else parse_domain(text))
     assert error is None or error.position is not None
-
-
-SOON = (TimedChange(5.0, {("idle",): False, ("charge", "R1"): 1.0}),)
-LAW = Constraint("within", (ForAll((Variable("?x"),), IDLE),), (5.0,), (Variable("?r", ("robot",)),))
-SAMPLE = ActionSchema(
-    "later",
-    OWN,
-    precondition=All((IDLE, Compare("=", CHARGE, ValueOf(DURATION)))),
-    end_condition=ForAll((Variable("?x"),), Not(IDLE)),
-    start_effects=(ForEach((Variable("?x"),), (When(IDLE, (NOT_IDLE,)), SET_IDLE)),),
-    end_effects=(
-        Set(("charge", "?r"), Arithmetic("+", (Constant(1.0), CHARGE)), "increase"),
-        When(IDLE, (Set(("home", "?r"), Constant(UNDEFINED)),), early=True),
-    ),
-    preferences=(Preference("care", IDLE, moment="at end"),),
-    duration=(DurationConstraint("<=", Constant(5.0)),),
-)
-EARLY = ActionSchema("now", OWN, precondition=Any((IDLE, Implies(IDLE, IDLE))), end_effects=(When(IDLE, (SET_IDLE,)),))

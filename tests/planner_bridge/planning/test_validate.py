@@ -191,19 +191,6 @@ def test_steps_without_times_come_one_after_the_other() -> None:
     assert why_invalid(robots, Plan(moves[:1])).startswith("the goal does not hold at the end: expected (at r1 c)")
 
 
-def test_the_states_a_plan_leads_through() -> None:
-    states = trace(over_rules("(p) (at 3 (q))"), timed_plan("0 hold 2; 0.5 count; 2.5 double"))
-    seen = [(time, state.value(("f",)), state.value(("r",)) is True, state.value(("q",)) is True) for time, state in states]
-    assert seen == [
-        (0.0, 1.0, False, False),
-        (0.0, 1.0, False, False),
-        (0.5, 2.0, False, False),
-        (2.0, 2.0, True, False),
-        (2.5, 4.0, True, False),
-        (3.0, 4.0, True, True),
-    ]
-
-
 def test_an_invalid_plan_leads_nowhere() -> None:
     with pytest.raises(InvalidPlan, match="cannot start"):
         trace(over_rules(), timed_plan("0 look"))
