@@ -95,8 +95,7 @@ class BusyElsewhere(SimulatedBackend):
     """Simulated robots whose server is at work on a goal of another program, for a while."""
 
     def __init__(self, until: float) -> None:
-        opens = HiddenChange({("way", "b", "c"): True}, at=until)
-        super().__init__(robots_of(rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab"), Bindings(), Faults(changes=(opens,))))
+        super().__init__(robots_of(closed(), Bindings(), opens(at=until)))
         self.until = until
         self.looks: list[float] = []
 
@@ -107,10 +106,8 @@ class BusyElsewhere(SimulatedBackend):
 
 @pytest.mark.parametrize(("until", "is_reached"), [(20.0, True), (100.0, False)])
 def test_nothing_is_called_unsolvable_while_servers_are_at_work_for_others(until: float, is_reached: bool) -> None:
-    listener = Listener()
-    backend = BusyElsewhere(until)
-    problem = rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab")
-    result = run_async(achieve_at(backend, problem, Settings(), listener), virtual=True)
+    listener, backend = Listener(), BusyElsewhere(until)
+    result = run_async(achieve_at(backend, closed(), Settings(), listener), virtual=True)
     assert result.goal_reached is is_reached
     busy = "no plan, while /r1/move is at work on goals of other programs: "
     assert listener.reasons[0].startswith(f"waits 60 s at most for facts to change: {busy}")

@@ -36,11 +36,6 @@ async def test_a_plan_as_a_text_that_has_parameters_or_too_many_calls_is_refused
 
 
 @simulated()
-async def test_an_unreachable_goal_has_no_plan(simulation: TaskSimulation):
-    assert await simulation.ended_with(simulation.want("(and (has r0 p0) (has r0 p1))")) == [Code.NO_PLAN]
-
-
-@simulated()
 async def test_a_goal_that_holds_is_reached_without_any_call(simulation: TaskSimulation):
     task = simulation.want("(at r0 a0)")
     await simulation.reaches(task)
