@@ -19,7 +19,6 @@ from pnm.executor import Executor
 from pnm.knowledge.source import Source
 from tests.support.runs.commands import RUN, accepted
 from tests.support.runs.plan_graphs import plan_of, plan_of_steps
-from tests.support.runs.simulated import FiringLog
 
 CANCELED, SUCCEEDED, ABORTED = (Outcome(kind) for kind in (OutcomeKind.CANCELED, OutcomeKind.SUCCEEDED, OutcomeKind.ABORTED))
 
@@ -80,7 +79,7 @@ def carried(
     server = ManualClient()
     world = KnowledgeBase(sensed={"seen": 2.0})
     machine = generate(plan_of(*actions), bindings)
-    run = Run(machine, Layered(world), id=RUN, bindings=bindings, observer=FiringLog(), asks=source is not None)
+    run = Run(machine, Layered(world), id=RUN, bindings=bindings, asks=source is not None)
     executor = Executor(run, server, source)
 
     async def main() -> RunResult:

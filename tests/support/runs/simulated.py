@@ -95,7 +95,6 @@ def simulate(
     *,
     bindings: Bindings | None = None,
     on_failure: OnFailure = OnFailure.DRAIN,
-    believed: dict[Fluent, Value] | None = None,
     watched: bool = True,
     stop_at: float | None = None,
 ) -> SimulatedRun:
@@ -103,7 +102,7 @@ def simulate(
     chosen = bindings or Bindings()
     truth = KnowledgeBase(init)
     world = SimulatedWorld(truth, {fluent[0] for fluent in init} | {"at"})
-    beliefs = KnowledgeBase(init if believed is None else believed)
+    beliefs = KnowledgeBase(init)
     robots = SimulatedRobots(world, faults, chosen)
     log = FiringLog()
     machine = generate(plan, chosen, on_failure=on_failure)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, PlanEvent, PlanGraph
 from pnm.core.pictures.export import to_dot, to_json
+from tests.support.runs.plan_graphs import ordering, plan_of
 from tests.support.runs.simulated import move
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -19,9 +20,8 @@ FORMATS: dict[str, Callable[[PetriNetMachine], str]] = {"dot": to_dot, "json": t
 
 
 def machine() -> PetriNetMachine:
-    calls = (ActionCall(0, move("r1", "hall", "door")), ActionCall(1, move("r1", "door", "kitchen")))
-    ordering = Ordering(PlanEvent(0, Moment.END), PlanEvent(1, Moment.START), (("at", "r1", "door"),))
-    return generate(PlanGraph(calls, (ordering,)))
+    moves = plan_of(move("r1", "hall", "door"), move("r1", "door", "kitchen"))
+    return generate(replace(moves, orderings=(ordering("0e<1s", (("at", "r1", "door"),)),)))
 
 
 @pytest.mark.parametrize("name", FORMATS)
