@@ -210,8 +210,9 @@ class CallResults:
         if before is None:
             before = self._current[call] = CallResult(self._calls[call])
         if outcome is _RUNNING:
-            started = now if before.started is None else before.started
-            self._current[call] = before._replace(kind=outcome, attempts=before.attempts + 1, started=started)
+            sent, _, attempts, started, ended, was_assumed, cause = before
+            started = now if started is None else started
+            self._current[call] = CallResult(sent, outcome, attempts + 1, started, ended, was_assumed, cause)
         elif outcome is _WAITING:
             if before.kind is not _WAITING:
                 self._rounds.append(self._current.pop(call))
@@ -224,7 +225,7 @@ class CallResults:
         elif outcome is _SKIPPED and before.kind is _SUSPENDED:
             self._current[call] = before._replace(kind=CallOutcome.CANCELED, ended=now)
         elif outcome is not _CANCELED or before.kind is not CallOutcome.FAILED:  # how its request ended changes nothing then
-            self._current[call] = before._replace(kind=outcome, ended=now, assumed=assumed, cause=None)
+            self._current[call] = CallResult(before.call, outcome, before.attempts, before.started, now, assumed)
 
     def hindered(self, rule: Rule, call: int, check: Explanation | None, unseen: tuple[str, str] | None) -> Explanation | None:
         """Record, and return, the cause of a recovery or failure of a call that the firing of a transition tells.
