@@ -19,8 +19,7 @@ from pnm.core.execution.machine_index import Decision, Firing, Site
 from pnm.core.execution.questions import subject_of
 from pnm.core.execution.run_view import RunView
 from pnm.core.logic.computed_values import Question, Unanswered
-from pnm.core.machine.failure_causes import Cause
-from pnm.core.machine.guards import EffectsMissing, Opener, Rule, Withheld
+from pnm.core.machine.guards import EffectsMissing, InvariantFalse, Opener, Rule, Withheld
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import BEFORE_ACCEPTANCE, Accepted, CallOutcome, Ended, Feedback, OutcomeKind, Postponed, TransitionAction
 from pnm.core.net.block_net import NumberedArcs
@@ -278,7 +277,7 @@ class Run(RunView):
                 self._results.turned(outcome, call, state.now, outcome is _SUCCEEDED and self._calls.is_assumed(call))
             if firing.tells:
                 self._tell(rule, call, place, None if firing.fails else check)
-            if check and check.cause is Cause.INVARIANT_FALSE:
+            if firing.guarded is InvariantFalse:
                 self._calls.attempts[call].interrupt(self._guards.context(call, None))
             if firing.action is not None:
                 self._perform(firing.action, call, place, state.now, is_turn=bool(firing.turns))
