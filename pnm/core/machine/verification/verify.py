@@ -53,8 +53,8 @@ from pnm.core.net.net import Weights
 from pnm.core.net.no_collection import no_collection
 from pnm.errors import check_kinds, counted
 
-_MALFORMED: Final = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError)
-"""The errors of a machine that was tampered with: it may name anything, and have anything in the place of anything."""
+_MALFORMED: Final = (ArithmeticError, AssertionError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+"""The errors of a machine that was tampered with: it may name anything, have anything in the place of anything, and recover in circles."""
 
 
 _FOUND_GOOD: Final = Remembered[object, Exploration]()

@@ -15,12 +15,12 @@ from pnm.core.machine.failure_causes import Cause, Phase
 from pnm.core.machine.generate import generate
 from pnm.core.machine.guards import After, ConditionFalse, ConditionTrue, Guard, InvariantFalse
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import EMPTY, ActionCall, GroundAction, PlanGraph, Recovery, Then
+from pnm.core.machine.plan_graph import EMPTY, ActionCall, Flow, GroundAction, PlanGraph, Recovery, Then
 from pnm.core.machine.verification.call_content import WATCHES, AskedOf, traits
 from pnm.core.machine.verification.part import CallRule, Unsound
 from pnm.core.machine.verification.verify import net_of, verify
 from pnm.core.net.net import Marking, PetriNet, Weights
-from tests.support.runs.mutation.changes import with_rule, without_transition
+from tests.support.runs.mutation.changes import with_outputs, with_rule, without_transition
 from tests.support.runs.mutation.forgotten import TRAITS, run_forgotten
 from tests.support.runs.mutation.machines import written_out
 
@@ -119,3 +119,11 @@ def test_a_call_that_is_not_tried_again_where_it_might_be_is_refused() -> None:
     outputs = {**MACHINE.net.outputs, "a0()#0 aborted": MACHINE.net.outputs["a0()#0 aborted_for_good"]}
     with pytest.raises(Unsound, match=r"^a0\(\)#0 does not keep the rule of its recoveries: "):
         verify(replace(MACHINE, net=PetriNet(MACHINE.net.places, MACHINE.net.inputs, outputs)))
+
+
+def test_a_recovery_that_leads_to_itself_is_refused() -> None:
+    recovery = Recovery(frozenset({Cause.ABORTED}), Then.RETRY, Flow((call(1),)), times=2)
+    machine = generate(PlanGraph((replace(call(0), recoveries=(recovery,)),)))
+    verify(machine)
+    with pytest.raises(Unsound, match="not of the form that a machine has"):
+        verify(with_outputs(machine, "a0()#0 retry 0", {"a0()#0 recovering 0": 1}))
