@@ -18,36 +18,24 @@ from tests.support.ros.recording_client import RecordingClient
 TYPE = "pnm_interfaces/action/AchieveGoal"
 DONE = OutcomeKind.SUCCEEDED, lambda: {"message": "done"}
 
-Accept = Callable[[GoalServer, UUID, str], Awaitable[str]]
-
-
-class ServedClient(RecordingClient):
-    """A client, and the server that it sends goals to."""
-
-    def __init__(self, ros: RosThread, server: GoalServer, **bindings: Binding) -> None:
-        super().__init__(ros, **bindings)
-        self.server = server
-
 
 @asynccontextmanager
-async def serving(ros: RosThread, name: str, accept: Accept) -> AsyncIterator[ServedClient]:
+async def serving(
+    two: tuple[RosThread, RosThread], connect: Callable[..., RecordingClient], accept: Callable[[GoalServer, UUID, str], Awaitable[str]]
+) -> AsyncIterator[tuple[GoalServer, RecordingClient]]:
     """A server that decides about the texts of goals, and a client that sends them."""
 
     async def decide(goal: UUID, request: Any) -> str:
         return await accept(server, goal, request.goal)
 
-    own = RosThread(f"{name}_node")
-    server = GoalServer(own, TYPE, name, decide, lambda goal: server.end(goal, *DONE))
+    server = GoalServer(two[0], TYPE, "reach", decide, lambda goal: server.end(goal, *DONE))
     await server.open()
-    client = ServedClient(ros, server, reach=Binding(server=name, type=TYPE))
-    yield client
-    client.ros2.close()
+    yield server, connect(two[1], reach=Binding(type=TYPE))
     await server.close()
-    await asyncio.to_thread(own.close)
 
 
 @bounded
-async def test_a_goal_is_accepted_when_its_server_has_decided_and_others_meanwhile(ros, names):
+async def test_a_goal_is_accepted_when_its_server_has_decided_and_others_meanwhile(two, connect):
     kept, arrived = asyncio.Event(), asyncio.Event()
 
     async def accept(server: GoalServer, goal: UUID, text: str) -> str:
@@ -56,7 +44,7 @@ async def test_a_goal_is_accepted_when_its_server_has_decided_and_others_meanwhi
             await kept.wait()
         return ""
 
-    async with serving(ros, names(), accept) as client:
+    async with serving(two, connect, accept) as (_, client):
         slow = client.send("reach", goal="slow")
         await arrived.wait()
         await client.send("reach", goal="quick").accepted()
@@ -66,13 +54,13 @@ async def test_a_goal_is_accepted_when_its_server_has_decided_and_others_meanwhi
 
 
 @bounded
-async def test_what_is_over_while_it_is_decided_about_is_accepted_first(ros, names):
+async def test_what_is_over_while_it_is_decided_about_is_accepted_first(two, connect):
     async def accept(server: GoalServer, goal: UUID, text: str) -> str:
         server.end(goal, *DONE)
         await asyncio.sleep(0.1)
         return ""
 
-    async with serving(ros, names(), accept) as client:
+    async with serving(two, connect, accept) as (_, client):
         sent = client.send("reach", goal="over")
         await sent.accepted()
         outcome = await sent.ended()
@@ -80,18 +68,18 @@ async def test_what_is_over_while_it_is_decided_about_is_accepted_first(ros, nam
 
 
 @bounded
-async def test_a_goal_whose_server_died_before_it_answered_goes_on_in_the_next_process_that_has_it(ros, names):
+async def test_a_goal_whose_server_died_before_it_answered_goes_on_in_the_next_process_that_has_it(two, connect):
     async def accept(server: GoalServer, goal: UUID, text: str) -> str:
         arrived.set()
         return await asyncio.get_running_loop().create_future()
 
     arrived = asyncio.Event()
-    async with serving(ros, name := names(), accept) as client:
+    async with serving(two, connect, accept) as (server, client):
         sent = client.send("reach", goal="kept")
         await arrived.wait()
-        client.server.vanish()
-        next_node = RosThread(f"{name}_next")
-        successor = GoalServer(next_node, TYPE, name, lambda *_: accept(successor, *_), lambda _: None)
+        server.vanish()
+        next_node = RosThread("next", namespace=two[0].node.get_namespace())
+        successor = GoalServer(next_node, TYPE, "reach", lambda *_: accept(successor, *_), lambda _: None)
         await successor.open([sent.id])
         await sent.accepted()
         successor.end(sent.id, *DONE)
@@ -101,15 +89,15 @@ async def test_a_goal_whose_server_died_before_it_answered_goes_on_in_the_next_p
 
 
 @bounded
-async def test_a_goal_is_rejected_for_a_reason_or_an_error_and_the_next_one_is_not(ros, names, caplog):
+async def test_a_goal_is_rejected_for_a_reason_or_an_error_and_the_next_one_is_not(two, connect, caplog):
     async def accept(server: GoalServer, goal: UUID, text: str) -> str:
         if text == "error":
             raise ValueError("no such thing")
         return "" if text == "good" else "it is bad"
 
-    async with serving(ros, name := names(), accept) as client:
+    async with serving(two, connect, accept) as (_, client):
         for text in ("bad", "error"):
             assert (await client.send("reach", goal=text).ended()).kind is OutcomeKind.REJECTED
         await client.send("reach", goal="good").accepted()
-    assert f"a goal for {name} is rejected: it is bad" in caplog.text
-    assert f"a goal for {name} is rejected: ValueError: no such thing" in caplog.text
+    assert "a goal for reach is rejected: it is bad" in caplog.text
+    assert "a goal for reach is rejected: ValueError: no such thing" in caplog.text
