@@ -31,7 +31,7 @@ from pnm.core.execution.events import broadcast
 from pnm.core.machine.machine import OnFailure
 from pnm.errors import InputError
 from pnm.files.database.place import Place, without_password
-from pnm.journal.kept import Durability, JournalChoice
+from pnm.journal.kept import DURABILITIES, JournalChoice
 from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import NO_SENSING
 from pnm.tasks import Code, Tasks
@@ -165,8 +165,8 @@ class Output(Enum):
 def journal_choice(place: Place, durability: str | None, *, adopts: bool) -> JournalChoice:
     """Return the journal of a run; another process would go on with what the command was given here, but adopts nothing unasked."""
     given = [without_password(argument) for argument in click.get_current_context().meta[GIVEN] if argument != ADOPT]
-    command, durable = (os.getcwd(), *given), Durability.of(durability) if durability else None
-    return JournalChoice(place, durable, command=command, seal=options.seal_of(command), adopts=adopts)
+    command, is_durable = (os.getcwd(), *given), DURABILITIES[durability] if durability else None
+    return JournalChoice(place, is_durable, command=command, seal=options.seal_of(command), adopts=adopts)
 
 
 @contextmanager

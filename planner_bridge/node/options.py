@@ -17,7 +17,7 @@ from pnm.core.machine.machine import OnFailure
 from pnm.errors import InputError
 from pnm.files.database.place import Place, place_of
 from pnm.files.yaml_nodes import Mapped, load_yaml
-from pnm.journal.kept import DAY, KEPT, LEASE, Durability
+from pnm.journal.kept import DAY, DURABILITIES, KEPT, LEASE
 from pnm.knowledge.sensor_file import sensing_in
 from pnm.knowledge.sensor_model import NO_SENSING, Sensing
 from pnm.ros.node.parameters import NodeParameter, ParameterValue
@@ -40,7 +40,7 @@ PARAMETERS: Final = (
     NodeParameter(
         "durability", "", "the crash that the journal survives: of the process, or of the computer, which is slower;"
         " by default process-crash for a file, power-loss for PostgreSQL",
-        choices=tuple(level.word for level in Durability),
+        choices=tuple(DURABILITIES),
     ),
     NodeParameter("keep_days", KEPT / DAY, "days for which the journal keeps old records; tasks are listed for longer"),
     NodeParameter(
@@ -87,7 +87,7 @@ class Options:
     knowledge: Place | None
     journal: str
     """A file, postgresql://…, 'none', or empty for the default."""
-    durability: Durability | None
+    durability: bool | None
     """None for the default of the place of the journal."""
     keep_days: float
     adopt: bool
@@ -122,7 +122,7 @@ class Options:
         given["world_name"] = given["world_name"] or None
         given["on_failure"], given["on_conflict"] = OnFailure(given["on_failure"]), OnConflict[given["on_conflict"].upper()]
         given["on_change"] = OnChange(given["on_change"])
-        given["durability"] = Durability.of(given["durability"]) if given["durability"] else None
+        given["durability"] = DURABILITIES.get(given["durability"])
         return cls(**given)
 
 

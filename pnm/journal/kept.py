@@ -6,8 +6,6 @@ import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from enum import Enum
-from pathlib import Path
 from typing import Final, NamedTuple
 
 from pnm.errors import PnmError
@@ -20,6 +18,9 @@ KEPT: Final = 7 * DAY
 """Seconds for which records are kept that nothing under way needs, unless something else is chosen."""
 LISTED: Final = 50
 """The factor by which tasks are listed longer than their records are kept."""
+DURABILITIES: Final = {"process-crash": False, "power-loss": True}
+"""Whether committed records survive the death of the computer that has the file or the database, by the word for it: every commit is on
+its disk then, before anything is done. All survive that of the process, as by SIGKILL."""
 _ANEW: Final = 5.0
 """Seconds for which a process that stood by may not be seen because it connects anew."""
 LEASE: Final = 5.0
@@ -72,30 +73,6 @@ def journal_errors(place: Place, verb: str) -> Iterator[None]:
         raise kind(f"the journal {place} cannot be {verb}: {error}") from error
 
 
-class Durability(Enum):
-    """The crashes that committed records survive."""
-
-    PROCESS_CRASH = "NORMAL"
-    """The death of the process, as by SIGKILL."""
-    POWER_LOSS = "FULL"
-    """The death of the computer that has the file or the database: every commit is on its disk before anything is done."""
-
-    @classmethod
-    def usual(cls, place: Place) -> Durability:
-        """Return the level of a place for which none is chosen: a server may die while the process goes on, and a file cannot."""
-        return cls.PROCESS_CRASH if isinstance(place, Path) else cls.POWER_LOSS
-
-    @property
-    def word(self) -> str:
-        """Its name in options."""
-        return self.name.lower().replace("_", "-")
-
-    @classmethod
-    def of(cls, word: str) -> Durability:
-        """Return the level of a word."""
-        return cls[word.upper().replace("-", "_")]
-
-
 class TaskRow(NamedTuple):
     """A task as it is listed: its id, the time of day when it was accepted or has ended, and its text."""
 
@@ -127,7 +104,7 @@ class JournalChoice:
 
     Args:
         place: of it; made if there is none.
-        durability: what commits survive; None for what is usual in that place.
+        is_durable: whether commits survive the death of the computer; None for what is usual in that place.
         kept: seconds for which records are kept that nothing under way needs.
         command: what the command line is given, in which folder first, so that `pnm resume` goes on; empty for a node.
         seal: of the command, see `pnm.journal.records.SharedBegan`.
@@ -137,7 +114,7 @@ class JournalChoice:
     """
 
     place: Place
-    durability: Durability | None = None
+    is_durable: bool | None = None
     kept: float = KEPT
     command: tuple[str, ...] = ()
     seal: str = ""

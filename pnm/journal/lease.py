@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Final
 
 from pnm.files.database.lock import FileLock
-from pnm.journal.kept import Durability, Fenced, HeldByAnother, Hold, JournalChoice, JournalError, StandBys, journal_errors
+from pnm.journal.kept import Fenced, HeldByAnother, Hold, JournalChoice, JournalError, StandBys, journal_errors
 from pnm.journal.store import JournalFile
 
 _SAFE: Final = 0.9
@@ -166,16 +166,18 @@ def take(choice: JournalChoice) -> tuple[JournalFile, Hold]:
         InputError: it belongs elsewhere, or is not all there.
         JournalError: it cannot be used.
     """
-    place, durability = choice.place, choice.durability or Durability.usual(choice.place)
+    place, is_durable = choice.place, choice.is_durable
+    if is_durable is None:  # a server may die while the process goes on, and a file cannot
+        is_durable = not isinstance(place, Path)
     if isinstance(place, Path):
         lock = _locked(place)
         try:
-            return JournalFile(place, durability, time.time(), lock=lock, node=choice.node, adopts=choice.adopts), Watch()
+            return JournalFile(place, time.time(), is_durable=is_durable, lock=lock, node=choice.node, adopts=choice.adopts), Watch()
         except BaseException:
             lock.release()
             raise
     asked = elapsed()
-    file = JournalFile(place, durability, time.time(), choice.lease, node=choice.node, adopts=choice.adopts)
+    file = JournalFile(place, time.time(), choice.lease, is_durable=is_durable, node=choice.node, adopts=choice.adopts)
     return file, Lease(file, choice.lease, asked)
 
 

@@ -1,7 +1,7 @@
 """A journal in a database: records in their order, each transaction whole or not there at all.
 
 The database is an SQLite file, or PostgreSQL for several nodes. SQLite's write-ahead log keeps what was committed when a process is
-killed; with `Durability.POWER_LOSS` also when the power fails, and so does PostgreSQL.
+killed; if it is to be durable also when the power fails, and so does PostgreSQL.
 
 Records are in segments, each of which can be replayed without those before it: a process goes on with the last one, and old ones
 are dropped. What people want to know of tasks stands beside them, in a row per task, which is kept longer and can be read by
@@ -33,7 +33,7 @@ from pnm.files.database.lock import FileLock, Mark, mark_of, this_host, this_pro
 from pnm.files.database.place import Place
 from pnm.files.database.sqlite import has_log
 from pnm.journal import tables
-from pnm.journal.kept import Damaged, Durability, Fenced, HeldByAnother, JournalError, Rewritten, Row, journal_errors
+from pnm.journal.kept import Damaged, Fenced, HeldByAnother, JournalError, Rewritten, Row, journal_errors
 
 _AT_ONCE: Final = 5000
 """Records that are dropped in a transaction."""
@@ -100,10 +100,10 @@ class JournalFile:
 
     Args:
         place: of it; made if there is none.
-        durability: what commits survive.
         wall: the time of day in seconds, for the epoch.
         lease: the seconds for which nobody else may take it; None where something else sees to that. With it the journal is taken
             only if nobody else has a lease.
+        is_durable: whether commits survive the death of the computer.
         lock: of its file, which is let go when the journal is closed.
         node: whose it is; None if that does not matter.
         adopts: whether it is taken although it belongs elsewhere, or is behind what its lock says.
@@ -120,10 +120,10 @@ class JournalFile:
     def __init__(
         self,
         place: Place,
-        durability: Durability,
         wall: float,
         lease: float | None = None,
         *,
+        is_durable: bool = False,
         lock: FileLock | None = None,
         node: str | None = None,
         adopts: bool = False,
@@ -132,13 +132,13 @@ class JournalFile:
         self._lock = Lock()
         self._lease = lease or 0.0
         self._file_lock = lock
-        self._is_durable = durability is Durability.POWER_LOSS
+        self._is_durable = is_durable
         log_is_there = _has_log(place)
         if lock and lock.left and not adopts and isinstance(place, Path) and not place.exists():
             kept = f"{lock.left.holder} has kept {lock.left.last} records in it"
             expected = "it was deleted or moved; expected it with its log, or --adopt to begin anew"
             raise InputError(f"the journal {place} is not there, and {kept}: {expected}")
-        self._database = _opened(place, read_only=False, durability=durability)
+        self._database = _opened(place, read_only=False, is_durable=is_durable)
         try:
             with self._lock, journal_errors(self.place, "written"):
                 if lock and isinstance(place, Path) and place.stat().st_size <= _QUICK:
@@ -526,6 +526,6 @@ class KeptJournal:
             return self._database.read(query, **values)
 
 
-def _opened(place: Place, *, read_only: bool, durability: Durability = Durability.PROCESS_CRASH) -> Database:
+def _opened(place: Place, *, read_only: bool, is_durable: bool = False) -> Database:
     with journal_errors(place, "opened"):
-        return Database(place, tables.LAYOUT, read_only=read_only, is_durable=durability is Durability.POWER_LOSS)
+        return Database(place, tables.LAYOUT, read_only=read_only, is_durable=is_durable)

@@ -46,7 +46,7 @@ from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Reporter, Request
 from pnm.journal.journal import NO_JOURNAL, Journal, WrittenJournal
-from pnm.journal.kept import Durability, JournalChoice
+from pnm.journal.kept import DURABILITIES, JournalChoice
 from pnm.journal.resume import replayed, take_up
 from pnm.journal.store import JournalFile
 from pnm.language.runner import PlanRunner
@@ -68,23 +68,23 @@ def engine(folder: Path) -> None:
     def handled(journal: Journal, world: KnowledgeBase) -> float:
         return seconds(lambda: answered(machine, journal, world), 1)
 
-    async def as_executed(file: Path | None, durability: Durability) -> float:
-        with short_pauses(), kept(file, durability) if file else nullcontext((NO_JOURNAL, KnowledgeBase())) as (journal, world):
+    async def as_executed(file: Path | None, is_durable: bool) -> float:
+        with short_pauses(), kept(file, is_durable=is_durable) if file else nullcontext((NO_JOURNAL, KnowledgeBase())) as (journal, world):
             began = time.perf_counter()
             await executed(machine, journal, world)
             return time.perf_counter() - began
 
-    for durability in Durability:
-        name, found = durability.name.lower().replace("_", " "), dict[str, list[tuple[float, float]]]()
+    for word, is_durable in DURABILITIES.items():
+        name, found = word.replace("-", " "), dict[str, list[tuple[float, float]]]()
         for turn in range(7):
-            file, other = folder / f"{durability.value}{turn}", folder / f"{durability.value}{turn}e"
+            file, other = folder / f"{word}{turn}", folder / f"{word}{turn}e"
             found.setdefault("with an executor", []).append(
-                (asyncio.run(as_executed(None, durability)), asyncio.run(as_executed(other, durability)))
+                (asyncio.run(as_executed(None, is_durable)), asyncio.run(as_executed(other, is_durable)))
             )
-            found.setdefault("events alone", []).append((without_journal(handled), with_journal(handled, file, durability)))
+            found.setdefault("events alone", []).append((without_journal(handled), with_journal(handled, file, is_durable=is_durable)))
         for what, pairs in found.items():
             without, with_one = (min(times) / CALLS for times in zip(*pairs, strict=True))
-            bound = "at most 3" if durability is Durability.PROCESS_CRASH else "no bound"
+            bound = "no bound" if is_durable else "at most 3"
             print(
                 f"a call, {what}, {name}: with / without a journal = {with_one / without:.2f} ({bound}); "
                 f"{1e6 * with_one:.0f} / {1e6 * without:.0f} us, {file.stat().st_size / CALLS:.0f} bytes in the file"
@@ -93,7 +93,7 @@ def engine(folder: Path) -> None:
 
 async def pursued(problem: Problem, settings: Settings, robots: SimulatedBackend, clock: FailureClock, file: Path | None) -> None:
     """Pursue the goal of the problem once, as a task of a manager."""
-    journal = WrittenJournal(JournalFile(file, Durability.PROCESS_CRASH, 0.0), TASKS) if file else NO_JOURNAL
+    journal = WrittenJournal(JournalFile(file, 0.0), TASKS) if file else NO_JOURNAL
     knowledge = initial_knowledge(problem)
     await robots.open(knowledge)
     runner = PlanRunner({}, robots, knowledge, None, journal)

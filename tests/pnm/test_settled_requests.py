@@ -22,7 +22,6 @@ from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Rep
 from pnm.core.resources import Resources
 from pnm.executor import Executor
 from pnm.journal.journal import NO_JOURNAL, Journal, WrittenJournal
-from pnm.journal.kept import Durability
 from pnm.journal.resume import replayed
 from pnm.journal.store import JournalFile
 
@@ -80,7 +79,7 @@ def settled_run(journal: Journal) -> tuple[Run, UUID]:
 
 def test_what_a_person_has_said_is_known_to_the_next_process(tmp_path: Path) -> None:
     async def one_process() -> UUID:
-        journal = WrittenJournal(JournalFile(tmp_path / "journal", Durability.PROCESS_CRASH, 0.0), TASKS)
+        journal = WrittenJournal(JournalFile(tmp_path / "journal", 0.0), TASKS)
         journal.begin(KnowledgeBase(), Resources())
         return settled_run(journal)[1]  # and dies, before the server has confirmed the end
 

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
-from pnm.journal.store import Durability, JournalFile
+from pnm.journal.store import JournalFile
 from tests.support.e2e.command_line import pnm, result
 from tests.support.e2e.deployment import ProblemDeployment
 from tests.support.files import written
@@ -72,7 +72,7 @@ def test_a_journal_of_other_files_or_of_a_node_is_refused_with_what_to_do(root: 
         assert wrong.returncode == 2
         assert words in wrong.stderr
     assert pnm("resume", str(tmp_path / "missing.journal")).returncode == 2
-    JournalFile(tmp_path / "new.journal", Durability.PROCESS_CRASH, 0.0).close()
+    JournalFile(tmp_path / "new.journal", 0.0).close()
     assert "has no task: the process died before it began one" in pnm("resume", str(tmp_path / "new.journal")).stderr
 
 

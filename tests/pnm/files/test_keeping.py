@@ -15,7 +15,7 @@ import pytest
 from pnm.files.database import driver, sqlite
 from pnm.files.database.database import Database, copy_file, move_file
 from pnm.files.database.driver import DatabaseError, OperationLimit
-from pnm.journal.kept import Damaged, Durability, JournalError, Row
+from pnm.journal.kept import Damaged, JournalError, Row
 from pnm.journal.store import JournalFile, KeptJournal
 from pnm.journal.tables import LAYOUT
 
@@ -26,7 +26,7 @@ ROWS = 500
 def journal(tmp_path: Path) -> Path:
     """A journal of two segments, which was closed."""
     path = tmp_path / "journal"
-    file = JournalFile(path, Durability.PROCESS_CRASH, 0.0)
+    file = JournalFile(path, 0.0)
     for wall in (0.0, 1.0):
         file.append([Row(0.0, "x" * 3000, wall if number == 0 else None) for number in range(ROWS)], {})
     file.close()

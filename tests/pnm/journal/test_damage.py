@@ -16,7 +16,7 @@ from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.errors import InputError, PnmError
 from pnm.files.database.lock import lock_of
 from pnm.files.database.place import Place
-from pnm.journal.kept import Durability, JournalChoice, JournalError, Row
+from pnm.journal.kept import JournalChoice, JournalError, Row
 from pnm.journal.lease import take
 from pnm.journal.records import Record, TaskSummary
 from pnm.journal.replay import Replay
@@ -99,7 +99,7 @@ def check(path: Path) -> None:
 
 
 def prune(path: Path) -> None:
-    with closing(JournalFile(path, Durability.PROCESS_CRASH, 0.0)) as file:
+    with closing(JournalFile(path, 0.0)) as file:
         file.drop(1e12, 1e12)
 
 
@@ -150,7 +150,7 @@ def test_whoever_reads_a_journal_without_its_log_is_told_once(has_lock: bool, tm
 
 
 def test_a_part_that_stands_where_another_one_should_is_refused(place: Place) -> None:
-    file = JournalFile(place, Durability.PROCESS_CRASH, 0.0)
+    file = JournalFile(place, 0.0)
     file.append([Row(0.0, "a")], {"one": "first", "other": "second"})
     file._database.run("DELETE FROM parts WHERE key = 'one'")
     file._database.run("UPDATE parts SET key = 'one' WHERE key = 'other'")  # as an index does that leads elsewhere

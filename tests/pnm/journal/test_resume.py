@@ -17,7 +17,7 @@ from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.requests import Accepted
 from pnm.core.resources import Resources
 from pnm.journal.codec import Codec
-from pnm.journal.kept import Durability, Fenced, JournalChoice, Row
+from pnm.journal.kept import Fenced, JournalChoice, Row
 from pnm.journal.records import KnowledgeDelta
 from pnm.journal.replay import Replay
 from pnm.journal.resume import take_up
@@ -53,7 +53,7 @@ def test_what_another_process_adds_until_its_journal_is_taken_is_replayed_and_no
         journal.close()
 
     asyncio.run(begin())
-    other = JournalFile(tmp_path / "journal", Durability.PROCESS_CRASH, 0.0)
+    other = JournalFile(tmp_path / "journal", 0.0)
     added = []
 
     class Interrupted(Codec):

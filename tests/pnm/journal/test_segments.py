@@ -27,7 +27,7 @@ from pnm.journal.kept import DAY, Fenced, Hold
 from pnm.journal.records import KnowledgeDelta, SharedBegan
 from pnm.journal.replay import Replay
 from pnm.journal.resume import Follower, replay_steps, replayed, summaries
-from pnm.journal.store import Durability, JournalFile, KeptJournal
+from pnm.journal.store import JournalFile, KeptJournal
 from pnm.tasks import Code, TaskEnding, Wanted
 from tests.support.pddl.problems import fleet
 from tests.support.runs.simulation.disk import DEATHS, DiskPlan
@@ -61,7 +61,7 @@ def test_a_process_that_stands_by_knows_no_more_than_one_that_reads_the_last_seg
     """What it knew besides would be missing in the segment that it goes on with, for the process after it."""
 
     async def main() -> None:
-        journal, world = WrittenJournal(JournalFile(tmp_path / "j", Durability.PROCESS_CRASH, 0.0), TASKS), KnowledgeBase()
+        journal, world = WrittenJournal(JournalFile(tmp_path / "j", 0.0), TASKS), KnowledgeBase()
         journal.begin(world, Resources())
         follower = Follower(tmp_path / "j", TASKS)
         acts = PlanGraph((ActionCall(0, GroundAction("act")),))
@@ -88,7 +88,7 @@ def test_another_world_is_no_change_of_the_one_before(tmp_path: Path) -> None:
     near, far = ("near",), ("far",)
 
     async def main() -> None:
-        journal, world = WrittenJournal(JournalFile(tmp_path / "j", Durability.PROCESS_CRASH, 0.0), TASKS), KnowledgeBase()
+        journal, world = WrittenJournal(JournalFile(tmp_path / "j", 0.0), TASKS), KnowledgeBase()
         world.begin_anew({near: True}, {}, Rules((DerivationRule("far", (), Not(Holds(near))),)))
         journal.begin(world, Resources())
         journal.begin(world, Resources(), lambda: world.begin_anew({far: True}, {}, NO_RULES))  # which was derived before
@@ -130,7 +130,7 @@ def test_records_of_the_past_are_dropped_while_there_is_nothing_to_do(tmp_path: 
 
     async def main() -> None:
         wall, hold, path = 0.0, Looking(), tmp_path / "j"
-        file = JournalFile(path, Durability.PROCESS_CRASH, wall)
+        file = JournalFile(path, wall)
         journal, world = WrittenJournal(file, TASKS, kept=7 * DAY, hold=hold, wall=lambda: wall), KnowledgeBase()
         journal.begin(world, Resources())
         secret = Wanted(UUID(int=1), "(open door1)")
@@ -173,7 +173,7 @@ def test_records_of_the_past_are_dropped_and_its_tasks_are_listed(tmp_path: Path
 
 def test_what_is_heard_after_the_end_is_left_to_the_next_process(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     async def main() -> None:
-        journal, world = WrittenJournal(JournalFile(tmp_path / "j", Durability.PROCESS_CRASH, 0.0), TASKS), KnowledgeBase()
+        journal, world = WrittenJournal(JournalFile(tmp_path / "j", 0.0), TASKS), KnowledgeBase()
         journal.begin(world, Resources())
         world.update({("at", "r1", "a"): True})
         journal.close()

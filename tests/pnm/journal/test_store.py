@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from pnm.files.database.place import Place, place_of
-from pnm.journal.kept import Durability, Fenced, JournalChoice, JournalError, Row, TaskRow
+from pnm.journal.kept import Fenced, JournalChoice, JournalError, Row, TaskRow
 from pnm.journal.lease import take
 from pnm.journal.store import JournalFile, KeptJournal
 from pnm.journal.tables import LAYOUT
@@ -18,7 +18,7 @@ from tests.support.processes import until
 
 
 def opened(place: Place, lease: float | None = None) -> JournalFile:
-    return JournalFile(place, Durability.PROCESS_CRASH, 0.0, lease)
+    return JournalFile(place, 0.0, lease)
 
 
 def texts(place: Place) -> list[str]:
@@ -43,14 +43,14 @@ def test_what_was_committed_is_there_also_if_it_is_long_and_parts_are_kept_once(
 
 
 @pytest.mark.parametrize(
-    ("durability", "in_sqlite", "in_postgres"),
-    [(Durability.PROCESS_CRASH, 1, "off"), (Durability.POWER_LOSS, 2, "on"), (None, 1, "on")],
+    ("is_durable", "in_sqlite", "in_postgres"),
+    [(False, 1, "off"), (True, 2, "on"), (None, 1, "on")],
     ids=["process", "power", "not chosen"],
 )
 def test_with_power_loss_or_by_default_on_a_server_every_commit_is_on_the_disk(
-    place: Place, durability: Durability | None, in_sqlite: int, in_postgres: str
+    place: Place, is_durable: bool | None, in_sqlite: int, in_postgres: str
 ) -> None:
-    file, hold = take(JournalChoice(place, durability))
+    file, hold = take(JournalChoice(place, is_durable))
     asked, answer = ("PRAGMA synchronous", in_sqlite) if isinstance(place, Path) else ("SHOW synchronous_commit", in_postgres)
     driver: Any = file._database._driver
     assert [list(row) for row in driver.run(asked, {})] == [[answer]]

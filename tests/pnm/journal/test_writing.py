@@ -19,7 +19,7 @@ from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.core.resources import Resources
 from pnm.journal.codec import RECORDS
 from pnm.journal.journal import WrittenJournal
-from pnm.journal.kept import Durability, Fenced, Hold, JournalError, Row
+from pnm.journal.kept import Fenced, Hold, JournalError, Row
 from pnm.journal.records import Happened
 from pnm.journal.replay import Replay
 from pnm.journal.resume import replay_steps, replayed
@@ -62,7 +62,7 @@ class Deployment:
     """A run of two calls, at the same time or by these orders one after the other, and what is done about it."""
 
     def __init__(self, path: Path, *orders: str) -> None:
-        self.path, self.file, self.hold = path, FullFile(path, Durability.PROCESS_CRASH, 0.0), Lapsing()
+        self.path, self.file, self.hold = path, FullFile(path, 0.0), Lapsing()
         self.done: list[Command] = []
         self.fenced: list[Fenced] = []
         self.journal = WrittenJournal(self.file, RECORDS, hold=self.hold, fenced=self.fenced.append)
@@ -252,7 +252,7 @@ def test_a_process_whose_journal_was_taken_over_does_nothing_any_more(deployed: 
     async def course(deployment: Deployment) -> None:
         deployment.handle(Begin())
         assert deployment.sent == ["first", "second"]
-        JournalFile(deployment.path, Durability.PROCESS_CRASH, 0.0).close()
+        JournalFile(deployment.path, 0.0).close()
         kept.append(replayed(deployment.path, RECORDS).requests)
         if is_told:
             deployment.hold.fenced(Fenced("taken over"))

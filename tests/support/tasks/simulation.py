@@ -22,7 +22,7 @@ from pnm.clock import VirtualTimeLoop
 from pnm.core.logic.conditions import evaluate
 from pnm.core.machine.bindings import Bindings
 from pnm.journal.journal import NO_JOURNAL, Journal, WrittenJournal
-from pnm.journal.store import Durability, JournalFile
+from pnm.journal.store import JournalFile
 from pnm.knowledge.source import Source
 from pnm.language.runner import PlanRunner, Program
 from pnm.tasks import Code, TaskEnding, TaskListener, TaskState, TraceEvent, TraceKind, Wanted
@@ -207,7 +207,7 @@ def simulate_tasks(
     async def whole() -> None:
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(lambda _, context: errors.found.append(str(context)))
-        written = WrittenJournal(JournalFile(journal, Durability.PROCESS_CRASH, 0.0), TASKS) if journal else None
+        written = WrittenJournal(JournalFile(journal, 0.0), TASKS) if journal else None
         kept = written or NO_JOURNAL
         simulation = TaskSimulation(
             problem or fleet(), faults, chosen, limits or TaskLimits(), programs, source, make_backend, helper, kept

@@ -27,7 +27,7 @@ from pnm.journal.journal import WrittenJournal
 from pnm.journal.records import EndConfirmed
 from pnm.journal.replay import Replay
 from pnm.journal.resume import replay_steps, replayed
-from pnm.journal.store import Durability, JournalFile
+from pnm.journal.store import JournalFile
 from pnm.language.plan import parse_plans
 from pnm.language.runner import Program
 from pnm.tasks import Code, TaskEnding, TaskListener, TaskRefused, TaskState, TraceEvent, TraceKind, Wanted
@@ -219,7 +219,7 @@ async def test_what_a_request_has_kept_that_was_given_up_is_free_when_its_server
 
 @virtual
 async def test_what_is_sensed_later_is_sensed_in_the_next_process(tmp_path: Path) -> None:
-    journal, world = WrittenJournal(JournalFile(tmp_path / "j", Durability.PROCESS_CRASH, 0.0), RECORDS), KnowledgeBase()
+    journal, world = WrittenJournal(JournalFile(tmp_path / "j", 0.0), RECORDS), KnowledgeBase()
     journal.begin(world, Resources())
     world.sense(("at",), lag=2.0)
     world.store({"x": 1})

@@ -20,7 +20,7 @@ from pnm.files.database.place import Place
 from pnm.files.database.sqlite import files_of, log_of
 from pnm.journal.codec import RECORDS
 from pnm.journal.journal import WrittenJournal
-from pnm.journal.kept import Durability, Fenced, Hold, JournalChoice, JournalError, Row
+from pnm.journal.kept import Fenced, Hold, JournalChoice, JournalError, Row
 from pnm.journal.lease import Watch, take
 from pnm.journal.resume import replayed
 from pnm.journal.store import JournalFile, KeptJournal
@@ -240,7 +240,7 @@ def lost_and_found(path: Path, lose: Callable[[Path], None], find: Callable[[Pat
 
     async def main() -> None:
         hold = Looking()
-        journal = WrittenJournal(JournalFile(path, Durability.PROCESS_CRASH, 0.0), RECORDS, hold=hold)
+        journal = WrittenJournal(JournalFile(path, 0.0), RECORDS, hold=hold)
         journal.begin(KnowledgeBase(), Resources())
         journal.accepted(Wanted(UUID(int=1), "before"), 1)
         lose(path)

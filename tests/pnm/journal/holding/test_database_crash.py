@@ -12,7 +12,7 @@ import pytest
 
 from pnm.files.database.database import Database
 from pnm.files.database.place import Place, place_of
-from pnm.journal.kept import Damaged, Durability, Fenced, JournalError, Rewritten, Row
+from pnm.journal.kept import Damaged, Fenced, JournalError, Rewritten, Row
 from pnm.journal.store import JournalFile, KeptJournal
 from pnm.journal.tables import LAYOUT
 from tests.support.e2e.hosts.crashes import Holder, kill, stop, survive
@@ -29,7 +29,7 @@ def test_what_was_acknowledged_outlives_crashes_of_the_server(crash: Callable[[P
 
 def test_the_lease_outlives_a_crash_that_comes_right_after_it(postgres: PostgresServer) -> None:
     place = place_of(postgres.database())
-    file = JournalFile(place, Durability.PROCESS_CRASH, 0.0, 1000.0)
+    file = JournalFile(place, 0.0, 1000.0)
     stop(postgres)
     kept = KeptJournal(place)
     assert kept.holding().epoch == file.epoch
@@ -62,7 +62,7 @@ def test_a_holder_whose_records_were_lost_for_good_ends_by_name_and_writes_nothi
 
 
 def test_a_journal_in_which_records_are_missing_says_so(place: Place) -> None:
-    file = JournalFile(place, Durability.PROCESS_CRASH, 0.0)
+    file = JournalFile(place, 0.0)
     file.append([Row(0.0, str(number)) for number in range(9)], {})
     file.close()
     execute(place, "DELETE FROM records WHERE sequence IN (1, 4, 5)")
@@ -76,14 +76,14 @@ def test_a_journal_in_which_records_are_missing_says_so(place: Place) -> None:
 
 def test_whoever_has_read_what_a_crash_has_lost_reads_what_is_there_in_its_place(postgres: PostgresServer) -> None:
     place, random, missed = place_of(postgres.database()), Random(5), 0
-    JournalFile(place, Durability.PROCESS_CRASH, 0.0).close()
+    JournalFile(place, 0.0).close()
     kept, read = KeptJournal(place), list[str]()
 
     def read_on() -> None:
         read.extend(row.text for _, row in kept.rows(len(read)))
 
     for holder in range(CRASHES):
-        file = JournalFile(place, Durability.PROCESS_CRASH, 0.0)
+        file = JournalFile(place, 0.0)
         for commit in range(random.randint(2, 5)):
             file.append([Row(0.0, f"record {number} of commit {commit} of {holder}") for number in range(random.randint(1, 3))], {})
             if random.random() < 0.3:

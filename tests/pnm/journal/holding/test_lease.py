@@ -12,7 +12,7 @@ import pytest
 
 from pnm.files.database.lock import this_process
 from pnm.files.database.place import Place, place_of
-from pnm.journal.kept import Durability, Fenced, HeldByAnother, JournalChoice, JournalError, Row, StandBys
+from pnm.journal.kept import Fenced, HeldByAnother, JournalChoice, JournalError, Row, StandBys
 from pnm.journal.lease import Lease, take
 from pnm.journal.store import JournalFile, KeptJournal
 from tests.support.e2e.hosts.postgres import PostgresServer
@@ -75,7 +75,7 @@ class Clock:
 
 def test_a_holder_trusts_its_own_clock_from_before_it_asked_and_is_done_earlier_than_others_may_begin(postgres: PostgresServer) -> None:
     place, clock = place_of(postgres.database()), Clock()
-    file = JournalFile(place, Durability.PROCESS_CRASH, 0.0, 10.0)
+    file = JournalFile(place, 0.0, 10.0)
     lease = Lease(file, 10.0, clock.now, clock)
     clock.now += 8.9
     assert lease.is_mine()
@@ -88,7 +88,7 @@ def test_a_holder_trusts_its_own_clock_from_before_it_asked_and_is_done_earlier_
 
 def test_a_holder_sees_who_stands_by_and_misses_who_does_not_any_more(postgres: PostgresServer, caplog: pytest.LogCaptureFixture) -> None:
     place, clock = place_of(postgres.database()), Clock()
-    file = JournalFile(place, Durability.PROCESS_CRASH, 0.0, 10.0)
+    file = JournalFile(place, 0.0, 10.0)
     lease = Lease(file, 10.0, clock.now, clock)
 
     def renewed_after(seconds: float) -> StandBys:
@@ -158,7 +158,7 @@ def test_a_server_that_goes_away_is_tried_again_until_it_is_there(postgres: Post
 
 def test_a_server_that_does_not_answer_is_an_error_in_time_and_nothing_is_lost(postgres: PostgresServer) -> None:
     place = place_of(postgres.database())
-    file = JournalFile(place, Durability.PROCESS_CRASH, 0.0, 1000.0)
+    file = JournalFile(place, 0.0, 1000.0)
     with postgres.stopped():
         with pytest.raises(JournalError, match=r"cannot be written: .*timed out"):
             file.append([Row(0.0, "a")], {})

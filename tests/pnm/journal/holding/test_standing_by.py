@@ -18,7 +18,7 @@ from pnm.core.resources import Resources
 from pnm.errors import InputError
 from pnm.files.database.place import Place, place_of
 from pnm.journal.journal import WrittenJournal
-from pnm.journal.kept import Durability, JournalChoice, JournalError, Row
+from pnm.journal.kept import JournalChoice, JournalError, Row
 from pnm.journal.records import KnowledgeDelta, SharedBegan, TaskAccepted, knowledge_now
 from pnm.journal.resume import Follower, Taken, stand_by, take_up
 from pnm.journal.store import JournalFile
@@ -142,7 +142,7 @@ def cut_after_commit(file: JournalFile) -> None:
 
 def test_what_was_committed_without_an_answer_is_there_once_and_who_has_read_it_begins_again(postgres: PostgresServer) -> None:
     place = place_of(postgres.database())
-    file = JournalFile(place, Durability.PROCESS_CRASH, 0.0, 1000.0)
+    file = JournalFile(place, 0.0, 1000.0)
     world = KnowledgeBase()
     seen = [KnowledgeDelta(0, {("seen", name): True}, {}) for name in "abc"]
 

@@ -7,7 +7,7 @@ from contextlib import suppress
 from random import Random
 
 from pnm.files.database.place import Place
-from pnm.journal.kept import Durability, JournalError, Row
+from pnm.journal.kept import JournalError, Row
 from pnm.journal.store import JournalFile, KeptJournal
 from tests.support.e2e.hosts.postgres import PostgresServer
 from tests.support.processes import until
@@ -28,7 +28,7 @@ class Holder:
 
     def __init__(self, place: Place, seed: int) -> None:
         self.random = Random(seed)
-        self.file = JournalFile(place, Durability.PROCESS_CRASH, 0.0, 1000.0)
+        self.file = JournalFile(place, 0.0, 1000.0)
         self.kept: list[str] = []
         self.waiting: list[str] = []
 

@@ -20,7 +20,6 @@ from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Rep
 from pnm.core.resources import Resources
 from pnm.executor import Executor
 from pnm.journal.journal import NO_JOURNAL, Journal, RunOptions, WrittenJournal
-from pnm.journal.kept import Durability
 from pnm.journal.store import JournalFile
 from tests.support.runs.simulated import move
 
@@ -105,9 +104,9 @@ def without_journal(work: Callable[[Journal, KnowledgeBase], Done]) -> Done:
 
 
 @contextmanager
-def kept(file: Path, durability: Durability = Durability.PROCESS_CRASH) -> Iterator[tuple[Journal, KnowledgeBase]]:
+def kept(file: Path, *, is_durable: bool = False) -> Iterator[tuple[Journal, KnowledgeBase]]:
     """A journal in this file, and a world of its own; in an event loop."""
-    journal, world = WrittenJournal(JournalFile(file, durability, 0.0), TASKS), KnowledgeBase()
+    journal, world = WrittenJournal(JournalFile(file, 0.0, is_durable=is_durable), TASKS), KnowledgeBase()
     journal.begin(world, Resources())
     try:
         yield journal, world
@@ -115,11 +114,11 @@ def kept(file: Path, durability: Durability = Durability.PROCESS_CRASH) -> Itera
         journal.close()
 
 
-def with_journal(work: Callable[[Journal, KnowledgeBase], Done], file: Path, durability: Durability = Durability.PROCESS_CRASH) -> Done:
+def with_journal(work: Callable[[Journal, KnowledgeBase], Done], file: Path, *, is_durable: bool = False) -> Done:
     """Do the same with a journal in this file."""
 
     async def do() -> Done:
-        with kept(file, durability) as (journal, world):
+        with kept(file, is_durable=is_durable) as (journal, world):
             return work(journal, world)
 
     return asyncio.run(do())

@@ -9,7 +9,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, Final
 
-from pnm.journal.kept import Durability, Row, TaskRow
+from pnm.journal.kept import Row, TaskRow
 from pnm.journal.store import JournalFile, KeptJournal
 
 HOSTILE: Final = "\x1b[31mRED\x1b]0;OWNED\x07\x9b31m\x00\x7f\u202eltr\u2066[bold]x[/nope]:skull:{0}<img src=x onerror=pwn()>&\"'\\"
@@ -31,7 +31,7 @@ def hostile_journal(good: Path, evil: Path) -> Path:
         parts = {key: _text(text) for key, text in tables.execute("SELECT key, text FROM parts")}
     written = [Row(row.time, _text(row.text), 0.0 if number in firsts else None) for number, row in rows]
     written += [written.pop()._replace(task=task._replace(is_over=bool(task.is_over), text=_text(task.text))) for task in tasks]
-    with closing(JournalFile(evil, Durability.PROCESS_CRASH, 0.0)) as file:
+    with closing(JournalFile(evil, 0.0)) as file:
         file.append(written, parts)
     return evil
 

@@ -7,7 +7,7 @@ from contextlib import closing
 from pathlib import Path
 
 from planner_bridge.tasks.result import TASKS
-from pnm.journal.kept import Durability, Row
+from pnm.journal.kept import Row
 from pnm.journal.replay import Replay, ReplayStep
 from pnm.journal.resume import replay_steps
 from pnm.journal.store import JournalFile, KeptJournal
@@ -23,7 +23,7 @@ class GrowingJournal:
             self._firsts = set(kept.segments())
         with closing(sqlite3.connect(journal)) as connection:
             self._parts = dict(connection.execute("SELECT key, text FROM parts").fetchall())
-        self._file = JournalFile(place, Durability.PROCESS_CRASH, 0.0)
+        self._file = JournalFile(place, 0.0)
         self.length = 0
 
     @property

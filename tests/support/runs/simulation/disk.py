@@ -10,7 +10,7 @@ from pathlib import Path
 from shutil import copyfile
 from typing import Final
 
-from pnm.journal.kept import UNSHARED, Durability, Fenced, HeldByAnother, Hold, JournalError, Row
+from pnm.journal.kept import UNSHARED, Fenced, HeldByAnother, Hold, JournalError, Row
 from pnm.journal.lease import Lease
 from pnm.journal.store import JournalFile
 from tests.support.runs.simulation.processes import Process
@@ -121,7 +121,7 @@ class Disk(JournalFile):
     """A journal whose process meets its fate. The mutable state is the number of commits so far, and whether it can be reached."""
 
     def __init__(self, folder: Folder, process: Process, plan: DiskPlan, story: Story, stopped: Callable[[], object]) -> None:
-        super().__init__(folder.journal, Durability.PROCESS_CRASH, 0.0)
+        super().__init__(folder.journal, 0.0)
         self._folder = folder
         self._process = process
         self._plan = plan

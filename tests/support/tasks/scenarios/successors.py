@@ -22,7 +22,7 @@ from pnm.errors import InputError
 from pnm.journal.journal import WrittenJournal
 from pnm.journal.replay import Replay
 from pnm.journal.resume import replayed
-from pnm.journal.store import Durability, JournalFile
+from pnm.journal.store import JournalFile
 from pnm.language.runner import PlanRunner, Program
 
 
@@ -105,7 +105,7 @@ class Successors:
         link, others = Link(self.robots.robots), frozenset(asyncio.all_tasks())
         backend = SimulatedBackend(self.robots.robots)
         ClientBackend.__init__(backend, link)  # the requests of this process go through its link
-        written = WrittenJournal(JournalFile(self.journal, Durability.PROCESS_CRASH, 0.0), TASKS, replay)
+        written = WrittenJournal(JournalFile(self.journal, 0.0), TASKS, replay)
         knowledge = replay.world if replay else initial_knowledge(self.problem)
         await backend.open(knowledge)
         runner = PlanRunner(self.programs, backend, knowledge, None, written, replay.resources if replay else None)
