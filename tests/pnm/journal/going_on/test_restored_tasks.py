@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import re
-from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
-from contextlib import asynccontextmanager
+from collections.abc import Callable, Coroutine
 from functools import wraps
 from pathlib import Path
 from uuid import UUID
 
 import pytest
 
-from planner_bridge.model.world import simulated_backend
 from planner_bridge.tasks.result import TASKS
-from planner_bridge.tasks.settings import Settings
-from planner_bridge.tasks.task_manager import TaskLimits, TaskManager
-from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
+from planner_bridge.tasks.task_manager import TaskLimits
+from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.bindings import Binding
 from pnm.core.resources import Resources
 from pnm.errors import InputError
 from pnm.journal.codec import RECORDS
@@ -30,72 +27,15 @@ from pnm.journal.resume import replay_steps, replayed
 from pnm.journal.store import JournalFile
 from pnm.language.plan import parse_plans
 from pnm.language.runner import Program
-from pnm.tasks import Code, TaskEnding, TaskListener, TaskRefused, TaskState, TraceEvent, TraceKind, Wanted
-from tests.support.pddl.problems import fleet
-from tests.support.tasks.scenarios.successors import Process, Successors
+from pnm.tasks import Code, TaskRefused, TaskState, Wanted
+from tests.support.tasks.scenarios.successors import Successors
 
-TWO = fleet(robots=2)
 GOALS = {"r1 there": ("at", "r1", "a2"), "r1 far": ("at", "r1", "a3"), "r0 there": ("at", "r0", "a2")}
 FAR = Wanted(UUID(int=1), "r1 far")
 ROUND = """
 actions: {move: {params: [r, from, to], duration: 4}}
 plan: [move: {r: r1, from: a1, to: a2}, move: {r: r1, from: a2, to: a3}]
 """
-
-
-class Heard(TaskListener):
-    """A listener that notes what is sent, what is given up, and how tasks end."""
-
-    def __init__(self) -> None:
-        self.sent = asyncio.Event()
-        self.given_up = asyncio.Event()
-        self.endings: dict[UUID, TaskEnding] = {}
-        self.over = asyncio.Event()
-
-    def happened(self, event: TraceEvent) -> None:
-        if event.kind is TraceKind.SENT:
-            self.sent.set()
-        if event.kind is TraceKind.WITHHELD:
-            self.given_up.set()
-
-    def ended(self, task: UUID, ending: TaskEnding) -> None:
-        self.endings[task] = ending
-        self.over.set()
-
-
-class Lives(Successors):
-    """Two processes, one after the other."""
-
-    def __init__(
-        self,
-        folder: Path,
-        binding: Binding = Binding(resources=("{r}",)),
-        faults: Faults = NO_FAULTS,
-        programs: Mapping[str, Program] | None = None,
-        limits: TaskLimits | None = None,
-    ) -> None:
-        settings = Settings(improve=0.0, bindings=Bindings({"move": binding}))
-        robots = simulated_backend(TWO, settings.bindings, faults)
-        super().__init__(TWO, settings, robots, folder / "journal", dict(GOALS), programs or {}, limits)
-
-    @asynccontextmanager
-    async def begun(self) -> AsyncIterator[tuple[TaskManager, Heard]]:
-        """The first process, which dies at the end, and what is heard of its tasks."""
-        process, heard = await self.first(), Heard()
-        process.manager.listen(heard)
-        yield process.manager, heard
-        await process.die()
-
-    @asynccontextmanager
-    async def gone_on(self) -> AsyncIterator[tuple[Process, Replay, Heard]]:
-        """The next one, which has gone on with what the replay has, and what is heard of its tasks."""
-        (process, replay), heard = await self.next(), Heard()
-        process.manager.listen(heard)
-        process.manager.restore(replay)
-        async with asyncio.timeout(1000.0):
-            yield process, replay, heard
-        await process.manager.close()
-        process.journal.close()
 
 
 def virtual(test: Callable[[Path], Coroutine[object, object, None]]) -> Callable[[Path], None]:
@@ -112,7 +52,7 @@ def virtual(test: Callable[[Path], Coroutine[object, object, None]]) -> Callable
 async def test_a_plan_that_was_paused_sends_nothing_in_the_next_process_before_it_is_resumed(tmp_path: Path) -> None:
     task = Wanted(UUID(int=1), "round", is_plan=True)
     (plan,) = parse_plans(ROUND).values()
-    lives = Lives(tmp_path, programs={"round": Program.of(plan)})
+    lives = Successors(tmp_path, GOALS, programs={"round": Program.of(plan)})
     async with lives.begun() as (manager, heard):
         manager.begin(task)
         await heard.sent.wait()
@@ -128,7 +68,7 @@ async def test_a_plan_that_was_paused_sends_nothing_in_the_next_process_before_i
 
 @virtual
 async def test_a_task_that_was_paused_because_its_node_was_inactive_goes_on_in_the_next_process(tmp_path: Path) -> None:
-    lives = Lives(tmp_path)
+    lives = Successors(tmp_path, GOALS)
     async with lives.begun() as (manager, heard):
         manager.begin(FAR)
         await heard.sent.wait()
@@ -140,7 +80,7 @@ async def test_a_task_that_was_paused_because_its_node_was_inactive_goes_on_in_t
 
 @virtual
 async def test_a_task_that_has_begun_goes_on_before_those_of_higher_priority_that_waited(tmp_path: Path) -> None:
-    waiting, lives = Wanted(UUID(int=2), "r1 there", priority=5), Lives(tmp_path, limits=TaskLimits(active=1))
+    waiting, lives = Wanted(UUID(int=2), "r1 there", priority=5), Successors(tmp_path, GOALS, limits=TaskLimits(active=1))
     async with lives.begun() as (manager, heard):
         manager.begin(FAR)
         await heard.sent.wait()
@@ -155,7 +95,7 @@ async def test_a_task_that_has_begun_goes_on_before_those_of_higher_priority_tha
 
 @virtual
 async def test_a_task_that_was_over_is_over_in_the_next_process_and_one_that_goes_on_has_ended_as_many_calls(tmp_path: Path) -> None:
-    past, going_on, lives = Wanted(UUID(int=2), "r0 there"), FAR, Lives(tmp_path)
+    past, going_on, lives = Wanted(UUID(int=2), "r0 there"), FAR, Successors(tmp_path, GOALS)
     async with lives.begun() as (manager, heard):
         manager.begin(past)
         await heard.over.wait()
@@ -178,7 +118,7 @@ async def test_a_task_that_was_over_is_over_in_the_next_process_and_one_that_goe
 
 @virtual
 async def test_what_a_task_has_begun_that_means_nothing_any_more_is_recalled_and_its_resources_are_free_then(tmp_path: Path) -> None:
-    lives = Lives(tmp_path)
+    lives = Successors(tmp_path, GOALS)
     async with lives.begun() as (manager, heard):
         manager.begin(FAR)
         await heard.sent.wait()
@@ -186,14 +126,14 @@ async def test_what_a_task_has_begun_that_means_nothing_any_more_is_recalled_and
     async with lives.gone_on() as (second, replay, heard):
         assert heard.endings[FAR.id].code is Code.INVALID_GOAL
         with pytest.raises(InputError, match="r1 is kept by move"):
-            second.manager.begin_anew(TWO)
+            second.manager.begin_anew(lives.problem)
         await asyncio.sleep(1.0)
         assert not replay.resources.held
         second.journal.blocked = "the disk is full"
         with pytest.raises(InputError, match="the disk is full"):
-            second.manager.begin_anew(TWO)
+            second.manager.begin_anew(lives.problem)
         second.journal.blocked = ""
-        second.manager.begin_anew(TWO)
+        second.manager.begin_anew(lives.problem)
         heard.over.clear()
         second.manager.begin(Wanted(UUID(int=2), "r1 there"))
         await heard.over.wait()
@@ -202,7 +142,7 @@ async def test_what_a_task_has_begun_that_means_nothing_any_more_is_recalled_and
 @virtual
 async def test_what_a_request_has_kept_that_was_given_up_is_free_when_its_server_says_that_it_is_over(tmp_path: Path) -> None:
     slow = Faults((Fault("move(r1, a1, a2)", FaultKind.SLOW, ignores_cancel=True),))
-    lives = Lives(tmp_path, Binding(resources=("{r}",), timeout=2.0, cancel=1.0, retries=0), slow)
+    lives = Successors(tmp_path, GOALS, Binding(resources=("{r}",), timeout=2.0, cancel=1.0, retries=0), slow)
     async with lives.begun() as (manager, heard):
         manager.begin(Wanted(UUID(int=1), "r1 there"))
         await heard.given_up.wait()
@@ -231,7 +171,7 @@ async def test_what_is_sensed_later_is_sensed_in_the_next_process(tmp_path: Path
 
 @virtual
 async def test_the_status_says_when_and_why_the_plan_was_replaced_last(tmp_path: Path) -> None:
-    lives = Lives(tmp_path, Binding(resources=("{r}",), retries=0), Faults((Fault("move", FaultKind.ABORT, times=1),)))
+    lives = Successors(tmp_path, GOALS, Binding(resources=("{r}",), retries=0), Faults((Fault("move", FaultKind.ABORT, times=1),)))
     async with lives.begun() as (manager, heard):
         manager.begin(FAR)
         async with asyncio.timeout(1000.0):
