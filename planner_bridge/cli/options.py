@@ -18,7 +18,7 @@ import click
 from planner_bridge.model.problem import Problem
 from planner_bridge.pipeline.loading import load, warning_lines
 from pnm.errors import InputError, PnmError, Tolerated
-from pnm.files.database.place import Place, place_of
+from pnm.files.database.place import place_of
 from pnm.files.text import secret_in, write_private
 from pnm.signals import CANCELLED, LAST_WORDS, LEAVING, interruptible, leave_within
 
@@ -47,16 +47,6 @@ class Seconds(click.FloatRange):
         if not isfinite(number):
             self.fail(f"{value} is not a finite number", param, ctx)
         return number
-
-
-class PlaceName(click.ParamType[Place]):
-    """A file, or the URL of a PostgreSQL database."""
-
-    name = "file or url"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Place:
-        """Return the place."""
-        return place_of(value) if isinstance(value, str) else value
 
 
 def command(function: Callable[P, int]) -> Callable[P, None]:
@@ -146,22 +136,17 @@ VIEW_PORT: Final = 8421
 
 
 class ViewingCommand(click.Command):
-    """A command with `view_option`, whose port may be left out: what follows it is another argument then."""
+    """A command with `view_option`, whose port may be left out: what follows it is another argument then.
+
+    It keeps its arguments, so that another process can get the same.
+    """
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Give the page its port."""
+        """Note the arguments, and give the page its port."""
+        ctx.meta[GIVEN] = tuple(args)
         named = zip(args, [*args[1:], ""], strict=False)
         given = [f"--view={VIEW_PORT}" if one == "--view" and not after.isdecimal() else one for one, after in named]
         return super().parse_args(ctx, given)
-
-
-class RepeatableCommand(ViewingCommand):
-    """A command that keeps its arguments, so that another process can get the same."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Note the arguments."""
-        ctx.meta[GIVEN] = tuple(args)
-        return super().parse_args(ctx, args)
 
 
 files = options(click.argument("domain", type=FILE), click.argument("problem", type=FILE))
@@ -195,7 +180,12 @@ adopt_option = click.option(
     ADOPT, is_flag=True, help="also take a journal of a node or of another computer, a copy, or one without its last records"
 )
 journal_options = options(
-    click.option("--journal", type=PlaceName(), help="file or postgresql://… for the run: `pnm resume` continues it if this process dies"),
+    click.option(
+        "--journal",
+        type=place_of,
+        metavar="FILE OR URL",
+        help="file or postgresql://… for the run: `pnm resume` continues it if this process dies",
+    ),
     click.option(
         "--durability",
         type=click.Choice(["process-crash", "power-loss"]),
@@ -206,7 +196,10 @@ journal_options = options(
 )
 timeline_option = click.option("--timeline", type=FILE, help="a new SVG file with planned and executed calls, failures and new plans")
 knowledge_option = click.option(
-    "--knowledge", type=PlaceName(), help="SQLite file or postgresql://… of the global knowledge, instead of the choice of the plans"
+    "--knowledge",
+    type=place_of,
+    metavar="FILE OR URL",
+    help="SQLite file or postgresql://… of the global knowledge, instead of the choice of the plans",
 )
 sensing_option = click.option("--sensing", type=FILE, help="file with the topics and services of ROS 2 that report facts")
 view_option = click.option(

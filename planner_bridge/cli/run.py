@@ -38,7 +38,7 @@ from pnm.tasks import Code, Tasks
 
 
 @click.command(
-    cls=options.RepeatableCommand,
+    cls=options.ViewingCommand,
     epilog="Examples: pnm run domain.pddl problem.pddl --actions ros2; pnm run --plan tea.yaml --set guest=Ada",
 )
 @options.files_or_plan

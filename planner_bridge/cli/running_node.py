@@ -385,13 +385,14 @@ def _option(parameter: NodeParameter) -> Callable[[Any], Any]:
         case bool():
             return click.option(f"--{name}/--no-{name}", parameter.name, **about)
         case int():
-            return click.option(f"--{name}", parameter.name, type=click.IntRange(int(parameter.least)), **about)
+            about["type"] = click.IntRange(int(parameter.least))
         case float():
-            return click.option(f"--{name}", parameter.name, type=click.FloatRange(parameter.least), **about)
+            about["type"] = click.FloatRange(parameter.least)
         case _ if parameter.choices:
-            return click.option(f"--{name}", parameter.name, type=click.Choice(parameter.choices), **about)
+            about["type"] = click.Choice(parameter.choices)
         case _:
-            return click.option(f"--{name}", parameter.name, metavar="TEXT", **about)
+            about["metavar"] = "TEXT"
+    return click.option(f"--{name}", parameter.name, **about)
 
 
 @click.command(cls=RosCommand, epilog="Example: pnm serve domain.pddl problem.pddl --planner-timeout 5 --ros-args -r __ns:=/robot1")

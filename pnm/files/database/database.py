@@ -59,10 +59,8 @@ class Database:
         if self._driver is not None:
             return
         with self._translated():
-            if isinstance(self.place, Path):
-                driver: Sqlite | Postgres = Sqlite(self.place, self._limit, read_only=self._read_only, is_durable=self._is_durable)
-            else:
-                driver = Postgres(self.place, self._limit, read_only=self._read_only, is_durable=self._is_durable)
+            place, how = self.place, {"read_only": self._read_only, "is_durable": self._is_durable}
+            driver = Sqlite(place, self._limit, **how) if isinstance(place, Path) else Postgres(place, self._limit, **how)
             try:
                 driver.prepare(self._layout, read_only=self._read_only)
             except BaseException:
