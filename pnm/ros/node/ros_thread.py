@@ -35,6 +35,8 @@ _DISCOVERY: Final = 4.0
 """Seconds in which a new node discovers the others: participants announce themselves every 3 s, and on one host often only then."""
 _STILL: Final = 0.5
 """Seconds without change after which the graph counts as settled."""
+_LOOK: Final = 1.0
+"""Seconds after which the thread looks for functions without being woken."""
 _log = logging.getLogger(__name__)
 
 
@@ -233,6 +235,7 @@ class RosThread:
             else:
                 self.node = rclpy.create_node(name, namespace=namespace, context=context)
             self._guard = self.node.create_guard_condition(self._drain)
+            self.timer(_LOOK, lambda: None)
             executor = SingleThreadedExecutor(context=context)
             executor.add_node(self.node)
         except BaseException as error:
@@ -244,6 +247,9 @@ class RosThread:
         while not self._closing and context.ok():
             try:
                 executor.spin_once()
+                # Fast DDS may lose a wake-up that comes while it returns from a wait for another reason, such as a message. So the thread
+                # looks for functions after each callback as well, and once a second if there was none.
+                self._drain()
             except ExternalShutdownException:
                 break
             except Exception:  # a callback that fails must not end the others

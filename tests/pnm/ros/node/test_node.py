@@ -6,6 +6,9 @@ import asyncio
 import subprocess
 import sys
 import threading
+from contextlib import closing
+from functools import partial
+from types import SimpleNamespace
 
 import pytest
 
@@ -36,6 +39,15 @@ def test_the_thread_is_woken_for_every_function_that_it_has_not_seen(ros):
     for thread in threads:
         thread.join(LIMIT)
     assert sorted(seen) == [(name, number) for name in "abc" for number in range(200)]
+
+
+def test_a_wake_up_that_the_middleware_loses_delays_a_function_and_no_more(monkeypatch):
+    """Fast DDS clears a trigger that comes while it returns from a wait for a message: about one of 10,000 where messages come often."""
+    with closing(RosThread("sleeper")) as thread:
+        guard = SimpleNamespace(trigger=lambda: None)
+        monkeypatch.setattr(thread, "_guard", guard)
+        assert thread.submit(lambda: threading.current_thread().name).result(LIMIT) == "ros"
+        assert [thread.submit(partial(int, number)).result(LIMIT) for number in range(2)] == [0, 1]
 
 
 def test_errors_come_back_and_do_not_end_the_thread(ros, caplog):
