@@ -174,6 +174,21 @@ _TOGETHER: Final = 1e-9
 """Seconds that virtual time does not tell apart: sums of the same durations differ by how they were rounded."""
 
 
+class _PunctualLoop(asyncio.SelectorEventLoop):
+    """An event loop in which no timer goes off before its time, to the last bit of a float.
+
+    asyncio takes those of the next nanosecond for due. What looks at the clock then, and waits on, would do so for ever where a clock
+    stands still.
+    """
+
+    _clock_resolution: float
+
+    def _shown(self, now: float) -> float:
+        """Return the time that is shown; the next one that a float can tell apart from it is not due yet."""
+        self._clock_resolution = ulp(now)
+        return now
+
+
 class _Jumping(selectors.DefaultSelector):
     """Waits for file descriptors, but jumps ahead to the next timer in place of waiting for it."""
 
@@ -192,11 +207,10 @@ class _Jumping(selectors.DefaultSelector):
         return ready
 
 
-class VirtualTimeLoop(asyncio.SelectorEventLoop):
+class VirtualTimeLoop(_PunctualLoop):
     """An event loop whose clock starts at zero and jumps."""
 
     _scheduled: list[asyncio.TimerHandle]
-    _clock_resolution: float
 
     def __init__(self) -> None:
         self._jumping = _Jumping(self.next_timer)
@@ -208,15 +222,11 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
 
     def time(self) -> float:
         """Return the virtual time in seconds."""
-        return self._jumping.now
+        return self._shown(self._jumping.now)
 
     def next_timer(self) -> float:
         """Return the time to which the clock jumps: of the next timer, or of the last one that goes off together with it."""
-        when = self._latest(0, self._scheduled[0].when() + _TOGETHER)
-        # asyncio takes timers of that many seconds later for due: one that goes off before its time would be set again for ever, for
-        # the clock stands still meanwhile; and if no less can be told apart, none would ever be due
-        self._clock_resolution = ulp(when)
-        return when
+        return self._latest(0, self._scheduled[0].when() + _TOGETHER)
 
     def _latest(self, index: int, bound: float) -> float:
         """Return the latest time until `bound` in a part of asyncio's heap of timers; 0 if there is none."""
@@ -259,7 +269,7 @@ class _Waiting(selectors.DefaultSelector):
         return ready
 
 
-class FollowingLoop(asyncio.SelectorEventLoop):
+class FollowingLoop(_PunctualLoop):
     """An event loop on real time that may follow another clock, such as that of a simulation.
 
     What moves that clock calls something on the loop, so that it looks at its timers. Its time never goes back, and goes on at once
@@ -303,7 +313,7 @@ class FollowingLoop(asyncio.SelectorEventLoop):
             self._offset += self._seen - seen
         self._seen = seen
         self._latest = max(self._latest, self._offset + seen)  # sums are rounded
-        return self._latest
+        return self._shown(self._latest)
 
 
 def follow_real_time() -> None:

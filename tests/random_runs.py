@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import gc
+import signal
 import sys
 import tempfile
 import time
@@ -33,10 +34,13 @@ from tests.support.tasks.scenarios.random_holds import run_holds
 from tests.support.tasks.scenarios.random_scenarios import run_scenario
 
 KINDS = ("scenarios", "holds", "deaths", "mutants", "forgotten", "reference", "visitors")
+TOO_LONG = 600
 
 
 def failure_of(kind: str, number: int) -> str:
-    """Run a scenario of this kind; return what was wrong, or nothing."""
+    """Run a scenario of this kind; return what was wrong, or nothing. One that hangs is wrong after `TOO_LONG` seconds."""
+    signal.signal(signal.SIGALRM, signal.default_int_handler)  # what asyncio lets through
+    signal.alarm(TOO_LONG)
     try:
         match kind:
             case "scenarios":
@@ -48,8 +52,10 @@ def failure_of(kind: str, number: int) -> str:
             case _:
                 with tempfile.TemporaryDirectory() as folder:
                     run_deaths(number, Path(folder))
-    except Exception:
+    except (Exception, KeyboardInterrupt):
         return f"{kind} {number}\n{traceback.format_exc()}"
+    finally:
+        signal.alarm(0)
     return ""
 
 

@@ -10,7 +10,7 @@ import threading
 from weakref import ref
 
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import example, given, strategies as st
 
 from pnm.clock import FollowingLoop, VirtualTimeLoop, collect_if_due, follow_real_time, in_own_thread, short_pauses
 from tests.support.processes import LIMIT
@@ -49,6 +49,27 @@ def test_no_time_is_too_late_for_a_timer(late):
         return moments
 
     assert in_virtual_time(main) == [late]
+
+
+@pytest.mark.parametrize("loop_factory", [VirtualTimeLoop, FollowingLoop])
+@given(at=st.floats(0.0, 1e9))
+@example(at=0.0)
+def test_no_timer_goes_off_before_its_time(loop_factory, at):
+    async def main():
+        loop, now = asyncio.get_running_loop(), at
+        if isinstance(loop, FollowingLoop):
+            loop.follow(lambda: now)
+        loop.continue_from(at)
+        due, fired = math.nextafter(at, math.inf), loop.create_future()
+        loop.call_at(due, lambda: fired.set_result(loop.time()))
+        for _ in range(3):  # turns of the loop, in which its time stands still
+            await asyncio.sleep(0)
+        assert not fired.done()
+        now = due
+        assert await fired == due
+
+    with asyncio.Runner(loop_factory=loop_factory) as runner:
+        runner.run(main())
 
 
 def test_however_much_takes_long_there_are_threads_for_what_is_short():
