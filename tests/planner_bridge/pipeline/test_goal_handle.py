@@ -11,12 +11,12 @@ from planner_bridge.pipeline.achieve import achieve, achieve_async
 from planner_bridge.pipeline.goal_handle import GoalHandle
 from planner_bridge.tasks.result import Stopwatch
 from planner_bridge.tasks.settings import Settings, TaskObserver
-from pnm.clock import run_async
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import Request
 from pnm.errors import InputError
 from pnm.tasks import Code, TaskState
 from tests.support.pddl.problems import rooms
+from tests.support.runs.simulated import in_virtual_time, on_a_loop
 
 
 class Starts(TaskObserver):
@@ -46,53 +46,45 @@ def test_inside_of_an_event_loop_achieve_says_what_to_use_and_outside_pursue_doe
         achieve_async(None, rooms())
 
 
-def test_a_goal_is_awaited_in_a_cell_of_a_notebook() -> None:
-    async def cell() -> None:
-        handle = achieve_async(None, rooms(goal="(at r1 a)"))
-        assert (await handle).goal_reached
-        assert (await handle).goal_reached, "once more"
-        assert repr(handle) == "<GoalHandle of (at r1 a): over>"
-
-    asyncio.run(cell())
+@on_a_loop
+async def test_a_goal_is_awaited_in_a_cell_of_a_notebook() -> None:
+    handle = achieve_async(None, rooms(goal="(at r1 a)"))
+    assert (await handle).goal_reached
+    assert (await handle).goal_reached, "once more"
+    assert repr(handle) == "<GoalHandle of (at r1 a): over>"
 
 
-def test_a_goal_is_stopped_and_what_is_under_way_cancelled() -> None:
-    async def scenario() -> None:
-        observer = Starts()
-        handle = begun(observer)
-        await observer.has_begun.wait()
-        assert handle.state is TaskState.RUNNING
-        result = await handle.stop()
-        assert (result.code, [str(call.outcome) for call in result.calls]) == (Code.CANCELLED, ["canceled", "skipped"])
-        assert handle.state is TaskState.OVER
-
-    run_async(scenario(), virtual=True)
+@in_virtual_time
+async def test_a_goal_is_stopped_and_what_is_under_way_cancelled() -> None:
+    observer = Starts()
+    handle = begun(observer)
+    await observer.has_begun.wait()
+    assert handle.state is TaskState.RUNNING
+    result = await handle.stop()
+    assert (result.code, [str(call.outcome) for call in result.calls]) == (Code.CANCELLED, ["canceled", "skipped"])
+    assert handle.state is TaskState.OVER
 
 
-def test_a_goal_that_is_paused_starts_nothing_until_it_goes_on() -> None:
-    async def scenario() -> None:
-        observer = Starts()
-        handle = begun(observer)
-        await observer.has_begun.wait()
-        await handle.pause()
-        assert handle.state is TaskState.PAUSED
-        await asyncio.sleep(1000.0)
-        assert observer.calls == ["move(r1, a, b)"]
-        await handle.resume()
-        assert (await handle).goal_reached
-        assert observer.calls == ["move(r1, a, b)", "move(r1, b, c)"]
-
-    run_async(scenario(), virtual=True)
+@in_virtual_time
+async def test_a_goal_that_is_paused_starts_nothing_until_it_goes_on() -> None:
+    observer = Starts()
+    handle = begun(observer)
+    await observer.has_begun.wait()
+    await handle.pause()
+    assert handle.state is TaskState.PAUSED
+    await asyncio.sleep(1000.0)
+    assert observer.calls == ["move(r1, a, b)"]
+    await handle.resume()
+    assert (await handle).goal_reached
+    assert observer.calls == ["move(r1, a, b)", "move(r1, b, c)"]
 
 
-def test_who_gives_up_waiting_does_not_stop_the_goal_handle() -> None:
-    async def scenario() -> None:
-        handle = begun(Starts())
-        with pytest.raises(TimeoutError):
-            await asyncio.wait_for(asyncio.ensure_future(waited(handle)), 0.001)
-        assert (await handle).goal_reached
-
-    async def waited(handle: GoalHandle) -> None:
+@in_virtual_time
+async def test_who_gives_up_waiting_does_not_stop_the_goal_handle() -> None:
+    async def waited() -> None:
         await handle
 
-    run_async(scenario(), virtual=True)
+    handle = begun(Starts())
+    with pytest.raises(TimeoutError):
+        await asyncio.wait_for(asyncio.ensure_future(waited()), 0.001)
+    assert (await handle).goal_reached

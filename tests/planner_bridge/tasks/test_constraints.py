@@ -1,4 +1,4 @@
-"""Constraints of tasks, on simulated robots: what is violated ends a task, what is missing does not."""
+"""Constraints of tasks, on simulated robots: what is violated ends a task, what is missing does not; and from PDDL text to the goal."""
 
 from __future__ import annotations
 
@@ -11,10 +11,13 @@ from hypothesis import given, strategies as st
 
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.world import robots_of
+from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.tasks.constraint_monitor import ConstraintMonitor
-from planner_bridge.tasks.replanning import Limits
+from planner_bridge.tasks.replanning import Limits, PlanAgain
+from planner_bridge.tasks.result import TaskResult
+from planner_bridge.tasks.settings import Settings
 from pnm.actions.backend import SimulatedBackend
-from pnm.actions.faults import Fault, FaultKind, Faults
+from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import Holds, Not
 from pnm.core.logic.expressions import UNKNOWN, Variable
@@ -24,6 +27,8 @@ from pnm.core.machine.plan_graph import GroundAction
 from tests.support.logic.trajectories import LIKE_KAIROS, SAFE, P, Q, always, sometime
 from tests.support.runs.simulated import LateBackend
 from tests.support.tasks.constraints import TO_C, changes, monitored, within
+from tests.support.tasks.replanning import pursued
+from tests.support.tasks.rooms import done as calls_done, ring
 
 A, B, C, D = (Holds(("clean", room)) for room in "abcd")
 ROOM = Variable("?a", ("room",))
@@ -115,23 +120,6 @@ def test_a_deadline_may_be_met_at_the_last_moment(assumed: frozenset[str]) -> No
     assert done.statuses() == ["fulfilled"]
 
 
-def test_what_is_too_early_or_comes_twice_is_violated() -> None:
-    for constraint, faults, time in (
-        (Constraint("sometime-before", (B, A)), changes((0.3, "b")), 0.3),
-        (Constraint("sometime-before", (B, A)), changes((0.3, "a"), (0.4, "b")), None),
-        (Constraint("at-most-once", (B,)), changes((0.3, "b"), (0.4, "not b"), (0.5, "b")), 0.5),
-        (Constraint("at-most-once", (B,)), changes((0.3, "b"), (0.4, "not b")), None),
-        (Constraint("always-within", (B, A), (0.5,)), changes((0.3, "b"), (0.9, "a")), 0.8),
-        (Constraint("always-within", (B, A), (0.5,)), changes((0.3, "b"), (0.7, "a")), None),
-        (Constraint("hold-during", (Not(B),), (0.5, 0.9)), changes((0.3, "b")), 0.5),
-        (Constraint("hold-during", (Not(B),), (0.5, 0.9)), changes((0.3, "b"), (0.4, "not b"), (0.9, "b")), None),
-        (Constraint("hold-after", (Not(B),), (0.5,)), changes((0.3, "b"), (0.4, "not b"), (0.9, "b")), 0.9),
-    ):
-        done = monitored(constrained(constraint), faults)
-        assert [round(violation.time, 6) for _, violation in done.log.told] == ([] if time is None else [time]), constraint
-        assert done.result.goal_reached is (time is None), constraint
-
-
 def test_a_violation_while_waiting_to_try_again_ends_the_task_at_once() -> None:
     aborts = Faults((Fault("move", FaultKind.ABORT),), changes((20.0, "b")).changes)
     done = monitored(constrained(always(Not(B))), aborts, limits=Limits(backoff=1000.0, longest_backoff=1000.0, forbid_after=100))
@@ -218,3 +206,89 @@ def test_what_nothing_has_happened_to_is_not_looked_at(constraints: tuple[Constr
         assert fast.has_news is (readable.note != noted)
         noted = readable.note
         assert fast.note == noted
+
+
+# --- from PDDL text to the goal ---
+
+
+def statuses(result: TaskResult) -> list[str]:
+    return [one.status for one in result.constraints]
+
+
+# --- planned for, and kept ---
+
+
+@pytest.mark.parametrize(
+    ("constraint", "calls"),
+    [
+        ("(sometime (clean d))", ["move(r1, a, d)", "sweep(r1, d)", "move(r1, d, c)"]),
+        ("(always (not (at r1 b)))", ["move(r1, a, d)", "move(r1, d, c)"]),
+        ("(forall (?a - room) (sometime-after (at r1 ?a) (clean d)))", ["move(r1, a, d)", "sweep(r1, d)", "move(r1, d, c)"]),
+        ("(and (sometime-before (at r1 c) (clean d)) (at end (not (clean a))))", ["move(r1, a, d)", "sweep(r1, d)", "move(r1, d, c)"]),
+    ],
+)
+def test_a_plan_keeps_the_constraints_and_so_does_its_run(constraint: str, calls: list[str]) -> None:
+    result, _ = pursued(ring(constraint))
+    assert result.goal_reached, result.reason
+    assert calls_done(result) == calls
+    assert set(statuses(result)) == {"fulfilled"}
+
+
+TAKEN_TO_C = Faults(
+    (Fault("sweep(r1, d)", FaultKind.ABORT, times=2),), (HiddenChange({("at", "r1", "d"): False, ("at", "r1", "c"): True}, at=1.9),)
+)
+"""The robot is in d, cannot sweep it, and is carried to c."""
+
+
+# --- planned for again ---
+
+
+@pytest.mark.parametrize("constraint", ["(sometime (clean d))", "(and (sometime-after (at r1 d) (clean d)) (always (not (at r1 b))))"])
+def test_a_goal_that_holds_is_planned_for_while_something_is_missing(constraint: str) -> None:
+    result, truth = pursued(ring(constraint), TAKEN_TO_C)
+    assert result.goal_reached, result.reason
+    assert isinstance(result.episodes[0].decision, PlanAgain)
+    assert truth.value(("clean", "d")) is True
+
+
+def test_what_may_not_happen_again_is_avoided_after_a_failure() -> None:
+    back = HiddenChange({("at", "r1", "b"): False, ("at", "r1", "a"): True, ("way", "a", "d"): True, ("way", "d", "c"): True}, at=1.9)
+    faults = Faults((Fault("move(r1, b, c)", FaultKind.ABORT, times=2),), (back,))
+    result, _ = pursued(ring("(at-most-once (at r1 b))", ways="(way a b) (way b c)"), faults)
+    assert result.goal_reached, result.reason
+    assert calls_done(result) == ["move(r1, a, b)", "move(r1, a, d)", "move(r1, d, c)"]
+    assert statuses(result) == ["fulfilled"]
+
+
+WALKS = """
+(define (domain walks) (:requirements :adl :durative-actions :constraints)
+  (:predicates (at ?a) (way ?a ?b))
+  (:durative-action walk :parameters (?a ?b) :duration (= ?duration 4)
+    :condition (and (at start (at ?a)) (over all (way ?a ?b)))
+    :effect (and (at start (not (at ?a))) (at end (at ?b)))))
+"""
+
+
+def walk(constraints: str) -> Problem:
+    text = "(define (problem p) (:domain walks) (:objects a b c) (:init (at a) (way a b) (way b c)) (:goal (at c))"
+    return parse_problem(f"{text} (:constraints {constraints}))", parse_domain(WALKS))
+
+
+TRIED_TWICE = Faults((Fault("walk(b, c)", FaultKind.ABORT, times=2),))
+"""After four seconds in vain the robot is still in b; it is then eight seconds after the start."""
+
+
+# --- times ---
+
+
+def test_a_deadline_that_a_new_plan_can_meet_is_met() -> None:
+    result, _ = pursued(walk("(within 13 (at c))"), TRIED_TWICE)
+    assert result.goal_reached, result.reason
+    assert (result.replans, statuses(result)) == (1, ["fulfilled"])
+
+
+def test_a_deadline_that_no_plan_can_meet_any_more_ends_the_task() -> None:
+    result, _ = pursued(walk("(within 11 (at c))"), TRIED_TWICE, Settings(planner_timeout=0.5))  # it finds none, but no proof either
+    assert not result.goal_reached
+    assert "; no plan" in result.reason
+    assert statuses(result) == ["violated"]

@@ -29,6 +29,7 @@ from pnm.tasks import Code, TaskState
 from tests.support.files import ROOT
 from tests.support.pddl.problems import fleet
 from tests.support.runs.simulated import LateBackend
+from tests.support.tasks.node import simulated
 from tests.support.tasks.simulation import TaskSimulation, simulate_tasks
 from tests.support.yaml.run_plans import BLOCKED, PATROL
 
@@ -36,7 +37,7 @@ NO_RETRY = Bindings({name: Binding(retries=0) for name in ("move", "pick", "drop
 SERVED = Settings(bindings=NO_RETRY, on_change=OnChange.EAGER, on_failure=OnFailure.CONTINUE_OTHERS)
 """As `pnm serve` has it if nothing else is chosen."""
 ALWAYS_ABORTED = Fault("move(r0, a0, a1)", FaultKind.ABORT)
-NEVER_ENDS = Fault("move(r1, a1, a2)", FaultKind.HANG)
+NEVER_ENDS, SLOW = (Fault("move(r1, a1, a2)", kind) for kind in (FaultKind.HANG, FaultKind.SLOW))
 BESIDE, ALONE = "(and (at r0 a1) (at r1 a2))", "(at r0 a1)"
 CALL = "move(r0, a0, a1)"
 
@@ -45,58 +46,48 @@ def times_sent(simulation: TaskSimulation, task: UUID, call: str = CALL) -> list
     return [event.time for event in simulation.seen(task, "sent", call)]
 
 
-@pytest.mark.parametrize("goal", [BESIDE, ALONE], ids=["another call is under way", "nothing is under way"])
-def test_attempts_that_fail_for_ever_are_spaced_by_the_back_off(goal: str) -> None:
-    limits = Limits(forbid_after=100, replans=100, backoff=0.5, longest_backoff=4.0)
-
-    async def scenario(simulation: TaskSimulation) -> None:
-        task = simulation.want(goal)
-        await simulation.sees(task, "sent", CALL, times=8)
-        times = times_sent(simulation, task)
-        took = simulation.seen(task, "failed")[0].time - times[0]
-        pauses = [later - earlier - took for earlier, later in pairwise(times)]
-        assert pauses == pytest.approx([0.0, 0.5, 1.0, 2.0, 4.0, 4.0, 4.0], abs=0.2)
-        assert simulation.sent(task).count("move(r1, a1, a2)") == (goal == BESIDE), "what is under way is handed on"
-        await simulation.master.cancel(task)
-
-    simulate_tasks(scenario, fleet(), faults=Faults((ALWAYS_ABORTED, NEVER_ENDS)), chosen=replace(SERVED, limits=limits))
-
-
-PATIENT = Limits(forbid_after=100, replans=100, backoff=1000.0, longest_backoff=1000.0)
-
-
-def test_what_is_under_way_goes_on_during_the_back_off_which_does_not_begin_anew_at_its_end() -> None:
-    limits = Limits(forbid_after=100, replans=100, backoff=50.0, longest_backoff=50.0)
-
-    async def scenario(simulation: TaskSimulation) -> None:
-        task = simulation.want(BESIDE)
-        await simulation.sees(task, "ended", "move(r1, a1, a2)")
-        assert len(times_sent(simulation, task)) == 2, "it was tried once more at once, and then the back-off began"
-        await simulation.sees(task, "sent", CALL, times=3)
-        second_failure = simulation.seen(task, "failed", CALL)[1].time
-        assert times_sent(simulation, task)[2] - second_failure == pytest.approx(50.0, abs=0.2)
-        assert simulation.sent(task).count("move(r1, a1, a2)") == 1
-        await simulation.master.cancel(task)
-
-    slow = Fault("move(r1, a1, a2)", FaultKind.SLOW)
-    simulate_tasks(scenario, fleet(), faults=Faults((ALWAYS_ABORTED, slow)), chosen=replace(SERVED, limits=limits))
+def with_back_off(first: float, longest: float) -> Settings:
+    return replace(SERVED, limits=Limits(forbid_after=100, replans=100, backoff=first, longest_backoff=longest))
 
 
 @pytest.mark.parametrize("goal", [BESIDE, ALONE], ids=["another call is under way", "nothing is under way"])
-def test_a_task_can_be_paused_and_cancelled_during_the_back_off(goal: str) -> None:
-    async def scenario(simulation: TaskSimulation) -> None:
-        task = simulation.want(goal)
-        await simulation.sees(task, "failed", CALL, times=2)
-        await asyncio.sleep(10.0)
-        await simulation.master.pause(task, at_once=True)
-        assert simulation.state(task) is TaskState.PAUSED
-        await simulation.master.resume(task)
-        await asyncio.sleep(10.0)
-        assert len(times_sent(simulation, task)) == 2
-        await simulation.master.cancel(task)
-        assert simulation.endings[task].code is Code.CANCELLED
+@simulated(faults=Faults((ALWAYS_ABORTED, NEVER_ENDS)), chosen=with_back_off(0.5, 4.0))
+async def test_attempts_that_fail_for_ever_are_spaced_by_the_back_off(simulation: TaskSimulation, goal: str) -> None:
+    task = simulation.want(goal)
+    await simulation.sees(task, "sent", CALL, times=8)
+    times = times_sent(simulation, task)
+    took = simulation.seen(task, "failed")[0].time - times[0]
+    pauses = [later - earlier - took for earlier, later in pairwise(times)]
+    assert pauses == pytest.approx([0.0, 0.5, 1.0, 2.0, 4.0, 4.0, 4.0], abs=0.2)
+    assert simulation.sent(task).count("move(r1, a1, a2)") == (goal == BESIDE), "what is under way is handed on"
+    await simulation.master.cancel(task)
 
-    simulate_tasks(scenario, fleet(), faults=Faults((ALWAYS_ABORTED, NEVER_ENDS)), chosen=replace(SERVED, limits=PATIENT))
+
+@simulated(faults=Faults((ALWAYS_ABORTED, SLOW)), chosen=with_back_off(50.0, 50.0))
+async def test_what_is_under_way_goes_on_during_the_back_off_which_does_not_begin_anew_at_its_end(simulation: TaskSimulation) -> None:
+    task = simulation.want(BESIDE)
+    await simulation.sees(task, "ended", "move(r1, a1, a2)")
+    assert len(times_sent(simulation, task)) == 2, "it was tried once more at once, and then the back-off began"
+    await simulation.sees(task, "sent", CALL, times=3)
+    second_failure = simulation.seen(task, "failed", CALL)[1].time
+    assert times_sent(simulation, task)[2] - second_failure == pytest.approx(50.0, abs=0.2)
+    assert simulation.sent(task).count("move(r1, a1, a2)") == 1
+    await simulation.master.cancel(task)
+
+
+@pytest.mark.parametrize("goal", [BESIDE, ALONE], ids=["another call is under way", "nothing is under way"])
+@simulated(faults=Faults((ALWAYS_ABORTED, NEVER_ENDS)), chosen=with_back_off(1000.0, 1000.0))
+async def test_a_task_can_be_paused_and_cancelled_during_the_back_off(simulation: TaskSimulation, goal: str) -> None:
+    task = simulation.want(goal)
+    await simulation.sees(task, "failed", CALL, times=2)
+    await asyncio.sleep(10.0)
+    await simulation.master.pause(task, at_once=True)
+    assert simulation.state(task) is TaskState.PAUSED
+    await simulation.master.resume(task)
+    await asyncio.sleep(10.0)
+    assert len(times_sent(simulation, task)) == 2
+    await simulation.master.cancel(task)
+    assert simulation.endings[task].code is Code.CANCELLED
 
 
 @pytest.mark.parametrize("on_change", OnChange)
@@ -116,15 +107,12 @@ def test_late_reports_are_waited_for_while_another_call_is_under_way(on_change: 
     simulate_tasks(scenario, problem, faults=faults, chosen=replace(SERVED, on_change=on_change), make_backend=LateBackend)
 
 
-def test_a_plan_that_is_sent_as_a_text_is_not_replanned_while_its_other_calls_are_under_way() -> None:
-    async def scenario(simulation: TaskSimulation) -> None:
-        task = simulation.want("(move r1 a1 a2)\n(move r0 a0 a1)\n(move r0 a1 a2)", is_plan=True)
-        assert await simulation.ended_with(task) == [Code.ACTION_FAILED]
-        assert sorted(simulation.sent(task)) == ["move(r0, a0, a1)", "move(r1, a1, a2)"]
-        assert not simulation.seen(task, "replanned")
-
-    slow = Fault("move(r1, a1, a2)", FaultKind.SLOW)
-    simulate_tasks(scenario, fleet(), faults=Faults((ALWAYS_ABORTED, slow)), chosen=SERVED)
+@simulated(faults=Faults((ALWAYS_ABORTED, SLOW)), chosen=SERVED)
+async def test_a_plan_that_is_sent_as_a_text_is_not_replanned_while_its_other_calls_are_under_way(simulation: TaskSimulation) -> None:
+    task = simulation.want("(move r1 a1 a2)\n(move r0 a0 a1)\n(move r0 a1 a2)", is_plan=True)
+    assert await simulation.ended_with(task) == [Code.ACTION_FAILED]
+    assert sorted(simulation.sent(task)) == ["move(r0, a0, a1)", "move(r1, a1, a2)"]
+    assert not simulation.seen(task, "replanned")
 
 
 # --- a hand-written plan whose recovery ends with `replan`, among other tasks --------------------

@@ -76,12 +76,6 @@ def test_a_pause_before_another_try_is_told_with_its_reason() -> None:
     assert [state.name for state, _ in told] == ["PLANNING", "RUNNING", "REPLANNING", "RUNNING", "OVER"]
 
 
-def test_a_match_burns_until_the_fuse_is_mended() -> None:
-    result, _ = pursued(matches(3))
-    assert result.goal_reached
-    assert result.replans == 0
-
-
 def test_a_match_that_goes_out_is_noticed() -> None:
     out = HiddenChange({("light", "m0"): False}, moment="start", what="mend")
     result, _ = pursued(matches(1), Faults(changes=(out,)))

@@ -16,7 +16,7 @@ from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.achieve import achieve, achieve_at
 from planner_bridge.tasks.replanning import MAX_SHORTENED, Decision, History, Limits, PlanAgain, Progress, ResumePlan, decide, shortened
-from planner_bridge.tasks.settings import OnChange, Settings, TaskObserver
+from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange
 from pnm.clock import run_async
 from pnm.core.execution.call_results import CallResult
@@ -25,13 +25,13 @@ from pnm.core.logic.conditions import Holds, Not, evaluate
 from pnm.core.logic.expressions import Variable
 from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import Binding, Bindings
-from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
 from pnm.core.machine.requests import CallOutcome
 from tests.support.pddl.problems import ROOMS, matches, rooms
 from tests.support.runs.simulated import LateBackend
+from tests.support.tasks.node import EAGER, simulated
 from tests.support.tasks.replanning import aborts, pursued
-from tests.support.tasks.simulation import TaskSimulation, simulate_tasks
+from tests.support.tasks.simulation import TaskSimulation
 
 OVER_B = [("move", "r1", "a", "b"), ("move", "r1", "b", "c")]
 
@@ -184,26 +184,25 @@ WORKSHOP = """
 BENCH = Bindings({name: Binding(resources=("bench",)) for name in ("mend", "sand")}, assumed=frozenset({"quiet"}))
 
 
+PAINTING = parse_problem("(define (problem p) (:domain workshop) (:init (dry)) (:goal (painted)))", parse_domain(WORKSHOP))
+
+
 @pytest.mark.parametrize("is_dry_again", [False, True])
-def test_a_new_plan_that_is_due_is_made_once_the_call_that_was_waited_for_has_begun_or_is_not_needed_any_more(is_dry_again: bool) -> None:
+@simulated(PAINTING, chosen=replace(EAGER, bindings=BENCH))
+async def test_a_new_plan_that_is_due_is_made_once_the_call_that_was_waited_for_has_begun_or_is_not_needed_any_more(
+    simulation: TaskSimulation, is_dry_again: bool
+) -> None:
     """The end of `start` waits for `mend`, and that for the bench: until then nothing of the run can be handed over."""
-    problem = parse_problem("(define (problem p) (:domain workshop) (:init (dry)) (:goal (painted)))", parse_domain(WORKSHOP))
-    chosen = Settings(bindings=BENCH, on_change=OnChange.EAGER, on_failure=OnFailure.CONTINUE_OTHERS)
-
-    async def scenario(simulation: TaskSimulation) -> None:
-        other = simulation.want("(sanded)")
-        await simulation.sees(other, "sent", "sand()")
-        task = simulation.want("(painted)")
-        await simulation.sees(task, "ended", "start()")
-        simulation.knowledge.update({("dry",): False})  # without which nothing is painted
-        await asyncio.sleep(1.0)
-        assert not simulation.seen(task, "replanned")
-        if is_dry_again:
-            simulation.knowledge.update({("dry",): True})
-        await simulation.sees(task, "sent", "mend()")
-        await asyncio.sleep(0.5)
-        assert bool(simulation.seen(task, "replanned")) is not is_dry_again
-        assert not simulation.seen(task, "ended", "mend()"), "it was handed over"
-        await simulation.reaches(task)
-
-    simulate_tasks(scenario, problem, chosen=chosen)
+    await simulation.begun("(sanded)")
+    task = simulation.want("(painted)")
+    await simulation.sees(task, "ended", "start()")
+    simulation.knowledge.update({("dry",): False})  # without which nothing is painted
+    await asyncio.sleep(1.0)
+    assert not simulation.seen(task, "replanned")
+    if is_dry_again:
+        simulation.knowledge.update({("dry",): True})
+    await simulation.sees(task, "sent", "mend()")
+    await asyncio.sleep(0.5)
+    assert bool(simulation.seen(task, "replanned")) is not is_dry_again
+    assert not simulation.seen(task, "ended", "mend()"), "it was handed over"
+    await simulation.reaches(task)

@@ -19,7 +19,7 @@ from pnm.journal.kept import JournalError
 from pnm.journal.records import RunRetired
 from tests.support.e2e.page.journals import GrowingJournal, steps
 from tests.support.e2e.page.serving import Stream, page_of
-from tests.support.processes import LIMIT
+from tests.support.runs.simulated import on_a_loop
 
 
 def test_a_journal_that_is_not_there_yet_is_waited_for(growing: GrowingJournal, tmp_path: Path) -> None:
@@ -77,30 +77,27 @@ def test_a_journal_of_which_records_were_taken_away_is_read_anew(growing: Growin
     assert reader.newest().number == 20
 
 
-def test_a_slow_browser_gets_what_is_so_now_and_no_backlog(growing: GrowingJournal, monkeypatch: pytest.MonkeyPatch) -> None:
+@on_a_loop
+async def test_a_slow_browser_gets_what_is_so_now_and_no_backlog(growing: GrowingJournal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(follow, "PERIOD", 0.0)
     monkeypatch.setattr(follow, "_IDLE", 0.0)
-
-    async def course() -> tuple[list[View], list[View]]:
-        growing.grow(2)
-        feed = Feed(Reader(growing.place))
-        quick, slow = feed.views(), feed.views()
-        seen_quick, seen_slow = [await anext(quick)], [await anext(slow)]
-        for length in range(3, 40):
-            growing.grow(length)
-            seen_quick.append(await anext(quick))
-        seen_slow.append(await anext(slow))
-        await feed.close()
-        assert [view async for view in slow] == []
-        return seen_quick, seen_slow
-
-    quick, slow = asyncio.run(asyncio.wait_for(course(), LIMIT))
-    assert [view.number for view in quick] == list(range(2, 40))
-    assert [view.number for view in slow] == [2, 39]
-    assert frame(slow[0], slow[1])["parts"] == frame(quick[0], quick[-1])["parts"]
+    growing.grow(2)
+    feed = Feed(Reader(growing.place))
+    quick, slow = feed.views(), feed.views()
+    seen_quick, seen_slow = [await anext(quick)], [await anext(slow)]
+    for length in range(3, 40):
+        growing.grow(length)
+        seen_quick.append(await anext(quick))
+    seen_slow.append(await anext(slow))
+    await feed.close()
+    assert [view async for view in slow] == []
+    assert [view.number for view in seen_quick] == list(range(2, 40))
+    assert [view.number for view in seen_slow] == [2, 39]
+    assert frame(*seen_slow)["parts"] == frame(seen_quick[0], seen_quick[-1])["parts"]
 
 
-def test_nobody_reads_while_nobody_watches(growing: GrowingJournal) -> None:
+@on_a_loop
+async def test_nobody_reads_while_nobody_watches(growing: GrowingJournal) -> None:
     reads = []
 
     class Counting(Reader):
@@ -108,20 +105,17 @@ def test_nobody_reads_while_nobody_watches(growing: GrowingJournal) -> None:
             reads.append(None)
             return super().newest()
 
-    async def course() -> None:
-        growing.grow(5)
-        feed = Feed(Counting(growing.place))
-        views = feed.views()
-        assert not reads
-        await anext(views)
-        await views.aclose()  # type: ignore[attr-defined]
-        before = len(reads)
-        growing.grow(6)
-        for _ in range(100):
-            await asyncio.sleep(0)
-        assert len(reads) == before
-
-    asyncio.run(asyncio.wait_for(course(), LIMIT))
+    growing.grow(5)
+    feed = Feed(Counting(growing.place))
+    views = feed.views()
+    assert not reads
+    await anext(views)
+    await views.aclose()  # type: ignore[attr-defined]
+    before = len(reads)
+    growing.grow(6)
+    for _ in range(100):
+        await asyncio.sleep(0)
+    assert len(reads) == before
 
 
 def test_a_browser_that_was_away_gets_what_has_changed_since_and_what_changes_then(growing: GrowingJournal) -> None:
@@ -157,45 +151,41 @@ def test_a_browser_that_has_seen_something_else_gets_the_whole_state(growing: Gr
             other.close()
 
 
-def test_a_second_browser_takes_nothing_away_from_the_first(growing: GrowingJournal, monkeypatch: pytest.MonkeyPatch) -> None:
+@on_a_loop
+async def test_a_second_browser_takes_nothing_away_from_the_first(growing: GrowingJournal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(follow, "PERIOD", 1000.0)
     monkeypatch.setattr(follow, "_IDLE", 1000.0)
-
-    async def course() -> list[int]:
-        growing.grow(2)
-        feed = Feed(Reader(growing.place))
-        first, second = feed.views(), feed.views()
-        seen = [(await anext(first)).number]
-        waiting = asyncio.ensure_future(anext(first))
-        await asyncio.sleep(0)
-        growing.grow(7)
-        seen += [(await anext(second)).number, (await waiting).number]
-        await feed.close()
-        return seen
-
-    assert asyncio.run(asyncio.wait_for(course(), LIMIT)) == [2, 7, 7]
+    growing.grow(2)
+    feed = Feed(Reader(growing.place))
+    first, second = feed.views(), feed.views()
+    seen = [(await anext(first)).number]
+    waiting = asyncio.ensure_future(anext(first))
+    await asyncio.sleep(0)
+    growing.grow(7)
+    seen += [(await anext(second)).number, (await waiting).number]
+    await feed.close()
+    assert seen == [2, 7, 7]
 
 
-def test_a_fault_of_ours_ends_with_a_message_on_the_page_and_in_the_log(growing: GrowingJournal, caplog: pytest.LogCaptureFixture) -> None:
+@on_a_loop
+async def test_a_fault_of_ours_ends_with_a_message_on_the_page_and_in_the_log(
+    growing: GrowingJournal, caplog: pytest.LogCaptureFixture
+) -> None:
+    is_faulty = False
+
     class Faulty(Reader):
         def newest(self) -> View:
             if is_faulty:
                 raise ZeroDivisionError("nobody has thought of that")
             return super().newest()
 
-    async def course() -> list[View]:
-        nonlocal is_faulty
-        growing.grow(5)
-        feed = Feed(Faulty(growing.place))
-        views = feed.views()
-        seen = [await anext(views)]
-        is_faulty = True
-        seen.append(await anext(views))
-        await feed.close()
-        return seen
-
-    is_faulty = False
-    before, after = asyncio.run(asyncio.wait_for(course(), LIMIT))
+    growing.grow(5)
+    feed = Feed(Faulty(growing.place))
+    views = feed.views()
+    before = await anext(views)
+    is_faulty = True
+    after = await anext(views)
+    await feed.close()
     assert (after.number, after.tasks) == (before.number, before.tasks)
     assert after.problem == "the journal cannot be followed any more: ZeroDivisionError: nobody has thought of that"
     assert [record.message for record in caplog.records] == ["the journal cannot be followed any more"]

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, field
+from functools import wraps
+from typing import Any, ParamSpec
 
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.world import robots_of
@@ -25,7 +28,30 @@ from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import GroundAction, PlanGraph
 from pnm.core.machine.verification.verify import verify
 from pnm.executor import Executor
+from tests.support.processes import LIMIT
 from tests.support.runs.commands import RUN
+
+P = ParamSpec("P")
+
+
+def on_a_loop(test: Callable[P, Coroutine[Any, Any, None]]) -> Callable[P, None]:
+    """Run a test that is a coroutine; it may not hang."""
+
+    @wraps(test)
+    def run(*args: P.args, **kwargs: P.kwargs) -> None:
+        asyncio.run(asyncio.wait_for(test(*args, **kwargs), LIMIT))
+
+    return run
+
+
+def in_virtual_time(test: Callable[P, Coroutine[Any, Any, None]]) -> Callable[P, None]:
+    """Run a test that is a coroutine, in virtual time; it may not hang."""
+
+    @wraps(test)
+    def run(*args: P.args, **kwargs: P.kwargs) -> None:
+        run_async(asyncio.wait_for(test(*args, **kwargs), 10_000.0), virtual=True)
+
+    return run
 
 
 def move(robot: str, here: str, there: str, duration: float = 4.0) -> GroundAction:

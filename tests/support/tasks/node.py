@@ -7,18 +7,16 @@ from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from functools import update_wrapper
 from inspect import Signature, signature
-from typing import Concatenate, ParamSpec
+from typing import Any, Concatenate, ParamSpec
 from uuid import UUID
 
 from planner_bridge.model.problem import Problem
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import OnChange, Settings
-from planner_bridge.tasks.task_manager import TaskLimits
-from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.core.logic.computed_values import MISSING, Layer, Question
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.machine import OnFailure
-from pnm.knowledge.source import Asker, Source
+from pnm.knowledge.source import Asker
 from tests.support.tasks.simulation import TaskSimulation, simulate_tasks
 
 P = ParamSpec("P")
@@ -50,27 +48,14 @@ class SlowPerson:
 
 
 def simulated(
-    problem: Problem | None = None,
-    *,
-    faults: Faults = NO_FAULTS,
-    chosen: Settings = USUAL,
-    limits: TaskLimits | None = None,
-    source: Source | None = None,
-    helper: Source | None = None,
+    problem: Problem | None = None, *, chosen: Settings = USUAL, **how: Any
 ) -> Callable[[Callable[Concatenate[TaskSimulation, P], Awaitable[None]]], Callable[P, None]]:
-    """Run a test with the tasks of such a node, in simulation."""
+    """Run a test with the tasks of such a node, in simulation; a person that the test is given is asked for help."""
 
     def wrap(scenario: Callable[Concatenate[TaskSimulation, P], Awaitable[None]]) -> Callable[P, None]:
         def test(*args: P.args, **kwargs: P.kwargs) -> None:
-            simulate_tasks(
-                lambda simulation: scenario(simulation, *args, **kwargs),
-                problem,
-                faults=faults,
-                chosen=chosen,
-                limits=limits,
-                source=source,
-                helper=helper,
-            )
+            helped = {"helper": kwargs["person"]} if "person" in kwargs else {}
+            simulate_tasks(lambda simulation: scenario(simulation, *args, **kwargs), problem, chosen=chosen, **how, **helped)
 
         _, *others = signature(scenario).parameters.values()
         update_wrapper(test, scenario)

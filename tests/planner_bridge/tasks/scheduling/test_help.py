@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
-from functools import wraps
-from inspect import Signature, signature
-from typing import Any
 
 import pytest
 
-from planner_bridge.model.problem import Problem
 from planner_bridge.tasks.replanning import Limits
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.logic.computed_values import MISSING
@@ -22,8 +18,8 @@ from pnm.knowledge.source import SourceError
 from pnm.tasks import Code, TaskState
 from tests.support.logic.people import Person
 from tests.support.pddl.problems import fleet, rooms
-from tests.support.tasks.node import USUAL
-from tests.support.tasks.simulation import TaskSimulation, simulate_tasks
+from tests.support.tasks.node import USUAL, simulated
+from tests.support.tasks.simulation import TaskSimulation
 
 CLOSED = rooms(init="(at r1 a)", goal="(and)", ways="ab")
 """There is no way to c."""
@@ -34,20 +30,9 @@ def words(question) -> str:
     return str(json.loads(question.meta))
 
 
-def helped(problem: Problem = CLOSED, **how: Any) -> Callable[[Callable[..., Awaitable[None]]], Callable[..., None]]:
-    """Run a test with the tasks of a node, in simulation, and the person who is asked for help."""
-
-    def wrap(scenario: Callable[..., Awaitable[None]]) -> Callable[..., None]:
-        @wraps(scenario)
-        def test(**fixtures: object) -> None:
-            person = Person(words)
-            simulate_tasks(lambda simulation: scenario(simulation, person, **fixtures), problem, helper=person, **{"chosen": USUAL, **how})
-
-        _, _, *others = signature(scenario).parameters.values()
-        test.__signature__ = Signature(others)  # type: ignore[attr-defined]  # by which pytest knows what a test is given
-        return test
-
-    return wrap
+@pytest.fixture
+def person() -> Person:
+    return Person(words)
 
 
 def change(simulation: TaskSimulation, facts: Mapping[Fluent, Value]) -> None:
@@ -64,7 +49,7 @@ async def question(person: Person) -> str:
 # --- no plan ---
 
 
-@helped()
+@simulated(CLOSED)
 async def test_a_person_is_asked_with_the_reason_and_the_task_goes_on_when_it_is_mended(simulation: TaskSimulation, person: Person) -> None:
     task = simulation.want("(at r1 c)")
     text = await question(person)
@@ -86,7 +71,7 @@ async def test_a_person_is_asked_with_the_reason_and_the_task_goes_on_when_it_is
         (SourceError("nobody has answered within 60 s"), "help was asked for in vain: nobody has answered within 60 s"),
     ],
 )
-@helped()
+@simulated(CLOSED)
 async def test_without_help_the_task_ends_as_it_would_have_and_says_that_help_was_asked_for(
     simulation: TaskSimulation, person: Person, answer: object, why: str
 ) -> None:
@@ -102,7 +87,7 @@ async def test_without_help_the_task_ends_as_it_would_have_and_says_that_help_wa
     assert message.endswith(why)
 
 
-@helped()
+@simulated(CLOSED)
 async def test_an_answer_that_means_nothing_is_asked_for_once_more_but_not_for_ever(simulation: TaskSimulation, person: Person) -> None:
     task = simulation.want("(at r1 c)")
     first = await question(person)
@@ -116,7 +101,7 @@ async def test_an_answer_that_means_nothing_is_asked_for_once_more_but_not_for_e
     assert len(person.history) == 3
 
 
-@helped()
+@simulated(CLOSED)
 async def test_a_question_is_withdrawn_when_facts_make_a_plan_possible_and_stays_open_when_they_do_not(
     simulation: TaskSimulation, person: Person
 ) -> None:
@@ -132,7 +117,7 @@ async def test_a_question_is_withdrawn_when_facts_make_a_plan_possible_and_stays
     assert len(person.history) == 1
 
 
-@helped(chosen=replace(USUAL, limits=Limits(patience=30.0)))
+@simulated(CLOSED, chosen=replace(USUAL, limits=Limits(patience=30.0)))
 async def test_patience_comes_first(simulation: TaskSimulation, person: Person) -> None:
     task = simulation.want("(at r1 c)")
     await simulation.sees(task, "blocked", "waits 30 s at most for facts to change")
@@ -150,7 +135,7 @@ async def test_patience_comes_first(simulation: TaskSimulation, person: Person) 
 # --- what has failed ---
 
 
-@helped(fleet(robots=1), faults=Faults((Fault("pick", FaultKind.ABORT, times=4, message="the gripper is stuck"),)))
+@simulated(fleet(robots=1), faults=Faults((Fault("pick", FaultKind.ABORT, times=4, message="the gripper is stuck"),)))
 async def test_what_has_failed_too_often_is_named_and_tried_again_after_help(simulation: TaskSimulation, person: Person) -> None:
     task = simulation.want("(in p0 a2)")
     text = await question(person)
@@ -161,7 +146,7 @@ async def test_what_has_failed_too_often_is_named_and_tried_again_after_help(sim
     await simulation.reaches(task)
 
 
-@helped(
+@simulated(
     fleet(robots=1),
     faults=Faults((Fault("pick", FaultKind.LOSE_SERVER),)),
     chosen=replace(USUAL, bindings=Bindings({"pick": Binding(server="/{r}/gripper", retries=0)})),
@@ -174,7 +159,7 @@ async def test_a_server_that_is_gone_is_named(simulation: TaskSimulation, person
     await simulation.ended_with(task)
 
 
-@helped(
+@simulated(
     rooms(init="(at r1 a)", ways="ab bc"),
     faults=Faults((Fault("move(r1, a, b)", FaultKind.ABORT, times=2),)),
     chosen=replace(USUAL, limits=Limits(replans=1, forbid_after=9)),
@@ -190,7 +175,7 @@ async def test_when_all_replans_are_used_up_facts_that_change_are_not_enough(sim
     await simulation.reaches(task)
 
 
-@helped()
+@simulated(CLOSED)
 async def test_a_task_that_only_waits_for_help_keeps_no_other_from_going_on_and_is_cancelled_at_once(
     simulation: TaskSimulation, person: Person
 ) -> None:
@@ -203,7 +188,7 @@ async def test_a_task_that_only_waits_for_help_keeps_no_other_from_going_on_and_
     assert await person.withdrawn.get() == text
 
 
-@helped(fleet(robots=1), faults=Faults((Fault("move(r0, a0, a1)", FaultKind.HANG, ignores_cancel=True, times=1),)))
+@simulated(fleet(robots=1), faults=Faults((Fault("move(r0, a0, a1)", FaultKind.HANG, ignores_cancel=True, times=1),)))
 async def test_a_resource_that_is_kept_is_named(simulation: TaskSimulation, person: Person) -> None:
     hung = await simulation.begun("(at r0 a1)")
     await simulation.master.cancel(hung)

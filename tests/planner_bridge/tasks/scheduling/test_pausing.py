@@ -163,17 +163,6 @@ async def test_what_comes_while_all_is_paused_waits(simulation: TaskSimulation):
     await simulation.reaches(task)
 
 
-@simulated()
-async def test_a_paused_task_keeps_nobody_waiting(simulation: TaskSimulation):
-    one = await simulation.begun("(at r0 a2)")
-    two = simulation.want("(at r0 a1)")
-    await simulation.sees(two, "state", "waits")
-    await simulation.master.pause(one, at_once=False)
-    await simulation.reaches(two)
-    await simulation.master.resume(one)
-    await simulation.reaches(one)
-
-
 @simulated(
     faults=Faults((Fault("move(r0, a0, a1)", FaultKind.HANG, ignores_cancel=True),)),
     chosen=everything_needs("{r}", move=Binding(resources=("{r}",), retries=0, cancel=2.0)),

@@ -1,15 +1,22 @@
-"""Priorities of tasks: who is preempted, and for whom."""
+"""Who goes first: priorities of tasks, and the robot that reaches a goal soonest, though others may be free before."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
+import pytest
+
+from planner_bridge.model.plan import PlanningResult
 from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.planning.solve import solve
+from planner_bridge.tasks import plan_search
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.machine.bindings import Binding, Bindings
-from pnm.tasks import Code, TaskState
+from pnm.tasks import Code, OnConflict, TaskState
 from tests.support.pddl.problems import fleet
-from tests.support.tasks.node import EAGER, SlowPerson, everything_needs, simulated
+from tests.support.pddl.vans import vans
+from tests.support.tasks.node import EAGER, SlowPerson, everything_needs, robots_of, simulated
 from tests.support.tasks.simulation import TaskSimulation
 
 
@@ -124,3 +131,100 @@ async def test_nobody_waits_for_a_call_that_is_over_and_only_waits_for_another_o
     await simulation.sees(low, "ended", "heat")  # whose end counts once what needs it warm has been baked, and that waits for an answer
     high = simulation.want("(served)", priority=1)  # there would be a plan if heating could still be undone
     assert await simulation.ended_with(high, low) == [Code.NO_PLAN, Code.CONDITION_LOST]
+
+
+# --- who reaches it soonest ---
+
+
+DRIVING = replace(EAGER, bindings=Bindings({name: Binding(resources=("{v}",), retries=0) for name in ("drive", "serve")}))
+NEAR_AND_FAR = vans("v1 home v2 depot", "home near 15", "depot far 10", "near shop 1", "far shop 60")
+"""v2 is free first, but v1 is nearer to the shop then."""
+
+
+@pytest.mark.parametrize(
+    ("ways", "busy", "chosen", "waits"),
+    [
+        (("home near 100", "depot far 10", "near shop 1", "far shop 60"), ("v1 near", "v2 far"), "v2", True),  # is free sooner
+        (("home near 15", "depot far 10", "near shop 1", "far shop 60"), ("v1 near", "v2 far"), "v1", True),  # is free later, and nearer
+        (("home near 15", "near shop 1", "depot shop 60"), ("v1 near",), "v1", True),  # is busy, and does it sooner than the idle one
+        (("home near 60", "near shop 1", "depot shop 60"), ("v1 near",), "v2", False),  # is idle, and does it no later
+    ],
+)
+def test_it_goes_to_the_robot_that_does_it_soonest(ways: tuple[str, ...], busy: tuple[str, ...], chosen: str, waits: bool):
+    @simulated(vans("v1 home v2 depot", *ways), chosen=DRIVING)
+    async def scenario(simulation: TaskSimulation) -> None:
+        others = [await simulation.begun(f"(at {place})") for place in busy]
+        served = simulation.want("(served shop)")
+        await simulation.reaches(served, *others)
+        assert robots_of(simulation, served) == {chosen}
+        assert bool(simulation.seen(served, "state", f"waits for (at {chosen} ")) is waits
+
+    scenario()
+
+
+@simulated(vans("v1 home v2 depot", "home near 100", "depot far 10", "near shop 1", "far shop 20"), chosen=DRIVING)
+async def test_it_gets_a_robot_as_soon_as_a_task_of_several_is_done_with_it(simulation: TaskSimulation):
+    both = simulation.want("(and (at v1 near) (served far))")
+    await simulation.sees(both, "sent", "drive(v2")
+    served = simulation.want("(served shop)")
+    await simulation.reaches(served)
+    assert robots_of(simulation, served) == {"v2"}
+    assert both not in simulation.endings
+    await simulation.reaches(both)
+
+
+PATIENT = replace(DRIVING, bindings=Bindings({"drive": Binding(resources=("{v}",), retries=0, timeout=10000.0)}))
+
+
+@simulated(NEAR_AND_FAR, faults=Faults((Fault("drive(v1, home, near)", FaultKind.HANG),)), chosen=PATIENT)
+async def test_it_goes_to_another_robot_when_the_one_that_it_waits_for_is_too_late(simulation: TaskSimulation):
+    one, two = await simulation.begun("(at v1 near)"), await simulation.begun("(at v2 far)")
+    served = simulation.want("(served shop)")
+    await simulation.sees(served, "state", "waits for (at v1 near)")
+    await simulation.reaches(two, served)
+    assert robots_of(simulation, served) == {"v2"}
+    await simulation.master.cancel(one)
+
+
+@pytest.mark.parametrize("policy", [OnConflict.REFUSE, OnConflict.QUEUE])
+def test_with_other_policies_it_does_not_choose_whom_to_wait_for(policy: OnConflict):
+    @simulated(NEAR_AND_FAR, chosen=DRIVING)
+    async def scenario(simulation: TaskSimulation) -> None:
+        one, two = await simulation.begun("(at v1 near)"), await simulation.begun("(at v2 far)")
+        served = simulation.want("(served shop)", on_conflict=policy)
+        await simulation.reaches(one, two)
+        expected = Code.CONFLICT if policy is OnConflict.REFUSE else Code.GOAL_REACHED
+        assert await simulation.ended_with(served) == [expected]
+
+    scenario()
+
+
+@simulated(NEAR_AND_FAR, chosen=DRIVING)
+async def test_it_does_not_wait_for_a_task_that_is_paused(simulation: TaskSimulation):
+    one, two = await simulation.begun("(at v1 near)"), await simulation.begun("(at v2 far)")
+    served = simulation.want("(served shop)")
+    await simulation.sees(served, "state", "waits for (at v1 near)")
+    await simulation.master.pause(one, at_once=True)
+    await simulation.reaches(two, served)
+    assert one not in simulation.endings
+    await simulation.master.resume(one)
+    await simulation.reaches(one)
+
+
+def test_the_search_for_whom_to_wait_is_short_because_others_wait_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
+    seconds: list[float] = []
+
+    def noted(problem: Any, *, timeout: float, **chosen: Any) -> PlanningResult:
+        seconds.append(timeout)
+        return solve(problem, timeout=timeout, **chosen)
+
+    monkeypatch.setattr(plan_search, "solve", noted)
+
+    @simulated(NEAR_AND_FAR, chosen=DRIVING)
+    async def scenario(simulation: TaskSimulation) -> None:
+        one, two = await simulation.begun("(at v1 near)"), await simulation.begun("(at v2 far)")
+        assert set(seconds) == {DRIVING.planner_timeout}
+        await simulation.reaches(two, one, simulation.want("(served shop)"))
+
+    scenario()
+    assert min(seconds) == pytest.approx(DRIVING.planner_timeout / 10)

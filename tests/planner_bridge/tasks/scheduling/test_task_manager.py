@@ -170,33 +170,6 @@ async def test_a_lazy_task_finds_out_when_a_call_fails(simulation: TaskSimulatio
     assert simulation.seen(task, "failed", "precondition_false")
 
 
-SOMEBODY_BRINGS_IT = HiddenChange({("in", "p0", "a0"): False, ("in", "p0", "a2"): True, ("has", "r0", "p0"): False}, at=1.5)
-
-
-@simulated(fleet(robots=1), faults=Faults(changes=(SOMEBODY_BRINGS_IT,)))
-async def test_a_goal_that_comes_true_by_itself_is_taken(simulation: TaskSimulation):
-    task = simulation.want("(in p0 a2)")
-    await simulation.reaches(task)
-    assert len(simulation.sent(task)) <= 2
-
-
-SOMEBODY_CARRIES_IT_ON = HiddenChange({("at", "r0", "a0"): False, ("at", "r0", "a1"): False, ("at", "r0", "a2"): True}, at=1.5)
-
-
-@simulated(fleet(places=8), faults=Faults(changes=(SOMEBODY_CARRIES_IT_ON,)))
-async def test_calls_that_have_become_needless_are_left_out(simulation: TaskSimulation):
-    task = simulation.want("(at r0 a4)")
-    await simulation.reaches(task)
-    assert not simulation.seen(task, "failed")
-
-
-@simulated(faults=Faults((Fault("pick", FaultKind.ABORT, message="the gripper is stuck"),)))
-async def test_a_task_that_can_do_no_more_says_what_failed(simulation: TaskSimulation):
-    task = simulation.want("(in p0 a2)")
-    assert await simulation.ended_with(task) == [Code.ACTION_FAILED]
-    assert "the gripper is stuck" in simulation.endings[task].message
-
-
 # --- many ---
 
 
