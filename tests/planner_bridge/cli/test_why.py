@@ -6,35 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from planner_bridge.pddl import write_domain, write_problem
 from planner_bridge.pipeline.achieve import achieve
-from planner_bridge.pipeline.loading import load
-from planner_bridge.tasks.result import TASKS
-from pnm.journal.replay import Replay
-from pnm.journal.resume import replay_steps
 from tests.support.e2e.command_line import pnm
 from tests.support.files import ROOT
-from tests.support.pddl.explanations.doors import house
-from tests.support.tasks.simulation import reach_with_late_sensors
 
 DELIVERY = (str(ROOT / "domains/delivery/domain.pddl"), str(ROOT / "problems/delivery/p01.pddl"))
-
-
-@pytest.fixture(scope="module")
-def closed(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
-    folder = tmp_path_factory.mktemp("house")
-    domain, problem = folder / "domain.pddl", folder / "problem.pddl"
-    domain.write_text(write_domain(house().domain))
-    problem.write_text(write_problem(house()))
-    return str(domain), str(problem)
-
-
-def test_why_there_is_no_plan_and_what_would_help(closed: tuple[str, str]) -> None:
-    done = pnm("why", *closed)
-    assert (done.returncode, done.stderr) == (0, "")
-    lines = done.stdout.splitlines()
-    assert lines[0] == "there is no plan: (has r1 cup) cannot be reached [proved by reachability]"
-    assert "  if (key r1 door) were true: a plan with 4 calls" in lines
 
 
 def test_what_each_call_is_for_and_one_of_them() -> None:
@@ -83,18 +59,3 @@ def test_a_run_is_explained_and_other_ways_in_the_middle_of_it(tmp_path: Path) -
     now = pnm("why", *DELIVERY, "--journal", str(journal), "--to", "28").stdout
     assert "for the goal (at parcel2 kitchen)" in now
     assert "load(r1, parcel2, store)" not in now, "it is done"
-
-
-def test_a_robot_that_has_just_arrived_is_not_nowhere(tmp_path: Path) -> None:
-    """While it moves it is nowhere, and its arrival is not reported yet; what is to be seen by then counts."""
-    journal = tmp_path / "run.journal"
-    reach_with_late_sensors(load(*map(Path, DELIVERY)), "(and (at parcel1 hall) (at parcel2 kitchen))", journal)
-    replay = Replay()
-    arrived = next(
-        step.number
-        for step in replay_steps(journal, TASKS, replay)
-        if any(call.action.arguments == ("r1", "hall", "kitchen") for run in replay.runs.values() for call in run.run.settling)
-    )
-    done = pnm("why", *DELIVERY, "--journal", str(journal), "--to", str(arrived))
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.startswith("there is a plan with "), done.stdout

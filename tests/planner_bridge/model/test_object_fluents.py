@@ -20,7 +20,7 @@ from pnm.core.logic.conditions import Compare, Condition, Not, evaluate
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Value, ValueOf
 from pnm.core.machine.bindings import Binding, Bindings, goal_data
 from tests.support.runs.plan_graphs import shown
-from tests.support.tasks.planned_runs import SimulatedSite, change_at, timed, with_site
+from tests.support.tasks.planned_runs import SimulatedSite, change_at, on_site, timed
 
 TRAYS = parse_domain("""
 (define (domain trays) (:requirements :durative-actions :typing :adl :fluents)
@@ -54,98 +54,77 @@ def test_objects_order_calls_like_facts() -> None:
     assert not any(2 in (one.before.call, one.after.call) for one in graph.orderings)
 
 
-def test_a_robot_whose_place_is_a_value_is_nowhere_on_its_way_and_arrives() -> None:
+@on_site(IN_LAB)
+async def test_a_robot_whose_place_is_a_value_is_nowhere_on_its_way_and_arrives(site: SimulatedSite) -> None:
     places: list[object] = []
-
-    async def scenario(simulation: SimulatedSite) -> None:
-        asyncio.get_running_loop().call_later(2.0, lambda: places.append(simulation.knowledge.value(R1)))
-        result = await simulation.run(plan_graph(IN_LAB, TO_LAB))
-        assert result.goal, result.reason
-        assert (simulation.truth(R1), simulation.knowledge.value(R1)) == ("lab", "lab")
-
-    with_site(IN_LAB, scenario)
-    assert places == [UNDEFINED]
+    asyncio.get_running_loop().call_later(2.0, lambda: places.append(site.knowledge.value(R1)))
+    result = await site.run(plan_graph(IN_LAB, TO_LAB))
+    assert result.goal, result.reason
+    assert (places, site.truth(R1), site.knowledge.value(R1)) == ([UNDEFINED], "lab", "lab")
 
 
-def test_a_robot_that_is_nowhere_is_not_where_it_is_wanted() -> None:
-    problem = replace(IN_LAB, init={("wanted", "r1"): "lab"})
-
-    async def scenario(simulation: SimulatedSite) -> None:
-        assert (await simulation.run(plan_graph(problem, timed("0 3 fetch r1")))).goal
-
-    with_site(problem, scenario)
+@on_site(replace(IN_LAB, init={("wanted", "r1"): "lab"}))
+async def test_a_robot_that_is_nowhere_is_not_where_it_is_wanted(site: SimulatedSite) -> None:
+    assert (await site.carry_out("0 3 fetch r1")).goal
 
 
 @pytest.mark.parametrize("assumed", [frozenset[str](), frozenset({"place"})])
 def test_an_object_that_does_not_come_is_missed_if_it_is_sensed(assumed: frozenset[str]) -> None:
-    async def scenario(simulation: SimulatedSite) -> None:
-        result = await simulation.run(plan_graph(IN_LAB, TO_LAB))
-        assert result.goal is bool(assumed)
-        if not assumed:
-            assert [(one.cause, one.expected) for one in result.failures] == [("effects_missing", "(= (place r1) lab)")]
-        assert simulation.truth(R1) == "hall"
+    @on_site(IN_LAB, Faults((Fault("move", FaultKind.NO_EFFECT),)), Bindings(assumed=assumed))
+    async def scenario(site: SimulatedSite) -> None:
+        result = await site.run(plan_graph(IN_LAB, TO_LAB))
+        missed = [] if assumed else [("effects_missing", "(= (place r1) lab)")]
+        assert (result.goal, [(one.cause, one.expected) for one in result.failures]) == (bool(assumed), missed)
+        assert site.truth(R1) == "hall"
 
-    with_site(IN_LAB, scenario, Faults((Fault("move", FaultKind.NO_EFFECT),)), Bindings(assumed=assumed))
-
-
-def test_an_aborted_move_leaves_the_robot_where_it_was_known_to_be() -> None:
-    async def scenario(simulation: SimulatedSite) -> None:
-        graph = plan_graph(IN_LAB, TO_LAB)
-        result = await simulation.run(graph)
-        assert [one.cause for one in result.failures] == ["aborted"]
-        assert (simulation.truth(R1), simulation.knowledge.value(R1)) == ("hall", "hall")
-        assert isinstance(simulation.decide(graph, result), ResumePlan)
-
-    faults = Faults((Fault("move", FaultKind.ABORT),))
-    with_site(IN_LAB, scenario, faults, Bindings({"move": Binding(retries=0)}, assumed=frozenset({"place"})))
+    scenario()
 
 
-def test_a_robot_that_was_carried_away_is_found_by_the_precondition() -> None:
-    async def scenario(simulation: SimulatedSite) -> None:
-        simulation.backend.robots.world.change({R1: "yard"})
-        graph = plan_graph(IN_LAB, TO_LAB)
-        result = await simulation.run(graph)
-        assert [(one.cause, one.observed) for one in result.failures] == [("precondition_false", "(place r1) is yard")]
-        assert isinstance(simulation.decide(graph, result), PlanAgain)
-        assert simulation.now().init[R1] == "yard"
-        assert (await simulation.run(plan_graph(simulation.now(), timed("0 4 move r1 yard lab")))).goal
-
-    with_site(IN_LAB, scenario)
+@on_site(IN_LAB, Faults((Fault("move", FaultKind.ABORT),)), Bindings({"move": Binding(retries=0)}, assumed=frozenset({"place"})))
+async def test_an_aborted_move_leaves_the_robot_where_it_was_known_to_be(site: SimulatedSite) -> None:
+    graph = plan_graph(IN_LAB, TO_LAB)
+    result = await site.run(graph)
+    assert [one.cause for one in result.failures] == ["aborted"]
+    assert (site.truth(R1), site.knowledge.value(R1)) == ("hall", "hall")
+    assert isinstance(site.decide(graph, result), ResumePlan)
 
 
-def test_a_robot_that_is_there_does_not_move() -> None:
-    async def scenario(simulation: SimulatedSite) -> None:
-        result = await simulation.run(plan_graph(IN_LAB, TO_LAB))
-        assert result.goal
-        assert [call.outcome for call in result.calls] == ["already true"]
-
-    with_site(replace(IN_LAB, init={R1: "lab"}), scenario)
-
-
-def test_a_value_read_at_the_end_is_the_one_it_has_then() -> None:
-    problem = tray_problem("(= (place r1) hall) (= (wanted r1) lab)", "(= (place r1) yard)")
-
-    async def scenario(simulation: SimulatedSite) -> None:
-        result = await simulation.run(plan_graph(problem, timed("0 3 fetch r1")))
-        assert result.goal, result.reason
-
-    with_site(problem, scenario, change_at(1.0, {("wanted", "r1"): "yard"}))
+@on_site(IN_LAB)
+async def test_a_robot_that_was_carried_away_is_found_by_the_precondition(site: SimulatedSite) -> None:
+    site.backend.robots.world.change({R1: "yard"})
+    graph = plan_graph(IN_LAB, TO_LAB)
+    result = await site.run(graph)
+    assert [(one.cause, one.observed) for one in result.failures] == [("precondition_false", "(place r1) is yard")]
+    assert isinstance(site.decide(graph, result), PlanAgain)
+    assert site.now().init[R1] == "yard"
+    assert (await site.run(plan_graph(site.now(), timed("0 4 move r1 yard lab")))).goal
 
 
-def test_a_goal_field_may_be_an_object_that_is_known() -> None:
-    bindings = Bindings({"fetch": Binding(goal={"robot": "?r", "to": "(wanted ?r)"})})
-    wanted = tray_problem("(= (place r1) hall) (= (wanted r1) lab)", "(= (place r1) lab)")
+@on_site(replace(IN_LAB, init={R1: "lab"}))
+async def test_a_robot_that_is_there_does_not_move(site: SimulatedSite) -> None:
+    result = await site.run(plan_graph(IN_LAB, TO_LAB))
+    assert (result.goal, [call.outcome for call in result.calls]) == (True, ["already true"])
 
-    async def scenario(simulation: SimulatedSite) -> None:
-        graph = plan_graph(wanted, timed("0 3 fetch r1"))
-        data = goal_data(graph.calls[0].action, bindings.of("fetch"), ("robot", "to"), EvaluationContext(simulation.knowledge))
-        assert data == ({"robot": "r1", "to": "lab"}, ())
-        assert (await simulation.run(graph)).goal
-        for nothing in (UNKNOWN, UNDEFINED):
-            simulation.knowledge.world.update({("wanted", "r1"): nothing})
-            assert goal_data(graph.calls[0].action, bindings.of("fetch"), None, EvaluationContext(simulation.knowledge))[1] == ("to",)
 
-    with_site(wanted, scenario, bindings=bindings)
+@on_site(tray_problem("(= (place r1) hall) (= (wanted r1) lab)", "(= (place r1) yard)"), change_at(1.0, {("wanted", "r1"): "yard"}))
+async def test_a_value_read_at_the_end_is_the_one_it_has_then(site: SimulatedSite) -> None:
+    result = await site.carry_out("0 3 fetch r1")
+    assert result.goal, result.reason
+
+
+FIELDS = Bindings({"fetch": Binding(goal={"robot": "?r", "to": "(wanted ?r)"})})
+
+
+@on_site(tray_problem("(= (place r1) hall) (= (wanted r1) lab)", "(= (place r1) lab)"), bindings=FIELDS)
+async def test_a_goal_field_may_be_an_object_that_is_known(site: SimulatedSite) -> None:
+    graph = plan_graph(site.problem, timed("0 3 fetch r1"))
+    call, binding = graph.calls[0].action, FIELDS.of("fetch")
+    data = goal_data(call, binding, ("robot", "to"), EvaluationContext(site.knowledge))
+    assert data == ({"robot": "r1", "to": "lab"}, ())
+    assert (await site.run(graph)).goal
+    for nothing in (UNKNOWN, UNDEFINED):
+        site.knowledge.world.update({("wanted", "r1"): nothing})
+        assert goal_data(call, binding, None, EvaluationContext(site.knowledge))[1] == ("to",)
 
 
 def test_a_problem_from_what_is_known_has_only_values_that_it_declares() -> None:

@@ -1,9 +1,10 @@
-"""All that walk through a plan agree on the order of what happens, and on the state after each moment."""
+"""All that walk through a plan agree on what happens when, and on the state after it; and what calls that are under way will change."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, assume, given, settings, strategies as st
@@ -12,16 +13,40 @@ from planner_bridge.explanations.needed_call import Course
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Problem
-from planner_bridge.model.progression import EPSILON, NotApplicable, Progression, calls_of, happenings, snapshot
+from planner_bridge.model.progression import (
+    EPSILON,
+    NotApplicable,
+    NotProjectable,
+    Progression,
+    calls_of,
+    happenings,
+    projected_state,
+    snapshot,
+)
 from planner_bridge.ordering.interference import forecast
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.pipeline.loading import load
 from planner_bridge.planning.validate import trace, why_invalid
-from pnm.core.logic.conditions import TRUE
-from pnm.core.logic.expressions import UNKNOWN
-from pnm.core.machine.plan_graph import Moment, PlanEvent, PlanGraphError
+from planner_bridge.tasks.result import TASKS
+from planner_bridge.tasks.settings import Settings
+from pnm.core.execution.events import Stop
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import TRUE, Holds
+from pnm.core.logic.effects import Set
+from pnm.core.logic.expressions import UNKNOWN, Constant
+from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent, PlanGraphError
+from pnm.core.machine.requests import Ended
+from pnm.journal.replay import Replay
+from pnm.journal.resume import replay_steps
+from tests.support.files import ROOT
 from tests.support.pddl.random_plans import walks
 from tests.support.pddl.random_problems import Draw, Features, problems
+from tests.support.runs.commands import accepted, begun
+from tests.support.runs.handover import SUCCEEDED
+from tests.support.runs.plan_graphs import plan_of
+from tests.support.runs.simulated import LateBackend
+from tests.support.tasks.simulation import TaskSimulation, simulate_tasks
 
 NUDGES = st.sampled_from([0.0, 0.0, 4e-7, 3e-6, 2e-5, 0.001])
 """Seconds by which a step is late: within one happening, and not."""
@@ -120,3 +145,72 @@ def test_an_unmet_condition_is_refused_or_noted_or_the_call_is_dropped() -> None
     assert seen(Progression(initial_knowledge(problem), unmet=lambda *what: noted.append(what[:2]) or True)) is True
     assert noted == [(0, "start")]
     assert not seen(Progression(initial_knowledge(problem), unmet=lambda *_: False))
+
+
+# --- the projected state ---
+
+
+LIT, DOOR, MOVING, ENERGY = ("lit",), ("door",), ("moving",), ("energy",)
+OPEN = GroundAction(
+    "open",
+    start_effects=(Set(MOVING, Constant(True)),),
+    end_effects=(Set(MOVING, Constant(False)), Set(DOOR, Constant(True)), Set(ENERGY, Constant(3.0), "decrease")),
+    duration=5.0,
+)
+SHINE = GroundAction("shine", end_condition=Holds(LIT), duration=9.0)
+
+
+def test_at_any_time_of_a_run_no_robot_is_nowhere(tmp_path: Path) -> None:
+    """While a robot moves it is nowhere, and when it has arrived as well until that is reported."""
+    problem = load(ROOT / "domains/delivery/domain.pddl", ROOT / "problems/delivery/p01.pddl")
+
+    async def scenario(simulation: TaskSimulation) -> None:
+        await simulation.reaches(simulation.want("(and (at parcel1 hall) (at parcel2 kitchen))"))
+
+    simulate_tasks(scenario, problem, chosen=Settings(), make_backend=LateBackend, journal=tmp_path / "journal")
+    replay, nowhere, has_settled = Replay(), 0, False
+    for step in replay_steps(tmp_path / "journal", TASKS, replay):
+        if replay.bases:
+            runs = [run.run for run in replay.runs.values() if not run.is_over]
+            nowhere += _robots(replay.world) < {"r1", "r2"}
+            has_settled |= any(run.settling for run in runs)
+            assert _robots(projected_state(replay.world, runs)) == {"r1", "r2"}, step
+    assert has_settled
+    assert nowhere
+
+
+@pytest.mark.parametrize("orders", [(), ("1e<0e",)], ids=["", "its end waits for another"])
+def test_what_has_ended_changes_numbers_once(orders: tuple[str, ...]) -> None:
+    world = KnowledgeBase({ENERGY: 10.0, LIT: True}, sensed={"door": 1.0})
+    run = accepted(plan_of(OPEN, SHINE, orders=orders), world=world)
+    for settling in ([], ["open()#0"]):
+        assert [str(call) for call in run.settling] == settling
+        state = projected_state(world, (run,))
+        assert (bool(state.value(DOOR)), state.value(ENERGY), bool(state.value(MOVING))) == (True, 7.0, False)
+        assert not world.value(DOOR)
+        run.handle(Ended(run.open_requests[0], SUCCEEDED), 3.0)
+
+
+def test_nobody_knows_what_becomes_of_a_call_that_is_being_cancelled() -> None:
+    world = KnowledgeBase({ENERGY: 10.0, LIT: True})
+    run = accepted(plan_of(OPEN, SHINE), world=world)
+    run.handle(Stop(cancel=True), 2.0)
+    state = projected_state(world, (run,))
+    assert [state.value(fluent) for fluent in (DOOR, ENERGY, MOVING, LIT)] == [UNKNOWN, UNKNOWN, UNKNOWN, True]
+
+
+def test_a_call_that_cannot_end_is_refused_with_the_reason() -> None:
+    world = KnowledgeBase({LIT: False})
+    with pytest.raises(NotProjectable, match=r"shine\(\) would end although \(lit\)"):
+        projected_state(world, (accepted(plan_of(SHINE), world=world),))
+
+
+def test_a_call_that_has_not_begun_changes_nothing() -> None:
+    world = KnowledgeBase({ENERGY: 10.0})
+    run, _ = begun(plan_of(OPEN), world=world)
+    assert projected_state(world, (run,)).facts() == world.facts()
+
+
+def _robots(state: KnowledgeBase) -> set[str]:
+    """The robots that are somewhere, or of which that is not known."""
+    return {fluent[1] for fluent in state.facts() if fluent[0] == "at"} & {"r1", "r2"}

@@ -1,4 +1,4 @@
-"""What plans need and change, whether they can go on side by side, and plans that leave others alone."""
+"""What plans need and change: whether they can go on side by side, plans around others, and when others are done with what they need."""
 
 from __future__ import annotations
 
@@ -8,14 +8,27 @@ from itertools import combinations, permutations, zip_longest
 import pytest
 
 from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Problem
-from planner_bridge.model.progression import NotApplicable, Progression, snapshot
-from planner_bridge.ordering.interference import ReadWriteSets, avoid_interference, interference, read_write_sets
+from planner_bridge.model.progression import NotApplicable, Progression, calls_of, snapshot
+from planner_bridge.ordering.interference import (
+    Forecast,
+    ReadWriteSets,
+    avoid_interference,
+    awaited,
+    forecast,
+    interference,
+    read_write_sets,
+    with_forecasts,
+)
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.planning.solve import solve
+from planner_bridge.planning.validate import why_invalid
+from pnm.core.knowledge_base import parse_fluent
 from pnm.core.logic.conditions import evaluate
-from pnm.core.machine.plan_graph import PlanGraph
+from pnm.core.machine.plan_graph import Moment, PlanGraph
 from tests.support.pddl.problems import rooms, tanks
+from tests.support.pddl.vans import vans
 
 
 def graph_of(problem: Problem) -> PlanGraph:
@@ -29,32 +42,27 @@ def footprint_of(problem: Problem) -> ReadWriteSets:
     return read_write_sets(graph.calls, graph.goal, initial_knowledge(problem))
 
 
-def test_plans_of_different_robots_are_in_no_conflict():
-    one, two = footprint_of(rooms(goal="(at r1 c)")), footprint_of(rooms(goal="(at r2 c)"))
-    assert interference(one, two) == interference(two, one) == ""
+R1_TO_C = footprint_of(rooms(goal="(at r1 c)"))
+R1_IN_A = ReadWriteSets(facts={("at", "r1", "a"): frozenset({True})})
+CLEAN = frozenset({True})
+KEEPS_CLEAN = ReadWriteSets(facts={("clean", "a"): CLEAN}, writes={("clean", "a"): CLEAN})
 
 
-def test_plans_of_one_robot_are_in_conflict_and_both_say_over_what():
-    one, two = footprint_of(rooms(goal="(at r1 c)")), footprint_of(rooms(goal="(at r1 d)"))
-    assert "(at r1 " in interference(one, two)
-    assert "(at r1 " in interference(two, one)
-
-
-def test_a_goal_that_holds_is_needed_until_the_task_is_over():
-    resting = ReadWriteSets(facts={("at", "r1", "a"): frozenset({True})})
-    assert interference(footprint_of(rooms(goal="(at r1 c)")), resting) == "it would change (at r1 a), which the other needs"
-
-
-def test_what_both_make_so_is_no_conflict():
-    one = footprint_of(rooms("(at r1 a) (at r2 a)", "(clean a)"))
-    two = ReadWriteSets(facts={("clean", "a"): frozenset({True})}, writes={("clean", "a"): frozenset({True})})
-    assert interference(two, two) == ""
-    assert interference(one, two) == "it needs (clean a), which the other is going to change"  # it sweeps what must not be clean yet
-
-
-def test_numbers_that_are_compared_must_not_be_changed_by_others():
-    one = footprint_of(tanks())
-    assert interference(one, ReadWriteSets(writes={("level", "a"): frozenset({None})}))
+@pytest.mark.parametrize(
+    ("one", "other", "said"),
+    [
+        (R1_TO_C, footprint_of(rooms(goal="(at r2 c)")), ""),
+        (R1_TO_C, footprint_of(rooms(goal="(at r1 d)")), "(at r1 "),
+        (R1_TO_C, R1_IN_A, "it would change (at r1 a), which the other needs"),  # a goal that holds is needed until the task is over
+        (KEEPS_CLEAN, KEEPS_CLEAN, ""),
+        # it sweeps what must not be clean yet
+        (footprint_of(rooms("(at r1 a) (at r2 a)", "(clean a)")), KEEPS_CLEAN, "it needs (clean a), which the other is going to change"),
+        (footprint_of(tanks()), ReadWriteSets(writes={("level", "a"): frozenset({None})}), "(level a)"),
+    ],
+)
+def test_plans_are_in_conflict_over_what_one_changes_and_the_other_needs(one: ReadWriteSets, other: ReadWriteSets, said: str):
+    assert said in interference(one, other)
+    assert bool(interference(one, other)) is bool(interference(other, one)) is bool(said)
 
 
 def test_what_calls_are_under_way_for_is_needed_to_their_end_only():
@@ -121,3 +129,99 @@ def _works(problem: Problem, graphs: list[PlanGraph], pattern: int) -> bool:
     except NotApplicable:
         return False
     return all(evaluate(graph.goal, course.state) is True for graph in graphs)
+
+
+# --- when others are done with what they need ---
+
+
+PLACES = ("home near 15", "near shop 1", "depot far 10", "far shop 60")
+
+
+def world(goal: str) -> Problem:
+    return vans("v1 home v2 depot", *PLACES, goal=goal)
+
+
+def plan_for(problem: Problem) -> Plan:
+    result = solve(problem)
+    assert result.plan is not None, result
+    return result.plan
+
+
+def expected(goal: str, *, under_way: float | None = None, lost: str = "") -> Forecast:
+    """Forecast a plan for the goal; its first call may be under way, with so many seconds left, and a fact may be lost."""
+    problem = world(goal)
+    graph = plan_graph(problem, plan_for(problem))
+    state = initial_knowledge(problem)
+    events, left = graph.order, dict[int, float]()
+    if under_way is not None:
+        events, left = tuple(event for event in events if (event.call, event.moment) != (0, Moment.START)), {0: under_way}
+        state.update({("at", "v1", "home"): False})
+    if lost:
+        state.update({parse_fluent(lost): False})
+    return forecast(graph, events, left, state)
+
+
+def released(forecast: Forecast, fact: str) -> float | None:
+    return forecast.released.get(parse_fluent(fact))
+
+
+def test_each_fact_is_released_when_the_last_call_that_needs_it_is_over() -> None:
+    both = expected("(and (at v1 shop) (at v2 far))")
+    assert released(both, "(at v1 home)") == pytest.approx(15.0)
+    assert released(both, "(at v1 near)") == pytest.approx(16.0)
+    assert released(both, "(at v2 depot)") == pytest.approx(10.0)
+
+
+def test_what_the_goal_says_is_released_with_the_last_call() -> None:
+    both = expected("(and (at v1 shop) (at v2 far))")
+    assert released(both, "(at v2 far)") == released(both, "(at v1 shop)") == pytest.approx(16.0)
+
+
+def test_what_is_left_behind_is_known() -> None:
+    values = expected("(at v1 shop)").values
+    assert values == {("at", "v1", "home"): False, ("at", "v1", "near"): False, ("at", "v1", "shop"): True}
+
+
+def test_of_a_call_that_is_under_way_the_seconds_that_are_left_count() -> None:
+    assert released(expected("(at v1 shop)", under_way=4.0), "(at v1 shop)") == pytest.approx(5.0)
+
+
+def test_of_a_plan_that_does_not_work_any_more_nothing_is_expected() -> None:
+    broken = expected("(at v1 shop)", lost="(at v1 home)")
+    assert (dict(broken.released), dict(broken.values)) == ({}, {})
+    assert parse_fluent("(at v1 shop)") in broken.needed.writes
+
+
+@pytest.mark.parametrize(("goal", "van", "waits"), [("(at v1 near)", "v1", 15.0), ("(at v1 shop)", "v1", 16.0)])
+def test_a_planner_weighs_waiting_for_a_busy_robot(goal: str, van: str, waits: float) -> None:
+    problem, other = world("(served shop)"), expected(goal)
+    waiting = with_forecasts(problem, [other])
+    plan = plan_for(waiting)
+    assert {step.arguments[0] for step in plan.steps} == {van}
+    assert plan.steps[0].start >= waits
+    needed = read_write_sets(calls_of(waiting, plan), problem.goal, initial_knowledge(waiting))
+    assert awaited(needed, other) == (("at", "v1", goal[7:-1]), pytest.approx(waits))
+
+
+def test_before_its_release_nothing_that_others_need_is_had_and_after_it_everything() -> None:
+    problem = world("(at v1 depot)")
+    with_way_back = replace(problem, init={**problem.init, ("way", "near", "depot"): True, ("seconds", "near", "depot"): 1.0})
+    waiting = with_forecasts(with_way_back, [expected("(at v1 near)")])
+    too_early = plan_for(replace(with_way_back, goal=problem.goal))
+    assert why_invalid(waiting, too_early)
+    assert plan_for(waiting).steps[0].start >= 15.0
+
+
+def test_without_a_forecast_what_others_need_is_not_to_be_had_at_all() -> None:
+    needed = expected("(at v1 near)").needed
+    problem = with_forecasts(world("(at v1 shop)"), [Forecast(needed)])
+    assert solve(problem).plan is None
+    assert awaited(needed, Forecast(needed)) is None
+
+
+def test_a_call_that_has_to_begin_anew_is_not_under_way_any_more() -> None:
+    problem = world("(served shop)")
+    graph = plan_graph(problem, plan_for(problem))
+    begins_anew = replace(graph, steps=(replace(graph.steps[0], under_way=True), *graph.steps[1:]))
+    state = initial_knowledge(problem)
+    assert forecast(begins_anew, graph.order, {}, state) == forecast(graph, graph.order, {}, state)

@@ -18,7 +18,7 @@ from pnm.core.logic.conditions import All, Holds, Not
 from pnm.core.logic.trajectory import Constraint
 from tests.support.pddl.problems import matches, rooms
 from tests.support.runs.plan_graphs import shown
-from tests.support.tasks.planned_runs import timed
+from tests.support.tasks.planned_runs import SimulatedSite, on_site, timed
 
 
 def sequence(*steps: str) -> Plan:
@@ -73,11 +73,6 @@ TWO_MATCHES = (
     PlanStep("strike", ("m1",), 3.0, 8.0),
     PlanStep("mend", ("f1", "m1"), 5.0, 5.0),
 )
-
-
-def test_a_call_inside_another_starts_after_its_start_and_ends_before_its_end() -> None:
-    graph = plan_graph(matches(1), Plan(TWO_MATCHES[:2], temporal=True))
-    assert shown(graph) == ["start of #0 < start of #1 ((light m0))", "end of #1 < end of #0 ((light m0))"]
 
 
 def test_an_enveloping_call_keeps_the_plans_distance_from_what_its_insides_wait_for() -> None:
@@ -198,15 +193,45 @@ def test_a_timed_change_is_a_limit_for_what_it_makes_false(init: str, step: str,
     assert (call.latest_start, call.deadline) == (latest_start, deadline)
 
 
-def test_a_timed_change_does_not_hide_who_reads_the_fact() -> None:
-    problem = lasting(TIMED, "(p) (at 5 (p))", "(and (done) (gone))")
-    assert shown(plan_graph(problem, timed("0 10 hold", "10.001 1 remove"))) == ["end of #0 < start of #1 ((p))"]
+# --- start effects that last ---
 
 
-def test_writes_that_keep_an_over_all_condition_true_together_are_ordered() -> None:
-    actions = """
-        hold; 10; (over all (or (p) (q))); (at end (seen))
-        add-p; 3; (); (at end (p))
-        del-q; 1; (); (and (at end (not (q))) (at end (done)))"""
-    graph = plan_graph(lasting(actions, "(q)", "(and (seen) (done))"), timed("0 10 hold", "0 3 add-p", "8.5 1 del-q"))
-    assert "end of #1 < end of #2 ((p), (q))" in shown(graph)
+LAMPS = parse_domain("""
+(define (domain lamps) (:requirements :durative-actions :negative-preconditions :timed-initial-literals)
+  (:predicates (light) (mended) (tested) (seen))
+  (:durative-action mend :parameters () :duration (= ?duration 5) :condition (at start (light))
+    :effect (and (at start (not (light))) (at end (mended))))
+  (:durative-action test :parameters () :duration (= ?duration 1) :condition (at start (not (light)))
+    :effect (and (at end (light)) (at end (tested))))
+  (:durative-action inspect :parameters () :duration (= ?duration 1) :condition (at start (mended))
+    :effect (and (at end (light)) (at end (seen)))))
+""")
+
+
+def lamps(goal: str, timed_facts: str = "") -> Problem:
+    return parse_problem(f"(define (problem p) (:domain lamps) (:init (light) {timed_facts}) (:goal (and {goal})))", LAMPS)
+
+
+@pytest.mark.parametrize(
+    ("plan", "timed_facts", "lasts"),
+    [
+        (("0 5 mend",), "", True),
+        (("0 5 mend", "1 1 test"), "", False),
+        (("0 5 mend", "6 1 test"), "", False),  # which may as well come at once
+        (("0 5 mend", "6 1 inspect"), "", True),  # which waits for the end
+        (("0 5 mend",), "(at 3 (light))", False),
+        (("0 5 mend",), "(at 9 (light))", False),  # nothing says that the call has ended by then
+    ],
+)
+def test_a_start_effect_is_expected_at_the_end_unless_something_may_overwrite_it(
+    plan: tuple[str, ...], timed_facts: str, lasts: bool
+) -> None:
+    mend = plan_graph(lamps("(mended)", timed_facts), timed(*plan)).calls[0]
+    assert mend.lasting == ({("light",)} if lasts else frozenset())
+
+
+@on_site(lamps("(mended) (tested) (light)"))
+async def test_what_comes_earlier_than_planned_is_no_failure_of_the_call_that_it_overwrites(site: SimulatedSite) -> None:
+    result = await site.carry_out("0 5 mend", "6 1 test")
+    assert result.goal, result.reason
+    assert not result.failures

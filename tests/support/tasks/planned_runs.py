@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
+from functools import update_wrapper
+from inspect import Signature
 from typing import Any as Anything
 from uuid import uuid4
 
@@ -11,6 +13,7 @@ from planner_bridge.model.grounding import initial_knowledge, problem_now
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.world import simulated_backend
+from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.tasks.replanning import Decision, History, Limits, Progress, decide
 from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import NO_FAULTS, Faults, HiddenChange
@@ -43,6 +46,10 @@ class SimulatedSite:
             Run(machine, self.knowledge, id=uuid4(), bindings=self.bindings, goal_fields=fields), self.backend.client
         ).execute()
 
+    async def carry_out(self, *steps: str) -> RunResult:
+        """Run a plan of the problem, whose steps are written as for `timed`."""
+        return await self.run(plan_graph(self.problem, timed(*steps)))
+
     def truth(self, fluent: Fluent) -> object:
         return self.backend.robots.world.truth.value(fluent)
 
@@ -57,16 +64,26 @@ class SimulatedSite:
 Scenario = Callable[[SimulatedSite], Coroutine[Anything, Anything, None]]
 
 
-def with_site(problem: Problem, scenario: Scenario, faults: Faults = NO_FAULTS, bindings: Bindings = Bindings()) -> None:
-    async def main() -> None:
-        simulation = SimulatedSite(problem, simulated_backend(problem, bindings, faults), Layered(initial_knowledge(problem)), bindings)
-        await simulation.backend.open(simulation.knowledge.world)
-        try:
-            await scenario(simulation)
-        finally:
-            await simulation.backend.close()
+def on_site(problem: Problem, faults: Faults = NO_FAULTS, bindings: Bindings = Bindings()) -> Callable[[Scenario], Callable[[], None]]:
+    """Run a test in such a world."""
 
-    run_async(main(), virtual=True)
+    def wrap(scenario: Scenario) -> Callable[[], None]:
+        async def main() -> None:
+            site = SimulatedSite(problem, simulated_backend(problem, bindings, faults), Layered(initial_knowledge(problem)), bindings)
+            await site.backend.open(site.knowledge.world)
+            try:
+                await scenario(site)
+            finally:
+                await site.backend.close()
+
+        def test() -> None:
+            run_async(main(), virtual=True)
+
+        update_wrapper(test, scenario)
+        test.__signature__ = Signature()  # type: ignore[attr-defined]  # by which pytest knows that a test is given nothing
+        return test
+
+    return wrap
 
 
 def timed(*steps: str) -> Plan:

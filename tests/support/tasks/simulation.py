@@ -27,7 +27,6 @@ from pnm.knowledge.source import Source
 from pnm.language.runner import PlanRunner, Program
 from pnm.tasks import Code, TaskEnding, TaskListener, TaskState, TraceEvent, TraceKind, Wanted
 from tests.support.pddl.problems import fleet, read_goal
-from tests.support.runs.simulated import LateBackend
 from tests.support.tasks.laws import QUIET, contradictory_requests, standing_still
 
 LIMIT = 20000.0
@@ -242,12 +241,3 @@ def simulate_tasks(
     finally:
         logging.getLogger().removeHandler(errors)
     assert not errors.found, errors.found
-
-
-def reach_with_late_sensors(problem: Problem, goal: str, journal: Path) -> None:
-    """Have a goal reached whose effects are reported late, and keep a journal of that."""
-
-    async def scenario(simulation: TaskSimulation) -> None:
-        await simulation.reaches(simulation.want(goal))
-
-    simulate_tasks(scenario, problem, chosen=Settings(), make_backend=LateBackend, journal=journal)
