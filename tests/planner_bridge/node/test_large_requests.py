@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable
 from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,8 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.domain import MAX_CHOICES
 from pnm.errors import InputError
 from tests.support.processes import LIMIT
-from tests.support.tasks.world import PROBLEM, world
+from tests.support.runs.simulated import in_virtual_time
+from tests.support.tasks.world import PROBLEM, served, world
 
 LONG = f"(and {'(not (dark)) ' * 5000}(charged r1))"
 
@@ -32,16 +33,14 @@ def deep(variables: int) -> str:
     return f"(forall ({' '.join(f'?x{number}' for number in range(variables))} - robot) (charged ?x0))"
 
 
-def serve(scene: Callable[[ServedProblem], Awaitable[None]], tmp_path) -> None:
-    async def whole() -> None:
-        knowledge = initial_knowledge(PROBLEM)
+def node_in(folder: Path) -> ServedProblem:
+    """A node that has its folder here, and loads other problems."""
+    knowledge = initial_knowledge(PROBLEM)
 
-        def begin_anew(_: Problem, initial: KnowledgeBase) -> None:
-            knowledge.begin_anew(initial.facts(), initial.objects_by_type(), initial.rules)
+    def begin_anew(_: Problem, initial: KnowledgeBase) -> None:
+        knowledge.begin_anew(initial.facts(), initial.objects_by_type(), initial.rules)
 
-        await scene(ServedProblem(PROBLEM, knowledge, Settings(), ProblemFolder(tmp_path), begin_anew))
-
-    run_async(whole(), virtual=False)
+    return ServedProblem(PROBLEM, knowledge, Settings(), ProblemFolder(folder), begin_anew)
 
 
 async def noop() -> None:
@@ -59,19 +58,18 @@ async def turns_of(work: Awaitable[object]) -> int:
 
 
 @pytest.mark.parametrize("what", ["query", "update", "get", "save", "load"])
-def test_the_event_loop_goes_on_while_a_request_is_worked_on(tmp_path, what):
-    async def scene(served):
-        requests = {
-            "query": lambda: served.query([LONG] * 5),
-            "update": lambda: served.update(["(dark)"] * 10_000, [], []),
-            "get": served.get,
-            "save": lambda: served.save("p.pddl"),
-            "load": lambda: served.load("", f"(define (problem p) (:domain d) (:goal {LONG}) (:objects r1 - robot))"),
-        }
-        assert await turns_of(noop()) == 1
-        assert await turns_of(requests[what]()) > 1
-
-    serve(scene, tmp_path)
+@in_virtual_time
+async def test_the_event_loop_goes_on_while_a_request_is_worked_on(tmp_path, what):
+    node = node_in(tmp_path)
+    requests = {
+        "query": lambda: node.query([LONG] * 5),
+        "update": lambda: node.update(["(dark)"] * 10_000, [], []),
+        "get": node.get,
+        "save": lambda: node.save("p.pddl"),
+        "load": lambda: node.load("", f"(define (problem p) (:domain d) (:goal {LONG}) (:objects r1 - robot))"),
+    }
+    assert await turns_of(noop()) == 1
+    assert await turns_of(requests[what]()) > 1
 
 
 class KnowledgeOfOneThread(KnowledgeBase):
@@ -83,34 +81,29 @@ class KnowledgeOfOneThread(KnowledgeBase):
 
 
 @pytest.mark.parametrize("problem", [PROBLEM, NOTHING], ids=lambda problem: problem.name)
-def test_changes_are_read_from_a_snapshot(problem):
-    async def scene():
-        knowledge = KnowledgeOfOneThread(objects=problem.objects_by_type)
-        served = ServedProblem(problem, knowledge, Settings(), ProblemFolder(Path()), lambda *_: None)
-        with pytest.raises(InputError, match="unknown predicate"):
-            await served.update(["(flies r1)"], [], [])
-
-    run_async(scene())
+@in_virtual_time
+async def test_changes_are_read_from_a_snapshot(problem):
+    node = served(KnowledgeOfOneThread(objects=problem.objects_by_type), problem)
+    with pytest.raises(InputError, match="unknown predicate"):
+        await node.update(["(flies r1)"], [], [])
 
 
-def test_requests_have_their_turns_in_order_each_from_what_is_known_then(tmp_path):
-    async def scene(served):
-        ended = []
+@in_virtual_time
+async def test_requests_have_their_turns_in_order_each_from_what_is_known_then():
+    node, ended = served(initial_knowledge(PROBLEM)), []
 
-        async def noted(name, work):
-            result = await work
-            ended.append(name)
-            return result
+    async def noted(name, work):
+        result = await work
+        ended.append(name)
+        return result
 
-        first, _, second = await asyncio.gather(
-            noted("first", served.query([LONG, "(dark)"])),
-            noted("update", served.update(["(dark)"], [], [])),
-            noted("second", served.query(["(dark)"])),
-        )
-        assert ended == ["first", "update", "second"]
-        assert (first[1][1], second[0][1]) == ("false", "true")
-
-    serve(scene, tmp_path)
+    first, _, second = await asyncio.gather(
+        noted("first", node.query([LONG, "(dark)"])),
+        noted("update", node.update(["(dark)"], [], [])),
+        noted("second", node.query(["(dark)"])),
+    )
+    assert ended == ["first", "update", "second"]
+    assert (first[1][1], second[0][1]) == ("false", "true")
 
 
 class BusyPlanners(Executor):
@@ -127,16 +120,16 @@ class BusyPlanners(Executor):
         return self.searches[-1]
 
 
-def test_plan_requests_have_their_turns_and_leave_threads_to_others(tmp_path):
+def test_plan_requests_have_their_turns_and_leave_threads_to_others():
     planners = BusyPlanners()
 
     async def scene() -> None:
         settings = Settings(planner="race:kairos,aries", executor=planners)
-        served = ServedProblem(PROBLEM, initial_knowledge(PROBLEM), settings, ProblemFolder(tmp_path), lambda *_: None)
-        requests = [asyncio.create_task(served.make("(dark)", "", LIMIT)) for _ in range(40)]
+        node = served(initial_knowledge(PROBLEM), settings=settings)
+        requests = [asyncio.create_task(node.make("(dark)", "", LIMIT)) for _ in range(40)]
         assert await in_own_thread(lambda: planners.are_both_busy.wait(LIMIT))
         async with asyncio.timeout(LIMIT):
-            assert await served.query(["(dark)"]) == [("(dark)", "false")]
+            assert await node.query(["(dark)"]) == [("(dark)", "false")]
         for request in reversed(requests):
             request.cancel()
         await asyncio.wait(requests)
@@ -145,17 +138,16 @@ def test_plan_requests_have_their_turns_and_leave_threads_to_others(tmp_path):
     run_async(scene())
 
 
-def test_a_request_has_a_budget(tmp_path, monkeypatch):
-    async def scene(served):
-        with pytest.raises(InputError, match=f"characters at once; expected {MAX_CHARACTERS} at most"):
-            await served.query([LONG] * 20)
-        with pytest.raises(InputError, match=f"characters at once; expected {MAX_CHARACTERS} at most"):
-            await served.update([LONG] * 10, [LONG] * 10, [])
-        monkeypatch.setattr(world_queries, "MAX_SECONDS", -1.0)
-        with pytest.raises(InputError, match="the answers have taken -1 s; expected fewer or simpler questions"):
-            await served.query(["(dark)"] * 3)
-
-    serve(scene, tmp_path)
+@in_virtual_time
+async def test_a_request_has_a_budget(monkeypatch):
+    node, said = served(initial_knowledge(PROBLEM)), f"characters at once; expected {MAX_CHARACTERS} at most"
+    with pytest.raises(InputError, match=said):
+        await node.query([LONG] * 20)
+    with pytest.raises(InputError, match=said):
+        await node.update([LONG] * 10, [LONG] * 10, [])
+    monkeypatch.setattr(world_queries, "MAX_SECONDS", -1.0)
+    with pytest.raises(InputError, match="the answers have taken -1 s; expected fewer or simpler questions"):
+        await node.query(["(dark)"] * 3)
 
 
 def test_goals_range_over_less_than_questions():

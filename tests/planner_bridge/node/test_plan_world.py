@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Awaitable, Callable
 
 import pytest
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.world import names_of_world
-from planner_bridge.node.problem_service import NOTHING, ProblemFolder, ServedProblem
-from planner_bridge.tasks.settings import Settings
-from pnm.clock import run_async
+from planner_bridge.node.problem_service import NOTHING, ServedProblem
 from pnm.errors import InputError
 from pnm.language.plan import parse_plans
-from tests.support.tasks.world import PROBLEM
+from tests.support.runs.simulated import in_virtual_time
+from tests.support.tasks.world import PROBLEM, served
 
 UNDECLARED = """
 actions:
@@ -63,39 +61,25 @@ plan:
 """
 
 
-def with_node_of(text: str, scene: Callable[[ServedProblem], Awaitable[None]]) -> None:
-    async def whole() -> None:
-        plans = parse_plans(text).values()
-        knowledge = initial_knowledge(*plans)
-        await scene(ServedProblem(NOTHING, knowledge, Settings(), ProblemFolder(None), lambda *_: None, plans=plans))
-
-    run_async(whole(), virtual=True)
+def node_of(text: str) -> ServedProblem:
+    plans = parse_plans(text).values()
+    return served(initial_knowledge(*plans), NOTHING, plans=plans)
 
 
 async def node_answers(world: ServedProblem, *questions: str) -> list[str]:
     return [answer for _, answer in await world.query(questions)]
 
 
-def test_facts_of_plans_that_declare_nothing_are_asked_for_and_told() -> None:
-    async def scene(world: ServedProblem) -> None:
-        asked = (
-            "(at r1 hall)",
-            "(at r1 cellar)",
-            "(speed)",
-            "(place r1)",
-            "(battery r1)",
-            "(and (free r1) (not (lost r1)) (not (rainy)))",
-            "(>= (speed) 2)",
-        )
-        assert await node_answers(world, *asked) == ["true", "false", "2", "hall", "unknown", "false", "true"]
-        told = await world.update(
-            ["(at r1 cellar)", "(= (battery r1) 7)", "(= (place r1) cellar)", "(lost r1)"], ["(at r1 hall)"], ["(speed)"]
-        )
-        assert told == 6
-        assert await node_answers(world, *asked) == ["false", "true", "unknown", "cellar", "7", "false", "unknown"]
-        assert dict(await world.query([]))["(at r1 cellar)"] == "true"
-
-    with_node_of(UNDECLARED, scene)
+@in_virtual_time
+async def test_facts_of_plans_that_declare_nothing_are_asked_for_and_told() -> None:
+    world = node_of(UNDECLARED)
+    conditions = ("(and (free r1) (not (lost r1)) (not (rainy)))", "(>= (speed) 2)")
+    asked = ("(at r1 hall)", "(at r1 cellar)", "(speed)", "(place r1)", "(battery r1)", *conditions)
+    assert await node_answers(world, *asked) == ["true", "false", "2", "hall", "unknown", "false", "true"]
+    told = ["(at r1 cellar)", "(= (battery r1) 7)", "(= (place r1) cellar)", "(lost r1)"]
+    assert await world.update(told, ["(at r1 hall)"], ["(speed)"]) == 6
+    assert await node_answers(world, *asked) == ["false", "true", "unknown", "cellar", "7", "false", "unknown"]
+    assert dict(await world.query([]))["(at r1 cellar)"] == "true"
 
 
 @pytest.mark.parametrize(
@@ -108,27 +92,24 @@ def test_facts_of_plans_that_declare_nothing_are_asked_for_and_told() -> None:
         (DECLARED, "(at hall r1)", "questions[0]:1:5: 'hall' is of type room; expected robot"),
     ],
 )
-def test_what_plans_do_not_speak_of_is_refused(text: str, question: str, said: str) -> None:
-    async def scene(world: ServedProblem) -> None:
-        with pytest.raises(InputError) as caught:
-            await world.query([question])
-        assert str(caught.value).startswith(said)
-
-    with_node_of(text, scene)
+@in_virtual_time
+async def test_what_plans_do_not_speak_of_is_refused(text: str, question: str, said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        await node_of(text).query([question])
+    assert str(caught.value).startswith(said)
 
 
-def test_declarations_of_plans_count_as_those_of_a_problem_do() -> None:
-    async def scene(world: ServedProblem) -> None:
-        asked = ("(exists (?x - room) (at r1 ?x))", "(place r2)", "(battery r2)", "(ready r1)")
-        assert await node_answers(world, *asked) == ["true", "undefined", "unknown", "false"]
-        assert await world.update(["(open)", "(= (place r2) kitchen)"], [], []) == 2
-        assert await node_answers(world, *asked) == ["true", "kitchen", "unknown", "true"]
-        with pytest.raises(InputError, match="'ready' is a derived predicate"):
-            await world.update(["(ready r2)"], [], [])
-        with pytest.raises(InputError, match="no domain and problem are loaded"):
-            await world.load("  ", "(define (problem p) (:domain plans) (:goal (open)))")
-
-    with_node_of(DECLARED, scene)
+@in_virtual_time
+async def test_declarations_of_plans_count_as_those_of_a_problem_do() -> None:
+    world = node_of(DECLARED)
+    asked = ("(exists (?x - room) (at r1 ?x))", "(place r2)", "(battery r2)", "(ready r1)")
+    assert await node_answers(world, *asked) == ["true", "undefined", "unknown", "false"]
+    assert await world.update(["(open)", "(= (place r2) kitchen)"], [], []) == 2
+    assert await node_answers(world, *asked) == ["true", "kitchen", "unknown", "true"]
+    with pytest.raises(InputError, match="'ready' is a derived predicate"):
+        await world.update(["(ready r2)"], [], [])
+    with pytest.raises(InputError, match="no domain and problem are loaded"):
+        await world.load("  ", "(define (problem p) (:domain plans) (:goal (open)))")
 
 
 REPORTS = [

@@ -8,14 +8,12 @@ import pytest
 
 from planner_bridge.explanations.goal_now import unpacked
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.node.problem_service import ProblemFolder, ServedProblem
 from planner_bridge.node.world_queries import MAX_LENGTH, MAX_TEXTS, SharedWorld, read_goals
-from planner_bridge.tasks.settings import Settings
-from pnm.clock import run_async
 from pnm.core.logic.conditions import TRUE
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN
 from pnm.errors import InputError
-from tests.support.tasks.world import PROBLEM, updated, world
+from tests.support.runs.simulated import in_virtual_time
+from tests.support.tasks.world import PROBLEM, served, updated, world
 
 
 def answers(shared: SharedWorld, *questions: str) -> list[str]:
@@ -206,27 +204,25 @@ def test_changes_are_told_as_texts():
     ]
 
 
-def test_the_object_that_a_function_no_longer_has_is_told_whatever_happened_before_anybody_followed():
-    async def scene() -> None:
-        knowledge, told = initial_knowledge(PROBLEM), []
-        served = ServedProblem(PROBLEM, knowledge, Settings(), ProblemFolder(None), lambda *_: None)
-        knowledge.update({("location", "a1"): "kitchen"})  # as sensors do while action servers are looked for
-        stop = served.follow(lambda fields: told.append((fields["added"], fields["removed"], fields["unknown"])))
-        for value in ("dock", UNKNOWN, UNDEFINED, "hall", UNDEFINED):
-            knowledge.update({("location", "a1"): value})
-        knowledge.store({"x": 1})
-        stop()
-        knowledge.update({("location", "a1"): "hall"})
-        at = "(= (location a1) {})".format
-        assert told == [
-            ([at("dock")], [at("kitchen")], []),
-            ([], [], ["(location a1)"]),
-            ([at("undefined")], [], []),
-            ([at("hall")], [], []),
-            ([], [at("hall")], []),
-        ]
-
-    run_async(scene(), virtual=True)
+@in_virtual_time
+async def test_the_object_that_a_function_no_longer_has_is_told_whatever_happened_before_anybody_followed():
+    knowledge, told = initial_knowledge(PROBLEM), []
+    node = served(knowledge)
+    knowledge.update({("location", "a1"): "kitchen"})  # as sensors do while action servers are looked for
+    stop = node.follow(lambda fields: told.append((fields["added"], fields["removed"], fields["unknown"])))
+    for value in ("dock", UNKNOWN, UNDEFINED, "hall", UNDEFINED):
+        knowledge.update({("location", "a1"): value})
+    knowledge.store({"x": 1})
+    stop()
+    knowledge.update({("location", "a1"): "hall"})
+    at = "(= (location a1) {})".format
+    assert told == [
+        ([at("dock")], [at("kitchen")], []),
+        ([], [], ["(location a1)"]),
+        ([at("undefined")], [], []),
+        ([at("hall")], [], []),
+        ([], [at("hall")], []),
+    ]
 
 
 # --- goals ---
@@ -281,16 +277,14 @@ def test_goals_are_read_from_a_file(tmp_path):
         assert str(caught.value).startswith(f"{file}:{said}")
 
 
-def test_the_problem_as_the_world_is_now_goes_to_another_process_with_what_is_unknown():
-    async def scene() -> None:
-        knowledge = initial_knowledge(PROBLEM)
-        served = ServedProblem(PROBLEM, knowledge, Settings(), ProblemFolder(None), lambda *_: None, goals={"dark": "(dark)"})
-        knowledge.update({("charged", "r1"): UNKNOWN, ("dark",): True})
-        problem = unpacked(await served.pack("dark"))
-        assert str(problem.goal) == "(dark)"
-        assert problem.init[("dark",)] is True
-        assert ("charged", "r1") in problem.unknown
-        with pytest.raises(InputError, match="did you mean 'dark'"):
-            await served.pack("drak")
-
-    run_async(scene(), virtual=True)
+@in_virtual_time
+async def test_the_problem_as_the_world_is_now_goes_to_another_process_with_what_is_unknown():
+    knowledge = initial_knowledge(PROBLEM)
+    node = served(knowledge, goals={"dark": "(dark)"})
+    knowledge.update({("charged", "r1"): UNKNOWN, ("dark",): True})
+    problem = unpacked(await node.pack("dark"))
+    assert str(problem.goal) == "(dark)"
+    assert problem.init[("dark",)] is True
+    assert ("charged", "r1") in problem.unknown
+    with pytest.raises(InputError, match="did you mean 'dark'"):
+        await node.pack("drak")

@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.problem import Problem
+from planner_bridge.node.problem_service import ProblemFolder, ServedProblem
 from planner_bridge.node.world_queries import SharedWorld
 from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.tasks.settings import Settings
+from pnm.core.knowledge_base import KnowledgeBase
 
 DOMAIN = parse_domain(
     """(define (domain d) (:requirements :adl :fluents :derived-predicates)
@@ -27,6 +33,13 @@ GOALS = {"home": "(forall (?r - robot) (at ?r dock))", "dark": "(dark)"}
 
 def world() -> SharedWorld:
     return SharedWorld(PROBLEM, initial_knowledge(PROBLEM), GOALS)
+
+
+def served(
+    knowledge: KnowledgeBase, problem: Problem = PROBLEM, settings: Settings = Settings(), folder: Path | None = None, **more: Any
+) -> ServedProblem:
+    """The problem of a node, of which nobody hears if another one is loaded."""
+    return ServedProblem(problem, knowledge, settings, ProblemFolder(folder), lambda *_: None, **more)
 
 
 def updated(shared: SharedWorld, *changes: Sequence[str], **more: Sequence[str]) -> int:
