@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from threading import Event
 
-import pytest
 from hypothesis import HealthCheck, given, settings
 
 from planner_bridge.explanations.answer import Known, Solves
@@ -15,9 +14,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.planning.kairos import DEFAULT_PLANNER, search
 from planner_bridge.planning.solve import solve
 from planner_bridge.planning.validate import why_invalid
-from tests.support.pddl.explanations.checked_claims import Checked
 from tests.support.pddl.explanations.doors import house
-from tests.support.pddl.problems import matches, rooms, tanks
 from tests.support.pddl.random_problems import problems as random_problems
 
 
@@ -43,15 +40,6 @@ def test_a_detour_is_needed_only_for_the_way_back() -> None:
     texts = [str(why_call_of_plan(problem, plan, number)) for number in range(2)]
     assert "#1 move(r1, yard, hall) needs it: (at r1 yard)" in texts[0]
     assert "the goal needs it: (at r1 hall)" in texts[1]
-
-
-@pytest.mark.parametrize("problem", [rooms(), matches(), tanks("4"), house("")], ids=["rooms", "time", "numbers", "house"])
-def test_every_claim_about_every_call_is_right(problem: Problem) -> None:
-    plan, checked = plan_of(problem), Checked()
-    for number in range(len(plan.steps)):
-        checked.look(why_call_of_plan(problem, plan, number))
-    assert (checked.false, checked.unconfirmed) == ([], [])
-    assert checked.confirmed
 
 
 @given(random_problems())

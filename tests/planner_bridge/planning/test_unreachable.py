@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings, strategies as st
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall, forbid
 from planner_bridge.model.grounding import initial_knowledge, problem_now
@@ -16,8 +16,8 @@ from planner_bridge.planning import reachability
 from planner_bridge.planning.reachability import GoalLiteral, Reachability, TooLarge, literal_of, why_unreachable
 from planner_bridge.planning.solve import solve
 from pnm.core.logic.expressions import UNKNOWN
-from tests.support.pddl.problems import fleet, hard, matches, rooms, tanks
-from tests.support.pddl.random_problems import problems as random_problems
+from tests.support.pddl.problems import fleet, hard, rooms
+from tests.support.pddl.random_problems import Features, problems as random_problems
 
 FETCH = """
 (define (domain fetch)
@@ -74,87 +74,38 @@ def test_an_action_that_is_not_to_be_tried_again_is_the_reason() -> None:
     assert why_unreachable(forbidden) == ("(at r1 c) cannot be reached: move(r1, b, c) would do it, but move(r1, b, c) must not be used")
 
 
+def add(rest: str) -> str:
+    return f"(:action add :parameters () {rest})"
+
+
+LASTING = "(:durative-action add :parameters () :duration (= ?duration (/ 1 (a))) :condition () :effect (at end (p)))"
+CIRCLE = "(:action one :parameters () :precondition (q) :effect (p)) (:action two :parameters () :precondition (p) :effect (q))"
+BESIDE = "(:action open :parameters () :precondition (q) :effect (r)) (:action go :parameters () :precondition (and (r) (s)) :effect (p))"
+
+
 @pytest.mark.parametrize(
     ("goal", "init", "actions", "reason"),
     [
         ("(p)", "", "", "(p) cannot be reached: no action brings it about"),
         ("(not (p))", "(p)", "", "(not (p)) cannot be reached: no action brings it about"),
+        ("(p)", "(= (a) 1)", add(":precondition (> (a) 2) :effect (p)"), "add() would do it, but (> (a) 2) [now 1] is"),
         (
             "(p)",
-            "(= (a) 1)",
-            "(:action add :parameters () :precondition (> (a) 2) :effect (p))",
-            "add() would do it, but (> (a) 2) [now 1] is",
+            "(= (a) 1) (= (b) 2)",
+            add(":precondition (>= (a) (b)) :effect (p)"),
+            "but (>= (a) (b)) [now (a) is 1, (b) is 2] is never true",
         ),
-        ("(p)", "", "(:action add :parameters () :precondition (or (q) (r)) :effect (p))", "add() would do it, but (q) is never true"),
-        ("(p)", "", "(:action add :parameters () :precondition (and (q) (r)) :effect (p))", "but (q) and (r) are never true"),
-        ("(p)", "", "(:action add :parameters () :effect (when (q) (p)))", "add() would do it, but (q) is never true"),
+        ("(p)", "", LASTING, "add() would do it, but (a) has no value"),
+        ("(p)", "", add(":precondition (or (q) (r)) :effect (p)"), "add() would do it, but (q) is never true"),
+        ("(p)", "", add(":precondition (and (q) (r)) :effect (p)"), "but (q) and (r) are never true"),
+        ("(p)", "", add(":effect (when (q) (p))"), "add() would do it, but (q) is never true"),
         ("(both)", "(p)", "(:derived (both) (and (p) (q)))", "(both) cannot be reached: (q) is never true"),
-        (
-            "(p)",
-            "",
-            "(:action one :parameters () :precondition (q) :effect (p)) (:action two :parameters () :precondition (p) :effect (q))",
-            "(p) cannot be reached",
-        ),
+        ("(p)", "", CIRCLE, "(p) cannot be reached"),
+        ("(p)", "", BESIDE, "(p) cannot be reached: go() would do it, but (s) is never true"),  # what it needs itself, and no more
     ],
 )
 def test_the_condition_that_is_never_true_is_named(goal: str, init: str, actions: str, reason: str) -> None:
     assert reason in why_unreachable(small(goal, init, actions=actions))
-
-
-TURTLE = """
-(define (domain turtle) (:requirements :typing :fluents :durative-actions) (:types waypoint robot)
-  (:predicates (robot_at ?v - robot ?wp - waypoint) (visited ?wp - waypoint) (undocked ?v - robot) (docked ?v - robot)
-    (dock_at ?wp - waypoint) (way ?a ?b - waypoint) (charger ?wp - waypoint))
-  (:functions (speed ?v - robot) (battery ?v - robot) (distance ?a ?b - waypoint))
-  (:durative-action go :parameters (?v - robot ?from ?to - waypoint) :duration (= ?duration (/ (distance ?from ?to) (speed ?v)))
-    :condition (and (at start (robot_at ?v ?from)) (at start (way ?from ?to)) (over all (undocked ?v))
-      (at start (>= (battery ?v) (distance ?from ?to))))
-    :effect (and (at end (visited ?to)) (at end (robot_at ?v ?to)) (at start (not (robot_at ?v ?from)))
-      (at end (decrease (battery ?v) (distance ?from ?to)))))
-  (:durative-action charge :parameters (?v - robot ?wp - waypoint) :duration (= ?duration 3)
-    :condition (and (over all (charger ?wp)) (over all (robot_at ?v ?wp))) :effect (at end (assign (battery ?v) 10)))
-  (:durative-action undock :parameters (?v - robot ?wp - waypoint) :duration (= ?duration 2)
-    :condition (and (over all (dock_at ?wp)) (at start (docked ?v)))
-    :effect (and (at start (not (docked ?v))) (at end (undocked ?v)))))
-"""
-TOUR = """
-(define (problem tour) (:domain turtle) (:objects a b c - waypoint t - robot)
-  (:init (robot_at t a) (docked t) (dock_at a) (charger b) (way a b) (way b c) (= (speed t) 0.5) (= (battery t) 3)
-    (= (distance a b) 2) (= (distance b c) 2))
-  (:goal (visited c)))
-"""
-
-
-def test_a_tour_that_is_possible_has_a_plan() -> None:
-    assert solve(parse_problem(TOUR, parse_domain(TURTLE))).plan
-
-
-@pytest.mark.parametrize(
-    ("gone", "instead", "why"),
-    [
-        ("(docked t)", "", "undock(t, a) needs (docked t), which is never true"),
-        ("(robot_at t a)", "", "(robot_at t b) is never true"),
-        ("(= (speed t) 0.5)", "", "(speed t) has no value"),
-        (
-            "(= (battery t) 3)",
-            "(= (battery t) 1)",
-            "go(t, a, b) needs (>= (battery t) (distance a b)) [now (battery t) is 1, (distance a b) is 2], which is never true",
-        ),
-        (
-            "(= (distance b c) 2)",
-            "(= (distance b c) 12)",
-            "(>= (battery t) (distance b c)) [now (battery t) is 3, (distance b c) is 12] is never true",
-        ),
-    ],
-)
-def test_what_is_missing_for_a_tour_is_named(gone: str, instead: str, why: str) -> None:
-    found = solve(parse_problem(TOUR.replace(gone, instead), parse_domain(TURTLE)))
-    assert found.reason == f"proved unsolvable: (visited c) cannot be reached: go(t, b, c) would do it, but {why}"
-
-
-def test_an_action_is_said_to_need_only_what_it_needs_itself() -> None:
-    shut = "(:action open :parameters () :precondition (q) :effect (r)) (:action go :parameters () :precondition (and (r) (s)) :effect (p))"
-    assert why_unreachable(small("(p)", actions=shut)) == "(p) cannot be reached: go() would do it, but (s) is never true"
 
 
 def test_a_robot_whose_place_is_unknown_may_be_anywhere() -> None:
@@ -171,20 +122,13 @@ def test_a_robot_whose_place_is_unknown_may_be_anywhere() -> None:
     assert solve(problem_now(problem, world)).status is PlanningStatus.UNSOLVABLE  # wherever it is: the door is closed
 
 
-@given(random_problems())
+@given(st.booleans().flatmap(lambda timed: random_problems(Features(timed=timed))))
 @settings(suppress_health_check=list(HealthCheck))
+@example(fleet(goal="(in p0 a2)"))
+@example(hard(3))
 def test_what_a_plan_reaches_is_not_called_unreachable(problem: Problem) -> None:
     found = solve(problem, timeout=2.0)
     assert not (found.plan and why_unreachable(problem))
-
-
-@pytest.mark.parametrize(
-    "problem",
-    [rooms(), matches(), tanks(), fleet(goal="(in p0 a2)"), hard(3), small("(p)", "(at 5 (p))")],
-    ids=["rooms", "what a start makes true over all", "numbers", "fleet", "found by search only", "time"],
-)
-def test_what_may_be_reached_is_not_explained(problem: Problem) -> None:
-    assert why_unreachable(problem) == ""
 
 
 EITHER = """(:action one :parameters () :precondition (s) :effect (and (p) (not (s))))

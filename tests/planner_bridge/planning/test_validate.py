@@ -148,27 +148,6 @@ def test_rules(init: str, steps: str, reason: str) -> None:
     assert bool(ours) is bool(reason) is bool(theirs), theirs
 
 
-ENDS: Final = [
-    ("", "0 flip", "(p)"),
-    ("", "0 count; 0 count; 0 uncount", "(= (f) 2)"),
-    ("", "0 burn 1", "(= (f) 0)"),
-    ("", "0 hold-own 2", "(not (p))"),
-    ("(p)", "0 remember 2; 1 delete", "(r)"),
-    ("", "0 remember 2; 1 add", "(not (r))"),
-    ("", "0 hold-last 0", "(p)"),
-    ("(at 9 (p))", "0 count", "(p)"),
-    ("(at 9 (p))", "", "(p)"),
-]
-
-
-@pytest.mark.parametrize(("init", "steps", "goal"), ENDS)
-def test_where_plans_lead(init: str, steps: str, goal: str) -> None:
-    assert why_invalid(over_rules(init, goal), timed_plan(steps)) == "" == validate(over_rules(init, goal), timed_plan(steps))
-    wrong = over_rules(init, f"(not {goal})")
-    assert why_invalid(wrong, timed_plan(steps)).startswith(f"the goal does not hold at the end: expected (not {goal}); observed")
-    assert validate(wrong, timed_plan(steps))
-
-
 def test_what_an_exists_has_found_false_is_looked_at() -> None:
     """Kairos overlooks it."""
     steps = timed_plan("0 none; 0 mark(a)")
